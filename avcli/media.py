@@ -1,0 +1,293 @@
+"""Pictures and sound in files: lossless PNG frames, WAV and FLAC.
+
+Writing is whole or not at all. Times and other chance stay out of the files: the same content gives the same bytes.
+"""
+
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from avcli import atomic
+
+
+class MediaError(ValueError):
+    """A file that is no picture or sound, or not the one that was expected."""
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+_PNG_KINDS = {("uint8", 3): (8, 2), ("uint8", 1): (8, 0), ("uint16", 1): (16, 0)}  # -> bit depth, colour type
+
+
+def encode_png(image: np.ndarray) -> bytes:
+    """Encode a picture as PNG with Intel's fast deflate (RFC 2083; every row with the "up" filter).
+
+    Args:
+        image: (height, width, 3) uint8 RGB, (height, width) uint8, or (height, width) uint16.
+    """
+    from isal import isal_zlib
+
+    channels = image.shape[2] if image.ndim == 3 else 1
+    depth, colour = _PNG_KINDS[image.dtype.name, channels]
+    height, width = image.shape[:2]
+    rows = np.ascontiguousarray(image.astype(">u2") if depth == 16 else image).view(np.uint8).reshape(height, -1)
+    filtered = np.empty((height, rows.shape[1] + 1), np.uint8)
+    filtered[:, 0] = 2
+    filtered[0, 1:] = rows[0]
+    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)),
+        (b"IDAT", isal_zlib.compress(filtered, 1)),
+        (b"IEND", b""),
+    )
+    parts = [b"\x89PNG\r\n\x1a\n"]
+    for kind, content in chunks:
+        crc = isal_zlib.crc32(content, isal_zlib.crc32(kind))
+        parts += [struct.pack(">I", len(content)), kind, content, struct.pack(">I", crc)]
+    return b"".join(parts)
+
+
+def write_png(path: str | os.PathLike, image: np.ndarray) -> None:
+    """Write a picture (see `encode_png`) to a file, whole or not at all."""
+    atomic.write_bytes(path, encode_png(image))
+
+
+def read_rgb(path: str | os.PathLike) -> np.ndarray:
+    """Read a colour picture (PNG, JPEG or raw .npy; grey, 16-bit and transparent ones are converted).
+
+    Returns:
+        (height, width, 3) uint8 RGB.
+
+    Raises:
+        MediaError: the file is missing, empty or no picture.
+    """
+    image = _read_image(path)
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    if image.ndim == 2:
+        image = np.repeat(image[:, :, None], 3, axis=2)
+    return np.ascontiguousarray(image[:, :, :3])
+
+
+def read_depth(path: str | os.PathLike) -> np.ndarray:
+    """Read a depth picture (one channel of 8 or 16 bits, PNG or raw .npy), in the steps that config.json states.
+
+    Returns:
+        (height, width) uint8 or uint16; 0 where there is no depth.
+
+    Raises:
+        MediaError: the file is missing, empty, no picture, or has several channels.
+    """
+    image = _read_image(path)
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        raise MediaError(f"{path}: a depth picture has one channel of 8 or 16 bits, not {_described(image)}")
+    return image
+
+
+def _read_image(path: str | os.PathLike) -> np.ndarray:
+    import cv2
+
+    content = read_bytes(path)
+    if content.startswith(b"\x93NUMPY"):
+        import io
+
+        try:
+            image = np.load(io.BytesIO(content), allow_pickle=False)
+        except ValueError as error:
+            raise MediaError(f"{path}: a broken .npy file: {error}") from None
+    else:
+        try:
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            image = None
+        if image is None:
+            raise MediaError(f"{path}: no picture that can be read ({len(content)} bytes)")
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB)
+    if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
+        raise MediaError(f"{path}: no picture of 8 or 16 bits, but {_described(image)}")
+    return image
+
+
+def _described(image: np.ndarray) -> str:
+    return f"{image.dtype} {' × '.join(map(str, image.shape))}"
+
+
+def read_bytes(path: str | os.PathLike) -> bytes:
+    """Read a file that a record or a config names.
+
+    Raises:
+        MediaError: it is missing, empty or cannot be read.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    if not content:
+        raise MediaError(f"{path}: the file is empty")
+    return content
+
+
+# --- sound ------------------------------------------------------------------------------------------------------------
+
+
+class AudioWriter:
+    """A WAV or FLAC file (by extension) that is written piece by piece and appears when it is complete.
+
+    WAV is written here rather than by libsndfile, which puts the time of day into every float file. 32 bits are IEEE
+    floats; 16 and 24 bits are integers, rounded half to even and clipped (`clipped` counts the samples). FLAC takes 16
+    or 24 bits.
+
+    Args:
+        path: where the file goes.
+        sample_rate_hz: Hz.
+        channels: number of channels.
+        bit_depth: 16, 24 or 32.
+    """
+
+    def __init__(self, path: str | os.PathLike, sample_rate_hz: int, channels: int, bit_depth: int = 32):
+        self.path, self.sample_rate_hz, self.channels, self.bit_depth = Path(path), sample_rate_hz, channels, bit_depth
+        self.flac = self.path.suffix.lower() == ".flac"
+        if bit_depth not in ((16, 24) if self.flac else (16, 24, 32)):
+            raise MediaError(
+                f"{path}: {bit_depth} bits; {'FLAC takes 16 or 24' if self.flac else 'WAV takes 16, 24 or 32'}"
+            )
+        self.num_samples = self.clipped = 0
+
+    def __enter__(self) -> "AudioWriter":
+        self._replacing = atomic.replacing(self.path)
+        temporary = self._replacing.__enter__()
+        if self.flac:
+            import soundfile
+
+            self._file = soundfile.SoundFile(
+                temporary, "w", self.sample_rate_hz, self.channels, f"PCM_{self.bit_depth}", format="FLAC"
+            )
+        else:
+            self._file = open(temporary, "wb")
+            self._file.write(self._wav_header())
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        try:
+            if not self.flac and kind is None:
+                self._file.write(b"\0" * (self.num_samples * self.channels * self.bit_depth // 8 % 2))
+                self._file.seek(0)
+                self._file.write(self._wav_header())
+            self._file.close()
+        except BaseException as failure:
+            self._replacing.__exit__(type(failure), failure, failure.__traceback__)
+            raise
+        self._replacing.__exit__(kind, error, trace)
+
+    def write(self, samples: np.ndarray) -> None:
+        """Append samples, (n, channels) floats with full scale at 1."""
+        samples = np.asarray(samples, dtype=np.float64)
+        if self.bit_depth < 32:
+            scale = 1 << (self.bit_depth - 1)
+            scaled = np.rint(samples * scale)
+            limited = np.clip(scaled, -scale, scale - 1)
+            self.clipped += int((scaled != limited).sum())
+            integers = limited.astype("<i4")
+        if self.flac:
+            self._file.write(integers << (32 - self.bit_depth))
+        elif self.bit_depth == 32:
+            self._file.write(samples.astype("<f4").tobytes())
+        else:
+            width = self.bit_depth // 8
+            octets = np.ascontiguousarray(integers).view(np.uint8).reshape(-1, 4)[:, :width]
+            self._file.write(octets.tobytes())
+        self.num_samples += len(samples)
+        if not self.flac and self.num_samples * self.channels * self.bit_depth // 8 > 0xFFFF0000:
+            raise MediaError(f"{self.path}: longer than the 4 GiB that WAV can hold; write it in chunks")
+
+    def _wav_header(self) -> bytes:
+        """A WAVE_FORMAT_EXTENSIBLE header (Microsoft, Multiple channel audio data and WAVE files, 2001)."""
+        width = self.bit_depth // 8
+        data = self.num_samples * self.channels * width
+        tag = 3 if self.bit_depth == 32 else 1
+        subformat = struct.pack("<H", tag) + bytes.fromhex("000000001000800000aa00389b71")
+        layout = struct.pack(
+            "<HHIIHHHHI",
+            0xFFFE,
+            self.channels,
+            self.sample_rate_hz,
+            self.sample_rate_hz * self.channels * width,
+            self.channels * width,
+            self.bit_depth,
+            22,
+            self.bit_depth,
+            0,
+        )
+        chunks = b"fmt " + struct.pack("<I", 40) + layout + subformat
+        chunks += b"fact" + struct.pack("<II", 4, self.num_samples)
+        return (
+            b"RIFF"
+            + struct.pack("<I", 4 + len(chunks) + 8 + data + data % 2)
+            + b"WAVE"
+            + chunks
+            + (b"data" + struct.pack("<I", data))
+        )
+
+
+def read_audio(path: str | os.PathLike) -> tuple[np.ndarray, int]:
+    """Read a whole sound file (anything that libsndfile reads).
+
+    Returns:
+        (n, channels) float64 with full scale at 1, and the sample rate in Hz.
+
+    Raises:
+        MediaError: the file is missing, empty, cut short or no sound.
+    """
+    blocks, rate = [], 0
+    for block, rate in audio_blocks(path):  # noqa: B007 - the rate is the same in each
+        blocks.append(block)
+    return np.concatenate(blocks), rate
+
+
+def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield a sound file's samples, (≤ block_size, channels) float64, each with the sample rate in Hz.
+
+    Raises:
+        MediaError: the file is missing, empty, cut short or no sound.
+    """
+    import soundfile
+
+    try:
+        size = os.stat(path).st_size
+        if size == 0:
+            raise MediaError(f"{path}: the file is empty")
+        with soundfile.SoundFile(path) as file:
+            expected, found = file.frames, 0
+            while True:
+                block = file.read(block_size, dtype="float64", always_2d=True)
+                found += len(block)
+                if len(block) == 0:
+                    break
+                yield block, file.samplerate
+            stated = _stated_wav_bytes(path)
+            if found < expected or (stated is not None and stated > size):
+                raise MediaError(f"{path}: cut short: {found} samples, and its header states more")
+            if found == 0:
+                raise MediaError(f"{path}: no samples in it")
+    except OSError as error:
+        raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except soundfile.LibsndfileError as error:
+        raise MediaError(f"{path}: no sound that can be read: {error.error_string}") from None
+
+
+def _stated_wav_bytes(path: str | os.PathLike) -> int | None:
+    """Return the end of the file that a WAV's header states; libsndfile reads a file cut short without a word."""
+    with open(path, "rb") as file:
+        head = file.read(12)
+        if len(head) < 12 or head[:4] != b"RIFF" or head[8:] != b"WAVE":
+            return None
+        while len(chunk := file.read(8)) == 8:
+            length = struct.unpack("<I", chunk[4:])[0]
+            if chunk[:4] == b"data":  # a stream's writer, which cannot go back, states 0 or the largest length
+                return None if length in (0, 0x7FFFFFFF, 0xFFFFFFFF) or length > 0xFFFFF000 else file.tell() + length
+            file.seek(length + length % 2, os.SEEK_CUR)
+    return None
