@@ -1,0 +1,77 @@
+"""Rigid transforms as 4 x 4 matrices, and the one meaning of a camera's rotation angles.
+
+`T_AB` maps coordinates in frame B to frame A, so that `T_AC = T_AB @ T_BC` reads off its names. The camera frame is
+OpenCV's: x right, y down, z forward.
+"""
+
+import numpy as np
+
+# The camera of rotation [0, 0, 0] stands upright and looks along the room's y axis: its right is +x, its up is +z.
+_R_ROOM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def transform(rotation, translation):
+    """Build T_AB from the rotation R_AB (3, 3) and the origin of B in A, (3,) metres; returns (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def inverse(T_AB):
+    """Invert a rigid transform (4, 4); returns T_BA (4, 4)."""
+    rotation = T_AB[:3, :3].T
+    return transform(rotation, -rotation @ T_AB[:3, 3])
+
+
+def apply(T_AB, points):
+    """Map points (..., 3) in metres from frame B to frame A with T_AB (4, 4); returns (..., 3)."""
+    return np.asarray(points, float) @ T_AB[:3, :3].T + T_AB[:3, 3]
+
+
+def camera_pose(position, rotation_deg):
+    """Build T_room_camera (4, 4) from `camera_position_m` (3,) and `camera_rotation_deg` (3,).
+
+    The angles are [pitch, yaw, roll] as Unity, which the thesis used, orders them: from the upright camera that looks
+    along the room's +y with +x to its right, first roll about the optical axis (positive turns the camera's right
+    side upward), then pitch about its horizontal axis (positive looks down), then yaw about the vertical (positive
+    turns it to its right, clockwise seen from above). [90, 0, 0] looks straight down with image right = +x and image
+    up = +y.
+    """
+    pitch, yaw, roll = np.deg2rad(np.asarray(rotation_deg, float))
+    rotation = _R_ROOM_UPRIGHT @ _about_y(yaw) @ _about_x(-pitch) @ _about_z(-roll)
+    return transform(_without_rounding(rotation), position)
+
+
+def camera_rotation_deg(T_room_camera):
+    """Read `camera_rotation_deg` [pitch, yaw, roll] (3,) off T_room_camera (4, 4); the inverse of `camera_pose`.
+
+    Where the camera looks straight up or down yaw and roll turn about one axis: yaw is then given as 0.
+    """
+    rotation = _R_ROOM_UPRIGHT.T @ T_room_camera[:3, :3]
+    horizontal = np.hypot(rotation[0, 2], rotation[2, 2])
+    pitch = np.arctan2(rotation[1, 2], horizontal)
+    yaw = np.arctan2(rotation[0, 2], rotation[2, 2]) if horizontal > 1e-9 else 0.0
+    rolled = _about_y(-yaw) @ rotation
+    roll = np.arctan2(rolled[0, 1], rolled[0, 0])
+    return np.rad2deg(np.array([pitch, yaw, roll])) + 0.0
+
+
+def _about_x(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _about_y(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _about_z(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _without_rounding(rotation):
+    """Set the 6e-17 that cos(90 deg) leaves to 0, so that a ceiling camera's axes are the room's exactly."""
+    return np.where(np.abs(rotation) < 1e-15, 0.0, rotation)

@@ -1,0 +1,268 @@
+import time
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.lens import BrownConrady, Division, KannalaBrandt
+
+REAL = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
+WIDE = KannalaBrandt(350.0, 352.0, 960.3, 541.7, 0.02, -0.006, 0.001, -0.0001)  # images well past 110 degrees
+BENT = KannalaBrandt(400.0, 400.0, 500.0, 400.0, 0.5, -0.3, 0.2, -0.05)  # plain Newton fails on a third of its field
+VIRTUAL = BrownConrady(596.43, 596.43, 960.0, 540.0, -0.2)
+BARREL = BrownConrady(800.0, 790.0, 950.0, 530.0, -0.25, 0.08, -0.02, 0.003)
+LISTING = Division(596.43, 596.43, 960.0, 540.0, -0.2)
+LENSES = [REAL, WIDE, BENT, VIRTUAL, BARREL, LISTING]
+
+
+def rays(theta, phi):
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+
+
+def exact_kb_angle(x, y, z):
+    return mpmath.atan2(mpmath.hypot(mpmath.mpf(x), mpmath.mpf(y)), mpmath.mpf(z))
+
+
+def exact_kb_pixel(lens, point):
+    with mpmath.workdps(40):
+        x, y, z = (mpmath.mpf(float(c)) for c in point)
+        theta = exact_kb_angle(x, y, z)
+        d = theta + sum(
+            mpmath.mpf(k) * theta ** (2 * i + 3) for i, k in enumerate((lens.k1, lens.k2, lens.k3, lens.k4))
+        )
+        r = mpmath.hypot(x, y)
+        return [float(lens.fx * d * x / r + lens.cx), float(lens.fy * d * y / r + lens.cy)]
+
+
+def exact_kb_ray(lens, pixel):
+    with mpmath.workdps(40):
+        mx = (mpmath.mpf(float(pixel[0])) - mpmath.mpf(lens.cx)) / mpmath.mpf(lens.fx)
+        my = (mpmath.mpf(float(pixel[1])) - mpmath.mpf(lens.cy)) / mpmath.mpf(lens.fy)
+        m = mpmath.hypot(mx, my)
+        ks = [mpmath.mpf(k) for k in (lens.k1, lens.k2, lens.k3, lens.k4)]
+
+        def excess(t):
+            return t + sum(k * t ** (2 * i + 3) for i, k in enumerate(ks)) - m
+
+        theta = mpmath.findroot(excess, (mpmath.mpf(0), mpmath.mpf(lens.theta_max)), solver="anderson")
+        return [float(mpmath.sin(theta) * mx / m), float(mpmath.sin(theta) * my / m), float(mpmath.cos(theta))]
+
+
+@pytest.mark.parametrize("lens", [REAL, WIDE, BENT])
+def test_forward_equals_forty_digits_over_the_whole_field(lens):
+    theta = np.linspace(1e-9, lens.theta_max * (1 - 1e-9), 60)
+    points = rays(theta, np.linspace(0, 20, 60)) * np.linspace(0.1, 9, 60)[:, None]
+    exact = np.array([exact_kb_pixel(lens, p) for p in points])
+    np.testing.assert_allclose(lens.project(points), exact, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", [REAL, WIDE, BENT])
+@pytest.mark.parametrize("copies", [1, 60], ids=["few", "table"])
+def test_inverse_equals_forty_digits(lens, copies):
+    theta = np.linspace(1e-6, lens.theta_max - np.deg2rad(1.0), 40)
+    pixels = lens.project(rays(theta, np.linspace(0, 20, 40)))
+    exact = np.array([exact_kb_ray(lens, p) for p in pixels])
+    found = lens.unproject(np.tile(pixels, (copies, 1)))[-40:]
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_round_trip_over_the_image(lens):
+    u, v = np.meshgrid(np.linspace(0, 1919, 97), np.linspace(0, 1079, 61))
+    pixels = np.stack([u.ravel(), v.ravel()], -1)
+    ray = lens.unproject(pixels)
+    seen = np.isfinite(ray[:, 0])
+    assert seen.sum() > 1000
+    np.testing.assert_allclose(np.linalg.norm(ray[seen], axis=1), 1, atol=1e-15)
+    np.testing.assert_allclose(lens.project(ray * 1.7)[seen], pixels[seen], rtol=0, atol=1e-9)
+    assert np.isnan(ray[~seen]).all()
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_round_trip_of_rays(lens):
+    theta = np.linspace(0, lens.theta_max - np.deg2rad(1.0), 3000)
+    ray = rays(theta, np.arange(3000.0))
+    pixels = lens.project(ray)
+    seen = np.isfinite(pixels[:, 0])
+    np.testing.assert_allclose(lens.unproject(pixels)[seen], ray[seen], rtol=0, atol=1e-9)
+
+
+def test_at_the_fold_the_inverse_is_as_good_as_a_double_root_allows():
+    theta = REAL.theta_max - np.geomspace(1e-9, 1e-2, 50)
+    found = REAL.unproject(REAL.project(rays(theta, np.zeros(50))))
+    angle = np.arctan2(np.hypot(found[:, 0], found[:, 1]), found[:, 2])
+    np.testing.assert_allclose(angle, theta, rtol=0, atol=3e-8)
+
+
+def test_the_real_lens_of_the_thesis():
+    assert np.rad2deg(REAL.theta_max) == pytest.approx(110.1507, abs=1e-4)
+    corners = REAL.unproject([[0, 0], [1919, 0], [0, 1079], [1919, 1079]])
+    angles = np.rad2deg(np.arctan2(np.hypot(corners[:, 0], corners[:, 1]), corners[:, 2]))
+    np.testing.assert_allclose(angles, [85.21, 72.01, 84.10, 70.91], atol=0.01)
+
+
+def test_equals_opencv_below_90_degrees():
+    import cv2
+
+    theta = np.concatenate([np.linspace(0, np.deg2rad(89.9), 500), [1e-12, 1e-7]])
+    points = rays(theta, np.arange(502.0))
+    K = np.array([[REAL.fx, 0, REAL.cx], [0, REAL.fy, REAL.cy], [0, 0, 1]])
+    D = np.array([REAL.k1, REAL.k2, REAL.k3, REAL.k4])
+    theirs = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+    np.testing.assert_allclose(REAL.project(points), theirs, rtol=0, atol=1e-9)
+
+
+def test_brown_conrady_equals_opencv():
+    import cv2
+
+    lens = BrownConrady(800.0, 790.0, 950.0, 530.0, -0.25, 0.08, -0.02)
+    points = rays(np.linspace(0, 0.99 * lens.theta_max, 300), np.arange(300.0))
+    K = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+    D = np.array([lens.k1, lens.k2, 0, 0, lens.k3])
+    theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+    np.testing.assert_allclose(lens.project(points), theirs, rtol=0, atol=1e-9)
+
+
+def test_equidistant_is_exact():
+    lens = KannalaBrandt(300.0, 300.0, 500.0, 500.0)
+    assert lens.theta_max == np.pi
+    theta = np.linspace(0, np.deg2rad(179), 50)
+    np.testing.assert_allclose(lens.project(rays(theta, np.zeros(50)))[:, 0], 500 + 300 * theta, atol=1e-11)
+
+
+@pytest.mark.parametrize("degrees", [190, 220])
+def test_lenses_that_look_behind_themselves(degrees):
+    half = np.deg2rad(degrees / 2)
+    lens = KannalaBrandt(500 / half, 500 / half, 500.0, 500.0)
+    edge = lens.unproject([[1000.0, 500.0], [500.0, 0.0]])
+    np.testing.assert_allclose(np.arctan2(np.hypot(edge[:, 0], edge[:, 1]), edge[:, 2]), half, atol=1e-14)
+    assert (edge[:, 2] < 0).all()
+
+
+def test_continuous_across_90_degrees():
+    theta = np.deg2rad(90 + np.array([-1e-6, 0.0, 1e-6]))
+    u = REAL.project(rays(theta, np.zeros(3)))[:, 0]
+    assert np.ptp(u) < 1e-4
+    assert (np.diff(u) > 0).all()
+
+
+def test_axis_zero_and_behind():
+    pixels = REAL.project([[0, 0, 1], [1e-14, 0, 1], [1e-300, 0, 1], [0, 0, 0], [0, 0, -1], [0.1, 0, -1]])
+    np.testing.assert_allclose(pixels[:3], [[REAL.cx, REAL.cy]] * 3, atol=1e-9)
+    assert np.isnan(pixels[3:]).all()
+    np.testing.assert_array_equal(REAL.unproject([[REAL.cx, REAL.cy]]), [[0, 0, 1]])
+    for lens in (VIRTUAL, LISTING):
+        assert np.isnan(lens.project([[0, 0, 0], [0.1, 0, 0], [0, 0, -1], [0.1, 0.1, -1]])).all()
+
+
+def test_what_the_lens_does_not_image_is_nan():
+    radius = REAL.project(rays(np.array([REAL.theta_max]), np.zeros(1)))[0, 0] - REAL.cx
+    ray = REAL.unproject([[REAL.cx + radius * (1 - 1e-12), REAL.cy], [REAL.cx + radius + 1e-6, REAL.cy]])
+    assert np.isfinite(ray[0]).all()
+    assert np.isnan(ray[1]).all()
+    assert np.isnan(REAL.project(rays(np.array([REAL.theta_max + 1e-9]), np.zeros(1)))).all()
+    assert np.isnan(REAL.unproject([[np.nan, 3.0]])).all()
+    assert np.isnan(REAL.project([[np.nan, 0.0, 1.0]])).all()
+
+
+def test_brown_conrady_ends_at_its_fold():
+    assert np.tan(VIRTUAL.theta_max) == pytest.approx(np.sqrt(1 / 0.6), abs=1e-12)
+    inside, outside = VIRTUAL.unproject([[960 + 513.3, 540], [960 + 513.4, 540]])
+    assert np.isfinite(inside).all()
+    assert np.isnan(outside).all()
+    pinhole = BrownConrady(500.0, 500.0, 0.0, 0.0)
+    assert pinhole.theta_max == pytest.approx(np.pi / 2)
+    np.testing.assert_allclose(pinhole.project([[3.0, 4.0, 2.0]]), [[750.0, 1000.0]], atol=1e-12)
+    far = np.array([[1e7, 0.0], [0.0, 1e3]])
+    np.testing.assert_allclose(pinhole.project(pinhole.unproject(far)), far, rtol=1e-12)
+
+
+def test_division_model_paints_a_third_of_its_image_black():
+    u, v = np.meshgrid(np.arange(0, 1920, 4), np.arange(0, 1080, 4))
+    black = np.isnan(LISTING.unproject(np.stack([u.ravel(), v.ravel()], -1))[:, 0]).mean()
+    assert black == pytest.approx(0.323, abs=2e-3)
+    # The listing itself, for one pixel: half way to the right edge.
+    x = 0.5 / (1 - 0.2 * 0.25)
+    np.testing.assert_allclose(
+        LISTING.unproject([[1440.0, 540.0]])[0, 0] / LISTING.unproject([[1440.0, 540.0]])[0, 2], x * 960 / 596.43
+    )
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_jacobian_equals_central_differences(lens):
+    theta = np.concatenate([[1e-9, 1e-4], np.linspace(0.05, 0.8 * lens.theta_max, 12)])
+    points = rays(theta, np.linspace(0.3, 9, 14)) * 1.3
+    seen = np.isfinite(lens.project(points)[:, 0])
+    points = points[seen]
+    pixels, d_point, d_parameters = lens.project_jacobian(points)
+    np.testing.assert_allclose(pixels, lens.project(points), rtol=0, atol=1e-10)
+    step = 1e-6
+    for axis in range(3):
+        delta = step * np.eye(3)[axis]
+        numeric = (lens.project(points + delta) - lens.project(points - delta)) / (2 * step)
+        np.testing.assert_allclose(d_point[:, :, axis], numeric, rtol=1e-6, atol=1e-5)
+    names = ["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"]
+    fields = {name: getattr(lens, name) for name in lens.__dataclass_fields__}
+    for index, name in enumerate(names):
+        h = 1e-6 * max(1.0, abs(fields[name]))
+        above = type(lens)(**{**fields, name: fields[name] + h})
+        below = type(lens)(**{**fields, name: fields[name] - h})
+        numeric = (above.project(points) - below.project(points)) / (2 * h)
+        np.testing.assert_allclose(d_parameters[:, :, index], numeric, rtol=1e-6, atol=1e-5)
+
+
+def test_jacobian_on_the_axis_and_outside():
+    for lens in LENSES:
+        pixels, d_point, d_parameters = lens.project_jacobian([[0.0, 0.0, 2.0], [0.0, 0.0, -1.0]])
+        np.testing.assert_allclose(pixels[0], [lens.cx, lens.cy])
+        np.testing.assert_allclose(d_point[0], [[lens.fx / 2, 0, 0], [0, lens.fy / 2, 0]], atol=1e-9)
+        assert np.isfinite(d_parameters[0]).all()
+        assert np.isnan(d_point[1]).all()
+
+
+coefficient = st.floats(-0.3, 0.3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(k1=coefficient, k2=coefficient, k3=coefficient, k4=coefficient)
+def test_any_coefficients_give_an_exact_inverse_up_to_their_fold(k1, k2, k3, k4):
+    for lens in (
+        KannalaBrandt(500.0, 510.0, 100.0, 50.0, k1, k2, k3, k4),
+        BrownConrady(500.0, 510.0, 100.0, 50.0, k1, k2, k3, k4),
+    ):
+        theta = np.linspace(0, 0.98 * min(lens.theta_max, 3.0), 1500)
+        pixels = lens.project(rays(theta, np.arange(1500.0)))
+        assert np.isfinite(pixels).all()
+        again = lens.project(lens.unproject(pixels))
+        np.testing.assert_allclose(again, pixels, rtol=1e-13, atol=1e-9)
+        few = lens.unproject(pixels[:50])
+        np.testing.assert_allclose(few, lens.unproject(pixels)[:50], rtol=0, atol=1e-12)
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(ValueError, match=r"\(n, 3\)"):
+        REAL.project(np.zeros((4, 2)))
+    assert REAL.project(np.zeros((0, 3))).shape == (0, 2)
+    assert REAL.unproject(np.zeros((0, 2))).shape == (0, 3)
+
+
+def test_a_full_frame_costs_less_than_a_few_of_opencvs():
+    import cv2
+
+    u, v = np.meshgrid(np.arange(960.0), np.arange(540.0))
+    pixels = np.stack([u.ravel(), v.ravel()], -1)
+    K = np.array([[REAL.fx, 0, REAL.cx], [0, REAL.fy, REAL.cy], [0, 0, 1]])
+    D = np.array([REAL.k1, REAL.k2, REAL.k3, REAL.k4])
+    REAL.unproject(pixels)
+
+    def cost(work):
+        times = []
+        for _ in range(3):
+            start = time.process_time()
+            work()
+            times.append(time.process_time() - start)
+        return min(times)
+
+    assert cost(lambda: REAL.unproject(pixels)) < 4 * cost(lambda: cv2.fisheye.undistortPoints(pixels[:, None], K, D))
