@@ -1,0 +1,296 @@
+"""Records, config.json, pictures and sound: what enters and what leaves, with the thesis's own listings."""
+
+import io
+import math
+import struct
+
+import cv2
+import jsonschema
+import numpy as np
+import orjson
+import pytest
+import soundfile
+from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli import atomic, experiment, lens, media, records
+
+LISTING_1 = """
+{
+    "session_id": "Scenario1",
+    "camera_config": {
+        "camera_position_m": [2.33, 2.33, 2.50],
+        "camera_rotation_deg": [90.0, 0.0, 0.0],
+        "fx_px": 596.43,
+        "fy_px": 596.43,
+        "cx_px": 960.00,
+        "cy_px": 540.00,
+        "k1": -0.20,
+        "k2": 0.00,
+        "k3": 0.00,
+        "k4": 0.00
+    },
+    "microphone_config": {
+        "audio_sample_rate_hz": 44100,
+        "audio_bit_depth": 32,
+        "mic_positions_m": [
+            { "object_id": 1, "position": [0.12, 4.55, 2.49] },
+            { "object_id": 2, "position": [2.40, 4.50, 2.39] },
+            { "object_id": 3, "position": [4.55, 4.55, 2.48] },
+            { "object_id": 4, "position": [4.50, 2.34, 2.38] },
+            { "object_id": 5, "position": [4.55, 0.12, 2.49] },
+            { "object_id": 6, "position": [2.40, 0.16, 2.38] },
+            { "object_id": 7, "position": [0.12, 0.12, 2.49] },
+            { "object_id": 8, "position": [2.39, 2.25, 2.49] }
+        ],
+        "mic_directivity": "omni"
+    },
+    "room_config": {
+        "room_dimensions_m": [4.66, 4.66, 3.00]
+    }
+}
+"""
+
+
+def schema(name):
+    return orjson.loads((ROOT / "avcli" / "schemas" / f"{name}.schema.json").read_bytes())
+
+
+def config(**changes):
+    """Listing .1 with "section.key" replaced, or removed where the value is None."""
+    raw = orjson.loads(LISTING_1)
+    for where, value in changes.items():
+        section, key = where.split("__")
+        if value is None:
+            del raw[section][key]
+        else:
+            raw[section][key] = value
+    return experiment.Config(raw, "config.json")
+
+
+# --- config.json ------------------------------------------------------------------------------------------------------
+
+
+def test_listing_1_loads_as_it_stands(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(LISTING_1)
+    loaded = experiment.read_config(path)
+    camera, microphones, room = loaded.camera, loaded.microphones, loaded.room
+    assert camera.lens == lens.Division(596.43, 596.43, 960.0, 540.0, -0.2, 0.0, 0.0, 0.0, 1920, 1080)
+    assert (camera.width_px, camera.height_px, camera.frame_rate_hz, camera.depth_kind) == (1920, 1080, 10.0, "radial")
+    np.testing.assert_allclose(camera.T_room_camera @ [0, 0, 1, 1], [2.33, 2.33, 1.5, 1], atol=1e-12)
+    np.testing.assert_allclose(camera.T_room_camera @ [1, 0, 1, 1], [3.33, 2.33, 1.5, 1], atol=1e-12)
+    np.testing.assert_allclose(camera.T_room_camera @ [0, -1, 1, 1], [2.33, 3.33, 1.5, 1], atol=1e-12)
+    assert microphones.positions.shape == (8, 3)
+    assert microphones.sample_rate_hz == 44100
+    assert (microphones.directivities == 1).all()
+    assert room.dimensions.tolist() == [4.66, 4.66, 3.0]
+    assert (room.reverberation_time_s, room.speed_of_sound_m_s) == (None, 343.0)
+    jsonschema.validate(loaded.raw, schema("config"))
+
+
+def test_a_command_asks_only_for_the_keys_that_it_uses():
+    loaded = experiment.Config({"room_config": {"room_dimensions_m": [5, 4, 3]}})
+    assert loaded.room.dimensions.tolist() == [5, 4, 3]
+    assert loaded.frame_rate_hz == 10.0
+    with pytest.raises(experiment.ConfigError, match=r'config.json: "camera_config" is missing'):
+        _ = loaded.camera
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera_config__fx_px": None}, "camera_config.fx_px: is missing"),
+        ({"camera_config__fx_px": "596"}, "camera_config.fx_px: expected a number above 0"),
+        ({"camera_config__fx_px": -1}, "camera_config.fx_px: expected a number above 0"),
+        ({"camera_config__lens_model": "fisheye"}, "camera_config.lens_model: expected one of kannala_brandt"),
+        ({"camera_config__camera_position_m": [1, 2]}, "camera_config.camera_position_m: expected three numbers"),
+        ({"camera_config__image_width_px": 0.5}, "camera_config.image_width_px: expected a whole number"),
+        ({"microphone_config__mic_positions_m": []}, "microphone_config.mic_positions_m: expected a list"),
+        ({"microphone_config__mic_positions_m": [[0, 0, None]]}, r"mic_positions_m\[0\]: expected three numbers"),
+        ({"microphone_config__mic_directivity": "shotgun"}, "microphone_config.directivities"),
+        ({"room_config__room_dimensions_m": [4, 4, -3]}, "room_config.room_dimensions_m: expected three lengths"),
+        ({"room_config__absorption": [0.1, 0.2]}, "room_config.absorption"),
+    ],
+)
+def test_a_wrong_key_is_named(changes, words):
+    loaded = config(**changes)
+    with pytest.raises(experiment.ConfigError, match=f"config.json: .*{words}"):
+        _ = loaded.camera, loaded.microphones, loaded.room
+
+
+def test_a_broken_config_is_named_with_its_place(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text('{\n  "camera_config": \n}')
+    with pytest.raises(experiment.ConfigError, match=r"config.json:3:\d+: no JSON"):
+        experiment.read_config(path)
+
+
+def test_angles_that_calibration_saw_limit_the_lens():
+    assert config(camera_config__theta_max_observed_deg=40.0).camera.theta_max == pytest.approx(math.radians(40))
+
+
+# --- records ----------------------------------------------------------------------------------------------------------
+
+
+def test_listing_4_and_5_load():
+    found = records.detections(
+        records.decode(b'{"timestamp": "0.1000000000", "objects": [{"position": [-0.62, 2.34, 0.46]}]}')
+    )
+    assert (found.timestamp, found.sensor, found.positions.tolist()) == (0.1, None, [[-0.62, 2.34, 0.46]])
+    assert np.isnan(found.covariances).all()
+    assert np.isnan(found.scores).all()
+    line = b'{"timestamp": "0.0000000000", "objects": [{"object_id": 0, "position": [0.0, 1.33, 0.0]}]}'
+    truth = records.sources(records.decode(line))
+    assert (truth.ids.tolist(), truth.positions.tolist()) == ([0], [[0.0, 1.33, 0.0]])
+    assert truth.speaking.tolist() == [True]
+    assert np.isnan(truth.mouths).all()
+
+
+@given(
+    st.floats(0, 2e9),
+    st.lists(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), max_size=5),
+)
+def test_what_is_written_is_read_again(timestamp, positions):
+    rows = [{"object_id": i, "position": position} for i, position in enumerate(positions)]
+    line = records.encode({"timestamp": timestamp, "objects": rows})
+    record = records.decode(line)
+    assert line.endswith(b"}\n")
+    assert abs(record["timestamp"] - timestamp) <= 6e-11 + 1e-15 * timestamp
+    assert records.identified(record).positions.tolist() == positions
+    assert records.encode(record) == line, "the form is canonical"
+    jsonschema.validate(orjson.loads(line), schema("track"))
+
+
+@pytest.mark.parametrize(
+    "value", [math.nan, math.inf, np.float64("nan"), np.array([1.0, np.inf]), [[{"a": -math.inf}]]]
+)
+def test_a_writer_refuses_what_json_cannot_hold(value):
+    with pytest.raises(records.RecordError, match="JSON cannot hold"):
+        records.encode({"timestamp": 0.0, "position": value})
+
+
+def test_numpy_is_written_as_numbers():
+    line = records.encode({"timestamp": np.float64(0.1), "a": np.eye(2)[:, :1], "b": np.int64(3), "c": np.float32(0.5)})
+    assert orjson.loads(line) == {"timestamp": "0.1000000000", "a": [[1.0], [0.0]], "b": 3, "c": 0.5}
+
+
+def test_a_height_that_was_not_observed():
+    objects = b'[{"position": [1, 2, null]}, {"position": [1, 2], "covariance": [[1, 0], [0, 2]]}]'
+    line = b'{"timestamp": 0, "objects": ' + objects + b"}"
+    found = records.detections(records.decode(line))
+    assert np.isnan(found.positions[:, 2]).all()
+    assert np.diag(found.covariances[1]).tolist() == [1.0, 2.0, 0.0]
+
+
+def test_one_identity_twice_is_refused():
+    line = b'{"timestamp": 0, "objects": [{"object_id": 1, "position": [1, 2]}, {"object_id": 1, "position": [3, 4]}]}'
+    with pytest.raises(records.RecordError, match='"object_id" 1 stands twice'):
+        records.identified(records.decode(line))
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.0, 0.1, 1e-11, 4.0, 1.7e9])
+def test_timestamps_have_ten_decimals_and_no_negative_zero(seconds):
+    text = records.format_timestamp(seconds)
+    assert not text.startswith("-")
+    assert len(text.split(".")[1]) == 10
+
+
+# --- pictures and sound -----------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 40), st.integers(1, 40), st.sampled_from(["rgb", "grey", "depth"]), st.integers(0, 2**32 - 1))
+def test_png_is_exact_for_other_readers(height, width, kind, seed):
+    rng = np.random.default_rng(seed)
+    shape = (height, width, 3) if kind == "rgb" else (height, width)
+    dtype = np.uint16 if kind == "depth" else np.uint8
+    image = rng.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
+    decoded = cv2.imdecode(np.frombuffer(media.encode_png(image), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(decoded if decoded.ndim == 2 else decoded[:, :, ::-1], image)
+
+
+def test_other_pictures_are_converted(tmp_path):
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    cv2.imwrite(str(tmp_path / "grey.png"), grey)
+    cv2.imwrite(str(tmp_path / "rgba.png"), np.dstack([grey, grey + 1, grey + 2, grey]))
+    cv2.imwrite(str(tmp_path / "deep.png"), np.dstack([grey.astype(np.uint16) * 257] * 3))
+    np.save(tmp_path / "raw.npy", grey)
+    assert media.read_rgb(tmp_path / "grey.png")[1, 2].tolist() == [6, 6, 6]
+    assert media.read_rgb(tmp_path / "rgba.png")[1, 2].tolist() == [8, 7, 6]
+    assert media.read_rgb(tmp_path / "deep.png")[1, 2].tolist() == [6, 6, 6]
+    assert media.read_depth(tmp_path / "raw.npy")[1, 2] == 6
+    with pytest.raises(media.MediaError, match="one channel"):
+        media.read_depth(tmp_path / "rgba.png")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no picture", b"\x89PNG\r\n\x1a\n" + b"\0" * 40, b"\x93NUMPY\x01"])
+def test_a_file_that_is_no_picture_is_named(tmp_path, content):
+    path = tmp_path / "frame.png"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(media.MediaError, match=r"frame\.png: "):
+        media.read_rgb(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "bits", "step"),
+    [("a.wav", 32, 2**-24), ("a.wav", 24, 2**-23), ("a.wav", 16, 2**-15), ("a.flac", 24, 2**-23)],
+)
+def test_sound_is_read_back_by_us_and_by_libsndfile(tmp_path, name, bits, step):
+    samples = np.random.default_rng(0).uniform(-0.99, 0.99, (1001, 3))
+    with media.AudioWriter(tmp_path / name, 48000, 3, bits) as writer:
+        writer.write(samples[:10])
+        writer.write(samples[10:])
+    for read, rate in (media.read_audio(tmp_path / name), soundfile.read(tmp_path / name, always_2d=True)):
+        assert rate == 48000
+        np.testing.assert_allclose(read, samples, atol=step)
+
+
+def test_integers_are_clipped_and_counted(tmp_path):
+    with media.AudioWriter(tmp_path / "a.wav", 8000, 1, 16) as writer:
+        writer.write(np.array([[2.0], [-2.0], [0.5]]))
+    assert writer.clipped == 2
+    assert media.read_audio(tmp_path / "a.wav")[0][:, 0].tolist() == [1 - 2**-15, -1.0, 0.5]
+
+
+def test_a_wav_that_was_cut_short_is_refused(tmp_path):
+    with media.AudioWriter(tmp_path / "a.wav", 8000, 2) as writer:
+        writer.write(np.zeros((1000, 2)))
+    (tmp_path / "b.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:-100])
+    with pytest.raises(media.MediaError, match=r"b\.wav: cut short"):
+        media.read_audio(tmp_path / "b.wav")
+
+
+def test_a_wav_from_a_stream_has_no_length_and_is_read(tmp_path):
+    buffer = io.BytesIO()
+    soundfile.write(buffer, np.zeros((100, 1)), 8000, "PCM_16", format="WAV")
+    content = bytearray(buffer.getvalue())
+    place = content.index(b"data") + 4
+    content[place : place + 4] = struct.pack("<I", 0xFFFFFFFF)
+    (tmp_path / "a.wav").write_bytes(content)
+    assert len(media.read_audio(tmp_path / "a.wav")[0]) == 100
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no sound at all, only text"])
+def test_a_file_that_is_no_sound_is_named(tmp_path, content):
+    path = tmp_path / "a.wav"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(media.MediaError, match=r"a\.wav: "):
+        media.read_audio(path)
+
+
+def test_a_failed_write_leaves_nothing(tmp_path):
+    atomic.write_bytes(tmp_path / "a", b"good")
+
+    def fail():
+        with atomic.replacing(tmp_path / "a") as temporary:
+            temporary.write_bytes(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a").read_bytes() == b"good"
