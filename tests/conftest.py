@@ -1,6 +1,8 @@
 """What all tests share."""
 
+import fcntl
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -36,3 +38,38 @@ def run(*command, stdin: bytes | str | None = b"", cwd=None, timeout=120, env=No
     )
     result.stderr = result.stderr.decode()
     return result
+
+
+def run_experiment(scenario: str, directory: Path) -> None:
+    """Run one scenario by all three modalities into a directory, as `make` does."""
+    for folder in ("localization", "tracking"):
+        (directory / folder).mkdir(parents=True, exist_ok=True)
+    found = {sensor: directory / f"localization/{sensor}_localizations.jsonl" for sensor in ("audio", "video")}
+    steps = [
+        ("avsim-scene", scenario, "-o", directory / "scene.jsonl"),
+        ("avsim-audio", directory / "scene.jsonl", "-o", directory / "audio.jsonl"),
+        ("avdetect-audio", directory / "audio.jsonl", "-o", found["audio"]),
+        ("avdetect-video", directory / "scene.jsonl", "-o", found["video"]),
+        ("avfuse", found["audio"], "-o", directory / "tracking/audio_tracking.jsonl"),
+        ("avfuse", found["video"], "-o", directory / "tracking/video_tracking.jsonl"),
+        ("avfuse", found["audio"], found["video"], "-o", directory / "tracking/audio_video_tracking.jsonl"),
+    ]
+    for name, *options in steps:
+        result = run(name, "-C", directory, *options)
+        assert (result.returncode, result.stderr) == (0, ""), f"{name}: {result.stderr}"
+
+
+@pytest.fixture(scope="session")
+def finished_s1(tmp_path_factory) -> Path:
+    """A finished S1 experiment, made once for all tests and all workers; nobody may change it."""
+    shared = tmp_path_factory.getbasetemp()
+    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
+    directory = shared / "finished" / "out" / "s1"
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    with open(shared / "finished" / "lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (directory / "done").exists():
+            shutil.rmtree(directory, ignore_errors=True)
+            run_experiment("s1", directory)
+            (directory / "done").touch()
+    return directory
