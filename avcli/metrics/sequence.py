@@ -18,7 +18,7 @@ class Points:
     Attributes:
         start: (T + 1,) the points of frame t are those from start[t] up to start[t + 1].
         identity: (n,) identities, counted from 0 in the order of their labels.
-        position: (n, d) m.
+        position: (n, d) m; d is 1 where there are no points.
         label: (k,) the identities' own names.
     """
 
@@ -41,7 +41,7 @@ class Points:
         start = np.concatenate([[0], np.cumsum([len(identity) for identity, _ in frames])]).astype(int)
         filled = [(identity, position) for identity, position in frames if len(identity)]
         if not filled:
-            return cls(start, np.zeros(0, int), np.zeros((0, 0)), np.zeros(0, int))
+            return cls(start, np.zeros(0, int), np.zeros((0, 1)), np.zeros(0, int))
         position = np.concatenate([np.asarray(position, dtype=float) for _, position in filled])
         if not np.isfinite(position).all():
             raise ValueError("a position is not finite")
@@ -150,3 +150,120 @@ class Sequence:
             offset = self.truth.position[truth][:, :, None] - self.track.position[track][:, None, :]
             groups.append(Group(frame, truth, track, np.sqrt((offset * offset).sum(axis=-1))))
         return groups
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """What of two recordings did not meet in time, and what order they were in.
+
+    Attributes:
+        truth_frames, truth_points: frames of ground truth without a track record, and the points in them.
+        track_frames, track_points: the same of the tracks.
+        unsorted: records that were earlier than the one before them.
+        repeated: records of a time that had been before; their points were joined.
+        dropped: points dropped because their identity stood twice at a time.
+        height: m, mean height of the tracked over the true points of matched frames, NaN where either has none.
+    """
+
+    truth_frames: int
+    truth_points: int
+    track_frames: int
+    track_points: int
+    unsorted: int
+    repeated: int
+    dropped: int
+    height: float
+
+
+Recording = list[tuple[float, np.ndarray, np.ndarray]]
+"""Records of one file: time in s, identities (n,), positions (n, 3) in m with NaN where the height is not known."""
+
+
+def align(
+    truth: Recording, track: Recording, dims: int = 2, tolerance: float = 1e-3, keep_first: bool = False
+) -> tuple[Sequence, Mismatch]:
+    """Bring ground truth and tracks on one timeline: the ground truth's, and between it what only the tracks have.
+
+    Each track record meets the ground-truth record next to it in time, one to one, if that is within the tolerance.
+
+    Args:
+        truth, track: records in any order.
+        dims: 2 to score x and y, 3 for the height too.
+        tolerance: s.
+        keep_first: drop the points of an identity that stands twice at a time, all but the first, and count them.
+
+    Raises:
+        ValueError: an identity stands twice at a time, or dims is 3 and a height is missing.
+    """
+    truth, truth_odd = _in_order(truth, keep_first, "the ground truth")
+    track, track_odd = _in_order(track, keep_first, "the tracks")
+    truth_time, track_time = (np.array([time for time, _, _ in side]) for side in (truth, track))
+    partner = _partners(truth_time, track_time, tolerance)
+    alone = np.setdiff1d(np.arange(track_time.size), partner)
+    time = np.concatenate([truth_time, track_time[alone]])
+    frames = [(truth[i], track[j] if j >= 0 else None) for i, j in enumerate(partner)]
+    frames += [(None, track[j]) for j in alone]
+    frames = [frames[i] for i in np.argsort(time, kind="stable")]
+
+    def side(which: int):
+        for pair in frames:
+            if pair[which] is None:
+                yield (), np.zeros((0, dims))
+                continue
+            at, identity, position = pair[which]
+            if dims == 3 and np.isnan(position).any():
+                raise ValueError(f"a position at {at:g} s has no height; --dims 2 scores x and y")
+            yield identity, position[:, :dims]
+
+    lonely = [i for i, j in enumerate(partner) if j < 0]
+    heights = [
+        [position[:, 2] for pair in frames if None not in pair for position in [pair[which][2]]] for which in (0, 1)
+    ]
+    heights = [np.concatenate(side) if side else np.zeros(0) for side in heights]
+    sequence = Sequence.of(side(0), side(1), np.sort(time, kind="stable"))
+    return sequence, Mismatch(
+        truth_frames=len(lonely),
+        truth_points=sum(len(truth[i][1]) for i in lonely),
+        track_frames=alone.size,
+        track_points=sum(len(track[j][1]) for j in alone),
+        unsorted=truth_odd[0] + track_odd[0],
+        repeated=truth_odd[1] + track_odd[1],
+        dropped=truth_odd[2] + track_odd[2],
+        height=float(heights[1].mean() - heights[0].mean()) if heights[0].size and heights[1].size else np.nan,
+    )
+
+
+def _in_order(recording: Recording, keep_first: bool, name: str) -> tuple[Recording, tuple[int, int, int]]:
+    """Sort records by time and join those of one time; returns them and the numbers of unsorted, repeated, dropped."""
+    times = np.array([time for time, _, _ in recording])
+    unsorted, repeated, dropped = int((np.diff(times) < 0).sum()), 0, 0
+    ordered: Recording = []
+    for k in np.argsort(times, kind="stable"):
+        time, identity, position = recording[k]
+        if ordered and time == ordered[-1][0]:
+            repeated += 1
+            _, before, there = ordered.pop()
+            twice = np.isin(identity, before)
+            if twice.any() and not keep_first:
+                raise ValueError(f"identity {identity[twice][0]} stands twice at {time:g} s in {name}")
+            dropped += int(twice.sum())
+            identity = np.concatenate([before, identity[~twice]])
+            position = np.concatenate([there, position[~twice]])
+        ordered.append((time, identity, position))
+    return ordered, (unsorted, repeated, dropped)
+
+
+def _partners(truth: np.ndarray, track: np.ndarray, tolerance: float) -> np.ndarray:
+    """For each truth time (n,) the index of the track time (m,) that is nearest and has it as its nearest, or -1."""
+    partner = np.full(truth.size, -1)
+    if truth.size == 0 or track.size == 0:
+        return partner
+    after = np.clip(np.searchsorted(truth, track), 1, max(1, truth.size - 1))
+    nearest = np.where(np.abs(truth[after - 1] - track) <= np.abs(truth[after % truth.size] - track), after - 1, after)
+    nearest = np.minimum(nearest, truth.size - 1)
+    gap = np.abs(truth[nearest] - track)
+    for j in np.lexsort((np.arange(track.size), gap)):
+        # The tolerance includes its end: timestamps carry ten decimals.
+        if gap[j] <= tolerance + 1e-10 and partner[nearest[j]] < 0:
+            partner[nearest[j]] = j
+    return partner

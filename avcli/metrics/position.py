@@ -1,0 +1,59 @@
+"""Errors of position, and how late a person is found."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from avcli.metrics.clear import Matches
+from avcli.metrics.sequence import Sequence
+
+
+def errors(sequence: Sequence, matches: Matches) -> np.ndarray:
+    """Distances (p,) of matched points, m."""
+    offset = sequence.truth.position[matches.truth] - sequence.track.position[matches.track]
+    return np.sqrt((offset * offset).sum(axis=1))
+
+
+def position(sequence: Sequence, matches: Matches) -> dict[str, float | None]:
+    """Measure the error of matched points, and the delay between a person's first frame and its first match.
+
+    Returns:
+        Matches; RMSE, MAE, MaxError in m, None without a match; Found, how many of the people were ever matched;
+        BirthDelay and MaxBirthDelay of those in s, None where nobody was.
+    """
+    distance = errors(sequence, matches)
+    identity = sequence.truth.identity
+    appeared, found = (np.full(sequence.truth.label.size, np.inf) for _ in range(2))
+    np.minimum.at(appeared, identity, sequence.time[sequence.truth.frame])
+    np.minimum.at(found, identity[matches.truth], sequence.time[sequence.truth.frame[matches.truth]])
+    delay = (found - appeared)[np.isfinite(found)]
+    return {
+        "Matches": distance.size,
+        "RMSE": float(np.sqrt((distance**2).mean())) if distance.size else None,
+        "MAE": float(distance.mean()) if distance.size else None,
+        "MaxError": float(distance.max()) if distance.size else None,
+        "Found": delay.size,
+        "BirthDelay": float(delay.mean()) if delay.size else None,
+        "MaxBirthDelay": float(delay.max()) if delay.size else None,
+    }
+
+
+def combine(results: Iterable[dict[str, float | None]]) -> dict[str, float | None]:
+    """Combine several sequences: every match and every person found counts the same."""
+    results = list(results)
+    matched = [r for r in results if r["Matches"]]
+    matches, found = (sum(r[name] for r in results) for name in ("Matches", "Found"))
+
+    def mean(name: str, weight: str, power: float = 1.0) -> float | None:
+        total = sum(r[name] ** power * r[weight] for r in matched)
+        return (total / sum(r[weight] for r in matched)) ** (1 / power) if matched else None
+
+    return {
+        "Matches": matches,
+        "RMSE": mean("RMSE", "Matches", 2.0),
+        "MAE": mean("MAE", "Matches"),
+        "MaxError": max((r["MaxError"] for r in matched), default=None),
+        "Found": found,
+        "BirthDelay": mean("BirthDelay", "Found"),
+        "MaxBirthDelay": max((r["MaxBirthDelay"] for r in matched), default=None),
+    }
