@@ -238,12 +238,17 @@ class Session:
         """Whether -C or -c was given."""
         return self._config_path is not None or self._experiment is not None
 
+    @property
+    def config_path(self) -> Path:
+        """Where the config.json lies that -c or -C names."""
+        return Path(self._config_path) if self._config_path else self.experiment / "config.json"
+
     @functools.cached_property
     def config(self):
         """The experiment's config.json (avcli.experiment.Config), read when first asked for: after the first record."""
         from avcli import experiment
 
-        path = Path(self._config_path) if self._config_path else self.experiment / "config.json"
+        path = self.config_path
         try:
             return experiment.read_config(path)
         except FileNotFoundError:
