@@ -1,0 +1,138 @@
+"""Where a person stands, from what a ceiling camera sees of the body."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.detection.view import View
+
+FLOOR_M = 0.25
+"""m; what is lower may be floor, shadow or a foot far in front of the body."""
+
+MID_BODY_M = 0.90
+"""m; height of the middle of an adult, which stands for z where the height is not seen."""
+
+REACH_M = 0.45
+"""m; farther from the axis than an elbow: an outlier or somebody else."""
+
+_TOP_M, _SHOULDER_M = 1.74, 1.44
+_DISCS = ((1.62, 0.09), (_SHOULDER_M, 0.19))  # heights and radii, m, of the head and the shoulders, which hide the rest
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person that was found.
+
+    Attributes:
+        position: (3,) m in the room, a point on the body's axis.
+        covariance: (3, 3) m².
+        score: probability from 0 to 1 that it is a person.
+        bbox_px: (4,) [x0, y0, x1, y1] px in the full picture.
+        height: m, None where the top of the head is not seen.
+        method: "depth" or "monocular": what the position was measured by.
+    """
+
+    position: np.ndarray
+    covariance: np.ndarray
+    score: float
+    bbox_px: np.ndarray
+    height: float | None
+    method: str
+
+
+def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (m, 3), outward normals (m, 3) and areas (m,) of a standing adult, averaged over all headings.
+
+    Rings about the axis with the radii of the parts that people turn towards a camera, and the tops of head and
+    shoulders.
+    """
+    points, normals, areas = [], [], []
+    azimuth = 2 * np.pi * np.arange(16) / 16
+    ring = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(16)], axis=1)
+    for z in np.arange(0.30, 1.70, 0.10):
+        radius = np.interp(z, [0.3, 0.8, 1.0, 1.40, 1.46, 1.50, 1.70], [0.12, 0.15, 0.17, 0.18, 0.10, 0.09, 0.08])
+        points.append(radius * ring + [0, 0, z])
+        normals.append(ring)
+        areas.append(np.full(16, 2 * np.pi * radius * 0.10 / 16))
+    for z, inner, outer in ((_TOP_M, 0.0, 0.08), (_SHOULDER_M, 0.08, 0.19)):
+        radius = np.sqrt((inner**2 + outer**2) / 2)
+        points.append(radius * ring + [0, 0, z])
+        normals.append(np.tile([0.0, 0.0, 1.0], (16, 1)))
+        areas.append(np.full(16, np.pi * (outer**2 - inner**2) / 16))
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(areas)
+
+
+_POINTS, _NORMALS, _AREAS = _standard_body()
+
+
+def _trust(z: np.ndarray) -> np.ndarray:
+    """How much a piece of the body at height z (m) tells of where the axis is: legs swing, hips and above do not."""
+    return np.interp(z, [0.3, 0.8], [0.2, 1.0])
+
+
+def locate(
+    points: np.ndarray, surface: np.ndarray, view: View, depth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Find a person's axis from points on the visible surface of the body.
+
+    The mean of the points is corrected by how far the mean of what the camera would see of a standard body in that
+    place lies from its axis: only the side that faces it, not what is outside the picture or behind something nearer.
+
+    Args:
+        points: (n, 3) m in the room.
+        surface: (n,) visible surface that each stands for, m².
+        view: the camera.
+        depth: (h, w) m, radial depth at the view's samples; 0 where there is none.
+
+    Returns:
+        The axis's (x, y), m; its covariance (2, 2), m²; and the visible fraction of the body. None where nothing
+        stands higher than the floor.
+    """
+    raised = points[:, 2] > FLOOR_M
+    if not raised.any():
+        return None
+    points, weights = points[raised], surface[raised] * _trust(points[raised, 2])
+    centre = np.array([_weighted_median(points[:, axis], weights) for axis in (0, 1)])
+    for _ in range(4):
+        near = np.linalg.norm(points[:, :2] - centre, axis=1) < REACH_M
+        if not near.any():
+            break
+        observed = np.average(points[near, :2], axis=0, weights=weights[near])
+        offset, fraction = _visible_offset(centre, points[near, 2].max(), view, depth)
+        centre = observed - offset
+    direction = centre - view.origin[:2]
+    direction = direction / max(np.linalg.norm(direction), 1e-9)
+    radial, tangential = 0.03**2 + (0.10 * (1 - fraction)) ** 2, 0.03**2 + (0.08 * (1 - fraction)) ** 2
+    covariance = tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
+    return centre, covariance, fraction
+
+
+def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarray) -> tuple[np.ndarray, float]:
+    """Mean (x, y), m, from the axis of what the camera sees of a standard body, and the visible fraction of it."""
+    body = _POINTS + np.append(centre, 0.0)
+    rays = body - view.origin
+    distance = np.linalg.norm(rays, axis=1)
+    facing = np.maximum(-(rays * _NORMALS).sum(axis=1) / distance, 0) * _AREAS * _trust(_POINTS[:, 2])
+    for height, radius in _DISCS:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = view.origin[:2] + rays[:, :2] * ((view.origin[2] - height) / -rays[:, 2:])
+        hidden = (_POINTS[:, 2] < height - 0.02) & (np.linalg.norm(crossing - centre, axis=1) < radius)
+        facing[hidden] = 0.0
+    facing[_POINTS[:, 2] > max(top, 0.5) + 0.05] = 0.0
+    total = facing.sum()
+    pixels = view.project(body)
+    inside = view.inside(pixels)
+    samples = view.sample_indices(pixels[inside])
+    seen = np.zeros(len(body), bool)
+    found = depth[samples[:, 1], samples[:, 0]]
+    seen[inside] = (found == 0) | (found > distance[inside] - REACH_M)
+    facing[~seen] = 0.0
+    if not facing.sum() > 0:
+        return np.zeros(2), 0.0
+    return facing @ _POINTS[:, :2] / facing.sum(), float(facing.sum() / total)
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values, kind="stable")
+    cumulative = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(cumulative, cumulative[-1] / 2)]])

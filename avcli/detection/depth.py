@@ -1,0 +1,260 @@
+"""People in a depth picture: what stands nearer than the empty room, seen from above as a plan of the room.
+
+The plan view (Harville, 2004, Stereo person tracking with adaptive plan-view templates) separates people who touch or
+hide each other in the picture: however they overlap there, their bodies stand apart on the floor.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, locate
+from avcli.detection.monocular import HEIGHT_M, locate_box
+from avcli.detection.network import Boxes
+from avcli.detection.view import View
+
+MARGIN_M = 0.08
+"""m by which a surface must be nearer than the background; more than a sensor's noise, less than a limb."""
+
+TALLEST_M = 2.3
+"""m; what is higher is no person."""
+
+CELL_M = 0.05
+SPREAD_M = 0.12
+"""m; standard deviation of the smoothing of the plan view: half a torso."""
+
+APART_M = 0.30
+"""m; two people's axes are never nearer to each other."""
+
+Z_VARIANCE_M2 = 0.5**2
+"""m²; z of a position is some point of the body's axis: its spread over a standing adult."""
+
+
+@dataclass(frozen=True)
+class _Body:
+    """One person's part of a depth picture: samples (rows, columns), points (n, 3) m and their surface (n,) m²."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    points: np.ndarray
+    surface: np.ndarray
+
+
+class DepthDetector:
+    """Finds people as what stands before the empty room, or where a network has seen them.
+
+    Args:
+        view: the camera.
+        background: (h, w) m, radial depth of the empty room at the view's samples, 0 where there is none; None where
+            nobody has recorded it (then only `place` can be asked).
+        min_surface: m² of body that must be seen.
+        min_height: m; what is seen to be lower, with free space above it, is furniture.
+    """
+
+    def __init__(self, view: View, background: np.ndarray | None, min_surface: float = 0.02, min_height: float = 1.0):
+        self.view, self.min_surface, self.min_height = view, min_surface, min_height
+        self.limit = None
+        if background is not None:
+            self.limit = np.where(background > 0, background - np.float32(MARGIN_M), np.float32(np.inf))
+
+    def detect(self, depth: np.ndarray) -> list[Person]:
+        """Find the people in a depth picture (h, w), m radial at the view's samples; 0 where there is none."""
+        people = []
+        for body in self._bodies(depth, (depth > 0) & (depth < self.limit)):
+            surface = body.surface.sum()
+            if surface < self.min_surface:
+                continue
+            person = self._person(body, depth, float(surface / (surface + 0.01)))
+            if person and not (body.points[:, 2].max() < self.min_height and self._free_above(person, depth)):
+                people.append(person)
+        return people
+
+    def place(self, found: Boxes, depth: np.ndarray | None) -> list[Person]:
+        """Find where the people stand whom a network has seen.
+
+        Each box takes the body in it that stands nearest to where the box alone would put the person. A box without a
+        body is placed by the box alone if there is no depth in it, and dropped if the depth shows the empty room.
+
+        Args:
+            found: the network's people, px of the full picture.
+            depth: (h, w) m radial at the view's samples, 0 where there is none; None where there is no depth at all.
+        """
+        if not len(found):
+            return []
+        guesses = [
+            locate_box(box, self.view, None if found.parts is None else found.parts[index])
+            for index, box in enumerate(found.boxes)
+        ]
+        bodies, empty = [], np.zeros(len(found), bool)
+        if depth is not None:
+            inside = np.zeros((len(found), *depth.shape), bool)
+            for index, (left, top, right, bottom) in enumerate(self._sample_boxes(found.boxes)):
+                inside[index, top:bottom, left:right] = True
+            near = (depth > 0) & np.isfinite(depth)
+            if self.limit is not None:
+                empty = np.array([near[box].mean() > 0.5 if box.any() else False for box in inside])
+                near &= depth < self.limit
+            bodies = [
+                body for body in self._bodies(depth, near & inside.any(axis=0)) if body.surface.sum() > self.min_surface
+            ]
+        people, free = [], list(range(len(bodies)))
+        for index, guess in enumerate(guesses):
+            chosen = self._choose([bodies[k] for k in free], inside[index], guess) if bodies else None
+            person = None
+            if chosen is not None:
+                body = bodies[free.pop(chosen)]
+                person = self._person(body, depth, float(found.scores[index]))
+            elif guess is not None and not empty[index]:
+                person = _person_by_box(*guess, found.scores[index])
+            if person is not None:
+                box = np.clip(found.boxes[index], 0, [*self.view.size, *self.view.size])
+                people.append(replace(person, bbox_px=box))
+        return people
+
+    def _bodies(self, depth: np.ndarray, mask: np.ndarray) -> list[_Body]:
+        rows, columns = np.nonzero(mask & (self.view.solid_angles > 0))
+        near = depth[rows, columns].astype(float)
+        points = self.view.origin + near[:, None] * self.view.rays[rows, columns]
+        surface = near**2 * self.view.solid_angles[rows, columns]
+        keep = (points[:, 2] > (0.1 if self.limit is not None else FLOOR_M)) & (points[:, 2] < TALLEST_M)
+        rows, columns, points, surface = rows[keep], columns[keep], points[keep], surface[keep]
+        return [
+            _Body(rows[member], columns[member], points[member], surface[member])
+            for member in separate(points, surface)
+        ]
+
+    def _choose(self, bodies: list[_Body], inside: np.ndarray, guess: tuple | None) -> int | None:
+        best, choice = 0.0, None
+        for index, body in enumerate(bodies):
+            within = inside[body.rows, body.columns]
+            amount = body.surface[within].sum()
+            if amount < 0.5 * body.surface.sum():
+                continue
+            if guess is not None:
+                away = np.average(body.points[:, :2], axis=0, weights=body.surface) - guess[0]
+                amount *= np.exp(-0.5 * (away @ away) / 0.4**2)
+            if amount > best:
+                best, choice = amount, index
+        return choice
+
+    def _free_above(self, person: Person, depth: np.ndarray) -> bool:
+        """Whether the camera sees through the place where the body of someone who stands there would be."""
+        heights = np.array([self.min_height, self.min_height + 0.25])
+        body = np.column_stack([np.tile(person.position[:2], (2, 1)), heights])
+        pixels = self.view.project(body)
+        if not self.view.inside(pixels).all():
+            return False
+        columns, rows = self.view.sample_indices(pixels).T
+        return bool((depth[rows, columns] > np.linalg.norm(body - self.view.origin, axis=1)).all())
+
+    def _sample_boxes(self, boxes: np.ndarray) -> np.ndarray:
+        height, width = self.view.rays.shape[:2]
+        return np.clip(np.rint(boxes / self.view.stride), 0, [width, height, width, height]).astype(int)
+
+    def _person(self, body: _Body, depth: np.ndarray, score: float) -> Person | None:
+        found = locate(body.points, body.surface, self.view, depth)
+        if found is None:
+            return None
+        centre, covariance, _ = found
+        box = np.array([body.columns.min(), body.rows.min(), body.columns.max() + 1, body.rows.max() + 1])
+        return Person(
+            position=np.array([*centre, MID_BODY_M]),
+            covariance=_with_height(covariance),
+            score=score,
+            bbox_px=np.minimum(box * float(self.view.stride), [*self.view.size, *self.view.size]),
+            height=self._height(body, centre),
+            method="depth",
+        )
+
+    def _height(self, body: _Body, centre: np.ndarray) -> float | None:
+        """Height, m, of the highest point, None where the border of the picture cuts the head off."""
+        top = float(body.points[:, 2].max())
+        above = self.view.project(np.array([[*centre, top + 0.05]]))
+        return top if self.view.inside(above)[0] else None
+
+
+def place_centre(found: Boxes, depth: np.ndarray, view: View) -> list[Person]:
+    """Place people as the thesis does: at the surface that the one pixel in the middle of each box shows.
+
+    Args:
+        found: the network's people, px of the full picture.
+        depth: (h, w) m radial at the view's samples; a person where there is none is dropped.
+        view: the camera.
+    """
+    middles = found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5
+    rays = view.unproject(middles)
+    people = []
+    for index in np.flatnonzero(view.inside(middles) & np.isfinite(rays).all(axis=1)):
+        column, row = view.sample_indices(middles[index])
+        if depth[row, column] > 0:
+            people.append(
+                Person(
+                    position=view.origin + float(depth[row, column]) * rays[index],
+                    covariance=_with_height(0.2**2 * np.eye(2)),
+                    score=float(found.scores[index]),
+                    bbox_px=np.clip(found.boxes[index], 0, [*view.size, *view.size]),
+                    height=None,
+                    method="depth",
+                )
+            )
+    return people
+
+
+def _person_by_box(centre: np.ndarray, covariance: np.ndarray, height: float, score: float) -> Person:
+    return Person(
+        position=np.array([*centre, MID_BODY_M / HEIGHT_M * height]),
+        covariance=_with_height(covariance),
+        score=float(score),
+        bbox_px=np.zeros(4),
+        height=height,
+        method="monocular",
+    )
+
+
+def _with_height(covariance: np.ndarray) -> np.ndarray:
+    full = np.diag([0.0, 0.0, Z_VARIANCE_M2])
+    full[:2, :2] = covariance
+    return full
+
+
+def separate(points: np.ndarray, surface: np.ndarray) -> list[np.ndarray]:
+    """Separate points on people's bodies into persons by their plan view.
+
+    Args:
+        points: (n, 3) m in the room.
+        surface: (n,) m² of surface that each point stands for.
+
+    Returns:
+        For each person the indices of its points, ordered by the person's x.
+    """
+    import cv2
+
+    if not len(points):
+        return []
+    weights = surface * np.interp(points[:, 2], [0.3, 0.8], [0.3, 1.0])
+    corner = points[:, :2].min(axis=0) - 3 * SPREAD_M
+    cells = ((points[:, :2] - corner) / CELL_M).astype(int)
+    shape = tuple(cells.max(axis=0) + 1 + int(3 * SPREAD_M / CELL_M))
+    plan = np.bincount(cells[:, 0] * shape[1] + cells[:, 1], weights, minlength=shape[0] * shape[1]).reshape(shape)
+    plan = cv2.GaussianBlur(plan, (0, 0), SPREAD_M / CELL_M, borderType=cv2.BORDER_CONSTANT)
+    window = 2 * int(APART_M / 2 / CELL_M) + 1
+    peaks = np.argwhere((plan == cv2.dilate(plan, np.ones((window, window), np.uint8))) & (plan > 1e-4))
+    peaks = peaks[np.argsort(-plan[tuple(peaks.T)], kind="stable")]
+    kept = []
+    for peak in peaks:
+        if all(_divided(plan, peak, other) for other in kept):
+            kept.append(peak)
+    if not kept:
+        return []
+    kept = np.array(sorted(map(tuple, kept)))
+    nearest = ((cells[:, None, :] - kept[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
+    return [np.flatnonzero(nearest == index) for index in range(len(kept))]
+
+
+def _divided(plan: np.ndarray, peak: np.ndarray, other: np.ndarray) -> bool:
+    """Whether a valley lies between a peak of the plan view and a higher one."""
+    steps = np.linspace(0, 1, 2 * int(np.abs(peak - other).max()) + 2)[:, None]
+    between = np.rint(peak + steps * (other - peak)).astype(int)
+    distance = np.linalg.norm(peak - other) * CELL_M
+    lowest = plan[tuple(between.T)].min()
+    return distance >= APART_M and lowest < 0.75 * plan[tuple(peak)]

@@ -1,0 +1,324 @@
+"""People in a colour picture by an ONNX network: this project's own, or any YOLO export."""
+
+import ast
+from dataclasses import dataclass
+
+import numpy as np
+
+PAD = 114
+"""Grey level around a letterboxed picture, as ultralytics and YOLOX pad."""
+
+MOST = 300
+"""Most people reported in one picture."""
+
+PARTS = ("torso", "head", "foot")
+
+
+class ModelError(ValueError):
+    """A file that is no ONNX model, or one whose output is no person detection."""
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """People in a picture.
+
+    Attributes:
+        boxes: (n, 4) [x0, y0, x1, y1] px of the picture; may reach over its border.
+        scores: (n,) from 0 to 1, in falling order.
+        parts: (n, 3, 2) px of torso, head and foot, None where the network does not tell them.
+    """
+
+    boxes: np.ndarray
+    scores: np.ndarray
+    parts: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+
+@dataclass(frozen=True)
+class Letterbox:
+    """How a picture is fitted into a network's input: scaled by `scale`, then moved by `shift` (2,) px."""
+
+    scale: float
+    shift: np.ndarray
+    size: tuple[int, int]
+
+    @classmethod
+    def fit(cls, picture: tuple[int, int], size: tuple[int, int], *, centred: bool = True) -> "Letterbox":
+        """Fit a picture (width, height) into an input (width, height), in its middle or its top left corner."""
+        scale = min(size[0] / picture[0], size[1] / picture[1])
+        spare = np.array([size[0] - round(picture[0] * scale), size[1] - round(picture[1] * scale)])
+        return cls(scale, spare // 2 if centred else np.zeros(2, int), size)
+
+    def apply(self, picture: np.ndarray) -> np.ndarray:
+        """Scale and pad a picture (height, width, 3) uint8."""
+        import cv2
+
+        width, height = round(picture.shape[1] * self.scale), round(picture.shape[0] * self.scale)
+        out = np.full((self.size[1], self.size[0], 3), PAD, np.uint8)
+        inner = out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width]
+        if (height, width) == picture.shape[:2]:
+            inner[:] = picture
+        else:
+            inner[:] = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        return out
+
+    def to_input(self, points: np.ndarray) -> np.ndarray:
+        """Map points (..., 2) px of the picture, corner-based, to the input."""
+        return points * self.scale + self.shift
+
+    def to_picture(self, points: np.ndarray) -> np.ndarray:
+        """Map points (..., 2) px of the input to the picture."""
+        return (points - self.shift) / self.scale
+
+
+class Network:
+    """A person detector in ONNX, ready to run on the CPU.
+
+    Args:
+        model: the content of an ONNX file.
+        size: (width, height) px of the input where the model leaves it open; None takes what the model's metadata
+            says, else 640 × 384.
+        confidence: least score of a person.
+        iou: two boxes that overlap more than this are one person.
+        threads: threads of the inference; more than one pays only on an idle machine.
+
+    Raises:
+        ModelError: no ONNX file, or its output is none of the known detection heads.
+    """
+
+    def __init__(
+        self,
+        model: bytes,
+        size: tuple[int, int] | None = None,
+        confidence: float = 0.5,
+        iou: float = 0.7,
+        threads: int = 1,
+    ):
+        self._session = _open(model, threads)
+        self.confidence, self.iou = confidence, iou
+        source = self._session.get_inputs()
+        if len(source) != 1 or len(source[0].shape) != 4 or source[0].type not in ("tensor(float)", "tensor(float16)"):
+            raise ModelError(
+                "expected one input [1, 3, height, width] of floats, found "
+                + ", ".join(f"{item.name} {item.shape} {item.type}" for item in source)
+            )
+        self._input = source[0]
+        self._type = np.float16 if self._input.type == "tensor(float16)" else np.float32
+        self.metadata = dict(self._session.get_modelmeta().custom_metadata_map)
+        task = self.metadata.get("task", "detect")
+        if task != "detect":
+            raise ModelError(f"a model for the task {task!r}; expected 'detect'")
+        self.names = _names(self.metadata.get("names"))
+        self.size = self._input_size(size)
+        outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
+        self.head = find_head([output.shape for output in outputs], self.size, self.names, self.metadata)
+
+    def detect(self, picture: np.ndarray) -> Boxes:
+        """Find the people in a picture (height, width, 3) uint8 RGB."""
+        yolox = self.head.kind == "yolox"
+        fit = Letterbox.fit((picture.shape[1], picture.shape[0]), self.size, centred=not yolox)
+        outputs = self._run(fit.apply(picture), bgr=yolox)
+        boxes, scores, parts = decode(outputs, self.head, self.size, self.confidence)
+        if self.head.kind != "end2end":
+            keep = suppress(boxes, scores, self.iou)
+            boxes, scores, parts = boxes[keep], scores[keep], None if parts is None else parts[keep]
+        boxes = fit.to_picture(boxes.reshape(-1, 2, 2)).reshape(-1, 4)[:MOST]
+        return Boxes(boxes, scores[:MOST], None if parts is None else fit.to_picture(parts[:MOST]))
+
+    def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
+        if bgr:
+            tensor = picture[:, :, ::-1].transpose(2, 0, 1).astype(self._type)
+        else:
+            tensor = picture.transpose(2, 0, 1).astype(self._type)
+            tensor *= self._type(1 / 255)
+        try:
+            return self._session.run(None, {self._input.name: np.ascontiguousarray(tensor[None])})
+        except Exception as error:  # onnxruntime raises RuntimeError's children of many names
+            raise ModelError(f"the model cannot be run: {_first_line(error)}") from None
+
+    def _input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
+        batch, channels, height, width = self._input.shape
+        if (isinstance(channels, int) and channels != 3) or (isinstance(batch, int) and batch != 1):
+            raise ModelError(f"expected an input [1, 3, height, width], found {self._input.shape}")
+        if isinstance(width, int) and isinstance(height, int):
+            return width, height
+        if wanted is None:
+            try:
+                stated = ast.literal_eval(self.metadata["imgsz"])
+                stated = (stated, stated) if isinstance(stated, int) else stated
+                wanted = int(stated[1]), int(stated[0])
+            except (KeyError, ValueError, SyntaxError, TypeError, IndexError):
+                wanted = 640, 384
+        try:
+            step = max(int(float(self.metadata.get("stride", 32))), 1)
+        except ValueError:
+            step = 32
+        return -(-wanted[0] // step) * step, -(-wanted[1] // step) * step
+
+
+def _open(model: bytes, threads: int):
+    import onnxruntime
+
+    if model.startswith(b"version https://git-lfs"):
+        raise ModelError("a git-lfs pointer, not the model itself; fetch it with git lfs pull")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ModelError(f"no ONNX model that can be read: {_first_line(error)}") from None
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).strip().split("\n")[0].split())[:200]
+
+
+def _names(text: str | None) -> list[str] | None:
+    """Class names in the order of their index, from a model's metadata."""
+    try:
+        value = ast.literal_eval(text)
+        if isinstance(value, dict):
+            value = [value[index] for index in range(len(value))]
+        return [str(name).lower() for name in value]
+    except (ValueError, SyntaxError, TypeError, KeyError):
+        return None
+
+
+@dataclass(frozen=True)
+class Head:
+    """What a network's first output holds.
+
+    kind is "v8" (boxes, then one score a class), "v5" (an objectness before the classes), "yolox" (as v5, in units of
+    the grid), "end2end" (corners, score, class; suppressed already) or "points" (this project's own maps).
+    """
+
+    kind: str
+    person: int
+    transposed: bool = False
+
+
+def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | None, metadata: dict) -> Head:
+    """Tell a detection head by the shape of its output, the input's size and the names of the classes.
+
+    Raises:
+        ModelError: it is none of the known ones, or it has no class for people.
+    """
+    shape = tuple(shapes[0])
+    found = ", ".join(str(list(item)) for item in shapes)
+    if metadata.get("head") == "points":
+        return Head("points", 0)
+    if len(shape) != 3 or shape[0] != 1 or len(shapes) > 1:
+        raise ModelError(f"no detection head that is known: the outputs are {found}")
+    anchors = sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32))
+    columns = 4 + len(names) if names else None
+    _, rows, width = shape
+    if width == 6 and rows <= 1000 and rows != anchors:
+        return Head("end2end", _person(names, len(names or ()) or 80))
+    transposed = width not in (anchors, 3 * anchors) and (rows in (anchors, 3 * anchors) or rows > width)
+    count, fields = (rows, width) if transposed else (width, rows)
+    if fields < 5 or (columns and fields not in (columns, columns + 1)):
+        raise ModelError(f"no detection head that is known: the outputs are {found}, the classes {len(names or ())}")
+    plain = not transposed or (count == anchors and fields == 84)  # what is likely where no names tell the classes
+    kind = "yolox" if count == anchors else "v5"
+    if columns == fields or (columns is None and plain):
+        kind = "v8"
+    classes = fields - (4 if kind == "v8" else 5)
+    if classes < 1:
+        raise ModelError(f"no detection head that is known: the outputs are {found}")
+    return Head(kind, _person(names, classes), transposed)
+
+
+def _person(names: list[str] | None, classes: int) -> int:
+    if classes == 1 or names is None:
+        return 0
+    for name in ("person", "people", "human", "pedestrian"):
+        if name in names:
+            return names.index(name)
+    raise ModelError(f"the model knows no class 'person', only {', '.join(names[:8])}{'…' if len(names) > 8 else ''}")
+
+
+def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confidence: float) -> tuple:
+    """Read the people out of a network's outputs.
+
+    Args:
+        outputs: as the network gave them.
+        head: what they hold.
+        size: (width, height) px of the input.
+        confidence: least score; what is not finite is dropped.
+
+    Returns:
+        Boxes (n, 4) [x0, y0, x1, y1] px of the input; scores (n,), falling; and parts (n, 3, 2) px or None.
+    """
+    output = outputs[0][0].astype(np.float64)
+    parts = None
+    if head.kind == "points":
+        boxes, scores, parts = _decode_points(output, size, confidence)
+    elif head.kind == "end2end":
+        boxes, scores = output[:, :4], np.where(np.rint(output[:, 5]) == head.person, output[:, 4], 0.0)
+    else:
+        rows = output if head.transposed else output.T
+        centre, extent = rows[:, :2], rows[:, 2:4]
+        scores = rows[:, 4 + head.person] if head.kind == "v8" else rows[:, 4] * rows[:, 5 + head.person]
+        if head.kind == "yolox":
+            centre, extent = _from_grid(centre, extent, size)
+        boxes = np.concatenate([centre - extent / 2, centre + extent / 2], axis=1)
+    keep = np.isfinite(boxes).all(axis=1) & (scores >= confidence) & np.isfinite(scores)
+    if parts is not None:
+        keep &= np.isfinite(parts).all(axis=(1, 2))
+    keep = np.flatnonzero(keep)
+    keep = keep[np.argsort(-scores[keep], kind="stable")]
+    return boxes[keep], np.clip(scores[keep], 0.0, 1.0), None if parts is None else parts[keep]
+
+
+def _from_grid(centre: np.ndarray, extent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """YOLOX's raw output: centres in cells from their own cell, log extents (Ge et al., 2021, arXiv 2107.08430)."""
+    finite = centre[np.isfinite(centre)]
+    if finite.size and np.abs(finite).max() > max(size) / 8:
+        return centre, extent  # exported with its decoding inside
+    cells, strides = [], []
+    for stride in (8, 16, 32):
+        v, u = np.mgrid[: size[1] // stride, : size[0] // stride]
+        cells.append(np.stack([u.ravel(), v.ravel()], axis=1))
+        strides.append(np.full(u.size, stride))
+    strides = np.concatenate(strides)[:, None]
+    with np.errstate(over="ignore"):
+        return (centre + np.concatenate(cells)) * strides, np.exp(extent) * strides
+
+
+def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -> tuple:
+    """This project's maps (11, h, w): score (0 but at its peaks), log distances to the box's sides, parts' offsets."""
+    stride = size[0] / maps.shape[2]
+    v, u = np.nonzero(maps[0] >= confidence)
+    values = maps[:, v, u].T
+    place = (np.stack([u, v], axis=1) + 0.5) * stride
+    with np.errstate(over="ignore"):
+        reach = np.exp(values[:, 1:5]) * stride
+    boxes = np.concatenate([place - reach[:, :2], place + reach[:, 2:]], axis=1)
+    parts = place[:, None, :] + values[:, 5:11].reshape(-1, 3, 2) * stride
+    return boxes, values[:, 0], parts
+
+
+def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
+    """Non-maximum suppression: the indices, by falling score, of boxes that no better one covers by more than `iou`.
+
+    Args:
+        boxes: (n, 4) [x0, y0, x1, y1].
+        scores: (n,).
+        iou: from 0 to 1.
+    """
+    order = np.argsort(-scores, kind="stable")
+    area = np.maximum(boxes[:, 2:] - boxes[:, :2], 0).prod(axis=1)
+    kept = []
+    while order.size and len(kept) < MOST:
+        best, order = order[0], order[1:]
+        kept.append(best)
+        shared = np.minimum(boxes[order, 2:], boxes[best, 2:]) - np.maximum(boxes[order, :2], boxes[best, :2])
+        shared = np.maximum(shared, 0).prod(axis=1)
+        order = order[shared <= iou * np.maximum(area[order] + area[best] - shared, 1e-12)]
+    return np.array(kept, dtype=int)

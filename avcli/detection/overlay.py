@@ -1,0 +1,47 @@
+"""A frame with what was found drawn on it."""
+
+import numpy as np
+
+from avcli.detection.body import MID_BODY_M, Person
+from avcli.detection.view import View
+
+COLOUR = {"depth": (40, 220, 60), "monocular": (255, 190, 0)}
+
+
+def draw(picture: np.ndarray, people: list[Person], view: View) -> np.ndarray:
+    """Draw boxes, body axes from the floor up, two-sigma ellipses on the floor, and positions in words.
+
+    Args:
+        picture: (height, width, 3) uint8 RGB; it is not changed.
+        people: what was found in it.
+        view: the camera.
+    """
+    import cv2
+
+    out = picture.copy()
+    scale = max(view.size[0] / 1920, 0.4)
+    thick = max(round(2 * scale), 1)
+    angles = np.linspace(0, 2 * np.pi, 33)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for person in people:
+        colour = COLOUR[person.method]
+        x0, y0, x1, y1 = np.rint(person.bbox_px).astype(int).tolist()
+        cv2.rectangle(out, (x0, y0), (x1, y1), colour, thick)
+        values, vectors = np.linalg.eigh(person.covariance[:2, :2])
+        ellipse = circle * (2 * np.sqrt(values)) @ vectors.T + person.position[:2]
+        _polyline(out, view.project(np.column_stack([ellipse, np.zeros(len(ellipse))])), (255, 80, 40), thick)
+        heights = np.linspace(0.0, person.height or MID_BODY_M, 9)
+        axis = np.column_stack([np.tile(person.position[:2], (9, 1)), heights])
+        _polyline(out, view.project(axis), (255, 255, 255), thick)
+        text = f"{person.position[0]:.2f} {person.position[1]:.2f} m  {person.score:.2f}"
+        text += f"  {person.height:.2f} m" if person.height else ""
+        cv2.putText(out, text, (x0, max(y0 - 6, 14)), cv2.FONT_HERSHEY_SIMPLEX, 0.7 * scale, colour, thick, cv2.LINE_AA)
+    return out
+
+
+def _polyline(out: np.ndarray, pixels: np.ndarray, colour: tuple, thick: int) -> None:
+    import cv2
+
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    if len(pixels) > 1:
+        cv2.polylines(out, [np.rint(pixels).astype(np.int32)], False, colour, thick, cv2.LINE_AA)

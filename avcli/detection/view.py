@@ -1,0 +1,91 @@
+"""A calibrated camera in a room: pixels to rays and points to pixels, both in the room's frame."""
+
+from functools import cached_property
+
+import numpy as np
+
+
+class View:
+    """A camera that stands still in a room.
+
+    Args:
+        lens: has `project((n, 3)) -> (n, 2)` and `unproject((n, 2)) -> (n, 3)` unit rays; NaN where it cannot see.
+        T_room_camera: (4, 4) rigid transform from the camera's frame to the room's.
+        size: (width, height) px.
+        theta_max: largest angle from the optical axis at which the lens may be believed, rad.
+        stride: distance of the samples of `rays`, px.
+    """
+
+    def __init__(self, lens, T_room_camera, size: tuple[int, int], theta_max: float = np.pi, stride: int = 4):
+        self.lens, self.size, self.stride = lens, size, stride
+        T_room_camera = np.asarray(T_room_camera, float)
+        self.rotation, self.origin = T_room_camera[:3, :3], T_room_camera[:3, 3]
+        self._cos_max = np.cos(min(theta_max, np.pi)) - 1e-12
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Project points (n, 3), m in the room, to pixels (n, 2); NaN where the lens cannot see them."""
+        return self.lens.project((np.asarray(points, float) - self.origin) @ self.rotation)
+
+    def unproject(self, pixels: np.ndarray) -> np.ndarray:
+        """Turn pixels (n, 2) into unit rays (n, 3) in the room's frame; NaN where a pixel has none."""
+        rays = self.lens.unproject(np.asarray(pixels, float))
+        return np.where(rays[:, 2:] >= self._cos_max, rays, np.nan) @ self.rotation.T
+
+    def inside(self, pixels: np.ndarray) -> np.ndarray:
+        """Tell which pixels (n, 2) lie on the picture; NaN does not."""
+        width, height = self.size
+        x, y = pixels[:, 0], pixels[:, 1]
+        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+
+    def sampled(self, picture: np.ndarray) -> np.ndarray:
+        """Return the samples (h, w) of a full-size picture (height, width) that belong to `rays`."""
+        first = self.stride // 2
+        return picture[first :: self.stride, first :: self.stride]
+
+    def radial_depth(self, picture: np.ndarray, step: float, kind: str = "radial") -> np.ndarray:
+        """Turn a depth picture into metres along each sample's ray.
+
+        Args:
+            picture: (height, width) of whole steps; 0 and the type's largest number stand for "nothing measured".
+            step: m.
+            kind: "radial", or "z" where the picture holds depth along the optical axis.
+
+        Returns:
+            (h, w) float32 m; 0 where nothing was measured or the pixel has no ray.
+        """
+        steps = self.sampled(picture)
+        depth = steps * np.float32(step)
+        depth[steps == np.iinfo(picture.dtype).max] = 0.0
+        if kind == "z":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                depth = np.where(self.cosines > 0.01, depth / self.cosines, 0.0)
+        return np.nan_to_num(depth, nan=0.0, posinf=0.0)
+
+    def sample_indices(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the (column, row) (n, 2) of the sample nearest to each pixel (n, 2)."""
+        width, height = self.size
+        first = self.stride // 2
+        last = [(width - 1 - first) // self.stride, (height - 1 - first) // self.stride]
+        return np.clip(np.rint((pixels - first) / self.stride).astype(int), 0, last)
+
+    @cached_property
+    def rays(self) -> np.ndarray:
+        """Unit rays (h, w, 3) float32 of every `stride`-th pixel, in the room's frame; NaN where a pixel has none."""
+        width, height = self.size
+        first = self.stride // 2
+        u, v = np.meshgrid(np.arange(first, width, self.stride), np.arange(first, height, self.stride))
+        rays = self.unproject(np.stack([u.ravel(), v.ravel()], axis=1))
+        return rays.reshape(*u.shape, 3).astype(np.float32)
+
+    @cached_property
+    def cosines(self) -> np.ndarray:
+        """Cosine (h, w) float32 of each sample's angle from the optical axis: depth along it over radial depth."""
+        return self.rays @ self.rotation[:, 2].astype(np.float32)
+
+    @cached_property
+    def solid_angles(self) -> np.ndarray:
+        """Solid angle (h, w) float32 sr that each sample of `rays` stands for; 0 where a pixel has no ray."""
+        rays = self.rays.astype(float)
+        across, down = np.gradient(rays, axis=1), np.gradient(rays, axis=0)
+        angles = np.linalg.norm(np.cross(across, down), axis=2)
+        return np.nan_to_num(angles).astype(np.float32)
