@@ -7,6 +7,7 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -291,3 +292,82 @@ def _stated_wav_bytes(path: str | os.PathLike) -> int | None:
                 return None if length in (0, 0x7FFFFFFF, 0xFFFFFFFF) or length > 0xFFFFF000 else file.tell() + length
             file.seek(length + length % 2, os.SEEK_CUR)
     return None
+
+
+def wav_stream_blocks(stream: BinaryIO, name: str, block_size: int = 1 << 10) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield the samples of a WAV that arrives on a pipe, (≤ block_size, channels) float64, each with the rate in Hz.
+
+    A length that a live recorder could not know (0 or the largest) means "until the stream ends".
+
+    Raises:
+        MediaError: it is no WAV of integers of 8 to 32 bits or floats, or it ends before its header says.
+    """
+    head = _exactly(stream, 12, name)
+    if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
+        raise MediaError(f"{name}: no WAV")
+    layout = None
+    while True:
+        kind, length = struct.unpack("<4sI", _exactly(stream, 8, name))
+        if kind == b"data":
+            break
+        content = _exactly(stream, length + length % 2, name)
+        if kind == b"fmt ":
+            layout = _wav_layout(content, name)
+    if layout is None:
+        raise MediaError(f"{name}: a WAV without a format")
+    decode, width, channels, rate = layout
+    frame = width * channels
+    left = None if length == 0 or length >= 0x7FFFFFFF - 0x1000 else length - length % frame
+    while left is None or left > 0:
+        wanted = block_size * frame if left is None else min(block_size * frame, left)
+        content = _as_much_as(stream, wanted)
+        if len(content) < wanted and left is not None:
+            missing = (left - len(content)) // frame
+            raise MediaError(f"{name}: cut short: {missing} samples fewer than its header states")
+        whole = len(content) - len(content) % frame
+        if whole:
+            yield decode(content[:whole]).reshape(-1, channels), rate
+        if len(content) < wanted:
+            return
+        if left is not None:
+            left -= wanted
+
+
+def _wav_layout(content: bytes, name: str):
+    """Read a WAV's format chunk: how to decode its samples, their bytes, the channels, the rate in Hz."""
+    if len(content) < 16:
+        raise MediaError(f"{name}: a WAV's format is cut short")
+    tag, channels, rate, _, _, bits = struct.unpack("<HHIIHH", content[:16])
+    if tag == 0xFFFE and len(content) >= 26:
+        tag = struct.unpack("<H", content[24:26])[0]
+    if channels == 0 or rate == 0 or (tag, bits) not in {(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)}:
+        raise MediaError(f"{name}: a WAV of format {tag} with {bits} bits and {channels} channels")
+    if tag == 3:
+        kind = f"<f{bits // 8}"
+        return (lambda content: np.frombuffer(content, kind).astype(np.float64)), bits // 8, channels, rate
+
+    def integers(content: bytes) -> np.ndarray:
+        octets = np.frombuffer(content, np.uint8).reshape(-1, bits // 8)
+        if bits == 8:  # eight bits alone are unsigned
+            octets = octets ^ 0x80
+        wide = np.zeros((len(octets), 4), np.uint8)
+        wide[:, 4 - bits // 8 :] = octets
+        return wide.view("<i4")[:, 0] / 2.0**31
+
+    return integers, bits // 8, channels, rate
+
+
+def _as_much_as(stream: BinaryIO, size: int) -> bytes:
+    """Read until `size` bytes are there or the stream ends."""
+    parts = []
+    while size > 0 and (part := stream.read(size)):
+        parts.append(part)
+        size -= len(part)
+    return b"".join(parts)
+
+
+def _exactly(stream: BinaryIO, size: int, name: str) -> bytes:
+    content = _as_much_as(stream, size)
+    if len(content) < size:
+        raise MediaError(f"{name}: a WAV that ends within its header")
+    return content
