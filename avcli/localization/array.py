@@ -1,0 +1,97 @@
+"""The microphone array in its room, and what a localizer says about one time step."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Array:
+    """Microphones in a room.
+
+    Attributes:
+        microphones: (m, 3) m.
+        sample_rate: Hz.
+        room: (3,) m, the far corner of a room whose near corner is the origin.
+        speed_of_sound: m/s.
+    """
+
+    microphones: np.ndarray
+    sample_rate: float
+    room: np.ndarray
+    speed_of_sound: float = 343.0
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Standard deviation (3,) m of the microphones along the principal axes of the array, largest first."""
+        centred = self.microphones - self.microphones.mean(axis=0)
+        return np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
+
+    def require(self, *, count: int, dimensions: int) -> None:
+        """Refuse an array from which no position can be had.
+
+        Args:
+            count: the least number of microphones at different places.
+            dimensions: 2 refuses microphones on one line, 3 also those in one plane.
+
+        Raises:
+            ValueError: says which dimension is missing.
+        """
+        distinct = len(np.unique(np.round(self.microphones, 4), axis=0))
+        if distinct < count:
+            raise ValueError(f"{distinct} microphones at different places: a position in x, y and z needs {count}")
+        if self.spread[1] < 0.01:
+            raise ValueError("the microphones stand on one line: only the distance from it and along it can be had")
+        if dimensions == 3 and self.spread[2] < 0.001:
+            raise ValueError("the microphones lie in one plane, where the closed form cannot tell the side of it")
+
+    def mean_delay(self, low: np.ndarray, high: np.ndarray) -> float:
+        """Return the mean travel time in s from the middle of a volume with corners (3,) m to the microphones."""
+        middle = 0.5 * (np.asarray(low) + np.asarray(high))
+        return float(np.linalg.norm(self.microphones - middle, axis=1).mean() / self.speed_of_sound)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was heard at one time.
+
+    Attributes:
+        time: s, when the sound was emitted.
+        positions: (n, 3) m.
+        covariances: (n, 3, 3) m².
+        scores: (n,) probability that the detection is right.
+        notices: what was noticed about the channels, one sentence each.
+    """
+
+    time: float
+    positions: np.ndarray
+    covariances: np.ndarray
+    scores: np.ndarray
+    notices: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, time: float, found=(), notices=()) -> "Decision":
+        """Make a decision of (position, covariance, score) triples."""
+        return cls(
+            time,
+            np.array([f[0] for f in found], dtype=np.float64).reshape(-1, 3),
+            np.array([f[1] for f in found], dtype=np.float64).reshape(-1, 3, 3),
+            np.array([f[2] for f in found], dtype=np.float64),
+            tuple(notices),
+        )
+
+
+def time_steps(begin: int, count: int, sample_rate: float, rate: float, tail: float) -> range:
+    """Return the time steps k, at k / rate seconds, that lie in a recording.
+
+    Args:
+        begin: the first sample's place on the clock, in samples.
+        count: samples.
+        sample_rate: Hz.
+        rate: steps per second.
+        tail: s at the end that are left out.
+    """
+    first = int(np.ceil(begin / sample_rate * rate - 1e-3))
+    last = int(np.floor(((begin + count) / sample_rate - tail) * rate + 1e-3))
+    return range(first, last + 1 if count else first)

@@ -1,0 +1,119 @@
+"""Windowed spectra and generalised cross-correlation of microphone pairs, on numpy.fft alone."""
+
+from functools import lru_cache
+
+import numpy as np
+
+
+@lru_cache(maxsize=8)
+def hann(size: int) -> np.ndarray:
+    """Return the symmetric Hann window, (size,) float64 (Harris 1978, equation 27b)."""
+    return 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / max(size - 1, 1))
+
+
+@lru_cache(maxsize=8)
+def pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and second microphone of every pair, two (count (count - 1) / 2,) integer arrays."""
+    first, second = np.triu_indices(count, 1)
+    return first, second
+
+
+def fft_size(least: int) -> int:
+    """Return the smallest even 2^a 3^b 5^c that is not below `least`: a length for which numpy.fft is fast."""
+    best = 1 << max(least - 1, 1).bit_length()
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            size = three * 2
+            while size < least:
+                size *= 2
+            best = min(best, size)
+            three *= 3
+        five *= 5
+    return best
+
+
+def high_pass(samples: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
+    """Remove what lies below a cutoff, without delay: a raised-cosine edge from half the cutoff to the cutoff.
+
+    Args:
+        samples: (n, channels).
+        sample_rate: Hz.
+        cutoff: Hz; 0 leaves the samples as they are.
+
+    Returns:
+        (n, channels) float64. The ends are mirrored outwards, so that no step rings there.
+    """
+    samples = np.asarray(samples, dtype=np.float64)
+    if cutoff <= 0.0 or len(samples) == 0:
+        return samples
+    margin = min(len(samples) - 1, int(np.ceil(4.0 * sample_rate / cutoff)))
+    head, tail = samples[margin:0:-1], samples[-2 : -2 - margin : -1]
+    extended = np.concatenate([2.0 * samples[0] - head, samples, 2.0 * samples[-1] - tail]) if margin else samples
+    size = fft_size(len(extended))
+    frequency = np.fft.rfftfreq(size, 1.0 / sample_rate)
+    gain = 0.5 - 0.5 * np.cos(np.pi * np.clip(2.0 * frequency / cutoff - 1.0, 0.0, 1.0))
+    filtered = np.fft.irfft(np.fft.rfft(extended, size, axis=0) * gain[:, None], size, axis=0)
+    return filtered[margin : margin + len(samples)]
+
+
+def whiten(spectra: np.ndarray, beta: float) -> np.ndarray:
+    """Divide each bin by its magnitude to the power beta; an empty bin stays empty.
+
+    Args:
+        spectra: (channels, bins) complex.
+        beta: 0 (plain cross-correlation) to 1 (phase transform).
+
+    Returns:
+        (channels, bins) complex64.
+    """
+    magnitude = np.abs(spectra)
+    floor = np.maximum(magnitude.max(axis=1, keepdims=True, initial=0.0) * 1e-7, np.finfo(np.float32).tiny)
+    return (spectra / np.maximum(magnitude, floor) ** beta).astype(np.complex64)
+
+
+def gcc(
+    whitened: np.ndarray,
+    bins: slice,
+    window_size: int,
+    lags: int,
+    oversampling: float = 1.0,
+    weight: np.ndarray | None = None,
+) -> np.ndarray:
+    """Cross-correlate every pair of channels from whitened spectra of one band (Knapp & Carter 1976).
+
+    A pair's value at lag l is the mean over the band's bins of the cross-spectrum turned by l, so that it is 1 where
+    two channels (beta = 1) are equal but for that lag. A positive lag says that the pair's first channel is later.
+
+    Args:
+        whitened: (channels, band bins) complex, as `whiten` gives.
+        bins: where the band lies in the spectrum.
+        window_size: samples that the spectrum was taken of.
+        lags: half width H of the result, in steps of 1 / oversampling samples.
+        oversampling: lag steps per sample; window_size * oversampling must be an even integer above 2 H.
+        weight: (band bins,) or (pairs, band bins) weights of the bins; all equal where None.
+
+    Returns:
+        (pairs, 2 H + 1) float32, lags -H to H.
+    """
+    first, second = pairs(len(whitened))
+    cross = whitened[first] * whitened[second].conj()
+    magnitude = np.abs(cross)
+    if weight is not None:
+        cross *= weight
+        magnitude *= weight
+    total = np.maximum(magnitude.sum(axis=1), np.finfo(np.float32).tiny)
+    size = round(window_size * oversampling)
+    spectrum = np.zeros((len(first), size // 2 + 1), np.complex64)
+    spectrum[:, bins] = cross * (0.5 * size / total)[:, None]
+    correlation = np.fft.irfft(spectrum, size, axis=1)
+    return np.concatenate([correlation[:, -lags:], correlation[:, : lags + 1]], axis=1)
+
+
+def interpolate_peak(before: np.ndarray, peak: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the vertex of the parabola through three neighbours, in steps from the middle one, within ±0.5."""
+    curvature = before - 2.0 * peak + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = np.where(curvature < 0.0, 0.5 * (before - after) / curvature, 0.0)
+    return np.clip(offset, -0.5, 0.5)

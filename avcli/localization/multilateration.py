@@ -1,0 +1,136 @@
+"""A position from time differences of arrival: the closed form 3D-SSL and robust maximum likelihood."""
+
+from itertools import combinations
+
+import numpy as np
+
+from avcli.localization import correlation
+
+
+def closed_form(microphones, reference: int, differences, *, combination_size: int = 4):
+    """Solve every choice of `combination_size` range differences for a position, linearly (3D-SSL).
+
+    With y the source relative to the reference microphone, R = |y|, b_i the other microphones relative to it and d_i
+    the range differences, |y - b_i| = R + d_i becomes 2 b_i · y + 2 d_i R = |b_i|² - d_i²: linear in (y, R) when R is
+    taken for a fourth unknown (Smith & Abel 1987). Five microphones that lie in one plane leave it singular.
+
+    Args:
+        microphones: (m, 3) m.
+        reference: the reference microphone's index.
+        differences: (m,) m, range to each microphone minus range to the reference; the reference's own is not used.
+        combination_size: 4 solves exactly, more solves by least squares.
+
+    Returns:
+        positions (n, 3) m, ranges to the reference (n,) m, condition numbers (n,) of the systems with all lengths as
+        they are in metres, one for each choice in lexicographic order. A singular system gives NaN and infinity.
+    """
+    microphones = np.asarray(microphones, dtype=np.float64)
+    others = np.delete(np.arange(len(microphones)), reference)
+    baseline = microphones[others] - microphones[reference]
+    difference = np.asarray(differences, dtype=np.float64)[others]
+    rows = np.column_stack([baseline, difference])
+    right = 0.5 * ((baseline**2).sum(axis=1) - difference**2)
+    choices = np.array(list(combinations(range(len(others)), combination_size)))
+    left, singular, right_basis = np.linalg.svd(rows[choices], full_matrices=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        condition = np.where(singular[:, -1] > 1e-12 * singular[:, 0], singular[:, 0] / singular[:, -1], np.inf)
+        projected = np.einsum("nki,nk->ni", left, right[choices]) / singular
+        solutions = np.einsum("nik,ni->nk", right_basis, projected)
+    solutions[~np.isfinite(condition)] = np.nan
+    return microphones[reference] + solutions[:, :3], solutions[:, 3], condition
+
+
+def valid(positions, ranges, conditions, *, max_condition: float, low, high) -> np.ndarray:
+    """Return which closed-form solutions (n,) are stable, in front of the reference, and inside the room.
+
+    Args:
+        positions: (n, 3) m.
+        ranges: (n,) m.
+        conditions: (n,).
+        max_condition: the largest condition number that counts as stable.
+        low, high: (3,) m, the corners of the room.
+    """
+    with np.errstate(invalid="ignore"):
+        inside = ((positions >= low) & (positions <= high)).all(axis=1)
+        return inside & (conditions <= max_condition) & (ranges > 0.0)
+
+
+def refine(position, microphones, first, second, differences, weights, *, scale=0.02, iterations=20):
+    """Fit a position to range differences by Gauss-Newton with Cauchy weights (robust maximum likelihood).
+
+    Args:
+        position: (3,) m, where to start.
+        microphones: (m, 3) m.
+        first, second: (p,) microphone indices of each difference.
+        differences: (p,) m, range to first minus range to second.
+        weights: (p,) how much each difference counts, 0 leaves it out.
+        scale: m, the residual at which a difference's weight has halved.
+        iterations: at most this many steps.
+
+    Returns:
+        position (3,) m, normal matrix JᵀWJ (3, 3) with the final weights, weighted rms residual in m.
+    """
+    microphones = np.asarray(microphones, dtype=np.float64)
+    position = np.array(position, dtype=np.float64)
+    weights = np.asarray(weights, dtype=np.float64)
+
+    def linearized(at):
+        offsets = at - microphones
+        ranges = np.sqrt((offsets**2).sum(axis=1))
+        units = offsets / np.maximum(ranges, 1e-9)[:, None]
+        residual = differences - (ranges[first] - ranges[second])
+        return units[first] - units[second], residual, weights / (1.0 + (residual / scale) ** 2)
+
+    def cost(residual):
+        return (weights * np.log1p((residual / scale) ** 2)).sum()
+
+    jacobian, residual, robust = linearized(position)
+    damping = 1e-9
+    for _ in range(iterations):
+        normal = jacobian.T @ (jacobian * robust[:, None])
+        step = np.linalg.solve(
+            normal + (damping * np.trace(normal) + 1e-12) * np.eye(3), jacobian.T @ (robust * residual)
+        )
+        if not np.isfinite(step).all():
+            break
+        candidate = linearized(position + step)
+        if cost(candidate[1]) <= cost(residual):
+            position = position + step
+            jacobian, residual, robust = candidate
+            damping *= 0.1
+            if np.abs(step).max() < 1e-7:
+                break
+        else:
+            damping = max(damping * 100.0, 1e-6)
+    normal = jacobian.T @ (jacobian * robust[:, None])
+    total = robust.sum()
+    rms = float(np.sqrt((robust * residual**2).sum() / total)) if total > 0.0 else np.inf
+    return position, normal, rms
+
+
+def time_differences(window, sample_rate: float, reference: int, max_lags, *, beta: float) -> np.ndarray:
+    """Return the delay of each channel behind the reference by β-GCC-PHAT with parabolic interpolation.
+
+    Args:
+        window: (n, m) samples, already tapered.
+        sample_rate: Hz.
+        reference: index of the reference channel.
+        max_lags: (m,) samples, the largest delay that each channel's distance from the reference allows.
+        beta: 0 (plain cross-correlation) to 1 (phase transform).
+
+    Returns:
+        (m,) s; 0 for the reference itself.
+    """
+    size = correlation.fft_size(2 * len(window))
+    whitened = correlation.whiten(np.fft.rfft(window, size, axis=0).T, beta)
+    correlated = np.fft.irfft(whitened * whitened[reference].conj(), size, axis=1)
+    delays = np.zeros(window.shape[1])
+    for channel in range(window.shape[1]):
+        if channel == reference:
+            continue
+        half = min(int(np.ceil(max_lags[channel])), size // 2 - 2)
+        values = np.concatenate([correlated[channel, -half - 1 :], correlated[channel, : half + 2]])
+        peak = 1 + int(np.argmax(values[1:-1]))
+        offset = correlation.interpolate_peak(values[peak - 1], values[peak], values[peak + 1])
+        delays[channel] = (peak - half - 1 + offset) / sample_rate
+    return delays

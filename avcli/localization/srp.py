@@ -1,0 +1,204 @@
+"""Steered response power over a room, by a max-pooled coarse-to-fine search.
+
+The response at a point is the mean over microphone pairs of the GCC at the lag that the point would cause (DiBiase
+2000). Its peaks are only centimetres wide, so a grid of points would miss them: a cell is given, for each pair, the
+largest GCC over all lags that points of the cell can cause (after Cobos, Marti & Lopez 2011). That bounds the response
+in the cell from above; the best cells are cut into eight, again and again, down to the resolution.
+"""
+
+import numpy as np
+
+from avcli.localization import correlation
+
+
+class SteeredResponse:
+    """The tables of one array, room and lag scale.
+
+    Args:
+        microphones: (m, 3) m.
+        low, high: (3,) m, the corners of the searched volume.
+        steps_per_metre: lag steps per metre of range difference.
+        cell: m, the largest edge of a coarse cell.
+        resolution: m, the largest edge of a finest cell.
+        keep: how many cells go on to the next level.
+    """
+
+    def __init__(self, microphones, low, high, steps_per_metre, *, cell=0.25, resolution=0.02, keep=24):
+        self.microphones = np.asarray(microphones, dtype=np.float64)
+        self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        self.steps_per_metre = steps_per_metre
+        self.keep = keep
+        first, second = correlation.pairs(len(self.microphones))
+        self.first, self.second = first, second
+        baseline = np.linalg.norm(self.microphones[first] - self.microphones[second], axis=1)
+        self.half_lags = int(np.ceil(baseline.max() * steps_per_metre)) + 2
+        extent = self.high - self.low
+        counts = np.maximum(np.ceil(extent / cell), 1.0).astype(int)
+        self.half_cell = 0.5 * extent / counts
+        axes = [self.low[k] + self.half_cell[k] * (2.0 * np.arange(counts[k]) + 1.0) for k in range(3)]
+        self.cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        self.levels = max(0, int(np.ceil(np.log2(2.0 * self.half_cell.max() / resolution))))
+        self.children = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        self.coarse = self._spans(self.cells, self.half_cell)
+        self.ladder = int(self.coarse[1].max())
+
+    def lags(self, points: np.ndarray) -> np.ndarray:
+        """Return the lag steps (n, pairs) that sound from points (n, 3) m causes."""
+        ranges = self._ranges(points)
+        return (ranges[:, self.first] - ranges[:, self.second]) * self.steps_per_metre
+
+    def _ranges(self, points: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(((points[:, None, :] - self.microphones) ** 2).sum(axis=2), 0.0))
+
+    def _spans(self, centres: np.ndarray, half: np.ndarray):
+        """Return where each cell's lags lie: flat index into the ladder's rung, rung, and the last run's flat index."""
+        offsets = centres[:, None, :] - self.microphones
+        ranges = np.sqrt((offsets**2).sum(axis=2))
+        units = offsets / np.maximum(ranges, 1e-9)[:, :, None]
+        gradient = np.abs(units[:, self.first] - units[:, self.second]) @ half
+        middle = (ranges[:, self.first] - ranges[:, self.second]) * self.steps_per_metre
+        reach = gradient * self.steps_per_metre + 0.5
+        size = 2 * self.half_lags + 1
+        lowest = np.clip(np.rint(middle - reach).astype(np.int32) + self.half_lags, 0, size - 1)
+        highest = np.clip(np.rint(middle + reach).astype(np.int32) + self.half_lags, 0, size - 1)
+        rung = np.frexp(highest - lowest + 1)[1] - 1  # floor(log2(length))
+        row = np.arange(len(self.first), dtype=np.int32) * size
+        return lowest + row, rung, highest - (1 << rung) + 1 + row
+
+    def _ladder(self, gcc: np.ndarray) -> np.ndarray:
+        """Return running maxima over 1, 2, 4... lags, (rungs, pairs * lags): two of them cover any run."""
+        rungs = [gcc]
+        for level in range(self.ladder):
+            step = 1 << level
+            wider = rungs[-1].copy()
+            np.maximum(rungs[-1][:, :-step], rungs[-1][:, step:], out=wider[:, :-step])
+            rungs.append(wider)
+        return np.stack(rungs).reshape(len(rungs), -1)
+
+    def bound(self, ladder: np.ndarray, spans) -> np.ndarray:
+        """Return for each cell the mean over pairs of the largest GCC in it, (cells,)."""
+        lowest, rung, last = spans
+        offset = np.minimum(rung, self.ladder) * ladder.shape[1]
+        flat = ladder.ravel()
+        return np.maximum(flat[lowest + offset], flat[last + offset]).mean(axis=1)
+
+    def response(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return the response at points (n, 3) m, (n,): GCC interpolated linearly between lag steps."""
+        lag = np.clip(self.lags(points) + self.half_lags, 0.0, 2.0 * self.half_lags - 1e-6)
+        index = lag.astype(np.int64)
+        fraction = lag - index
+        row = np.arange(gcc.shape[0])
+        return (gcc[row, index] * (1.0 - fraction) + gcc[row, index + 1] * fraction).mean(axis=1)
+
+    def search(self, gcc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,)."""
+        ladder = self._ladder(gcc)
+        centres, half = self.cells, self.half_cell
+        bound = self.bound(ladder, self.coarse)
+        for _ in range(self.levels):
+            best = np.argpartition(-bound, self.keep)[: self.keep] if len(bound) > self.keep else np.arange(len(bound))
+            half = 0.5 * half
+            centres = (centres[best][:, None, :] + self.children * (2.0 * half)).reshape(-1, 3)
+            bound = self.bound(ladder, self._spans(centres, half))
+        value = self.response(gcc, centres)
+        order = np.argsort(-value, kind="stable")
+        return centres[order], value[order]
+
+    def follow(self, gccs, offsets, start: np.ndarray, max_speed: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Find the place and the level velocity near `start` that several windows answer best together.
+
+        A talker who walks is elsewhere in each window: without the velocity the loudest window would win.
+
+        Args:
+            gccs: (pairs, lags) correlations of the windows.
+            offsets: (windows,) s of each window from the one that is asked about.
+            start: (3,) m.
+            max_speed: m/s along each axis.
+
+        Returns:
+            position (3,) m, velocity (3,) m/s, mean response of the windows.
+        """
+        reach = 3  # lag steps: the wide grid's points are further apart than a peak is wide
+        pooled = [_dilate(gcc, reach) for gcc in gccs]
+        moving = len(gccs) > 1
+        speeds = max_speed * np.linspace(-1.0, 1.0, 5) if moving else np.zeros(1)
+        position, velocity = start, np.zeros(3)
+        stages = [(pooled, _level_grid(0.05, 3), _level_velocities(speeds))] if moving else []
+        for step, speed in ((0.03, 0.25), (0.02, 0.25), (0.01, 0.125)):
+            speeds = max_speed * speed * np.array([-1.0, 0.0, 1.0]) if moving else np.zeros(1)
+            stages.append((gccs, _CUBE * step, _level_velocities(speeds)))
+        response = -np.inf
+        for correlations, places, changes in stages:
+            points = np.tile(position + places, (len(changes), 1))
+            velocities = np.repeat(velocity + changes, len(places), axis=0)
+            total = np.zeros(len(points))
+            for gcc, offset in zip(correlations, offsets, strict=True):
+                total += self.response(gcc, np.clip(points + velocities * offset, self.low, self.high))
+            total /= len(gccs)
+            # Of equal places the slower talker nearer the start: rest is what a still talker's noise must not hide.
+            penalty = 1e-4 * np.sqrt((velocities**2).sum(axis=1))
+            best = int(np.argmax(total - penalty))
+            position = np.clip(points[best], self.low, self.high)
+            velocity, response = velocities[best], float(total[best])
+        return position, velocity, response
+
+    def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
+        """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""
+        total = 0.0
+        row = np.arange(len(self.first))[:, None]
+        for gcc, offset in zip(gccs, offsets, strict=True):
+            lag = self.lags((position + velocity * offset)[None])[0] + self.half_lags
+            lag = np.clip(lag, reach, 2 * self.half_lags - reach - 1)
+            whole = lag.astype(np.int64)
+            part = (lag - whole)[:, None]
+            index = whole[:, None] + np.arange(-reach, reach + 2)
+            values = gcc[row, index]
+            total = total + values[:, :-1] * (1.0 - part) + values[:, 1:] * part
+        return total / len(gccs)
+
+    def differences(self, aligned: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the range differences (pairs,) m of the peaks near a place's lags, and the peaks' heights."""
+        reach = aligned.shape[1] // 2
+        row = np.arange(len(aligned))
+        peak = 1 + np.argmax(aligned[:, 1:-1], axis=1)
+        offset = correlation.interpolate_peak(aligned[row, peak - 1], aligned[row, peak], aligned[row, peak + 1])
+        steps = self.lags(position[None])[0] + peak - reach + offset
+        return steps / self.steps_per_metre, aligned[row, peak]
+
+    def aligned_response(self, aligned: np.ndarray, position: np.ndarray, moved: np.ndarray) -> float:
+        """Return the response at `moved` (3,) m, given `aligned` for `position`; 0 where it is out of reach."""
+        reach = aligned.shape[1] // 2
+        lag = (self.lags(moved[None]) - self.lags(position[None]))[0] + reach
+        if lag.min() < 0.0 or lag.max() > 2 * reach - 1e-6:
+            return 0.0
+        whole = lag.astype(np.int64)
+        part = lag - whole
+        row = np.arange(len(aligned))
+        return float((aligned[row, whole] * (1.0 - part) + aligned[row, whole + 1] * part).mean())
+
+    def notch(self, gcc: np.ndarray, position: np.ndarray, width: float) -> np.ndarray:
+        """Return the GCC without what a place (3,) m adds: 0 up to `width` m from its lag, whole from twice that."""
+        lag = self.lags(position[None])[0]
+        distance = np.abs(np.arange(-self.half_lags, self.half_lags + 1) - lag[:, None]) / self.steps_per_metre
+        return gcc * np.clip(distance / width - 1.0, 0.0, 1.0).astype(np.float32)
+
+
+_CUBE = np.array([[x, y, z] for z in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)], dtype=np.float64)
+
+
+def _level_grid(step: float, count: int) -> np.ndarray:
+    axis = step * np.arange(-count, count + 1)
+    return np.array([[x, y, 0.0] for y in axis for x in axis])
+
+
+def _level_velocities(speeds: np.ndarray) -> np.ndarray:
+    return np.array([[x, y, 0.0] for y in speeds for x in speeds])
+
+
+def _dilate(gcc: np.ndarray, reach: int) -> np.ndarray:
+    """Return each lag's maximum within ± reach lags."""
+    wide = gcc.copy()
+    for step in range(1, reach + 1):
+        np.maximum(wide[:, step:], gcc[:, :-step], out=wide[:, step:])
+        np.maximum(wide[:, :-step], gcc[:, step:], out=wide[:, :-step])
+    return wide

@@ -1,0 +1,244 @@
+"""Known answers and properties of correlation, closed form, steered response and events."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
+
+from avcli.localization import correlation, events, multilateration
+from avcli.localization.array import Array, time_steps
+from avcli.localization.srp import SteeredResponse
+
+FS = 16000
+places = st.tuples(st.floats(0.4, 4.2), st.floats(0.4, 4.2), st.floats(0.3, 1.85)).map(np.array)
+
+
+def ranges(place, microphones=MICROPHONES):
+    return np.linalg.norm(microphones - place, axis=1)
+
+
+# --- spectra and correlation ------------------------------------------------------------------------------------------
+
+
+@given(st.integers(2, 300_000))
+def test_fft_sizes_are_even_smooth_and_tight(least):
+    size = correlation.fft_size(least)
+    assert size >= least
+    assert size % 2 == 0
+    assert size <= 1 << max(least - 1, 1).bit_length()
+    for prime in (2, 3, 5):
+        while size % prime == 0:
+            size //= prime
+    assert size == 1
+
+
+def test_hann_is_symmetric_and_sums_to_half():
+    window = correlation.hann(1001)
+    np.testing.assert_allclose(window, window[::-1])
+    assert window[0] == 0.0
+    assert window[500] == 1.0
+    assert window.sum() == pytest.approx(500.0)
+
+
+def test_high_pass_takes_away_dc_and_hum_and_leaves_speech():
+    t = np.arange(FS) / FS
+    hum, tone = 0.3 + np.sin(2 * np.pi * 50 * t), np.sin(2 * np.pi * 400 * t + 0.3)
+    filtered = correlation.high_pass((hum + tone)[:, None], FS, 200.0)[:, 0]
+    middle = slice(FS // 10, -FS // 10)
+    assert np.abs(filtered - tone)[middle].max() < 0.01
+    np.testing.assert_array_equal(correlation.high_pass(tone[:, None], FS, 0.0)[:, 0], tone)
+
+
+def gcc_of(signals, half, oversampling=1.0, beta=1.0):
+    size = len(signals)
+    bins = slice(1, size // 2)
+    spectra = np.fft.rfft(signals * correlation.hann(size)[:, None], axis=0).T[:, bins]
+    return correlation.gcc(correlation.whiten(spectra, beta), bins, size, half, oversampling)
+
+
+@given(st.integers(-30, 30))
+@settings(max_examples=20, deadline=None)
+def test_gcc_of_a_whole_delay_peaks_on_its_lag(delay):
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal(4096)
+    gcc = gcc_of(np.column_stack([np.roll(noise, delay), noise]), 40)[0]
+    assert np.argmax(gcc) - 40 == delay
+    assert gcc.max() > 0.9
+
+
+def test_gcc_of_equal_channels_is_one_whatever_beta():
+    noise = np.random.default_rng(2).standard_normal(2048)
+    for beta in (0.0, 0.7, 1.0):
+        assert gcc_of(np.column_stack([noise, -3.0 * noise, noise]), 5, beta=beta)[:, 5] == pytest.approx([-1, 1, -1])
+
+
+def test_oversampled_gcc_finds_fractions_of_a_sample():
+    rng = np.random.default_rng(3)
+    size, delay = 4096, 7.3
+    spectrum = np.fft.rfft(rng.standard_normal(size))
+    spectrum[1600:] = 0.0
+    late = np.fft.irfft(spectrum * np.exp(-2j * np.pi * np.arange(len(spectrum)) * delay / size))
+    bins = slice(1, 1600)
+    spectra = np.fft.rfft(np.column_stack([late, np.fft.irfft(spectrum)]), axis=0).T[:, bins]
+    gcc = correlation.gcc(correlation.whiten(spectra, 1.0), bins, size, 60, 4.0)[0]
+    peak = int(np.argmax(gcc))
+    offset = correlation.interpolate_peak(gcc[peak - 1], gcc[peak], gcc[peak + 1])
+    assert (peak - 60 + offset) / 4.0 == pytest.approx(delay, abs=0.01)
+
+
+# --- closed form and maximum likelihood -------------------------------------------------------------------------------
+
+
+@given(places, st.integers(0, 7))
+@settings(max_examples=50, deadline=None)
+def test_exact_delays_give_the_exact_place(place, reference):
+    distance = ranges(place)
+    positions, reach, condition = multilateration.closed_form(MICROPHONES, reference, distance - distance[reference])
+    assert len(positions) == 35
+    good = multilateration.valid(positions, reach, condition, max_condition=300.0, low=np.zeros(3), high=ROOM)
+    assert np.abs(positions[good] - place).max(initial=0.0) < 1e-6
+    first, second = correlation.pairs(8)
+    fitted, _, residual = multilateration.refine(
+        [2.33, 2.33, 1.4], MICROPHONES, first, second, distance[first] - distance[second], np.ones(28), scale=0.3
+    )
+    assert np.abs(fitted - place).max() < 1e-3
+    assert residual < 1e-3
+
+
+def test_a_plane_is_singular_for_the_closed_form_and_not_for_maximum_likelihood():
+    flat = MICROPHONES * [1, 1, 0] + [0, 0, 2.4]
+    place = np.array([1.2, 3.1, 1.5])
+    distance = ranges(place, flat)
+    positions, _, condition = multilateration.closed_form(flat, 0, distance - distance[0])
+    assert np.isinf(condition).all()
+    assert np.isnan(positions).all()
+    first, second = correlation.pairs(8)
+    fitted, _, _ = multilateration.refine(
+        [2.3, 2.3, 1.4], flat, first, second, distance[first] - distance[second], np.ones(28), scale=0.3
+    )
+    assert np.abs(fitted - place).max() < 1e-3
+
+
+def test_one_wrong_delay_does_not_move_the_robust_fit():
+    place = np.array([3.0, 1.4, 1.6])
+    first, second = correlation.pairs(8)
+    difference = (ranges(place)[first] - ranges(place)[second]).copy()
+    difference[[3, 11]] += 1.0
+    fitted, _, _ = multilateration.refine(place + 0.1, MICROPHONES, first, second, difference, np.ones(28), scale=0.05)
+    assert np.abs(fitted - place).max() < 0.01
+
+
+@given(places, st.floats(0.0, 6.28), st.tuples(*[st.floats(-9, 9)] * 3), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_the_closed_form_moves_with_the_room(place, angle, shift, mirrored):
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turn = turn @ np.diag([-1 if mirrored else 1, 1, 1])
+    noise = 0.003 * np.sin(np.arange(8.0))
+    difference = ranges(place) - ranges(place)[0] + noise
+    here, _, condition = multilateration.closed_form(MICROPHONES, 0, difference)
+    there, _, _ = multilateration.closed_form(MICROPHONES @ turn.T + shift, 0, difference)
+    good = condition < 300
+    np.testing.assert_allclose(there[good], here[good] @ turn.T + shift, atol=1e-6)
+
+
+# --- steered response -------------------------------------------------------------------------------------------------
+
+
+def test_a_cell_bounds_the_response_of_every_place_in_it():
+    rng = np.random.default_rng(4)
+    steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 60.0)
+    gcc = rng.standard_normal((28, 2 * steered.half_lags + 1)).astype(np.float32)
+    bound = steered.bound(steered._ladder(gcc), steered.coarse)
+    inside = rng.uniform(-1.0, 1.0, (20, 3)) * steered.half_cell
+    for cell in rng.integers(len(steered.cells), size=200):
+        assert steered.response(gcc, steered.cells[cell] + inside).max() <= bound[cell] + 0.05
+
+
+@given(places)
+@settings(max_examples=15, deadline=None)
+def test_the_search_finds_an_ideal_source(place):
+    place = np.clip(place, [0.3, 0.3, 0.9], [4.3, 4.3, 1.9])
+    steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 128.6)
+    lag = np.arange(-steered.half_lags, steered.half_lags + 1)
+    gcc = np.sinc(0.7 * (lag - steered.lags(place[None]).T)).astype(np.float32)
+    centres, values = steered.search(gcc)
+    assert np.linalg.norm(centres[0] - place) < 0.02
+    assert values[0] > 0.7
+
+
+# --- events -----------------------------------------------------------------------------------------------------------
+
+
+def test_short_time_energy_of_a_steady_sound_is_its_power():
+    samples = np.full((4000, 2), [1.0, 2.0])
+    energy = events.short_time_energy(samples, 401)
+    np.testing.assert_allclose(energy[300:-300], np.full((3400, 2), [1.0, 4.0]))
+    assert (energy >= 0.0).all()
+
+
+@given(st.lists(st.floats(0, 1), max_size=200), st.floats(0, 1), st.integers(1, 50))
+def test_events_lie_above_the_threshold_and_apart(energy, threshold, gap):
+    found = events.crossings(np.array(energy), threshold, gap)
+    assert (np.array(energy)[found] > threshold).all()
+    assert (np.diff(found) >= gap).all()
+    assert bool(len(found)) == any(e > threshold for e in energy)
+
+
+def test_the_gate_follows_the_noise_and_no_click_mutes_speech():
+    gate = events.Gate(10.0)
+    rng = np.random.default_rng(5)
+    noise = 1.0 + 0.05 * rng.standard_normal(60)
+    heard = [gate(e) for e in noise]
+    assert not any(heard[10:])
+    assert gate(1e6)
+    assert gate(3.0)
+    assert not gate(1.0)
+    for _ in range(100):
+        quiet = gate(1e-3)
+    assert not quiet
+    assert gate(3e-3), "the floor has come down with the noise"
+
+
+def test_a_tone_uses_few_lines_and_speech_many():
+    rng = np.random.default_rng(6)
+    t = np.arange(8192) / 44100
+    window = correlation.hann(8192)
+    tone = np.abs(np.fft.rfft(np.sin(2 * np.pi * 1000 * t) * window))[15:1500] ** 2
+    speech = np.abs(np.fft.rfft(voice(8192 / 44100, 44100, rng) * window))[15:1500] ** 2
+    assert events.occupancy(tone) < 0.02 < 0.05 < events.occupancy(speech)
+    assert events.occupancy(np.zeros(5)) == 0.0
+
+
+# --- arrays and steps -------------------------------------------------------------------------------------------------
+
+
+def test_arrays_from_which_no_position_can_be_had_are_refused():
+    line = np.outer(np.linspace(0, 4, 6), [1.0, 0.2, 0.0]) + 1.0
+    with pytest.raises(ValueError, match="line"):
+        Array(line, FS, ROOM).require(count=4, dimensions=2)
+    with pytest.raises(ValueError, match="3 microphones"):
+        Array(MICROPHONES[:3], FS, ROOM).require(count=4, dimensions=2)
+    with pytest.raises(ValueError, match="4 microphones"):
+        Array(MICROPHONES[[0, 0, 2, 3, 4]], FS, ROOM).require(count=5, dimensions=2)
+    flat = Array(MICROPHONES * [1, 1, 0] + [0, 0, 2.4], FS, ROOM)
+    flat.require(count=4, dimensions=2)
+    with pytest.raises(ValueError, match="plane"):
+        flat.require(count=5, dimensions=3)
+
+
+def test_time_steps_are_those_within_the_recording():
+    assert time_steps(0, 176400, 44100, 10.0, 0.0) == range(41)
+    assert time_steps(0, round(4.35 * 44100), 44100, 10.0, 0.35) == range(41)
+    assert time_steps(44100, 44100, 44100, 10.0, 0.0) == range(10, 21)
+    assert len(time_steps(0, 0, 44100, 10.0, 0.0)) == 0
+    assert len(time_steps(0, 100, 44100, 10.0, 0.5)) == 0
+
+
+def test_simulated_delays_are_the_geometry():
+    rng = np.random.default_rng(7)
+    place = np.array([1.0, 3.3, 1.5])
+    samples = noisy(heard(place, rng.standard_normal(FS), FS), 30, rng)
+    window = samples[4000:8096] * correlation.hann(4096)[:, None]
+    delays = multilateration.time_differences(window, FS, 2, np.full(8, 300.0), beta=0.7)
+    np.testing.assert_allclose(delays * 343.0, ranges(place) - ranges(place)[2], atol=0.004)
