@@ -1,0 +1,96 @@
+"""Joint associations of targets and detections: ranked, exact where few and bounded where many; and the best one."""
+
+import math
+from operator import itemgetter
+
+FIRST = itemgetter(0)
+
+
+def ranked(priors, options, budget=1000, span=11.5):
+    """The likeliest joint associations of several prior hypotheses, each detection used at most once.
+
+    A branch and bound over targets, breadth first: a partial association is dropped when even its best completion
+    (each remaining target takes its best detection, used or not) falls `span` nats below a feasible association. While
+    no layer holds more than `budget` of them the list is exact down to exp(-span) of the best; beyond, the layer keeps
+    those with the best bound (a beam, so the time is bounded).
+
+    priors: list of (log weight, row), row a tuple of one density index per target (-1: target not there).
+    options: density index -> list of (log weight, detection), detection -1 for "missed"; best first.
+    Returns a list of (log weight, prior number, tuple of detections, bit set of the used detections), best first.
+    """
+    beam, floor = [], -math.inf
+    for number, (weight, row) in enumerate(priors):
+        best = [options[leaf][0][0] if leaf >= 0 else 0.0 for leaf in row]
+        bound = weight + math.fsum(best)
+        beam.append((bound, number, (), 0))
+        used, value = 0, weight
+        for leaf in row:
+            if leaf >= 0:
+                for gain, j in options[leaf]:
+                    if j < 0 or not used >> j & 1:
+                        value += gain
+                        used |= 0 if j < 0 else 1 << j
+                        break
+        floor = max(floor, value)
+    floor -= span + 1e-9
+    for depth in range(len(priors[0][1])):
+        grown = []
+        for bound, number, taken, used in beam:
+            leaf = priors[number][1][depth]
+            if leaf < 0:
+                grown.append((bound, number, (*taken, -1), used))
+                continue
+            best = options[leaf][0][0]
+            for gain, j in options[leaf]:
+                reached = bound + gain - best
+                if reached < floor:
+                    break
+                if j < 0:
+                    grown.append((reached, number, (*taken, -1), used))
+                elif not used >> j & 1:
+                    grown.append((reached, number, (*taken, j), used | 1 << j))
+        if len(grown) > budget:
+            grown.sort(key=FIRST, reverse=True)
+            del grown[budget:]
+        beam = grown
+    beam.sort(key=FIRST, reverse=True)
+    return beam
+
+
+def cheapest(cost):
+    """The one-to-one assignment of least total cost (Jonker and Volgenant 1987, shortest augmenting paths).
+
+    cost: list of n rows of m >= n finite numbers. Returns a list of n column numbers.
+    """
+    n, m = len(cost), len(cost[0]) if cost else 0
+    u, v = [0.0] * (n + 1), [0.0] * (m + 1)
+    owner, way = [0] * (m + 1), [0] * (m + 1)  # column 0 is the root of each search
+    for i in range(1, n + 1):
+        owner[0] = i
+        j0 = 0
+        least, done = [math.inf] * (m + 1), [False] * (m + 1)
+        while owner[j0]:
+            done[j0] = True
+            i0, delta, j1 = owner[j0], math.inf, 0
+            for j in range(1, m + 1):
+                if not done[j]:
+                    reduced = cost[i0 - 1][j - 1] - u[i0] - v[j]
+                    if reduced < least[j]:
+                        least[j], way[j] = reduced, j0
+                    if least[j] < delta:
+                        delta, j1 = least[j], j
+            for j in range(m + 1):
+                if done[j]:
+                    u[owner[j]] += delta
+                    v[j] -= delta
+                else:
+                    least[j] -= delta
+            j0 = j1
+        while j0:
+            owner[j0] = owner[way[j0]]
+            j0 = way[j0]
+    columns = [0] * n
+    for j in range(1, m + 1):
+        if owner[j]:
+            columns[owner[j] - 1] = j - 1
+    return columns

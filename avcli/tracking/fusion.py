@@ -1,0 +1,92 @@
+"""From detections of several sensors to tracks, step by step."""
+
+import math
+
+import numpy as np
+
+from avcli.tracking.glmb import GLMB
+from avcli.tracking.gnn import GNN
+from avcli.tracking.model import sensor
+from avcli.tracking.smoothing import Delayed
+
+FLOOR, CEILING = 1e-6, 1e8  # m^2; a person's place is not defined to better than a millimetre
+
+
+class Fusion:
+    """A tracker with its sensors, its output delay and its numbering of people."""
+
+    def __init__(self, settings, tracker="ms-glmb", lag=0, sensors=None, margin=None):
+        """settings: Settings. tracker: "ms-glmb", "lmb" or "gnn". lag: steps of delay, math.inf: all at the end.
+        sensors: name -> what is known of it (see `model.sensor`). margin: m beyond the area where detections are still
+        taken, None: everywhere.
+        """
+        self.settings, self.known, self.margin = settings, sensors or {}, margin
+        if tracker == "gnn":
+            if lag:
+                raise ValueError("the gnn tracker has no smoothing: --lag must be 0")
+            self.tracker = GNN(settings)
+        else:
+            self.tracker = GLMB(settings, factorise=tracker == "lmb", record=lag > 0)
+        self.delayed = Delayed(self.tracker, lag) if lag else None
+        self.origin, self.numbers, self.outside = None, {}, 0
+
+    def step(self, time, records):
+        """Take in all records of one time step.
+
+        time: s. records: [(time s, sensor name, Detections), ...] in order of time, not later than `time`.
+        Returns [(time, [(number, Track), ...]), ...]: the steps that are due.
+        """
+        if self.origin is None:
+            self.origin = time
+        now = round(time - self.origin, 6)
+        looks = {}
+        for at, name, found in records:
+            looks.setdefault((round(at - self.origin, 6), name), []).append(found)
+        for (at, name), parts in looks.items():
+            self._scan(at, name, parts)
+        if self.delayed:
+            return [self._numbered(*due) for due in self.delayed.push(now)]
+        return [self._numbered(now, self.tracker.tracks(now))]
+
+    def finish(self):
+        """The steps that are left at the end, as `step` returns them."""
+        return [self._numbered(*due) for due in self.delayed.finish()] if self.delayed else []
+
+    def _scan(self, at, name, parts):
+        if name not in self.tracker.column:
+            self.tracker.add(sensor(name, **self.known.get(name, {})))
+        model = self.tracker.sensors[self.tracker.column[name]]
+        positions = np.concatenate([part.positions[:, :2] for part in parts])
+        covariances = np.concatenate([part.covariances[:, :2, :2] for part in parts])
+        scores = np.concatenate([part.scores for part in parts])
+        if self.margin is not None:
+            low, high = np.array(self.settings.area)
+            inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
+            self.outside += int((~inside).sum())
+            positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
+        noise = noise_of(covariances, model.sigma, self.settings.area)
+        self.tracker.scan(at, name, positions, noise, scores)
+
+    def _numbered(self, time, tracks):
+        for track in tracks:
+            if track.label not in self.numbers:
+                self.numbers[track.label] = len(self.numbers)
+        return self.origin + time, [(self.numbers[track.label], track) for track in tracks]
+
+
+def noise_of(covariances, sigma, area):
+    """Measurement noise as the filter needs it.
+
+    covariances: (J, 2, 2) m^2, NaN where not given; sigma: (sx, sy) m for those. A variance of 0 means that the
+    coordinate was not observed: it becomes the one whose density is that of a uniform distribution over the area.
+    Returns (J, 2, 2) m^2, positive definite.
+    """
+    noise = np.where(np.isnan(covariances).any((1, 2), keepdims=True), np.diag(np.square(sigma)), covariances)
+    for k in (0, 1):
+        unseen = noise[:, k, k] == 0
+        noise[unseen, k, :] = noise[unseen, :, k] = 0.0
+        noise[unseen, k, k] = (area[1][k] - area[0][k]) ** 2 / (2 * math.pi)
+        noise[:, k, k] = noise[:, k, k].clip(FLOOR, CEILING)
+    most = 0.999 * np.sqrt(noise[:, 0, 0] * noise[:, 1, 1])
+    noise[:, 0, 1] = noise[:, 1, 0] = ((noise[:, 0, 1] + noise[:, 1, 0]) / 2).clip(-most, most)
+    return noise

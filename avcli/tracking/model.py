@@ -1,0 +1,93 @@
+"""What a tracker is told (sensors, settings) and what it tells (tracks)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from avcli.tracking.motion import WALKING, Motion
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How one sensor sees people.
+
+    name: as records say it.
+    detection: probability that it finds, in one record, a person whom it can find.
+    clutter: false detections expected in one record.
+    sigma: (sx, sy) m, noise of detections that carry no covariance.
+    hide, show: rates per second at which people become hidden from it (fall silent) and findable again; hide 0: never.
+    lead: metres that what it localizes is in front of the body's axis (a mouth).
+    """
+
+    name: str
+    detection: float = 0.9
+    clutter: float = 0.05
+    sigma: tuple = (0.15, 0.15)
+    hide: float = 0.2
+    show: float = 0.6
+    lead: float = 0.0
+
+    def findable(self):
+        """Long-run probability that a person can be found."""
+        return self.show / (self.hide + self.show) if self.hide else 1.0
+
+
+def sensor(name, **known):
+    """The usual model of a sensor by its name: with "audio" in it, microphones that localize mouths; else a camera."""
+    if "audio" in name:
+        usual = {"detection": 0.8, "clutter": 0.1, "sigma": (0.25, 0.25), "hide": 1.0, "show": 1.0, "lead": 0.1}
+    else:
+        usual = {}
+    return Sensor(name, **{**usual, **known})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a tracker believes about people and how much it may think.
+
+    area: ((x0, y0), (x1, y1)) m, where people can be.
+    motion: Motion.
+    stay: mean time in s that a person stays in the room.
+    arrivals: people that come per second, anywhere in the area.
+    present: people expected in the room before the first record.
+    speed: standard deviation of each velocity component of someone first seen, m/s.
+    body: m; someone new is not expected nearer than this to a known person.
+    birth: "poisson" (from the first unexplained detection) or "adaptive" (from the previous record's detections).
+    adapt: whether clutter and detection probability are estimated on the way.
+    newborn: with adaptive birth, people expected to be born in each record.
+    hypotheses: joint hypotheses kept in each cluster of interacting people.
+    memory: records after which two hypotheses that agree since then count as equal.
+    """
+
+    area: tuple = ((0.0, 0.0), (4.66, 4.66))
+    motion: Motion = WALKING
+    stay: float = 30.0
+    arrivals: float = 0.03
+    present: float = 1.0
+    speed: float = 0.7
+    body: float = 0.3
+    birth: str = "poisson"
+    newborn: float = 0.05
+    adapt: bool = True
+    hypotheses: int = 60
+    memory: int = 10
+
+    def surface(self):
+        """Size of the area, m^2."""
+        (x0, y0), (x1, y1) = self.area
+        return max((x1 - x0) * (y1 - y0), 1e-6)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One person at one time.
+
+    label: unique, never given twice. state: (4,) x, y m, vx, vy m/s. cov: (4, 4). existence: probability.
+    found: sensor name -> probability that this sensor can find the person now (for microphones: that they speak).
+    """
+
+    label: int
+    state: np.ndarray
+    cov: np.ndarray
+    existence: float
+    found: dict = field(default_factory=dict)

@@ -1,0 +1,279 @@
+"""Synthetic detections of people in a room, with their truth: S1 to S4 and the cases that are hard for a tracker.
+
+Video localizes the body's axis, audio the mouth of whoever speaks, 0.1 m in front of it. Unless a case says otherwise:
+10 Hz, video sigma 0.12 m and detection probability 0.9, audio sigma 0.25 m and 0.85 while speaking, 0.02 and 0.05 false
+detections a record, all in a room of 4.66 m x 4.66 m.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+ROOM = 4.66
+RATE = 10.0
+
+
+@dataclass
+class Scene:
+    """truth: [(time s, ids, xy (n, 2) m)]; records: [(time s, sensor, z (J, 2) m, sigma m, owner (J,) id or -1)]."""
+
+    truth: list
+    records: list = field(default_factory=list)
+
+    def only(self, *sensors):
+        """The same scene heard or seen by some sensors alone."""
+        return Scene(self.truth, [r for r in self.records if r[1] in sensors])
+
+
+def waypoints(rng, times, start=None, low=0.4, high=ROOM - 0.4):
+    """Someone who walks between random places at 0.5 to 1.3 m/s and stands still now and then: (n, 2) m."""
+    here = rng.uniform(low, high, 2) if start is None else np.array(start, float)
+    knots_t, knots = [times[0]], [here]
+    while knots_t[-1] < times[-1]:
+        if rng.random() < 0.2:
+            knots_t.append(knots_t[-1] + rng.uniform(0.5, 3.0))
+        else:
+            there = rng.uniform(low, high, 2)
+            knots_t.append(knots_t[-1] + np.linalg.norm(there - here) / rng.uniform(0.5, 1.3) + 1e-3)
+            here = there
+        knots.append(here)
+    knots = np.array(knots)
+    return np.column_stack([np.interp(times, knots_t, knots[:, k]) for k in (0, 1)])
+
+
+class People:
+    """Paths on a fine clock, so that any sensor can look at any time: id -> (times, xy, speaks)."""
+
+    def __init__(self):
+        self.paths = {}
+
+    def add(self, times, xy, speaks=True):
+        """One more person. times (n,) s, xy (n, 2) m, speaks: bool or (n,) bool."""
+        self.paths[len(self.paths)] = (times, xy, np.broadcast_to(speaks, len(times)))
+
+    def at(self, time):
+        """ids (n,), xy (n, 2), mouth (n, 2), speaks (n,) of those in the room at a time."""
+        ids, rows = [], []
+        for i, (times, xy, speaks) in self.paths.items():
+            if times[0] - 1e-9 <= time <= times[-1] + 1e-9:
+                here = np.array([np.interp(time, times, xy[:, k]) for k in (0, 1)])
+                soon = np.array([np.interp(time + 0.05, times, xy[:, k]) for k in (0, 1)])
+                past = np.array([np.interp(time - 0.05, times, xy[:, k]) for k in (0, 1)])
+                step = soon - past
+                length = np.linalg.norm(step)
+                ahead = step / length if length > 1e-6 else np.array([1.0, 0.0])
+                ids.append(i)
+                rows.append((here, here + 0.1 * ahead, bool(speaks[min(np.searchsorted(times, time), len(times) - 1)])))
+        place = np.array([r[0] for r in rows]).reshape(-1, 2)
+        return (
+            np.array(ids, int),
+            place,
+            np.array([r[1] for r in rows]).reshape(-1, 2),
+            np.array([r[2] for r in rows], bool),
+        )
+
+
+@dataclass
+class Look:
+    """How a sensor of the bench looks: see the module's text."""
+
+    name: str
+    sigma: float
+    detection: float
+    clutter: float
+    rate: float = RATE
+
+    def record(self, rng, people, time, shown=None, hidden=(), detection=None):
+        """One record at `shown` (default: time) of what is there at `time`; nobody in `hidden` is found."""
+        ids, place, mouth, speaks = people.at(time)
+        if self.name == "audio":
+            place, able = mouth, speaks
+        else:
+            able = np.ones(len(ids), bool)
+        able = able & ~np.isin(ids, hidden)
+        chance = self.detection if detection is None else detection(place)
+        found = able & (rng.random(len(ids)) < chance)
+        z = place[found] + self.sigma * rng.standard_normal((found.sum(), 2))
+        ghosts = rng.uniform(0, ROOM, (rng.poisson(self.clutter), 2))
+        owner = np.r_[ids[found], np.full(len(ghosts), -1)].astype(int)
+        z = np.vstack([z, ghosts])
+        order = rng.permutation(len(z))
+        return (time if shown is None else shown, self.name, z[order], self.sigma, owner[order])
+
+
+VIDEO = Look("video", 0.12, 0.9, 0.02)
+AUDIO = Look("audio", 0.25, 0.85, 0.05)
+
+
+def clock(duration, rate=RATE):
+    """Times of a regular clock, both ends included, s."""
+    return np.arange(round(duration * rate) + 1) / rate
+
+
+def assemble(rng, people, duration, looks=(VIDEO, AUDIO), **how):
+    """Truth at 10 Hz and each sensor's records, in order of time."""
+    times = clock(duration)
+    truth = [(t, *people.at(t)[:2]) for t in times]
+    hidden = how.get("hidden", lambda name, t: ())
+    records = [
+        look.record(rng, people, t, hidden=hidden(look.name, t), detection=how.get("detection"))
+        for look in looks
+        for t in clock(duration, look.rate)
+    ]
+    return Scene(truth, sorted(records, key=lambda r: (r[0], r[1])))
+
+
+def straight(y, backwards=False):
+    """One walk along x at 1 m/s for 4 s: times, xy."""
+    t = clock(4.0)
+    x = 4.33 - t if backwards else 0.33 + t
+    return t, np.column_stack([x, np.full_like(t, y)])
+
+
+def s1(rng):
+    """One person who speaks."""
+    people = People()
+    people.add(*straight(2.33))
+    return assemble(rng, people, 4.0)
+
+
+def s2(rng):
+    """One person who speaks, hidden from the camera for 1.2 s."""
+    people = People()
+    people.add(*straight(2.33))
+    return assemble(rng, people, 4.0, hidden=lambda name, t: (0,) if name == "video" and 1.4 <= t < 2.6 else ())
+
+
+def s3(rng):
+    """Three people; the one in the middle walks the other way and speaks."""
+    people = People()
+    for y, back in ((1.33, False), (2.33, True), (3.33, False)):
+        people.add(*straight(y, back), speaks=back)
+    return assemble(rng, people, 4.0)
+
+
+def s4(rng):
+    """As S3, speaking one after the other."""
+    people = People()
+    t = clock(4.0)
+    for k, (y, back) in enumerate(((1.33, False), (2.33, True), (3.33, False))):
+        people.add(*straight(y, back), speaks=(t >= k * 4 / 3) & (t < (k + 1) * 4 / 3))
+    return assemble(rng, people, 4.0)
+
+
+def crossing(rng):
+    """Two people who cross at a shallow angle at 0.76 m/s."""
+    t = clock(6.0)
+    along = 0.05 + 0.75 * t
+    across = 0.12 * (t - 3.0)
+    people = People()
+    people.add(t, np.column_stack([along, 2.33 + across]))
+    people.add(t, np.column_stack([along, 2.33 - across]), speaks=False)
+    return assemble(rng, people, 6.0)
+
+
+def turning_back(rng):
+    """Two people who approach each other to 0.2 m at 0.7 m/s and turn back within 0.8 s (1.75 m/s^2)."""
+    t = clock(6.0)
+    away = np.abs(t - 3.0)
+    x = 0.7 * np.where(away < 0.4, away**2 / 0.8, away - 0.2)
+    people = People()
+    people.add(t, np.column_stack([2.23 - x, np.full_like(t, 2.33)]))
+    people.add(t, np.column_stack([2.43 + x, np.full_like(t, 2.33)]), speaks=False)
+    return assemble(rng, people, 6.0)
+
+
+def strollers(rng, count, duration, talk=True):
+    """People between random waypoints; each speaks in turns of seconds."""
+    people, t = People(), clock(duration)
+    for _ in range(count):
+        speaks = np.repeat(rng.random(len(t) // 20 + 1) < (0.4 if talk else 0.0), 20)[: len(t)]
+        people.add(t, waypoints(rng, t), speaks)
+    return people
+
+
+def clutter(rng):
+    """Three people among 10 + 5 false detections a frame."""
+    people = strollers(rng, 3, 20.0)
+    return assemble(rng, people, 20.0, (Look("video", 0.12, 0.9, 10.0), Look("audio", 0.25, 0.85, 5.0)))
+
+
+def weak(rng):
+    """Detection probability 0.3 in both sensors, 20 s, three people who all speak."""
+    people, t = People(), clock(20.0)
+    for _ in range(3):
+        people.add(t, waypoints(rng, t))
+    return assemble(rng, people, 20.0, (Look("video", 0.12, 0.3, 0.02), Look("audio", 0.25, 0.3, 0.05)))
+
+
+def comings_and_goings(rng):
+    """Six people who each come and go once within 30 s, anywhere in the room."""
+    people = People()
+    for k in range(6):
+        begin = np.round(rng.uniform(4.0 * k, 4.0 * k + 3.0), 1)
+        t = np.round(np.arange(begin, min(begin + rng.uniform(6.0, 12.0), 30.0), 0.1), 10)
+        people.add(t, waypoints(rng, t), rng.random() < 0.5)
+    return assemble(rng, people, 30.0)
+
+
+def asynchronous(rng):
+    """Audio 40 +- 20 ms off the video's clock, three straight walkers (S4)."""
+    base = s4(rng)
+    people, t = People(), clock(4.0)
+    for k, (y, back) in enumerate(((1.33, False), (2.33, True), (3.33, False))):
+        people.add(*straight(y, back), speaks=(t >= k * 4 / 3) & (t < (k + 1) * 4 / 3))
+    late = [AUDIO.record(rng, people, min(u + 0.04 + rng.uniform(-0.02, 0.02), 4.0)) for u in t]
+    records = [r for r in base.records if r[1] == "video"] + late
+    return Scene(base.truth, sorted(records, key=lambda r: (r[0], r[1])))
+
+
+def damaged(rng):
+    """S4 with 10 % of the records dropped and 10 % repeated (the merging puts the order right before the filter)."""
+    base = s4(rng)
+    records = []
+    for r in base.records:
+        if rng.random() < 0.9:
+            records += [r] * (2 if rng.random() < 0.1 else 1)
+    return Scene(base.truth, records)
+
+
+def gaps(rng):
+    """Two people for 20 s; for 2 to 2.5 s, twice, no sensor finds anybody."""
+    people = strollers(rng, 2, 20.0)
+    begins = (rng.uniform(4.0, 7.0), rng.uniform(12.0, 15.0))
+    spans = [(b, b + rng.uniform(2.0, 2.5)) for b in begins]
+    hidden = lambda name, t: (0, 1) if any(a <= t < b for a, b in spans) else ()  # noqa: E731
+    return assemble(rng, people, 20.0, hidden=hidden)
+
+
+def dim_edge(rng):
+    """Detection probability 0.45 beyond 1.4 m from the room's centre; three people, 20 s."""
+    people = strollers(rng, 3, 20.0)
+    far = lambda xy: np.where(np.linalg.norm(xy - ROOM / 2, axis=1) > 1.4, 0.45, 0.9)  # noqa: E731
+    return assemble(rng, people, 20.0, detection=far)
+
+
+def ten(rng):
+    """Ten people for 60 s."""
+    return assemble(rng, strollers(rng, 10, 60.0), 60.0)
+
+
+def long_pair(rng):
+    """Two people for 300 s."""
+    return assemble(rng, strollers(rng, 2, 300.0), 300.0)
+
+
+EASY = {"s1": s1, "s2": s2, "s3": s3, "s4": s4}
+HARD = {
+    "crossing": crossing,
+    "turning-back": turning_back,
+    "clutter": clutter,
+    "weak": weak,
+    "comings-goings": comings_and_goings,
+    "asynchronous": asynchronous,
+    "damaged": damaged,
+    "gaps": gaps,
+    "dim-edge": dim_edge,
+    "ten": ten,
+    "long-pair": long_pair,
+}

@@ -1,0 +1,221 @@
+"""avfuse as a real process: merging, live output, bad input, the thesis's listings."""
+
+import json
+import os
+import select
+import subprocess
+
+import numpy as np
+import pytest
+from conftest import BIN, run
+
+LISTING = (
+    r'{"timestamp": "0.0000000000", "objects": [{"position": [-0.63, 2.34, 0.52]}]}\n '
+    r'{"timestamp": "0.1000000000", "objects": [{"position": [-0.62, 2.34, 0.46]}]}\n '
+    r'{"timestamp": "0.2000000000", "objects": [{"position": [-0.44, 2.29, 0.35]}]}\n '
+    r'{"timestamp": "0.3000000000", "objects": [{"position": [-0.12, 2.31, 0.83]}]}\n '
+    r'{"timestamp": "0.4000000000", "objects": [{"position": [0.13, 2.37, 1.01]}]}\n '
+    r'{"timestamp": "0.5000000000", "objects": [{"position": [0.30, 2.35, 0.97]}]}\n '
+    r'{"timestamp": "0.6000000000", "objects": []}' + "\n"
+)
+"""The thesis's Listing .4, its separators as printed."""
+
+
+def line(time, positions=(), sensor="video", **more):
+    """One localization record."""
+    record = {"timestamp": f"{time:.10f}", "objects": [{"position": list(p), **more} for p in positions]}
+    return json.dumps({**record, **({"sensor": sensor} if sensor else {})}) + "\n"
+
+
+def walk(sensor="video", steps=20, seed=0, people=1, begin=0.0, sigma=0.1):
+    """Lines of someone who walks along x at 1 m/s (others beside them)."""
+    rng = np.random.default_rng(seed)
+    return [
+        line(
+            begin + k / 10,
+            [
+                [0.5 + k / 10 + sigma * rng.standard_normal(), 1.0 + p + sigma * rng.standard_normal()]
+                for p in range(people)
+            ],
+            sensor,
+        )
+        for k in range(steps)
+    ]
+
+
+def fuse(lines, *options):
+    """The records that avfuse makes of lines on its standard input."""
+    result = run("avfuse", *options, stdin="".join(lines))
+    assert (result.returncode, result.stderr) == (0, "")
+    return [json.loads(text) for text in result.stdout.splitlines()]
+
+
+@pytest.fixture
+def experiment(tmp_path):
+    (tmp_path / "config.json").write_text('{"room_config": {"room_dimensions_m": [4.66, 4.66, 3.0]}}')
+    return tmp_path
+
+
+def test_a_record_of_tracks_has_all_its_fields():
+    records = fuse(walk() + walk("audio", seed=1), "--max-wait", "inf")
+    assert [r["timestamp"] for r in records] == [f"{k / 10:.10f}" for k in range(20)]
+    (person,) = records[-1]["objects"]
+    assert person["object_id"] == 0
+    assert np.hypot(person["position"][0] - 2.4, person["position"][1] - 1.0) < 0.15
+    assert person["position"][2] == 0.0
+    assert abs(person["velocity"][0] - 1.0) < 0.3
+    assert np.linalg.eigvalsh(person["covariance"]).min() > 0
+    assert 0.9 < person["existence"] <= 1
+    assert 0.5 < person["speaking"] <= 1
+
+
+def test_one_stream_several_files_and_any_order_give_the_same_tracks(tmp_path):
+    video, audio = walk(people=2), walk("audio", seed=1)
+    (tmp_path / "v.jsonl").write_text("".join(video))
+    (tmp_path / "a.jsonl").write_text("".join(audio))
+    files = run("avfuse", tmp_path / "a.jsonl", tmp_path / "v.jsonl").stdout
+    named = run("avfuse", "--sensor", f"audio={tmp_path / 'a.jsonl'}", tmp_path / "v.jsonl").stdout
+    woven = [one for pair in zip(video, audio, strict=True) for one in pair]
+    swapped = woven[:4] + [woven[k ^ 2] for k in range(4, len(woven))]  # neighbours in time change places
+    repeated = [one for one in woven for _ in range(2)]
+    assert files.count(b"\n") == 20
+    for other in (named, *(run("avfuse", "--rate", "10", stdin="".join(x)).stdout for x in (woven, swapped, repeated))):
+        assert other == files
+
+
+def test_the_order_of_detections_and_the_hash_seed_do_not_matter():
+    lines = walk(people=3)
+    shuffled = []
+    for text in lines:
+        record = json.loads(text)
+        record["objects"].reverse()
+        shuffled.append(json.dumps(record) + "\n")
+    one = run("avfuse", stdin="".join(lines), env={"PYTHONHASHSEED": "1"}).stdout
+    assert run("avfuse", stdin="".join(shuffled), env={"PYTHONHASHSEED": "2"}).stdout == one
+
+
+def test_a_track_leaves_as_soon_as_its_step_is_complete(experiment):
+    with subprocess.Popen(
+        [BIN / "avfuse", "-C", experiment, "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+    ) as process:
+        for video, audio in list(zip(walk(), walk("audio", seed=1), strict=True))[:2]:
+            process.stdin.write((video + audio).encode())
+        assert select.select([process.stdout], [], [], 20)[0], "the first step is complete"
+        assert json.loads(os.read(process.stdout.fileno(), 65536).splitlines()[0])["timestamp"] == "0.0000000000"
+        process.stdin.close()
+        assert process.wait() == 0
+
+
+def test_one_record_for_every_tick_whatever_is_missing_or_added(experiment):
+    video, audio = walk(steps=41), walk("audio", steps=41, begin=0.03)
+    del video[17], video[5:7]
+    records = fuse(sorted(video + audio, key=lambda t: json.loads(t)["timestamp"]), "-C", experiment)
+    assert [r["timestamp"] for r in records] == [f"{k / 10:.10f}" for k in range(41)]
+
+
+def test_the_rate_is_found_given_or_configured(experiment):
+    lines = [line(k / 25, [[1.0, 1.0]]) for k in range(26)]
+    assert [r["timestamp"] for r in fuse(lines)][:3] == ["0.0000000000", "0.0400000000", "0.0800000000"]
+    assert len(fuse(lines, "--rate", "5")) == 6
+    assert len(fuse(lines, "-C", experiment)) == 11
+
+
+def test_unix_time_off_the_grid_is_kept():
+    begin = 1.7e9 + 0.037
+    records = fuse(walk(begin=begin))
+    assert [r["timestamp"] for r in records][:2] == [f"{begin:.10f}", f"{begin + 0.1:.10f}"]
+    assert len(records) == 20
+    assert len(records[5]["objects"]) == 1
+
+
+def test_a_lagging_sensor_is_left_behind_and_that_is_said(experiment):
+    result = run("avfuse", "-C", experiment, stdin="".join(walk(steps=40) + walk("audio", steps=40)))
+    assert result.returncode == 0
+    assert "'audio'" in result.stderr
+    assert "left behind" in result.stderr or "too late" in result.stderr
+    assert result.stdout.count(b"\n") == 40
+
+
+def test_the_thesis_listing_loads_as_it_stands(experiment):
+    (experiment / "video_localizations.jsonl").write_text(LISTING)
+    for options in ((), ("--preset", "thesis")):
+        result = run("avfuse", "-C", experiment, *options, experiment / "video_localizations.jsonl")
+        assert (result.returncode, result.stderr) == (0, "")
+        records = [json.loads(text) for text in result.stdout.splitlines()]
+        assert [r["timestamp"] for r in records] == [f"{k / 10:.10f}" for k in range(7)]
+        assert len(records[5]["objects"]) == 1
+
+
+def test_detections_outside_the_room_are_dropped_by_margin(experiment):
+    lines = [line(k / 10, [[-0.6, 2.0]]) for k in range(10)]
+    assert not any(r["objects"] for r in fuse(lines, "-C", experiment))
+    assert all(r["objects"] for r in fuse(lines, "-C", experiment, "--room-margin", "1"))
+    assert all(r["objects"] for r in fuse(lines))
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", line(0.0), line(0.0, [[1, 1, None]]), line(0, [[1, 1]], None)])
+def test_hardly_any_input(text):
+    records = fuse([text])
+    assert len(records) == (1 if text.strip() else 0)
+
+
+def test_bad_input_is_located_or_skipped():
+    bad = ["no json\n", '{"timestamp": 1}\n', line(0.5, [[1, None]]), '{"timestamp":"x","objects":[]}\n']
+    good = walk()
+    for text in bad:
+        result = run("avfuse", stdin="".join([*good[:3], text]))
+        assert result.returncode == 1
+        assert result.stderr.startswith("avfuse: <stdin>:4")
+        assert result.stderr.count("\n") == 1
+    result = run("avfuse", "--skip-invalid", stdin="".join([*good[:3], *bad, *good[3:]]))
+    assert result.returncode == 0
+    assert "skipped 3 invalid records" in result.stderr
+    assert "skipped 1 invalid object" in result.stderr
+    assert result.stdout.count(b"\n") == 20
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--sigma", "video"),
+        ("--sigma", "video=x"),
+        ("--detection", "video=2"),
+        ("--lag", "-1"),
+        ("--sensor", "video="),
+        ("missing.jsonl",),
+        ("--tracker", "gnn", "--lag", "3"),
+        ("--rate", "0"),
+    ],
+)
+def test_wrong_usage(options):
+    result = run("avfuse", *options, stdin=line(0.0))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+
+
+def test_options_of_a_sensor_reach_it():
+    lines = walk()
+    default = fuse(lines)
+    assert fuse(lines, "--sigma", "video=0.15") == default
+    wide = fuse(lines, "--sigma", "video=0.5,0.5,0")
+    assert wide[0]["objects"][0]["covariance"][0][0] == pytest.approx(0.25)
+    assert fuse(lines, "--sigma", "video=0.3,0")[0]["objects"][0]["covariance"][1][1] > 3.0  # y is not observed
+    assert not fuse(lines, "--detection", "video=0", "--no-adapt")[-1]["objects"]
+
+
+def test_lag_delays_smooths_and_keeps_every_step():
+    lines = walk(steps=40, sigma=0.15, people=2)
+    online, late, offline = (fuse(lines, "--lag", n) for n in ("0", "5", "inf"))
+    assert [r["timestamp"] for r in late] == [r["timestamp"] for r in offline] == [r["timestamp"] for r in online]
+
+    def error(records):
+        return np.mean([abs(p["position"][1] - round(p["position"][1])) for r in records for p in r["objects"]])
+
+    assert error(offline) < error(late) < error(online)
+
+
+@pytest.mark.parametrize("tracker", ["ms-glmb", "lmb", "gnn"])
+def test_every_tracker_follows_three_people(tracker):
+    records = fuse(walk(people=3, steps=30), "--tracker", tracker)
+    assert {p["object_id"] for r in records for p in r["objects"]} == {0, 1, 2}
+    assert len(records[-1]["objects"]) == 3
