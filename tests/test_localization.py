@@ -161,7 +161,7 @@ def test_the_search_finds_an_ideal_source(place):
     place = np.clip(place, [0.3, 0.3, 0.9], [4.3, 4.3, 1.9])
     steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 128.6)
     lag = np.arange(-steered.half_lags, steered.half_lags + 1)
-    gcc = np.sinc(0.7 * (lag - steered.lags(place[None]).T)).astype(np.float32)
+    gcc = np.sinc(0.36 * (lag - steered.lags(place[None]).T)).astype(np.float32)
     centres, values = steered.search(gcc)
     assert np.linalg.norm(centres[0] - place) < 0.04
     assert values[0] > 0.5
