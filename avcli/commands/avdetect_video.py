@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +12,6 @@ import click
 
 from avcli.commands import filter
 
-PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".npy"}
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ogv"}
 AHEAD = 3
 """Frames that are decoded ahead of use where that cannot hold up a live pipeline."""
@@ -230,41 +228,33 @@ def _object(person) -> dict:
 
 
 def _shots(session, files: tuple[str, ...], rate: float | None, *, pictures_are_depth: bool) -> Iterator[Shot]:
-    """Yield the time steps of all files: records, pictures, videos or a camera, told apart by name."""
-    pictures, streams = [], []
-    for file in files or ("-",):
-        path = Path(file)
-        if path.is_dir():
-            inside = sorted(item for item in path.iterdir() if item.suffix.lower() in PICTURES)
-            if not inside:
-                session.usage(f"{file}: no pictures in this directory")
-            pictures += inside
-        elif path.suffix.lower() in PICTURES:
-            if not path.exists():
-                session.usage(f"{file}: no such file")
-            pictures.append(path)
-        else:
-            streams.append(file)
-    if pictures and streams:
-        session.usage("pictures and other input cannot be mixed")
-    if pictures:
-        yield from _picture_shots(pictures, rate or session.config.frame_rate_hz, pictures_are_depth)
-    moving = [file for file in streams if Path(file).suffix.lower() in VIDEOS or _is_camera(file)]
+    """Yield the time steps of all files: records, pictures, a video or a camera, told apart by name."""
+    from avcli import footage
+
+    files = files or ("-",)
+    moving = [file for file in files if footage.is_camera(file) or Path(file).suffix.lower() in VIDEOS]
+    still = [file for file in files if Path(file).is_dir() or Path(file).suffix.lower() in footage.PICTURES]
+    if len(moving) > 1 or (moving and len(files) > 1) or (still and len(still) < len(files)):
+        session.usage("one video or camera at a time, or pictures only, or records only")
+    missing = [file for file in (*still, *moving) if not file.isdigit() and not Path(file).exists()]
+    if missing:
+        session.usage(f"{missing[0]}: no such {'camera' if footage.is_camera(missing[0]) else 'file'}")
     if moving and pictures_are_depth:
-        session.usage(f"{moving[0]}: a video has no depth; use --model")
-    if moving and len(streams) > 1:
-        session.usage("one video or camera at a time")
+        session.usage(f"{moving[0]}: a video has no depth; find people in it by --detector net")
     if moving:
-        yield from _video_shots(session, moving[0], rate)
-    elif streams:
-        yield from _record_shots(session, streams)
+        for picture in footage.pictures(moving, rate):
+            yield Shot(picture.timestamp, lambda image=picture.image: image, None)
+    elif still:
+        yield from _picture_shots(session, still, rate, pictures_are_depth)
+    else:
+        yield from _record_shots(session, files)
 
 
-def _record_shots(session, streams: list[str]) -> Iterator[Shot]:
+def _record_shots(session, files: tuple[str, ...]) -> Iterator[Shot]:
     from avcli import media, records
 
     root = session.media_root
-    for frame in session.records(streams, lambda record, _bad: records.frame(record)):
+    for frame in session.records(files, lambda record, _bad: records.frame(record)):
         if frame is not None:
             yield Shot(
                 frame.timestamp,
@@ -273,67 +263,27 @@ def _record_shots(session, streams: list[str]) -> Iterator[Shot]:
             )
 
 
-def _picture_shots(paths: list[Path], rate: float, pictures_are_depth: bool) -> Iterator[Shot]:
-    """Pictures in the order given; a time in the name ("RGB_frame_0.1000000000.png") is taken, else k / rate."""
-    from avcli import media
+def _picture_shots(session, files: list[str], rate: float | None, are_depth: bool) -> Iterator[Shot]:
+    """Pictures in the order given; a time in every name ("RGB_frame_0.1000000000.png") is taken, else k / rate."""
+    from avcli import footage, media
 
+    paths = []
+    for path in map(Path, files):
+        inside = (
+            sorted(item for item in path.iterdir() if item.suffix.lower() in footage.PICTURES)
+            if path.is_dir()
+            else [path]
+        )
+        if not inside:
+            session.usage(f"{path}: no pictures in this directory")
+        paths += inside
     stamps = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
     for index, (path, stamp) in enumerate(zip(paths, stamps, strict=True)):
-        timestamp = float(stamp[1]) if all(stamps) else index / rate
-        if pictures_are_depth:
+        timestamp = float(stamp[1]) if all(stamps) else index / (rate or session.config.frame_rate_hz)
+        if are_depth:
             yield Shot(timestamp, None, lambda path=path: media.read_depth(path))
         else:
             yield Shot(timestamp, lambda path=path: media.read_rgb(path), None)
-
-
-def _is_camera(file: str) -> bool:
-    return file.startswith("/dev/")
-
-
-def _video_shots(session, file: str, rate: float | None) -> Iterator[Shot]:
-    """A video's frames by its own clock from 0, a camera's by Unix time, each at most `rate` times a second."""
-    import cv2
-
-    live = _is_camera(file)
-    if not Path(file).exists():
-        session.usage(f"{file}: no such {'camera' if live else 'file'}")
-    with _silent_opencv():
-        capture = cv2.VideoCapture(file)
-    if not capture.isOpened():
-        session.fail(f"{file}: {'this camera' if live else 'a video that'} cannot be opened")
-    try:
-        own = capture.get(cv2.CAP_PROP_FPS)
-        if not own > 0:
-            own = session.config.frame_rate_hz
-        step, due, count = 1 / rate if rate else 0.0, 0.0, 0
-        while capture.grab():
-            timestamp = time.time() if live else count / own
-            count += 1
-            if timestamp < due - 1e-6:
-                continue
-            read, picture = capture.retrieve()
-            if not read:
-                break
-            picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-            yield Shot(due if step and not live else timestamp, lambda picture=picture: picture, None)
-            due = (max(due, timestamp) if live else due) + step
-        if count == 0 or live:
-            session.fail(f"{file}: {'the camera gives no more pictures' if live else 'no pictures in this video'}")
-    finally:
-        capture.release()
-
-
-@contextlib.contextmanager
-def _silent_opencv() -> Iterator[None]:
-    """Keep OpenCV's own warnings off stderr while a device is tried."""
-    import cv2
-
-    level = cv2.getLogLevel()
-    cv2.setLogLevel(0)
-    try:
-        yield
-    finally:
-        cv2.setLogLevel(level)
 
 
 def _decoded(shots: Iterator[Shot], pool: ThreadPoolExecutor, need_rgb: bool, need_depth: bool, files) -> Iterator:
@@ -342,7 +292,7 @@ def _decoded(shots: Iterator[Shot], pool: ThreadPoolExecutor, need_rgb: bool, ne
     Files are decoded a few frames ahead; a pipe is not read ahead, since that would hold back the frame in hand.
     """
     waiting = deque()
-    ahead = AHEAD if files and "-" not in files and not any(map(_is_camera, files)) else 0
+    ahead = AHEAD if files and all(Path(file).is_file() or Path(file).is_dir() for file in files) else 0
     for shot in shots:
         waiting.append(
             (

@@ -20,8 +20,8 @@ TALLEST_M = 2.3
 """m; what is higher is no person."""
 
 CELL_M = 0.05
-SPREAD_M = 0.12
-"""m; standard deviation of the smoothing of the plan view: half a torso."""
+SPREAD_M = 0.08
+"""m; standard deviation of the smoothing of the plan view: a head."""
 
 APART_M = 0.30
 """m; two people's axes are never nearer to each other."""
@@ -231,7 +231,7 @@ def separate(points: np.ndarray, surface: np.ndarray) -> list[np.ndarray]:
 
     if not len(points):
         return []
-    weights = surface * np.interp(points[:, 2], [0.3, 0.8], [0.3, 1.0])
+    weights = surface * np.interp(points[:, 2], [0.3, 0.8, 1.25, 1.45], [0.1, 1.0, 1.0, 4.0])  # heads stand apart
     corner = points[:, :2].min(axis=0) - 3 * SPREAD_M
     cells = ((points[:, :2] - corner) / CELL_M).astype(int)
     shape = tuple(cells.max(axis=0) + 1 + int(3 * SPREAD_M / CELL_M))

@@ -1,0 +1,303 @@
+"""Positions of people: from depth against bodies cast ray by ray, from boxes alone, and where nothing can be known."""
+
+import numpy as np
+import pytest
+from detection_people import KB8, cast, ceiling_view
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.detection.depth import DepthDetector, place_centre, separate
+from avcli.detection.monocular import locate_box
+from avcli.detection.network import Boxes
+from avcli.detection.overlay import draw
+from avcli.detection.view import View
+from avcli.lens import BrownConrady, Division, KannalaBrandt
+from avcli.pose import camera_pose
+
+
+@pytest.fixture(scope="module")
+def view():
+    return ceiling_view(4)
+
+
+@pytest.fixture(scope="module")
+def background(view):
+    return cast(view)
+
+
+@pytest.fixture(scope="module")
+def detector(view, background):
+    return DepthDetector(view, background)
+
+
+def box_of(depth, background):
+    rows, columns = np.nonzero((depth > 0) & (depth < background - 0.03))
+    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], float)
+
+
+def placed_at(radius, azimuth, seed):
+    rng = np.random.default_rng(seed)
+    x, y = 2.33 + radius * np.cos(azimuth), 2.33 + radius * np.sin(azimuth)
+    return x, y, rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5), rng.uniform(1.55, 1.9)
+
+
+# --- the camera -------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(0, 1919), st.floats(0, 1079))
+def test_a_pixels_ray_projects_onto_the_pixel(u, v):
+    view = ceiling_view(1, stride=4)
+    ray = view.unproject(np.array([[u, v]]))
+    assert np.allclose(view.project(view.origin + 2.0 * ray), [[u, v]], atol=1e-8)
+
+
+def test_samples_rays_and_indices_belong_together():
+    view = ceiling_view(1, stride=4)
+    v, u = np.mgrid[:1080, :1920]
+    columns, rows = view.sampled(u), view.sampled(v)
+    assert view.rays.shape[:2] == columns.shape == (270, 480)
+    pixels = np.stack([columns[10, 20], rows[10, 20]])[None].astype(float)
+    assert view.sample_indices(pixels).tolist() == [[20, 10]]
+    assert np.allclose(view.rays[10, 20], view.unproject(pixels)[0], atol=1e-6)
+    assert view.sample_indices(np.array([[-0.5, -0.5], [1919.4, 1079.4]])).tolist() == [[0, 0], [479, 269]]
+
+
+def test_solid_angles_add_up():
+    view = View(KannalaBrandt(100.0, 100.0, 199.5, 199.5), camera_pose([0, 0, 2.5], [90, 0, 0]), (400, 400), 1.0, 1)
+    assert view.solid_angles.sum() == pytest.approx(2 * np.pi * (1 - np.cos(1.0)), rel=0.02)
+
+
+def test_depth_along_the_axis_and_along_the_ray_agree(view):
+    radial = np.full((270, 480), 20000, np.uint16)
+    along = np.rint(radial * np.where(view.cosines > 0, view.cosines, 0)).astype(np.uint16)
+    metres = view.radial_depth(radial, 1e-4), view.radial_depth(along, 1e-4, "z")
+    steep = view.cosines > 0.3
+    assert np.allclose(metres[0][steep], metres[1][steep], atol=3e-4)
+
+
+def test_what_was_not_measured_is_no_depth(view):
+    picture = np.zeros((270, 480), np.uint8)
+    picture[0, :2] = 255, 7
+    assert view.radial_depth(picture, 0.02)[0, :3].tolist() == [0.0, pytest.approx(0.14), 0.0]
+
+
+def test_rays_beyond_the_lens_are_none():
+    fold = View(BrownConrady(596.43, 596.43, 960, 540, -0.2), camera_pose([0, 0, 2.5], [90, 0, 0]), (1920, 1080))
+    assert np.isnan(fold.unproject(np.array([[960 + 514.0, 540.0]]))).all()
+    assert np.isfinite(fold.unproject(np.array([[960 + 510.0, 540.0]]))).all()
+    narrow = View(fold.lens, camera_pose([0, 0, 2.5], [90, 0, 0]), (1920, 1080), theta_max=0.5)
+    assert np.isnan(narrow.unproject(np.array([[960 + 510.0, 540.0]]))).all()
+
+
+# --- depth ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("azimuth", [0.0, np.pi])
+def test_the_axis_of_a_body_within_six_centimetres_on_average(view, detector, radius, azimuth):
+    errors = []
+    for seed in range(4):
+        person = placed_at(radius, azimuth, seed)
+        (found,) = detector.detect(cast(view, [person]))
+        errors.append(found.position[:2] - person[:2])
+        assert found.height is None or found.height == pytest.approx(person[4], abs=0.06)
+    assert np.linalg.norm(np.mean(errors, axis=0)) < 0.06
+    assert np.linalg.norm(errors, axis=1).max() < 0.13
+
+
+def test_somebody_under_the_camera_has_a_position(view, detector):
+    (found,) = detector.detect(cast(view, [(2.33, 2.33, 0.3, 0.2, 1.75)]))
+    assert np.linalg.norm(found.position[:2] - 2.33) < 0.02
+    assert np.isfinite(found.covariance).all()
+
+
+def test_a_headless_body_at_the_border_is_found_by_its_legs(view, detector):
+    person = (2.33, 3.55, 0.0, 0.3, 1.75)
+    (found,) = detector.detect(cast(view, [person]))
+    assert np.linalg.norm(found.position[:2] - person[:2]) < 0.15
+    assert found.height is None
+
+
+def test_two_who_touch_are_two(view, detector):
+    people = [(1.6, 2.30, 0.0, 0.2, 1.75), (1.6, 2.80, 0.0, -0.2, 1.65)]
+    found = detector.detect(cast(view, people))
+    assert len(found) == 2
+    for person in people:
+        assert min(np.linalg.norm(one.position[:2] - person[:2]) for one in found) < 0.10
+
+
+def test_one_who_hides_the_other_does_not_move_them(view, detector):
+    people = [(3.2, 2.33, np.pi / 2, 0.0, 1.8), (3.9, 2.33, np.pi / 2, 0.0, 1.8)]
+    found = sorted(detector.detect(cast(view, people)), key=lambda one: one.position[0])
+    assert len(found) == 2
+    assert np.linalg.norm(found[0].position[:2] - people[0][:2]) < 0.10
+    assert np.linalg.norm(found[1].position[:2] - people[1][:2]) < 0.25
+
+
+def test_an_empty_room_is_empty(view, detector, background):
+    noise = np.random.default_rng(0)
+    for _ in range(20):
+        assert detector.detect(np.where(background > 0, background + noise.normal(0, 0.01, background.shape), 0)) == []
+
+
+def test_furniture_that_was_moved_is_nobody(view, detector, background):
+    seat = np.array([2.9, 2.7, 0.45])
+    t = (seat[2] - view.origin[2]) / view.rays[..., 2]
+    points = view.origin + t[..., None] * view.rays
+    chair = (np.abs(points[..., :2] - seat[:2]) < 0.25).all(axis=2)
+    assert detector.detect(np.where(chair, t, background).astype(np.float32)) == []
+
+
+def test_depth_without_numbers_finds_nobody(view, detector, background):
+    assert detector.detect(np.zeros_like(background)) == []
+    assert detector.detect(np.full_like(background, 1e-4)) == []
+
+
+def test_salt_in_the_depth_is_nobody_and_moves_nobody(view, detector):
+    person = (1.5, 2.0, 1.0, 0.2, 1.75)
+    depth = cast(view, [person])
+    rng = np.random.default_rng(0)
+    hit = rng.random(depth.shape) < 0.01
+    depth[hit] = rng.uniform(0.5, 3.0, hit.sum())
+    (found,) = detector.detect(depth)
+    assert np.linalg.norm(found.position[:2] - person[:2]) < 0.10
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.4, 4.2), st.floats(1.2, 3.4), st.floats(0, 6.3), st.integers(0, 100))
+def test_covariances_are_positive_and_boxes_lie_on_the_picture(x, y, yaw, seed):
+    view = ceiling_view(8)
+    detector = DepthDetector(view, cast(view))
+    for found in detector.detect(cast(view, [(x, y, yaw, 0.3, 1.5 + seed / 250)])):
+        assert np.allclose(found.covariance, found.covariance.T)
+        assert np.linalg.eigvalsh(found.covariance)[0] > 0
+        assert found.covariance[2, 2] >= 0.2
+        assert (found.bbox_px >= 0).all()
+        assert (found.bbox_px <= [240, 135, 240, 135]).all()
+        assert 0 < found.score < 1
+
+
+def test_error_and_covariance_agree(view, detector):
+    distances = []
+    for seed in range(40):
+        rng = np.random.default_rng(1000 + seed)
+        person = (rng.uniform(0.4, 4.2), rng.uniform(1.3, 3.3), rng.uniform(0, 6.28), rng.uniform(-0.5, 0.5), 1.75)
+        found = detector.detect(cast(view, [person]))
+        assert len(found) == 1
+        error = found[0].position[:2] - person[:2]
+        distances.append(error @ np.linalg.solve(found[0].covariance[:2, :2], error))
+    assert 0.5 < np.mean(distances) < 4.0  # 2 is what a perfect covariance gives
+
+
+def test_the_order_of_points_does_not_matter():
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.normal([1, 1, 1], 0.1, (200, 3)), rng.normal([2, 1, 1], 0.1, (200, 3))])
+    order = rng.permutation(400)
+    first, second = separate(points, np.full(400, 1e-3)), separate(points[order], np.full(400, 1e-3))
+    assert [set(member.tolist()) for member in first] == [set(order[member].tolist()) for member in second]
+    assert len(first) == 2
+
+
+# --- a network's boxes ------------------------------------------------------------------------------------------------
+
+
+def test_boxes_with_depth_take_the_body_in_them(view, detector, background):
+    people = [(1.2, 2.0, 0.0, 0.2, 1.75), (3.4, 2.6, 2.0, -0.3, 1.65)]
+    depth = cast(view, people)
+    boxes = np.array([box_of(cast(view, [person]), background) for person in people])
+    for one in (detector, DepthDetector(view, None)):
+        found = one.place(Boxes(boxes, np.array([0.9, 0.8])), depth)
+        assert [person.method for person in found] == ["depth", "depth"]
+        assert [person.score for person in found] == [0.9, 0.8]
+        for person, body in zip(found, people, strict=True):
+            assert np.linalg.norm(person.position[:2] - body[:2]) < 0.10
+
+
+def test_two_boxes_that_overlap_give_two_points(view, detector, background):
+    people = [(1.5, 2.30, 0.0, 0.2, 1.75), (1.5, 2.75, 0.0, -0.2, 1.65)]
+    boxes = np.array([box_of(cast(view, [person]), background) for person in people])
+    found = detector.place(Boxes(boxes, np.array([0.9, 0.9])), cast(view, people))
+    for person, body in zip(found, people, strict=True):
+        assert np.linalg.norm(person.position[:2] - body[:2]) < 0.12
+
+
+def test_a_box_on_the_empty_room_is_nobody_where_depth_shows_it(view, detector, background):
+    found = Boxes(np.array([[200.0, 100.0, 240.0, 150.0]]), np.array([0.9]))
+    assert detector.place(found, background) == []
+    assert len(detector.place(found, None)) == 1
+    assert len(detector.place(found, np.zeros_like(background))) == 1
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.5, 1.0, 1.5, 2.0])
+def test_a_box_alone_places_within_fifteen_centimetres(view, background, radius):
+    errors, distances = [], []
+    for seed in range(8):
+        person = placed_at(radius, seed * np.pi / (14 if radius < 1.2 else 40), seed)
+        centre, covariance, height = locate_box(box_of(cast(view, [person]), background), view)
+        errors.append(np.linalg.norm(centre - person[:2]))
+        distances.append((centre - person[:2]) @ np.linalg.solve(covariance, centre - person[:2]))
+        assert 1.2 < height < 2.1
+    assert np.median(errors) < 0.15
+    assert np.max(errors) < 0.35
+    assert np.mean(distances) < 6.0
+
+
+def test_parts_sharpen_the_place(view, background):
+    person = (3.5, 2.4, 1.0, 0.3, 1.75)
+    axis = np.array([[person[0], person[1], z] for z in (0.54 * 1.75, 0.93 * 1.75, 0.0)])
+    box = box_of(cast(view, [person]), background)
+    centre, covariance, height = locate_box(box, view, view.project(axis) + 0.5)
+    assert np.linalg.norm(centre - person[:2]) < 0.05
+    assert height == pytest.approx(1.75, abs=0.06)
+    assert np.trace(covariance) < np.trace(locate_box(box, view)[1])
+
+
+def test_rays_above_the_horizon_give_no_place():
+    tilted = View(KannalaBrandt(300.0, 300.0, 320.0, 240.0), camera_pose([0, 0, 2.5], [0, 0, 0]), (640, 480))
+    assert locate_box(np.array([300.0, 20.0, 340.0, 60.0]), tilted) is None
+
+
+def test_a_box_outside_the_lens_gives_no_place():
+    fold = View(BrownConrady(596.43, 596.43, 960, 540, -0.2), camera_pose([0, 0, 2.5], [90, 0, 0]), (1920, 1080))
+    assert locate_box(np.array([1700.0, 500.0, 1900.0, 600.0]), fold) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-300, 900), min_size=4, max_size=4))
+def test_any_box_gives_a_finite_place_or_none(numbers):
+    view = ceiling_view(4)
+    box = np.array([min(numbers[0], numbers[2]), min(numbers[1], numbers[3]), max(numbers[0], numbers[2]), 0.0])
+    box[3] = max(numbers[1], numbers[3])
+    found = locate_box(box, view)
+    if found is not None:
+        centre, covariance, height = found
+        assert np.isfinite(centre).all()
+        assert np.linalg.eigvalsh(covariance)[0] > 0
+        assert 0.5 < height < 2.6
+
+
+def test_the_thesis_reads_one_pixel(view, background):
+    person = (1.2, 2.33, 0.0, 0.0, 1.75)
+    depth = cast(view, [person])
+    box = box_of(depth, background)
+    (found,) = place_centre(Boxes(box[None], np.array([0.7])), depth, view)
+    assert 0.02 < np.linalg.norm(found.position[:2] - person[:2]) < 0.35  # the surface, not the axis
+    assert place_centre(Boxes(box[None], np.array([0.7])), np.zeros_like(depth), view) == []
+
+
+def test_a_drawing_changes_a_copy(view, detector):
+    people = detector.detect(cast(view, [(1.2, 2.33, 0.0, 0.0, 1.75)]))
+    picture = np.zeros((270, 480, 3), np.uint8)
+    drawn = draw(picture, people, view)
+    assert not picture.any()
+    assert drawn.any()
+
+
+def test_the_division_lens_places_too():
+    lens = Division(596.43 / 4, 596.43 / 4, 239.625, 134.625, -0.2, 0.0, 0.0, 0.0, 240.0, 135.0)
+    view = ceiling_view(4, lens=lens)
+    person = (3.2, 1.9, 2.0, 0.3, 1.75)
+    (found,) = DepthDetector(view, cast(view)).detect(cast(view, [person]))
+    assert np.linalg.norm(found.position[:2] - person[:2]) < 0.08
+    assert KB8[0] > 0
