@@ -43,6 +43,11 @@ class KannalaBrandt:
     def _radial(self):
         return _Radial(lambda s: _odd_polynomial(s, self.k1, self.k2, self.k3, self.k4), self.theta_max)
 
+    @property
+    def radius_max(self):
+        """Radius of the imaged field in the image plane of focal length 1 (infinite fields: 1e8 and more)."""
+        return self._radial.y_max
+
     def project(self, points):
         """Project points (n, 3) of the camera frame, any length unit, to pixels (n, 2); NaN where not imaged."""
         x, y, z = _columns(points, 3)
@@ -116,6 +121,11 @@ class BrownConrady:
         slope = [1.0, 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4]
         fold = math.sqrt(_first_sign_change(slope))
         return _Radial(lambda s: _odd_polynomial(s, self.k1, self.k2, self.k3, self.k4), min(fold, _FARTHEST_SLOPE))
+
+    @property
+    def radius_max(self):
+        """Radius of the imaged field in the image plane of focal length 1 (infinite fields: 1e8 and more)."""
+        return self._radial.y_max
 
     def project(self, points):
         """Project points (n, 3) of the camera frame, any length unit, to pixels (n, 2); NaN where not imaged."""
@@ -199,6 +209,11 @@ class Division:
         pole = _first_sign_change([1.0, self.k1, self.k2, self.k3, self.k4])
         limit = math.sqrt(min(fold, pole))
         return _Radial(self._source_radius, limit, math.inf if pole <= fold else None)
+
+    @property
+    def radius_max(self):
+        """Radius of the invertible field in half image sizes; what the pinhole image holds may end before."""
+        return self._radial.s_max
 
     def project(self, points):
         """Project points (n, 3) of the camera frame, any length unit, to pixels (n, 2); NaN where not imaged."""

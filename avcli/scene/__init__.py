@@ -1,0 +1,1 @@
+"""The scene: scenarios, people, furniture, the renderer, and what is written down about each frame."""

@@ -1,0 +1,91 @@
+"""What is written down about a frame: the ground truth of each person."""
+
+import numpy as np
+
+from avcli import pose
+from avcli.scene.people import KEYPOINTS, speaking
+
+
+def truth(scenario, bodies, index, frame=None):
+    """The ground-truth record of one time, without its media.
+
+    Args:
+        scenario: scenario.Scenario.
+        bodies: people.Bodies posed at the times of which `index` is one.
+        index: of the time.
+        frame: render.Frame, None where nothing was drawn: then nothing is said about visibility.
+    """
+    time = float(bodies.times[index])
+    pixels = _keypoint_pixels(scenario.config.camera, bodies.keypoints[index])
+    objects = []
+    for number, person in enumerate(scenario.people):
+        place = person.motion.position([time])[0]
+        item = {
+            "object_id": person.object_id,
+            "position": [float(place[0]), float(place[1]), 0.0],
+            "mouth_position": bodies.mouths[index, number].tolist(),
+            "speaking": bool(speaking(person, [time], scenario.duration)[0]),
+        }
+        if frame is not None:
+            item |= visibility(frame, number)
+            item["keypoints_px"] = _keypoints(frame, number, pixels[number], scenario.config.camera, bodies, index)
+        objects.append(item)
+    return {"timestamp": time, "objects": objects}
+
+
+def visibility(frame, number):
+    """How much of a person is seen, and where: `visible_fraction`, and boxes [x0, y0, x1, y1] px (x1, y1 excluded).
+
+    `bbox_px` is around what is seen, `bbox_full_px` around the whole body, its hidden parts and what is outside too.
+
+    The fraction is counted on every second pixel of every second row: seen samples over the samples of the whole body.
+    """
+    mask, (left, top) = frame.shapes[number]
+    whole = int(mask.sum())
+    if whole == 0:
+        return {"visible_fraction": 0.0}
+    p = frame.pitch
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    full = [left + p * columns[0], top + p * rows[0], left + p * columns[-1] + p, top + p * rows[-1] + p]
+    # Only the part of the picture that the body can fill is searched.
+    height, width = frame.ids.shape
+    x0, y0 = max(full[0] - p, 0), max(full[1] - p, 0)
+    x1, y1 = min(full[2] + p, width), min(full[3] + p, height)
+    item = {"visible_fraction": 0.0, "bbox_full_px": [int(v) for v in full]}
+    if x1 <= x0 or y1 <= y0:
+        return item
+    seen = frame.ids[y0:y1, x0:x1] == number + 1
+    rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+    if len(rows):
+        item["bbox_px"] = [int(x0 + columns[0]), int(y0 + rows[0]), int(x0 + columns[-1] + 1), int(y0 + rows[-1] + 1)]
+        counted = int(seen[(-y0) % p :: p, (-x0) % p :: p].sum())
+        item["visible_fraction"] = round(min(counted / whole, 1.0), 6)
+    return item
+
+
+def _keypoint_pixels(camera, keypoints):
+    """Pixels (people, 17, 2) of keypoints (people, 17, 3)."""
+    points = pose.apply(pose.inverse(camera.T_room_camera), keypoints)
+    return camera.lens.project(points.reshape(-1, 3)).reshape(*keypoints.shape[:2], 2)
+
+
+def _keypoints(frame, number, pixels, camera, bodies, index):
+    """COCO's list for one person: [x, y, v] with v = 2 seen, 1 hidden or outside the image, 0 not imaged by the lens.
+
+    A keypoint counts as seen where its own person is the first thing that its pixel's ray meets and the surface lies
+    within 0.15 m in front of it: joints are inside the body.
+    """
+    height, width = frame.ids.shape
+    distance = np.linalg.norm(bodies.keypoints[index, number] - camera.T_room_camera[:3, 3], axis=-1)
+    rows = []
+    for k in range(len(KEYPOINTS)):
+        x, y = pixels[k]
+        if not np.isfinite(x):
+            rows.append([0.0, 0.0, 0])
+            continue
+        column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
+        inside = 0 <= column < width and 0 <= row < height
+        near = inside and frame.ids[row, column] == number + 1
+        near = near and frame.depth[row, column] * frame.depth_step > distance[k] - 0.15
+        rows.append([round(float(x), 2), round(float(y), 2), 2 if near else 1])
+    return rows
