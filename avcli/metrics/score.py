@@ -4,7 +4,7 @@ from collections.abc import Sequence as List
 
 import numpy as np
 
-from avcli.metrics import clear, hota, identity, ospa, position
+from avcli.metrics import clear, hota, identity, ospa, position, tgospa
 from avcli.metrics.sequence import Sequence
 
 HOTA_SUMMARY = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")
@@ -36,6 +36,7 @@ def score(
     cutoff = d0 / 2 if cutoff is None else cutoff
     matches = clear.match(sequence, d0)
     distances = ospa.set_distances(sequence, cutoff, order)
+    trajectories = tgospa.tgospa(sequence, cutoff, order)
     frames = max(1, sequence.time.size)
     return _summarized(
         {
@@ -55,6 +56,8 @@ def score(
                 "GOSPA_localization": float(distances.gospa_localization.sum()) / frames,
                 "GOSPA_missed": float(distances.missed.sum()) / frames,
                 "GOSPA_false": float(distances.false.sum()) / frames,
+                "TGOSPA": trajectories and float(trajectories.total),
+                "TGOSPA_switches": trajectories and float(trajectories.switches),
             },
             "Position": position.position(sequence, matches),
         }
@@ -64,7 +67,7 @@ def score(
 def combine(records: List[dict]) -> dict[str, dict]:
     """Combine the sequences of one tracker as TrackEval does (micro): every point counts the same.
 
-    The OSPA family is averaged over all frames.
+    The OSPA family is averaged over all frames; T-GOSPA, which is a sum over them, is added up.
 
     Args:
         records: what `score` returned for each sequence, at least one, all with the same settings.
@@ -72,7 +75,11 @@ def combine(records: List[dict]) -> dict[str, dict]:
     frames = np.array([record["Count"]["Frames"] for record in records])
     distances = dict(records[0]["OSPA"])
     for name in distances:
-        if name not in ("cutoff", "order", "window"):
+        if name in ("TGOSPA", "TGOSPA_switches"):
+            power = distances["order"] if name == "TGOSPA" else 1
+            parts = [record["OSPA"][name] for record in records]
+            distances[name] = None if None in parts else sum(part**power for part in parts) ** (1 / power)
+        elif name not in ("cutoff", "order", "window"):
             distances[name] = float(np.dot([record["OSPA"][name] for record in records], frames) / max(1, frames.sum()))
     return _summarized(
         {

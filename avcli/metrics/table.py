@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
+from html import escape
 
 from avcli.metrics import thesis
 from avcli.metrics.score import HOTA_SUMMARY
@@ -11,7 +12,10 @@ PERCENT = (*HOTA_SUMMARY, "MOTA", "MOTP", "MODA", "IDF1", "IDP", "IDR")
 """Summary fields that are fractions and shown in percent."""
 _COUNTS = ("IDSW", "Frag", "MT", "PT", "ML")
 _COLUMNS = (*HOTA_SUMMARY, "MOTA", "IDF1", "IDSW", "OSPA", "OSPA2", "GOSPA", "RMSE", "BirthDelay")
-_UNITS = {"OSPA": "m", "OSPA2": "m", "GOSPA": "m", "RMSE": "m", "BirthDelay": "s"}
+_SENSOR_COLUMNS = ("Precision", "Recall", "Recall_speaking", "F1", "RMSE", "MAE", "ANEES", "TP", "FN", "FP")
+_SENSOR_PERCENT = ("Precision", "Recall", "Recall_speaking", "F1")
+_SHORT = {"BirthDelay": "Delay", "Precision": "Prec", "Recall": "Rec", "Recall_speaking": "RecSp"}
+_UNITS = {"OSPA": "m", "OSPA2": "m", "GOSPA": "m", "RMSE": "m", "MAE": "m", "BirthDelay": "s"}
 _BETTER = dict.fromkeys(PERCENT, "↑") | dict.fromkeys(("IDSW", "OSPA", "OSPA2", "GOSPA", "RMSE", "BirthDelay"), "↓")
 
 
@@ -20,21 +24,30 @@ def render(records: Sequence[dict], kind: str, compare: bool = False, width: int
 
     Args:
         records: with "sequence", "tracker" and "summary".
-        kind: "table", "csv", "markdown" or "latex".
+        kind: "table", "csv", "markdown", "latex" or "html".
         compare: set the thesis's figures and the difference beside ours, HOTA and its parts only.
         width: characters that a "table" may be wide; columns that would not fit are left out.
     """
-    columns = HOTA_SUMMARY if compare else _COLUMNS
-    if kind == "csv":
-        return _csv(records, compare)
     sequences = list(dict.fromkeys(record["sequence"] for record in records))
+    if len({record["sequence"] for record in records if "average" not in record}) == 1:
+        records = [record for record in records if "average" not in record]  # one sequence is its own average
     records = sorted(records, key=lambda record: sequences.index(record["sequence"]))
-    rows = [row for record in records for row in _rows(record, columns, compare)]
+    trackers = [record for record in records if "tracker" in record]
+    sensors = [record for record in records if "sensor" in record]
+    if kind == "csv":
+        parts = [_csv(trackers, compare)] + ([_sensor_csv(sensors)] if sensors else [])
+        return "\n".join(parts)
+    columns = HOTA_SUMMARY if compare and kind != "html" else _COLUMNS
+    parts = [([row for record in trackers for row in _rows(record, columns, compare)], columns)]
+    if sensors:
+        parts.append(([row for record in sensors for row in _sensor_rows(record)], _SENSOR_COLUMNS))
     if kind == "markdown":
-        return _markdown(rows, columns, compare)
+        return "\n".join(_markdown(rows, columns) for rows, columns in parts)
+    if kind == "html":
+        return "\n".join(_html(rows, columns) for rows, columns in parts)
     if kind == "latex":
-        return _latex(rows, columns, compare)
-    return _table(rows, columns, width)
+        return "\n".join(_latex(rows, columns) for rows, columns in parts)
+    return "\n".join(_table(rows, columns, width) for rows, columns in parts)
 
 
 def percent(name: str, value: float | None) -> str:
@@ -47,37 +60,56 @@ def percent(name: str, value: float | None) -> str:
 
 
 def _rows(record: dict, columns: Sequence[str], compare: bool) -> list[tuple[str, str, str, list[str]]]:
-    """Sequence, tracker, whose figures ("" for ours) and the cells, of each line of one record."""
+    """Sequence, tracker, whose figures ("" for ours) and the cells, of each line of one record (ours, the thesis's)."""
     summary = record["summary"]
-    average = f" ({record['average']})" if "average" in record else ""
-    names = record["sequence"] + average, record["tracker"]
+    names = _labelled(record), record["tracker"]
     rows = [(*names, "", [percent(name, summary[name]) for name in columns])]
     theirs = thesis.figures(record) if compare else None
     if theirs:
         # Both are rounded to the thesis's one decimal first, so that the three lines add up as they are read.
-        rows.append((*names, "thesis", [percent(name, theirs[name]) for name in columns]))
-        gains = [round(100 * summary[name], 1) - round(100 * theirs[name], 1) for name in columns]
-        rows.append((*names, "difference", [f"{gain + 0.0:+.1f}" for gain in gains]))
+        known = [name for name in columns if name in theirs]
+        gains = [round(100 * summary[name], 1) - round(100 * theirs[name], 1) for name in known]
+        blank = [""] * (len(columns) - len(known))
+        rows.append((*names, "thesis", [percent(name, theirs[name]) for name in known] + blank))
+        rows.append((*names, "difference", [f"{gain + 0.0:+.1f}" for gain in gains] + blank))
     return rows
 
 
+def _sensor_rows(record: dict) -> list[tuple[str, str, str, list[str]]]:
+    scores = record["Detections"]
+    cells = []
+    for name in _SENSOR_COLUMNS:
+        value = scores[name]
+        if value is None:
+            cells.append("-")
+        elif name in _SENSOR_PERCENT:
+            cells.append(f"{100 * value:.1f}")
+        else:
+            cells.append(str(value) if isinstance(value, int) else f"{value:.3f}")
+    return [(_labelled(record), record["sensor"], "", cells)]
+
+
+def _labelled(record: dict) -> str:
+    return record["sequence"] + (f" ({record['average']})" if "average" in record else "")
+
+
 def _table(rows: list, columns: Sequence[str], width: int | None) -> str:
-    label = max([len(f"{tracker}") + 1 for _, tracker, _, _ in rows] + [len(s) for s, *_ in rows] + [13])
-    units = any(name in _UNITS for name in columns)
+    label = max([len(tracker) + 1 for _, tracker, _, _ in rows] + [len(s) + 1 for s, *_ in rows] + [13])
     cell = 7
     fitting = len(columns) if width is None else max(1, min(len(columns), (width - label) // cell))
-    columns = [("Delay" if name == "BirthDelay" else name) for name in columns[:fitting]]
+    columns = columns[:fitting]
     lines, current = [], None
-    for sequence, tracker, whose, cells in rows:
+    for sequence, name, whose, cells in rows:
         if sequence != current:
             if current is not None:
                 lines.append("")
-            lines.append(f"{sequence:<{label}}" + "".join(f"{name:>{cell}}" for name in columns))
+            lines.append(f"{sequence:<{label}}" + "".join(f"{_SHORT.get(name, name):>{cell}}" for name in columns))
             current = sequence
-        name = f"  {whose}" if whose else tracker
+        name = f"  {whose}" if whose else name
         lines.append(f"{name:<{label}}" + "".join(f"{text:>{cell}}" for text in cells[:fitting]))
-    if units and any(name in columns for name in ("OSPA", "RMSE", "Delay")):
-        lines += ["", "HOTA to IDF1 in percent; IDSW counts; OSPA, OSPA2, GOSPA, RMSE in m; Delay of births in s"]
+    if any(name in _UNITS for name in columns):
+        units = ", ".join(f"{_SHORT.get(name, name)} {_UNITS[name]}" for name in columns if name in _UNITS)
+        lines += ["", f"in percent, but {units}"]
     return "\n".join(lines) + "\n"
 
 
@@ -100,23 +132,77 @@ def _csv(records: Sequence[dict], compare: bool) -> str:
     return text.getvalue()
 
 
+def _sensor_csv(records: Sequence[dict]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [name for name in records[0]["Detections"] if name != "Bias"]
+    writer.writerow(["sequence", "sensor", *names])
+    for record in records:
+        values = [record["Detections"][name] for name in names]
+        writer.writerow([record["sequence"], record["sensor"], *("" if value is None else value for value in values)])
+    return text.getvalue()
+
+
 def _headings(columns: Sequence[str]) -> list[str]:
-    return [f"{name}{_BETTER[name]}" + (f" ({_UNITS[name]})" if name in _UNITS else "") for name in columns]
+    return [
+        f"{name}{_BETTER.get(name, '')}".replace("_", " ") + (f" ({_UNITS[name]})" if name in _UNITS else "")
+        for name in columns
+    ]
 
 
-def _markdown(rows: list, columns: Sequence[str], compare: bool) -> str:
-    head = ["sequence", "tracker", *([""] if compare else []), *_headings(columns)]
+def _markdown(rows: list, columns: Sequence[str]) -> str:
+    compare = any(whose for _, _, whose, _ in rows)
+    head = ["sequence", "", *([""] if compare else []), *_headings(columns)]
     lines = [head, ["---"] * (len(head) - len(columns)) + ["---:"] * len(columns)]
     lines += [[sequence, tracker, *([whose] if compare else []), *cells] for sequence, tracker, whose, cells in rows]
     return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
 
 
-def _latex(rows: list, columns: Sequence[str], compare: bool) -> str:
+def _html(rows: list, columns: Sequence[str]) -> str:
+    """A table element; the best of a sequence's own figures in a column are marked."""
+    best = {}
+    for sequence, _, whose, cells in rows:
+        for name, cell in zip(columns, cells, strict=True):
+            if not whose and name in _BETTER and cell != "-":
+                value = float(cell) if _BETTER[name] == "↑" else -float(cell)
+                best[sequence, name] = max(best.get((sequence, name), value), value)
+    alone = {sequence for sequence, *_ in rows if sum(s == sequence and not w for s, _, w, _ in rows) < 2}
+    lines = [
+        "<table>",
+        "<thead><tr><th></th>" + "".join(f"<th>{text}</th>" for text in _headings(columns)) + "</tr></thead>",
+    ]
+    current = None
+    for sequence, name, whose, cells in rows:
+        if sequence != current:
+            lines += ["</tbody>"] if current is not None else []
+            lines.append(f'<tbody><tr><th class="sequence" colspan="{len(columns) + 1}">{escape(sequence)}</th></tr>')
+            current = sequence
+        tds = []
+        for column, cell in zip(columns, cells, strict=True):
+            kind = ""
+            if whose == "difference":
+                kind = (
+                    ' class="gain"'
+                    if cell[:1] == "+" and cell != "+0.0"
+                    else ' class="loss"'
+                    if cell[:1] == "-"
+                    else ""
+                )
+            elif not whose and cell != "-" and sequence not in alone and column in _BETTER:
+                value = float(cell) if _BETTER[column] == "↑" else -float(cell)
+                kind = ' class="best"' if value == best[sequence, column] else ""
+            tds.append(f"<td{kind}>{cell}</td>")
+        lines.append(f'<tr class="{whose or "ours"}"><th>{escape(whose or name)}</th>' + "".join(tds) + "</tr>")
+    return "\n".join([*lines, "</tbody>", "</table>"])
+
+
+def _latex(rows: list, columns: Sequence[str]) -> str:
+    compare = any(whose for _, _, whose, _ in rows)
     heads = [h.replace("↑", r"$\uparrow$").replace("↓", r"$\downarrow$") for h in _headings(columns)]
     lines = [
         r"\begin{tabular}{ll" + ("l" if compare else "") + "r" * len(columns) + "}",
         r"\toprule",
-        " & ".join(["Sequence", "Tracker", *([""] if compare else []), *heads]) + r" \\",
+        " & ".join(["Sequence", "", *([""] if compare else []), *heads]) + r" \\",
     ]
     current = None
     for sequence, tracker, whose, cells in rows:

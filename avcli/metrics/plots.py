@@ -1,0 +1,184 @@
+"""Figures of a run: the room from above, HOTA over its thresholds, the error over time, a timeline of each person."""
+
+import io
+
+import numpy as np
+
+from avcli.metrics.hota import ALPHA
+from avcli.metrics.run import Run, error_over_time, timeline
+
+IDENTITY_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A5195", "#8C564B")
+"""Okabe and Ito's colours without black and yellow, which are told apart by colour-blind readers too, and two more."""
+_MARKERS = {"audio": "x", "video": "+"}
+_SCORES = {
+    "HOTA": {"color": "#000000", "linewidth": 2.2},
+    "DetA": {"color": "#0072B2", "linewidth": 1.5, "linestyle": (0, (4, 2))},
+    "AssA": {"color": "#D55E00", "linewidth": 1.5, "linestyle": (0, (1, 1.5))},
+    "LocA": {"color": "#009E73", "linewidth": 1.2},
+}
+
+
+def plot(run: Run, kind: str) -> bytes:
+    """Draw a run, one column for each tracker, as in figures 5.1 to 5.12 of the thesis and beyond.
+
+    Args:
+        run: what to draw.
+        kind: "png", "svg" or "pdf".
+
+    Returns:
+        The file's content; the same run gives the same bytes.
+
+    Raises:
+        ModuleNotFoundError: matplotlib, an extra, is not installed.
+    """
+    try:
+        import matplotlib
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError("matplotlib is not installed: pip install 'avcli[plot]'") from None
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    style = {
+        "svg.hashsalt": "avcli",
+        "svg.fonttype": "none",
+        "font.size": 9,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.titlesize": 10,
+        "axes.titleweight": "bold",
+    }
+    with matplotlib.rc_context(style):
+        columns = len(run.trackers)
+        lanes = {name: timeline(run, name) for name in run.trackers}
+        rows = max(4, max(len(lane) for lane in lanes.values()))
+        heights = (3.9, 2.0, 1.8, 0.5 + 0.16 * rows)
+        figure = Figure(figsize=(max(4.4, 4.0 * columns), sum(heights) + 1.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(4, columns, squeeze=False, height_ratios=heights, sharey="row" if columns > 1 else False)
+        figure.suptitle(run.name, fontsize=13, fontweight="bold")
+        for k, (name, tracked) in enumerate(run.trackers.items()):
+            summary = tracked.record["summary"]
+            axes[0, k].set_title(f"{name}   HOTA {100 * summary['HOTA']:.1f}")
+            _draw_room(axes[0, k], run, name)
+            _draw_hota(axes[1, k], tracked.record)
+            _draw_error(axes[2, k], run, name)
+            _draw_timeline(axes[3, k], lanes[name], first=k == 0)
+            if k:
+                for row in range(3):
+                    axes[row, k].set_ylabel("")
+        figure.legend(handles=_legend(run), loc="outside lower center", ncols=min(5, 3 + columns), frameon=False)
+        content = io.BytesIO()
+        nothing = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+        figure.savefig(content, format=kind, dpi=150, metadata=nothing)
+    return content.getvalue()
+
+
+def _draw_room(axes, run: Run, name: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    x0, x1, y0, y1 = run.extent()
+    if run.room is not None:
+        axes.add_patch(Rectangle((0, 0), *run.room, fill=False, linewidth=1.2, color="0.35", zorder=0))
+    axes.scatter(*run.microphones.T, marker="^", s=22, color="0.6", linewidths=0, zorder=1)
+    if run.camera is not None:
+        axes.scatter(*run.camera, marker="s", s=28, facecolor="none", edgecolor="0.6", zorder=1)
+
+    tracked = run.trackers[name]
+    end = max([1e-9, *tracked.sequence.time.tolist()])
+    for sensor, detected in run.sensors.items():
+        # A tracker that is named after one sensor had that sensor alone.
+        if name in run.sensors and sensor != name:
+            continue
+        points, time = detected.sequence.track.position, detected.sequence.time[detected.sequence.track.frame]
+        if time.size:
+            axes.scatter(
+                points[:, 0],
+                points[:, 1],
+                c=0.15 + 0.6 * time / end,
+                cmap="gray",
+                vmin=0,
+                vmax=1,
+                marker=_MARKERS.get(sensor, "1"),
+                s=26,
+                linewidths=0.9,
+                zorder=2,
+            )
+    truth = tracked.sequence.truth
+    for k in range(truth.label.size):
+        path = truth.position[truth.identity == k]
+        axes.plot(path[:, 0], path[:, 1], color="black", linewidth=1.0, zorder=3)
+        _birth_and_death(axes, path, "black", "none", 62)
+    track = tracked.sequence.track
+    for k in range(track.label.size):
+        own = np.flatnonzero(track.identity == k)
+        path, frame = track.position[own], track.frame[own]
+        color = IDENTITY_COLORS[k % len(IDENTITY_COLORS)]
+        line = np.insert(path, np.flatnonzero(np.diff(frame) > 1) + 1, np.nan, axis=0)  # a line only where a track is
+        axes.plot(line[:, 0], line[:, 1], color=color, linewidth=1.8, zorder=4, solid_capstyle="round")
+        _birth_and_death(axes, path, color, color, 26)
+    margin = 0.04 * max(x1 - x0, y1 - y0, 1e-3)
+    axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), xlabel="x in m", ylabel="y in m")
+    axes.set_aspect("equal")
+
+
+def _birth_and_death(axes, path: np.ndarray, edge: str, face: str, size: float) -> None:
+    for point, marker in ((path[0], "o"), (path[-1], "s")):
+        axes.scatter(
+            point[0], point[1], marker=marker, s=size, facecolor=face, edgecolor=edge, linewidths=1.0, zorder=5
+        )
+
+
+def _draw_hota(axes, record: dict) -> None:
+    for name, style in _SCORES.items():
+        axes.plot(ALPHA, 100 * np.asarray(record["HOTA"][name]), label=name, **style)
+    axes.set(xlim=(0, 1), ylim=(0, 103), xlabel="α", ylabel="percent")
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.legend(loc="best", fontsize=8, ncols=2, handlelength=2, edgecolor="none", framealpha=0.8)
+
+
+def _draw_error(axes, run: Run, name: str) -> None:
+    tracked = run.trackers[name]
+    error, distances = error_over_time(tracked, run.d0)
+    time = tracked.sequence.time
+    axes.fill_between(time, distances.ospa, step="mid", color="0.88", linewidth=0, label="OSPA")
+    axes.plot(time, error, color="#0072B2", linewidth=1.4, marker=".", markersize=3, label="mean error of matches")
+    axes.set(xlabel="time in s", ylabel="m", ylim=(0, tracked.record["OSPA"]["cutoff"] * 1.05))
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.legend(loc="upper right", fontsize=8, edgecolor="none", framealpha=0.8)
+
+
+def _draw_timeline(axes, lanes: list, first: bool) -> None:
+    shade = {"speaks": "#E69F00", "audio": "0.55", "video": "0.3"}
+    for row, lane in enumerate(lanes):
+        for begin, end, identity in lane.spans:
+            color = IDENTITY_COLORS[identity % len(IDENTITY_COLORS)]
+            color = color if lane.what == "tracked" else shade.get(lane.what, "0.45")
+            axes.barh(row, end - begin, left=begin, height=0.7, color=color, linewidth=0)
+        if row and lane.person != lanes[row - 1].person:
+            axes.axhline(row - 0.5, color="0.8", linewidth=0.6)
+    axes.set(ylim=(len(lanes) - 0.5, -0.5), xlabel="time in s")
+    axes.set_yticks(range(len(lanes)), [f"{lane.person} {lane.what}" for lane in lanes], fontsize=7)
+    axes.tick_params(axis="y", length=0, labelleft=first)
+
+
+def _legend(run: Run) -> list:
+    from matplotlib.lines import Line2D
+
+    def entry(label: str, **style):
+        return Line2D([], [], **{"color": "black", "linewidth": 0, **style}, label=label)
+
+    entries = [
+        entry("ground truth", linewidth=1),
+        entry("track, by identity", linewidth=1.8, color=IDENTITY_COLORS[0]),
+        entry("birth", marker="o", markerfacecolor="none"),
+        entry("death", marker="s", markerfacecolor="none"),
+    ]
+    entries += [
+        entry(f"{sensor} detection, dark to light over time", marker=_MARKERS.get(sensor, "1"), color="0.4")
+        for sensor in run.sensors
+    ]
+    if len(run.microphones):
+        entries.append(entry("microphone", marker="^", color="0.6"))
+    if run.camera is not None:
+        entries.append(entry("camera", marker="s", color="0.6", markerfacecolor="none"))
+    return entries

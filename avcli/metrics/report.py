@@ -1,0 +1,148 @@
+"""A report on runs: one HTML page that needs nothing else, with tables, plots and a player over time."""
+
+import base64
+import html
+import json
+from collections.abc import Sequence as List
+from importlib.resources import files
+
+import numpy as np
+
+from avcli import __version__
+from avcli.metrics import table
+from avcli.metrics.hota import ALPHA
+from avcli.metrics.plots import IDENTITY_COLORS
+from avcli.metrics.run import Detected, Run, error_over_time, timeline
+from avcli.metrics.sequence import Points
+
+_WIDTH_PX = 720
+
+
+def thumbnail(image: np.ndarray) -> bytes:
+    """Make a small JPEG of a camera frame (h, w, 3) uint8 RGB, as the player shows it."""
+    import cv2
+
+    height, width = image.shape[:2]
+    scale = min(1.0, _WIDTH_PX / width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, content = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 72])
+    return content.tobytes()
+
+
+def report(runs: List[Run], records: List[dict], compare: bool = False) -> str:
+    """Write a report.
+
+    Args:
+        runs: what the player shows, at least one.
+        records: all metrics records, for the tables.
+        compare: set the thesis's figures beside ours in the tables.
+
+    Returns:
+        The page; it loads nothing from anywhere, and the same runs give the same text.
+    """
+    page = files("avcli.metrics").joinpath("report.html").read_text()
+    title = ", ".join(run.name for run in runs)
+    data = {"runs": [_run(run) for run in runs], "alpha": np.round(ALPHA, 2).tolist(), "colors": IDENTITY_COLORS}
+    # No name in the data may end the script element that holds it, or begin another.
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    for mark, content in (
+        ("{{title}}", html.escape(title)),
+        ("{{tables}}", table.render(records, "html", compare)),
+        ("{{version}}", __version__),
+        ("{{data}}", text),
+    ):
+        page = page.replace(mark, content)
+    return page
+
+
+def _run(run: Run) -> dict:
+    time = np.unique(np.concatenate([tracked.sequence.time for tracked in run.trackers.values()]))
+    first = next(iter(run.trackers.values())).sequence
+    return {
+        "name": run.name,
+        "room": None if run.room is None else run.room.tolist(),
+        "extent": [round(number, 3) for number in run.extent()],
+        "microphones": np.round(run.microphones, 3).tolist(),
+        "camera": None if run.camera is None else np.round(run.camera, 3).tolist(),
+        "times": np.round(time, 4).tolist(),
+        "truth": _points(first.truth, first.time, time, run.speaking),
+        "trackers": [
+            {
+                "name": name,
+                **_tracker(run, name, time),
+                **_points(seen.sequence.track, seen.sequence.time, time, seen.speaking),
+            }
+            for name, seen in run.trackers.items()
+        ],
+        "sensors": [{"name": name, "frames": _detections(sensor, time)} for name, sensor in run.sensors.items()],
+        "frame_size": run.frame_size,
+        **_pictures(run, time),
+    }
+
+
+def _tracker(run: Run, name: str, time: np.ndarray) -> dict:
+    tracked = run.trackers[name]
+    error, distances = error_over_time(tracked, run.d0)
+    place = np.searchsorted(time, tracked.sequence.time)
+    series = np.full((2, time.size), np.nan)
+    series[:, place] = error, distances.ospa
+    lanes = timeline(run, name)
+    return {
+        "hota": {part: np.round(tracked.record["HOTA"][part], 4).tolist() for part in ("HOTA", "DetA", "AssA", "LocA")},
+        "score": round(tracked.record["summary"]["HOTA"], 4),
+        "error": _numbers(series[0]),
+        "ospa": _numbers(series[1]),
+        "cutoff": tracked.record["OSPA"]["cutoff"],
+        "lanes": [
+            {
+                "person": lane.person,
+                "what": lane.what,
+                "spans": [[round(a, 3), round(b, 3), k] for a, b, k in lane.spans],
+            }
+            for lane in lanes
+        ],
+    }
+
+
+def _points(points: Points, own_time: np.ndarray, time: np.ndarray, speaking: np.ndarray) -> dict:
+    """Labels, and for each frame a row [identity, x, y, speaking] for each point."""
+    frames: list[list] = [[] for _ in time]
+    frame = np.searchsorted(time, own_time)[points.frame]
+    rows = zip(
+        frame.tolist(), points.identity.tolist(), np.round(points.position, 3).tolist(), _numbers(speaking), strict=True
+    )
+    for f, identity, position, says in rows:
+        frames[f].append([identity, position[0], position[1], says])
+    return {"labels": points.label.tolist(), "frames": frames}
+
+
+def _detections(sensor: Detected, time: np.ndarray) -> list[list]:
+    """For each frame a row [x, y, matched, box] for each detection, at the frame next to it in time."""
+    frames: list[list] = [[] for _ in time]
+    points = sensor.sequence.track
+    if not time.size:
+        return frames
+    nearest = np.abs(sensor.sequence.time[:, None] - time[None, :]).argmin(axis=1)[points.frame]
+    matched = np.zeros(points.identity.size, dtype=int)
+    matched[sensor.matches[1]] = 1
+    boxes = [None if np.isnan(box).any() else np.round(box, 1).tolist() for box in sensor.box]
+    for f, position, right, box in zip(
+        nearest.tolist(), np.round(points.position, 3).tolist(), matched.tolist(), boxes, strict=True
+    ):
+        frames[f].append([position[0], position[1], right, box])
+    return frames
+
+
+def _pictures(run: Run, time: np.ndarray) -> dict:
+    """Camera frames as data URLs, and for each moment the number of the latest one, or None."""
+    at = sorted(run.frames)
+    latest = np.searchsorted(at, time + 1e-3) - 1
+    return {
+        "pictures": ["data:image/jpeg;base64," + base64.b64encode(run.frames[t]).decode() for t in at],
+        "picture": [int(k) if k >= 0 else None for k in latest] if at else [None] * time.size,
+    }
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [round(value, 4) if np.isfinite(value) else None for value in values.tolist()]

@@ -1,0 +1,303 @@
+"""The report in a real browser, and the figures."""
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from conftest import run
+from test_aveval import lines, record, walk
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class Browser:
+    """A headless Chromium, spoken to by the DevTools protocol over a pipe, with one page open."""
+
+    def __init__(self, url):
+        to_read, self._to = os.pipe()
+        self._from, to_write = os.pipe()
+        command = (
+            f'exec "{CHROMIUM}" --headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage '
+            f"--remote-debugging-pipe --no-first-run --disable-background-networking 3<&{to_read} 4>&{to_write}"
+        )
+        self.process = subprocess.Popen(
+            ["bash", "-c", command],
+            pass_fds=(to_read, to_write),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(to_read)
+        os.close(to_write)
+        self._number, self._rest, self._session = 0, b"", None
+        self.events = []
+        target = self.send("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.send(f"{domain}.enable")
+        self.size(1280, 900)
+        self.send("Page.navigate", url=url)
+        self.wait("document.readyState === 'complete' && !!document.getElementById('clock').textContent")
+
+    def send(self, method, **parameters):
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            while b"\0" not in self._rest:
+                if not select.select([self._from], [], [], max(0, deadline - time.monotonic()))[0]:
+                    raise TimeoutError(method)
+                read = os.read(self._from, 1 << 20)
+                assert read, "the browser is gone"
+                self._rest += read
+            text, self._rest = self._rest.split(b"\0", 1)
+            answer = json.loads(text)
+            if answer.get("id") == self._number:
+                assert "error" not in answer, answer
+                return answer["result"]
+            if "method" in answer:
+                self.events.append(answer)
+        raise TimeoutError(method)
+
+    def run(self, expression):
+        answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def wait(self, expression, seconds=20):
+        deadline = time.monotonic() + seconds
+        while not self.run(expression):
+            assert time.monotonic() < deadline, expression
+            time.sleep(0.05)
+
+    def size(self, width, height, mobile=False):
+        self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=mobile)
+
+    def key(self, key, code=None):
+        for kind in ("keyDown", "keyUp"):
+            text = {"text": key} if len(key) == 1 and kind == "keyDown" else {}
+            self.send("Input.dispatchKeyEvent", type=kind, key=key, code=code or key, **text)
+
+    def touch(self, x, y):
+        self.send("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        self.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    def screenshot(self, path):
+        height = self.run("document.documentElement.scrollHeight")
+        width = self.run("innerWidth")
+        self.size(width, height)
+        content = self.send("Page.captureScreenshot", format="png")["data"]
+        path.write_bytes(base64.b64decode(content))
+
+    def complaints(self):
+        """Errors of the page, and whatever it tried to load from elsewhere."""
+        found = []
+        for event in self.events:
+            method, details = event["method"], event["params"]
+            if method == "Runtime.exceptionThrown":
+                found.append(details["exceptionDetails"])
+            elif method == "Log.entryAdded" and details["entry"]["level"] in ("error", "warning"):
+                found.append(details["entry"])
+            elif method == "Runtime.consoleAPICalled" and details["type"] in ("error", "warning", "assert"):
+                found.append(details)
+            elif method == "Network.requestWillBeSent":
+                url = details["request"]["url"]
+                if not url.startswith(("file:", "data:")):
+                    found.append(url)
+        return found
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait()
+        os.close(self._to)
+        os.close(self._from)
+
+
+def experiment(folder, sequence="s3", people=3):
+    """An experiment with all that a report can show: truth with voices, three trackers, two sensors, camera frames."""
+    from avcli.experiment import Layout
+    from avcli.media import write_png
+
+    for name in ("tracking", "localization", "video/rgb"):
+        (folder / name).mkdir(parents=True)
+    walks = [walk(k, y=1.33 + k) for k in range(people)]
+    rows = []
+    for t in range(41):
+        objects = [{"object_id": k, "position": walks[k][t][2], "speaking": t // 14 == k} for k in range(people)]
+        rows.append(record(t / 10, objects))
+    (folder / "groundtruth_sources.jsonl").write_text("".join(rows))
+    for tracker, offset in (("audio", 0.4), ("video", 0.2), ("audio_video", 0.1)):
+        text = lines(*(walk(k + 3, y=1.33 + k, offset=offset) for k in range(people)))
+        (folder / "tracking" / f"{tracker}_tracking.jsonl").write_text(text)
+    for sensor in ("audio", "video"):
+        text = ""
+        for t in range(41):
+            objects = [{"position": [*walks[k][t][2][:2], 1.6]} for k in range(people) if (t + k) % 3]
+            if sensor == "video":
+                objects = [{**item, "bbox_px": [60, 40, 120, 90]} for item in objects]
+            text += json.dumps({"timestamp": f"{t / 10:.10f}", "sensor": sensor, "objects": objects}) + "\n"
+        (folder / "localization" / f"{sensor}_localizations.jsonl").write_text(text)
+    config = {
+        "camera_config": {
+            "camera_position_m": [2.33, 2.33, 2.5],
+            "camera_rotation_deg": [90, 0, 0],
+            "fx_px": 86.0,
+            "fy_px": 86.0,
+            "cx_px": 95.5,
+            "cy_px": 53.5,
+            "k1": 0.0,
+            "k2": 0.0,
+            "k3": 0.0,
+            "k4": 0.0,
+            "lens_model": "kannala_brandt",
+            "image_width_px": 192,
+            "image_height_px": 108,
+        },
+        "microphone_config": {"audio_sample_rate_hz": 44100, "mic_positions_m": [[0.1, 0.1, 2.5], [4.5, 4.5, 2.5]]},
+        "room_config": {"room_dimensions_m": [4.66, 4.66, 3.0]},
+    }
+    (folder / "config.json").write_text(json.dumps(config))
+    for t in range(0, 41, 10):
+        image = np.full((108, 192, 3), 40 + t, np.uint8)
+        image[40:90, 60 + t : 120 + t] = (200, 80, 60)
+        write_png(folder / Layout.rgb(t / 10), image)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    experiment(folder / "s3")
+    experiment(folder / "s1", people=1)
+    # A name that would break out of the page if it were not escaped.
+    source = folder / "s1" / "tracking" / "video_tracking.jsonl"
+    (folder / "s1" / "tracking" / "<script>alert(1)<_script>_tracking.jsonl").write_bytes(source.read_bytes())
+    result = run("aveval", "--experiments", "s3", "s1", "--html", "r.html", "--compare-thesis", "-q", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    again = run("aveval", "--experiments", "s3", "s1", "--html", "again.html", "--compare-thesis", "-q", cwd=folder)
+    assert again.returncode == 0
+    assert (folder / "r.html").read_bytes() == (folder / "again.html").read_bytes()
+    return folder / "r.html"
+
+
+def test_the_report_is_one_file(page):
+    text = page.read_text()
+    assert "{{" not in text
+    assert "http://" not in text.replace("http://www.w3.org/2000/svg", "")
+    assert "https://" not in text
+    assert "<script>alert" not in text
+    assert "data:image/jpeg" in text
+
+
+@pytest.fixture(scope="module")
+def browser(page):
+    if not CHROMIUM:
+        pytest.skip("no Chromium here")
+    browser = Browser(page.as_uri())
+    yield browser
+    browser.close()
+
+
+TRACKS = "[...document.querySelectorAll('#room [data-track]')].map(n => +n.getAttribute('cx'))"
+SLIDE = (
+    "(v => {{ const s = document.getElementById('slider'); s.value = v; s.dispatchEvent(new Event('input')); }})({})"
+)
+
+
+def test_the_slider_moves_the_drawing_and_nothing_complains(browser):
+    browser.run(SLIDE.format(0))
+    first = browser.run(TRACKS)
+    picture = browser.run("document.getElementById('frame').src")
+    browser.run(SLIDE.format(20))
+    later = browser.run(TRACKS)
+    assert len(first) == len(later) == 3
+    np.testing.assert_allclose(np.subtract(later, first), 200, atol=1e-6)  # two metres
+    assert browser.run("document.getElementById('clock').textContent") == "2.00 s"
+    assert browser.run("document.getElementById('frame').src") != picture
+    assert browser.run("document.querySelectorAll('#boxes rect').length") > 0
+    assert browser.run("document.querySelectorAll('#people .speaks').length") == 1
+    assert browser.run(
+        "['hota', 'error', 'timeline'].every(id => document.querySelectorAll(`#${id} path, #${id} rect`).length > 3)"
+    )
+    assert browser.complaints() == []
+
+
+def test_it_plays_and_obeys_the_keyboard(browser):
+    browser.run("document.activeElement.blur()")
+    browser.key("Home")
+    assert browser.run("now") == 0
+    browser.key("ArrowRight")
+    assert browser.run("now") == 1
+    browser.key("1", "Digit1")
+    assert browser.run("tracker.name") == "audio"
+    browser.key(" ", "Space")
+    browser.wait("now > 3")
+    browser.key(" ", "Space")
+    held = browser.run("now")
+    time.sleep(0.3)
+    assert browser.run("now") == held
+    browser.run("document.getElementById('slider').focus()")
+    browser.key("End")
+    assert browser.run("now") == 40
+    assert browser.complaints() == []
+
+
+def test_another_sequence_and_tracker(browser):
+    browser.run(
+        "document.getElementById('run').value = 1; document.getElementById('run').dispatchEvent(new Event('change'))"
+    )
+    assert browser.run("document.querySelectorAll('#room [data-track]').length") == 1
+    assert browser.run("document.querySelectorAll('#trackers input').length") == 4
+    browser.run(
+        "document.getElementById('run').value = 0; document.getElementById('run').dispatchEvent(new Event('change'))"
+    )
+    browser.run("document.querySelector('#layers input[name=tracks]').click()")
+    assert browser.run(TRACKS) == []
+    browser.run("document.querySelector('#layers input[name=tracks]').click()")
+    assert browser.complaints() == []
+
+
+def test_it_fits_a_phone_and_is_touched(browser):
+    browser.size(360, 740, mobile=True)
+    assert browser.run("document.documentElement.scrollWidth") <= 360
+    assert browser.run("document.getElementById('play').getBoundingClientRect().height") >= 40
+    place = browser.run(
+        "(() => { const n = document.getElementById('timeline'); n.scrollIntoView({block: 'center'});"
+        "const b = n.getBoundingClientRect(); return [b.right - 13, b.top + 10]; })()"
+    )
+    browser.run("show(0)")
+    browser.touch(*place)
+    browser.wait("now > 30")
+    browser.size(1280, 900)
+
+
+def test_light_and_dark(browser):
+    seen = []
+    for scheme in ("light", "dark"):
+        browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        seen.append(browser.run("getComputedStyle(document.body).backgroundColor"))
+    assert seen[0] != seen[1]
+
+
+def test_a_report_of_nothing_stands(page, tmp_path):
+    (tmp_path / "empty.jsonl").write_text("")
+    assert run("aveval", "empty.jsonl", "-", "--html", "r.html", cwd=tmp_path).returncode == 0
+    (tmp_path / "truth.jsonl").write_text(lines(walk()))
+    assert run("aveval", "truth.jsonl", "empty.jsonl", "--html", "t.html", cwd=tmp_path).returncode == 0
+    if not CHROMIUM:
+        pytest.skip("no Chromium here")
+    for name in ("r.html", "t.html"):
+        browser = Browser((tmp_path / name).as_uri())
+        try:
+            assert browser.complaints() == []
+        finally:
+            browser.close()
