@@ -1,0 +1,454 @@
+"""The KB-8 fit: focal scan, poses from rays, and robust Levenberg-Marquardt with the poses eliminated.
+
+A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y / Y)²)) of its own frame, X and Y being
+the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The fit has the
+eleven common unknowns fx fy cx cy k1 k2 k3 k4 b0 b1 b2 and six a view.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from avcli.lens import KannalaBrandt
+
+LENS, SHAPE = 8, 3
+_UNSEEN_PX = 100.0
+"""Residual of a corner that the lens, as it stands in an iteration, does not image."""
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Corners seen in a number of images, sorted by image.
+
+    Attributes:
+        view: (n,) index of the image, 0 ... views - 1, ascending, none of them without a corner.
+        points: (n, 2) m, the corner's place on the board, from the board's middle.
+        pixels: (n, 2) px, where it was seen.
+        sigma: (n,) expected error of `pixels` relative to that of a common corner.
+        half_extent: (2,) m, see the module.
+    """
+
+    view: np.ndarray
+    points: np.ndarray
+    pixels: np.ndarray
+    sigma: np.ndarray
+    half_extent: np.ndarray
+
+    @property
+    def views(self) -> int:
+        return int(self.view[-1]) + 1 if len(self.view) else 0
+
+    @property
+    def starts(self) -> np.ndarray:
+        return np.searchsorted(self.view, np.arange(self.views))
+
+    def of_views(self, keep: np.ndarray) -> "Observations":
+        """The corners of some views only: `keep` (views,) bool, or indices."""
+        chosen = np.zeros(self.views, bool)
+        chosen[keep] = True
+        rows = chosen[self.view]
+        renumbered = np.cumsum(chosen) - 1
+        return replace(
+            self,
+            view=renumbered[self.view[rows]],
+            points=self.points[rows],
+            pixels=self.pixels[rows],
+            sigma=self.sigma[rows],
+        )
+
+    def per_view(self, values: np.ndarray) -> np.ndarray:
+        """Sum (n, ...) values over the corners of each view: (views, ...)."""
+        return np.add.reduceat(values, self.starts, axis=0)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a fit stands.
+
+    Attributes:
+        parameters: (11,) fx fy cx cy px, k1..k4, b0 b1 m, b2.
+        rotations, translations: (views, 3, 3) and (views, 3) m, board to camera.
+        free: (11,) bool, which parameters were fitted.
+        covariance: (11, 11) of the parameters, 0 where not fitted; None before the end of a fit.
+        sigma_px: standard deviation of a common corner's error along one axis.
+        delta_px: residual beyond which a corner counts less (Huber).
+    """
+
+    parameters: np.ndarray
+    rotations: np.ndarray
+    translations: np.ndarray
+    free: np.ndarray
+    covariance: np.ndarray | None = None
+    sigma_px: float = np.nan
+    delta_px: float = np.inf
+
+    @property
+    def lens(self) -> KannalaBrandt:
+        return KannalaBrandt(*self.parameters[:LENS].tolist())
+
+    @property
+    def shape(self) -> np.ndarray:
+        return self.parameters[LENS:]
+
+    def of_views(self, keep: np.ndarray) -> "Solution":
+        return replace(self, rotations=self.rotations[keep], translations=self.translations[keep])
+
+
+class NoFit(ValueError):
+    """The corners determine no lens."""
+
+
+# --- geometry ---------------------------------------------------------------------------------------------------------
+
+
+def surface(points: np.ndarray, shape: np.ndarray, half_extent: np.ndarray) -> np.ndarray:
+    """Points of the board in its frame, (n, 3) m, from their places (n, 2) and the shape terms b0, b1 (m) and b2."""
+    x, y = points.T
+    z = shape[0] * (1 - (x / half_extent[0]) ** 2) + shape[1] * (1 - (y / half_extent[1]) ** 2)
+    return np.stack([x, y * (1 + shape[2]), z], -1)
+
+
+def residuals(observations: Observations, solution: Solution) -> np.ndarray:
+    """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
+    flat = surface(observations.points, solution.shape, observations.half_extent)
+    inside = np.einsum("nij,nj->ni", solution.rotations[observations.view], flat)
+    return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
+
+
+def poses_from_rays(lens: KannalaBrandt, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Board poses from the rays of their corners, right beyond 90 degrees too.
+
+    Solves ray × (H [x y 1]) = 0 for each view by least squares and takes the nearest rotation (Zhang 2000, section
+    3.1, with rays in place of pixels).
+
+    Returns:
+        rotations (views, 3, 3) and translations (views, 3) m, board to camera.
+    """
+    rays = lens.unproject(observations.pixels)
+    rays = np.where(np.isfinite(rays).all(1)[:, None], rays, 0.0)
+    scale = np.abs(observations.points).max()
+    plane = np.column_stack([observations.points / scale, np.ones(len(rays))])
+    cross = np.zeros((len(rays), 3, 3))
+    cross[:, [0, 1, 2], [1, 2, 0]] = -rays[:, [2, 0, 1]]
+    cross[:, [1, 2, 0], [0, 1, 2]] = rays[:, [2, 0, 1]]
+    rows = np.einsum("nij,nk->nijk", cross, plane).reshape(-1, 3, 9)
+    normal = observations.per_view(np.einsum("nia,nib->nab", rows, rows))
+    H = np.linalg.eigh(normal)[1][:, :, 0].reshape(-1, 3, 3)
+    ahead = observations.per_view(np.einsum("ni,nij,nj->n", rays, H[observations.view], plane))
+    H *= np.where(ahead < 0, -1.0, 1.0)[:, None, None]
+    H[:, :, :2] /= scale
+    lengths = np.linalg.norm(H[:, :, :2], axis=1).sum(1)
+    H *= (2.0 / np.maximum(lengths, 1e-300))[:, None, None]
+    frame = np.stack([H[:, :, 0], H[:, :, 1], np.cross(H[:, :, 0], H[:, :, 1])], -1)
+    U, _, Vt = np.linalg.svd(frame)
+    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    return U @ Vt, H[:, :, 2]
+
+
+def rotation_from_vector(omega: np.ndarray) -> np.ndarray:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) rad (Rodrigues)."""
+    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
+    K = _cross(omega)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = np.where(angle > 1e-8, np.sin(angle) / angle, 1.0)
+        b = np.where(angle > 1e-8, (1 - np.cos(angle)) / angle**2, 0.5)
+    return np.eye(3) + a * K + b * K @ K
+
+
+def _cross(v: np.ndarray) -> np.ndarray:
+    zero = np.zeros(v.shape[:-1])
+    x, y, z = np.moveaxis(v, -1, 0)
+    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+
+
+# --- one step ---------------------------------------------------------------------------------------------------------
+
+
+def _linearise(observations: Observations, solution: Solution):
+    """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, 11) and to the pose (n, 2, 6)."""
+    o, s = observations, solution
+    flat = surface(o.points, s.shape, o.half_extent)
+    R = s.rotations[o.view]
+    turned = np.einsum("nij,nj->ni", R, flat)
+    pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])
+    residual = o.pixels - pixels
+    unseen = ~(np.isfinite(residual).all(1) & np.isfinite(by_point).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
+    u, v = (o.points / o.half_extent).T
+    zero = np.zeros_like(u)
+    bend = np.stack(
+        [
+            R[:, :, 2] * (1 - u**2)[:, None],
+            R[:, :, 2] * (1 - v**2)[:, None],
+            R[:, :, 1] * o.points[:, 1:],
+        ],
+        -1,
+    )
+    common = np.concatenate([by_lens, by_point @ bend], -1)
+    own = np.concatenate([-by_point @ _cross(turned), by_point], -1)
+    residual[unseen] = np.stack([zero[unseen] + _UNSEEN_PX, zero[unseen]], -1)
+    common[unseen] = own[unseen] = 0.0
+    scale = 1.0 / o.sigma
+    return residual * scale[:, None], common * scale[:, None, None], own * scale[:, None, None]
+
+
+def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cost and weight of each residual vector (n, 2): quadratic up to `delta`, linear beyond (Huber 1964)."""
+    size = np.linalg.norm(residual, axis=1)
+    inside = size <= delta
+    with np.errstate(invalid="ignore", divide="ignore"):
+        weight = np.where(inside, 1.0, delta / size)
+        cost = np.where(inside, size**2, 2 * delta * size - delta**2) if np.isfinite(delta) else size**2
+    return cost, weight
+
+
+def _normal_equations(observations: Observations, solution: Solution, delta: float):
+    residual, common, own = _linearise(observations, solution)
+    common = common[:, :, solution.free]
+    cost, weight = _huber(residual, delta)
+    weighted = own * weight[:, None, None]
+    o = observations
+    A = np.einsum("nia,nib,n->ab", common, common, weight, optimize=True)
+    B = o.per_view(np.einsum("nia,nib->nab", weighted, common))
+    C = o.per_view(np.einsum("nia,nib->nab", weighted, own))
+    g = np.einsum("nia,ni,n->a", common, residual, weight, optimize=True)
+    h = o.per_view(np.einsum("nia,ni->na", weighted, residual))
+    return cost.sum(), A, B, C, g, h
+
+
+def _moved(solution: Solution, common: np.ndarray, own: np.ndarray) -> Solution:
+    parameters = solution.parameters.copy()
+    parameters[solution.free] += common
+    turn = rotation_from_vector(own[:, :3])
+    return replace(
+        solution,
+        parameters=parameters,
+        rotations=turn @ solution.rotations,
+        translations=solution.translations + own[:, 3:],
+    )
+
+
+def _damped(blocks: np.ndarray, damping) -> np.ndarray:
+    """Add `damping` times its diagonal to each of (..., m, m) blocks, and enough that none is singular."""
+    diagonal = np.einsum("...ii->...i", blocks)
+    added = np.asarray(damping)[..., None] * diagonal + 1e-12 * diagonal.max(-1, keepdims=True) + 1e-12
+    return blocks + added[..., None] * np.eye(blocks.shape[-1])
+
+
+def refine(
+    observations: Observations, start: Solution, free: np.ndarray, delta: float, iterations: int, gain: float = 1e-8
+) -> Solution:
+    """Levenberg-Marquardt on the common unknowns in `free` (11,) and all poses, the poses eliminated (Schur).
+
+    Stops when a step lowers the cost by less than `gain` of it.
+    """
+    solution = replace(start, free=np.asarray(free, bool), delta_px=delta)
+    cost, A, B, C, g, h = _normal_equations(observations, solution, delta)
+    damping = 1e-3
+    for _ in range(iterations):
+        while True:
+            inverse_C = np.linalg.inv(_damped(C, damping))
+            fold = np.einsum("vab,vbc->vac", inverse_C, B)
+            schur = _damped(A, damping) - np.einsum("vab,vac->bc", B, fold)
+            common = _solve(schur, g - np.einsum("vab,va->b", fold, h))
+            own = np.einsum("vab,vb->va", inverse_C, h - np.einsum("vab,b->va", B, common))
+            trial = _moved(solution, common, own)
+            if _is_possible(trial):
+                found = _normal_equations(observations, trial, delta)
+                if found[0] <= cost:
+                    break
+            damping *= 6
+            if damping > 1e10:
+                return solution
+        drop = (cost - found[0]) / max(cost, 1e-300)
+        solution, (cost, A, B, C, g, h) = trial, found
+        damping = max(damping / 6, 1e-12)
+        if drop < gain or cost < 1e-18 * len(observations.pixels):
+            break
+    return solution
+
+
+def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Solve a symmetric system whose unknowns differ by orders of magnitude, well enough even where it is singular."""
+    if not len(vector):
+        return vector
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    return scale * np.linalg.lstsq(matrix * np.outer(scale, scale), vector * scale, rcond=1e-15)[0]
+
+
+def _is_possible(solution: Solution) -> bool:
+    p = solution.parameters
+    finite = np.isfinite(p).all() and np.isfinite(solution.rotations).all() and np.isfinite(solution.translations).all()
+    return bool(finite and p[0] > 0 and p[1] > 0 and abs(p[10]) < 0.5)
+
+
+def refine_poses(observations: Observations, start: Solution, iterations: int, delta: float = np.inf) -> Solution:
+    """Levenberg-Marquardt on the poses alone, each view by itself, the lens and the board held."""
+    solution = replace(start, free=np.zeros(LENS + SHAPE, bool))
+    damping = np.full(observations.views, 1e-3)
+
+    def normal(trial):
+        residual, _, own = _linearise(observations, trial)
+        cost, weight = _huber(residual, delta)
+        weighted = own * weight[:, None, None]
+        return (
+            observations.per_view(cost),
+            observations.per_view(np.einsum("nia,nib->nab", weighted, own)),
+            observations.per_view(np.einsum("nia,ni->na", weighted, residual)),
+        )
+
+    cost, C, h = normal(solution)
+    for _ in range(iterations):
+        step = np.linalg.solve(_damped(C, damping), h[..., None])[..., 0]
+        trial = _moved(solution, np.zeros(0), step)
+        found = normal(trial)
+        better = found[0] < cost
+        pick = better[:, None]
+        solution = replace(
+            solution,
+            rotations=np.where(pick[..., None], trial.rotations, solution.rotations),
+            translations=np.where(pick, trial.translations, solution.translations),
+        )
+        moved = better & (cost - found[0] > 1e-12 * cost)
+        cost, h = np.where(better, found[0], cost), np.where(pick, found[2], h)
+        C = np.where(pick[..., None], found[1], C)
+        damping = np.where(better, damping / 6, damping * 6)
+        if not moved.any() and (damping > 1e3).all():
+            break
+    return solution
+
+
+def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
+    """Covariance (11, 11) of the common unknowns, 0 where not fitted, and the corners' standard deviation in px."""
+    cost, A, B, C, _, _ = _normal_equations(observations, solution, solution.delta_px)
+    fold = np.linalg.solve(_damped(C, 0.0), B)
+    schur = A - np.einsum("vab,vac->bc", B, fold)
+    freedom = 2 * len(observations.pixels) - int(solution.free.sum()) - 6 * observations.views
+    sigma = np.sqrt(cost / freedom) if freedom > 0 else np.inf
+    scale = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    value, vector = np.linalg.eigh(schur * np.outer(scale, scale))
+    spread = vector / np.maximum(value, 1e-16) @ vector.T
+    out = np.zeros((LENS + SHAPE, LENS + SHAPE))
+    out[np.ix_(solution.free, solution.free)] = sigma**2 * spread * np.outer(scale, scale) if freedom > 0 else np.inf
+    return out, float(sigma)
+
+
+# --- the whole fit ----------------------------------------------------------------------------------------------------
+
+LENS_FREE = np.arange(LENS + SHAPE) < LENS
+ALL_FREE = np.ones(LENS + SHAPE, bool)
+
+
+def start_from_rays(observations: Observations, lens: KannalaBrandt, shape: np.ndarray | None = None) -> Solution:
+    """Poses from rays under a lens that is known or guessed."""
+    parameters = np.zeros(LENS + SHAPE)
+    parameters[:LENS] = [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.k3, lens.k4]
+    if shape is not None:
+        parameters[LENS:] = shape
+    return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(LENS + SHAPE, bool))
+
+
+def view_rms(observations: Observations, solution: Solution) -> np.ndarray:
+    """RMS residual of each view, (views,) px; a corner that the lens does not image counts as 100 px."""
+    squared = np.nan_to_num((residuals(observations, solution) ** 2).sum(1), nan=_UNSEEN_PX**2)
+    return np.sqrt(observations.per_view(squared) / np.bincount(observations.view))
+
+
+def scan_focal(observations: Observations, width: int, height: int) -> Solution:
+    """Find a start: the equidistant lens, centred, whose boards come out flattest, with the poses under it.
+
+    OpenCV starts from max(width, height) / pi instead, which asserts or ends in nonsense on most wide lenses.
+    """
+    few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, 12)).round().astype(int))
+    sample = observations.of_views(few)
+    sides = np.array([width, height], float)
+    angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
+
+    def score(f):
+        lens = KannalaBrandt(f, f, (width - 1) / 2, (height - 1) / 2)
+        found = refine_poses(sample, start_from_rays(sample, lens), 4)
+        return np.median(view_rms(sample, found))
+
+    candidates = np.unique(np.outer(1 / angles, sides))
+    scores = [score(f) for f in candidates]
+    best = int(np.argmin(scores))
+    low, high = candidates[max(best - 1, 0)], candidates[min(best + 1, len(candidates) - 1)]
+    for _ in range(6):  # golden section
+        a, b = high - 0.618 * (high - low), low + 0.618 * (high - low)
+        low, high = (low, b) if score(a) < score(b) else (a, high)
+    f = (low + high) / 2
+    lens = KannalaBrandt(f, f, (width - 1) / 2, (height - 1) / 2)
+    return refine_poses(observations, start_from_rays(observations, lens), 6)
+
+
+def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:
+    """Fit the lens (and the board's shape) to all views, robustly, in stages of growing freedom.
+
+    Raises:
+        NoFit: there are fewer equations than unknowns.
+    """
+    free = ALL_FREE if board_shape else LENS_FREE
+    if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
+        raise NoFit(f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens")
+    if not start.free.any():
+        start = refine(observations, start, np.arange(LENS + SHAPE) < 5, 5.0, 15, 1e-4)
+        start = refine(observations, start, LENS_FREE, 2.0, 25, 1e-5)
+        start = _reseeded(observations, start)
+    solution = refine(observations, start, LENS_FREE, _delta(observations, start), 15, 1e-5)
+    for _ in range(2):
+        solution = refine(observations, solution, free, _delta(observations, solution), 40)
+    spread, sigma = covariance(observations, solution)
+    return replace(solution, covariance=spread, sigma_px=sigma)
+
+
+def _reseeded(observations: Observations, solution: Solution) -> Solution:
+    """Start the views that fit badly again from their rays, and keep what fits better."""
+    rms = view_rms(observations, solution)
+    bad = rms > max(5 * np.median(rms), 2.0)
+    if not bad.any():
+        return solution
+    few = observations.of_views(bad)
+    again = refine_poses(few, start_from_rays(few, solution.lens, solution.shape), 10)
+    better = view_rms(few, again) < rms[bad]
+    chosen = np.flatnonzero(bad)[better]
+    rotations, translations = solution.rotations.copy(), solution.translations.copy()
+    rotations[chosen], translations[chosen] = again.rotations[better], again.translations[better]
+    return replace(solution, rotations=rotations, translations=translations)
+
+
+def _delta(observations: Observations, solution: Solution) -> float:
+    """Three standard deviations of the residuals' bulk: their median length is 1.177 of it (Rayleigh)."""
+    length = np.linalg.norm(residuals(observations, solution), axis=1) / observations.sigma
+    return max(3 * float(np.nanmedian(length)) / 1.1774, 1e-9)
+
+
+def outlying_views(rms: np.ndarray) -> np.ndarray:
+    """Which views fit worse than the others can explain: RMS above median + 4 (1.4826 MAD + 0.02 px); (views,) bool.
+
+    Twice the median is always borne (the fit is robust), and at least four views are left.
+    """
+    middle = np.median(rms)
+    limit = middle + 4 * (1.4826 * np.median(np.abs(rms - middle)) + 0.02)
+    return rms > max(limit, 2 * middle, np.sort(rms)[:4][-1])
+
+
+def fit_robustly(observations: Observations, width: int, height: int, *, board_shape: bool = False):
+    """Fit from nothing, leaving out views that do not belong.
+
+    Returns:
+        the Solution for the kept views, and `kept` (views,) bool.
+    """
+    solution = fit(observations, scan_focal(observations, width, height), board_shape=board_shape)
+    return refit_robustly(observations, solution, np.ones(observations.views, bool), board_shape=board_shape)
+
+
+def refit_robustly(observations: Observations, solution: Solution, kept: np.ndarray, *, board_shape: bool = False):
+    """Fit the kept views again from where they stand, at most three times leaving out views that do not belong."""
+    kept = kept.copy()
+    for _ in range(3):
+        few = observations.of_views(kept)
+        bad = outlying_views(view_rms(few, solution))
+        if not bad.any():
+            break
+        kept[np.flatnonzero(kept)[bad]] = False
+        solution = fit(observations.of_views(kept), solution.of_views(~bad), board_shape=board_shape)
+    return solution, kept

@@ -1,0 +1,235 @@
+"""How far a calibration may be believed: held-out error, uncertainty over the picture, coverage, and a verdict."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from avcli.calibration import fit
+from avcli.lens import KannalaBrandt
+
+FIELD_SD_LIMIT_PX = 1.0
+"""Mean standard deviation over the picture beyond which a lens counts as not observed."""
+FOCAL_SD_LIMIT = 0.01
+"""Standard deviation of the focal length, as a fraction of it, beyond which a lens counts as not observed."""
+LEAST_VIEWS = 4
+
+
+def held_out_rms(observations: fit.Observations, solution: fit.Solution, folds: int = 5) -> float:
+    """RMS residual of views that took no part: for each fold the lens comes from the others, the poses from itself.
+
+    Args:
+        observations, solution: of the views that were kept.
+        folds: how many parts; view i is in part i mod folds.
+
+    Returns:
+        px over all corners; NaN where there are too few views.
+    """
+    folds = min(folds, observations.views)
+    if folds < 2:
+        return float("nan")
+    squared, count = 0.0, 0
+    part = np.arange(observations.views) % folds
+    for fold in range(folds):
+        train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
+        seen = observations.of_views(train)
+        if 2 * len(seen.pixels) <= 11 + 6 * seen.views:
+            return float("nan")
+        learned = fit.refine(seen, solution.of_views(train), solution.free, solution.delta_px, 25)
+        held = observations.of_views(test)
+        there = replace(solution.of_views(test), parameters=learned.parameters)
+        there = fit.refine_poses(held, there, 12, solution.delta_px)
+        rest = fit.residuals(held, there)
+        squared += np.nan_to_num((rest**2).sum(1), nan=100.0**2).sum()
+        count += len(rest)
+    return float(np.sqrt(squared / count))
+
+
+def field_sd(solution: fit.Solution, width: int, height: int, step: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """Expected error of the projection over the picture, a turn of the camera as a whole not counted.
+
+    Returns:
+        pixels (rows, columns, 2), and the standard deviation there in px (rows, columns): the root of the summed
+        variances of u and v; NaN where the lens images nothing.
+    """
+    return _field_sd(solution.lens, solution.covariance[: fit.LENS, : fit.LENS], width, height, step)
+
+
+def _field_sd(lens: KannalaBrandt, covariance: np.ndarray, width: int, height: int, step: int):
+    u = np.linspace(0, width - 1, max(2, round(width / step)))
+    v = np.linspace(0, height - 1, max(2, round(height / step)))
+    grid = np.stack(np.meshgrid(u, v), -1)
+    pixels = grid.reshape(-1, 2)
+    rays = lens.unproject(pixels)
+    # At the very edge of the lens the inverse is not differentiable.
+    seen = np.isfinite(rays).all(1) & (
+        np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]) < 0.995 * lens.theta_max
+    )
+    out = np.full(len(pixels), np.nan)
+    if not seen.any() or not np.isfinite(covariance).all():
+        out[seen] = np.inf
+        return grid, out.reshape(grid.shape[:2])
+    _, by_point, by_lens = lens.project_jacobian(rays[seen])
+    turn = -by_point @ fit._cross(rays[seen])
+    Q = np.linalg.qr(turn.reshape(-1, 3))[0]
+    J = by_lens.reshape(-1, fit.LENS)
+    J = (J - Q @ (Q.T @ J)).reshape(-1, 2, fit.LENS)
+    out[seen] = np.sqrt(np.maximum(np.einsum("nia,ab,nib->n", J, covariance, J), 0))
+    return grid, out.reshape(grid.shape[:2])
+
+
+def seen_angles(lens: KannalaBrandt, pixels: np.ndarray) -> np.ndarray:
+    """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
+    rays = lens.unproject(pixels)
+    return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+
+
+def coverage(pixels: np.ndarray, width: int, height: int, columns: int = 8) -> np.ndarray:
+    """How many corners (n, 2) px fall into each cell of a grid over the picture: (rows, columns) counts."""
+    rows = max(2, round(columns * height / width))
+    x = np.clip((pixels[:, 0] + 0.5) / width * columns, 0, columns - 1e-9).astype(int)
+    y = np.clip((pixels[:, 1] + 0.5) / height * rows, 0, rows - 1e-9).astype(int)
+    counts = np.zeros((rows, columns), int)
+    np.add.at(counts, (y, x), 1)
+    return counts
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What is known of a calibration beyond its RMS.
+
+    Attributes:
+        rms_px: over the corners of the kept views, as OpenCV counts: root of the mean of dx² + dy².
+        inlier_rms_px: the same without corners beyond the robust fit's limit.
+        held_out_rms_px: see `held_out_rms`; NaN where there are too few views.
+        sd: (11,) standard deviations of fx fy cx cy px, k1..k4, b0 b1 m, b2.
+        field_pixels, field_sd_px: see `field_sd`.
+        counts: see `coverage`.
+        theta_max_observed, theta_max_valid, theta_max_picture: rad; the largest angle at which a corner was seen, at
+            which the lens stays one-to-one, and which the picture shows.
+        tilt: rad, spread (RMS) of the boards' normals about their mean.
+        refusals: sentences that say why the lens is not observable; empty where it is.
+        advice: sentences that say what to film next.
+    """
+
+    rms_px: float
+    inlier_rms_px: float
+    held_out_rms_px: float
+    sd: np.ndarray
+    field_pixels: np.ndarray
+    field_sd_px: np.ndarray
+    counts: np.ndarray
+    theta_max_observed: float
+    theta_max_valid: float
+    theta_max_picture: float
+    tilt: float
+    refusals: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+def assess(observations: fit.Observations, solution: fit.Solution, width: int, height: int, held_out: float) -> Quality:
+    """Judge a fit by its covariance and by where its boards were, not by its RMS, which is small for bad sets too.
+
+    Args:
+        observations, solution: of the kept views.
+        width, height: px, of the pictures.
+        held_out: px, the held-out RMS.
+    """
+    lens = solution.lens
+    error = np.linalg.norm(fit.residuals(observations, solution), axis=1)
+    inlier = error <= solution.delta_px * observations.sigma
+    grid, sd_px = field_sd(solution, width, height)
+    angles = seen_angles(lens, observations.pixels)
+    observed = float(np.nanmax(angles)) if np.isfinite(angles).any() else 0.0
+    rim = seen_angles(lens, _border(width, height))
+    shown = lens.theta_max if np.isnan(rim).any() else float(rim.max())
+    normals = solution.rotations[:, :, 2]
+    centre = normals.sum(0) / max(np.linalg.norm(normals.sum(0)), 1e-12)
+    tilt = float(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2)))
+    quality = Quality(
+        rms_px=_rms(error),
+        inlier_rms_px=_rms(error[inlier]),
+        held_out_rms_px=held_out,
+        sd=np.sqrt(np.maximum(np.diag(solution.covariance), 0)),
+        field_pixels=grid,
+        field_sd_px=sd_px,
+        counts=coverage(observations.pixels, width, height),
+        theta_max_observed=observed,
+        theta_max_valid=lens.theta_max,
+        theta_max_picture=shown,
+        tilt=tilt,
+        refusals=(),
+        advice=(),
+    )
+    refusals = _refusals(quality, observations, solution)
+    return replace(quality, refusals=refusals, advice=_advice(quality, refusals))
+
+
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.nan_to_num(error, nan=100.0) ** 2))) if len(error) else float("nan")
+
+
+def _border(width: int, height: int) -> np.ndarray:
+    """Corners of the picture, (4, 2) px."""
+    return np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], float)
+
+
+def _refusals(q: Quality, observations: fit.Observations, solution: fit.Solution) -> tuple[str, ...]:
+    reasons = []
+    fx, fy = solution.parameters[:2]
+    if observations.views < LEAST_VIEWS:
+        reasons.append(
+            f"{observations.views} different view{'s' if observations.views != 1 else ''} of the board cannot hold a "
+            f"lens: film at least {LEAST_VIEWS}, better 20, from different sides"
+        )
+    relative = max(q.sd[0] / fx, q.sd[1] / fy)
+    if not relative <= FOCAL_SD_LIMIT:
+        shown = f"{100 * relative:.1f} %" if relative < 10 else "nothing"
+        reasons.append(
+            f"the focal length is known to {shown} only (boards' tilt spread {np.rad2deg(q.tilt):.0f}°): "
+            "tilt the board by 30 to 50° in all directions"
+        )
+    mean = float(np.nanmean(q.field_sd_px))
+    if not mean <= FIELD_SD_LIMIT_PX:
+        size = f"{mean:.1f} px" if mean < 1000 else "more than 1000 px"
+        where = (
+            f"nothing was seen beyond {np.rad2deg(q.theta_max_observed):.0f}°, of "
+            f"{np.rad2deg(q.theta_max_picture):.0f}° that the picture shows"
+            if q.theta_max_observed < 0.8 * q.theta_max_picture
+            else "the boards say too little"
+        )
+        reasons.append(f"the expected error over the picture is {size}: {where}; film the board {_places(q)}")
+    if not q.rms_px <= 0.005 * np.hypot(*solution.parameters[2:4]) + 2.0:
+        reasons.append(f"the corners lie {q.rms_px:.1f} px (RMS) from where this lens would put them: no fit")
+    return tuple(reasons)
+
+
+def _advice(q: Quality, refusals: tuple[str, ...]) -> tuple[str, ...]:
+    advice = []
+    if q.theta_max_observed < 0.9 * q.theta_max_picture:
+        advice.append(
+            f"nothing was seen beyond {np.rad2deg(q.theta_max_observed):.0f}° (the picture shows "
+            f"{np.rad2deg(q.theta_max_picture):.0f}°): film the board near the corners"
+        )
+    empty = float((q.counts == 0).mean())
+    if empty > 0.2:
+        advice.append(f"{100 * empty:.0f} % of the picture saw no corner: film the board {_places(q)}")
+    if q.tilt < np.deg2rad(15):
+        advice.append(f"the boards' normals spread by {np.rad2deg(q.tilt):.0f}° only: tilt the board more")
+    if np.isfinite(q.held_out_rms_px) and q.held_out_rms_px > 1.2 * q.rms_px + 0.02:
+        advice.append(
+            f"pictures held out of the fit come out {q.held_out_rms_px / q.rms_px:.1f} times worse: take more of them"
+        )
+    return () if refusals and not advice else tuple(advice)
+
+
+def _places(q: Quality) -> str:
+    """Name the parts of the picture where corners are missing, in words."""
+    rows, columns = q.counts.shape
+    names = []
+    for label, ys in (("top", slice(0, rows // 3 or 1)), ("bottom", slice(rows - (rows // 3 or 1), rows))):
+        for side, xs in (("left", slice(0, columns // 3)), ("right", slice(columns - columns // 3, columns))):
+            if (q.counts[ys, xs] == 0).mean() > 0.34:
+                names.append(f"{label} {side}")
+    if len(names) == 4 or not names:
+        return "near the corners" if names else "closer, larger and more tilted"
+    return f"at the {' and the '.join(names)}"

@@ -1,0 +1,159 @@
+"""Pictures of calibration boards through an exact lens, for the tests and benchmarks of avcalib."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.calibration import fit
+from avcli.calibration.target import Board, draw
+from avcli.lens import KannalaBrandt
+
+THESIS = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
+"""The thesis's real camera, 1920 × 1080."""
+BOARD = Board(6, 8, 0.095)
+"""The thesis's board."""
+FLAT = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """Boards that stood before a camera: rotations (n, 3, 3) and translations (n, 3) m, board to camera."""
+
+    rotations: np.ndarray
+    translations: np.ndarray
+
+
+def film(
+    count, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), distance=(0.35, 1.2), tilt=0.7, shape=FLAT,
+    aim=None, margin=6, whole=True,
+):  # fmt: skip
+    """Put boards at random before the camera, whole in the picture, aimed at random pixels (or within `aim`)."""
+    width, height = size
+    corners = fit.surface(board.points, shape, board.half_extent)
+    outer = (np.array(board.inner) + 1) / 2 * board.square_m
+    rim = np.array([[sx * outer[0], sy * outer[1], 0] for sx in (-1, 1) for sy in (-1, 1)])
+    rotations, translations = [], []
+    while len(rotations) < count:
+        pixel = rng.uniform([0, 0], [width - 1, height - 1])
+        if aim is not None:
+            pixel = np.asarray(aim[0]) + aim[1] * rng.uniform(-1, 1, 2)
+        ray = lens.unproject(pixel[None])[0]
+        if not np.isfinite(ray).all():
+            continue
+        across = np.cross([0, 1, 0.01], ray)
+        across /= np.linalg.norm(across)
+        facing = np.stack([across, np.cross(ray, across), ray], -1)
+        about, roll = rng.uniform(0, 2 * np.pi, 2)
+        lean = rng.uniform(0, tilt) * np.array([np.cos(about), np.sin(about), 0])
+        R = facing @ fit.rotation_from_vector(lean[None])[0] @ fit.rotation_from_vector(np.array([[0, 0, roll]]))[0]
+        t = ray * rng.uniform(*distance)
+        seen = lens.project((np.concatenate([corners, rim]) if whole else corners) @ R.T + t)
+        inside = ((seen > margin) & (seen < np.array(size) - 1 - margin)).all(1)
+        if inside.all() if whole else inside.sum() >= 8:
+            rotations.append(R)
+            translations.append(t)
+    return Filmed(np.array(rotations), np.array(translations))
+
+
+def exact(filmed, *, lens=THESIS, board=BOARD, shape=FLAT, noise=0.0, rng=None):
+    """The corners of filmed boards without a picture, with Gaussian noise in px: fit.Observations."""
+    flat = fit.surface(board.points, shape, board.half_extent)
+    pixels = np.concatenate(
+        [lens.project(flat @ R.T + t) for R, t in zip(filmed.rotations, filmed.translations, strict=True)]
+    )
+    if noise:
+        pixels = pixels + noise * rng.standard_normal(pixels.shape)
+    n, m = len(filmed.rotations), len(flat)
+    return fit.Observations(
+        np.repeat(np.arange(n), m), np.tile(board.points, (n, 1)), pixels, np.ones(n * m), board.half_extent
+    )
+
+
+def texture(board, per_square=48):
+    """The printed board as a picture, a quiet border of one square around it: (height, width) float 0 or 1."""
+    drawing = draw(board)
+    square = 1000 * board.square_m
+    left, top = (drawing.width_mm - board.columns * square) / 2, (drawing.height_mm - board.rows * square) / 2
+    ink = np.ones(((board.rows + 2) * per_square, (board.columns + 2) * per_square), np.float32)
+    scale = per_square / square
+    for x, y, w, h in drawing.rectangles:
+        a, b = np.rint(np.array([x - left, x + w - left]) * scale + per_square).astype(int)
+        c, d = np.rint(np.array([y - top, y + h - top]) * scale + per_square).astype(int)
+        if a >= per_square and c >= per_square and b <= ink.shape[1] - per_square and d <= ink.shape[0] - per_square:
+            ink[c:d, a:b] = 0.0
+    return ink
+
+
+def photograph(
+    R, t, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), shape=FLAT, blur=0.8, noise=3.0, oversample=3
+):  # fmt: skip
+    """Photograph a board: (height, width) uint8, blurred by a Gaussian of `blur` px, with noise in grey levels.
+
+    Every subpixel's ray is met with the (bowed) board exactly; squares are looked up in the board's own geometry, or,
+    with markers, in its picture.
+    """
+    import cv2
+
+    width, height = size
+    reach = (np.array(board.inner) + 3) / 2 * board.square_m
+    s = np.linspace(-1, 1, 30)
+    rim = np.concatenate([np.stack([a * reach[0], b * reach[1], 0 * s], -1) for a, b in
+                          ((s, s * 0 - 1), (s, s * 0 + 1), (s * 0 - 1, s), (s * 0 + 1, s))])  # fmt: skip
+    seen = lens.project(rim @ R.T + t)
+    low = np.floor(np.nanmin(seen, 0) - 6).astype(int).clip(0, [width - 2, height - 2])
+    high = np.ceil(np.nanmax(seen, 0) + 6).astype(int).clip(low + 2, [width, height])
+    if not np.isfinite(seen).all():
+        low, high = np.zeros(2, int), np.array(size)
+    y, x = np.mgrid[0:height, 0:width]
+    from_centre = np.hypot((x - width / 2) / width, (y - height / 2) / width)
+    picture = 90 + 25 * np.sin(x / 37.0) * np.cos(y / 51.0)
+    wide, high_px = (high - low) * oversample
+    u = low[0] + (np.arange(wide) + 0.5) / oversample - 0.5
+    v = low[1] + (np.arange(high_px) + 0.5) / oversample - 0.5
+    rays = lens.unproject(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)) @ R
+    origin = -R.T @ t
+    bx = by = np.zeros(len(rays))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for _ in range(1 if not shape[:2].any() else 6):
+            z = shape[0] * (1 - (bx / board.half_extent[0]) ** 2) + shape[1] * (1 - (by / board.half_extent[1]) ** 2)
+            along = (z - origin[2]) / rays[:, 2]
+            along = np.where(along > 0, along, np.nan)
+            bx, by = origin[0] + along * rays[:, 0], origin[1] + along * rays[:, 1]
+    column = bx / board.square_m + board.columns / 2
+    row = by / (1 + shape[2]) / board.square_m + board.rows / 2
+    on = (column > -1) & (column < board.columns + 1) & (row > -1) & (row < board.rows + 1)
+    inside = (column > 0) & (column < board.columns) & (row > 0) & (row < board.rows)
+    if board.markers:
+        ink = texture(board)
+        per_square = ink.shape[0] // (board.rows + 2)
+        place = [np.clip(np.nan_to_num((a + 1) * per_square - 0.5, nan=-1), -1, 9e3) for a in (column, row)]
+        at = [a.reshape(int(high_px), int(wide)).astype(np.float32) for a in place]
+        white = cv2.remap(ink, *at, cv2.INTER_NEAREST, borderValue=1.0).ravel()
+    else:
+        with np.errstate(invalid="ignore"):
+            odd = (np.floor(column) + np.floor(row)) % 2 == 1
+        white = np.where(inside, odd, 1.0)
+    patch = np.repeat(np.repeat(picture[low[1] : high[1], low[0] : high[0]], oversample, 0), oversample, 1)
+    patch = np.where(on.reshape(patch.shape), 30 + 190 * white.reshape(patch.shape), patch)
+    patch = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), blur * oversample)
+    patch = patch.reshape(high[1] - low[1], oversample, high[0] - low[0], oversample).mean((1, 3))
+    picture[low[1] : high[1], low[0] : high[0]] = patch
+    picture = picture * (1 - 0.5 * from_centre**2) + noise * rng.standard_normal(picture.shape)
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def field_error(found, true=THESIS, size=(1920, 1080), step=20, theta_max=np.inf):
+    """Mean and largest difference of two lenses over the picture, px, after the rotation that suits best."""
+    width, height = size
+    pixels = np.stack(np.meshgrid(np.arange(0.0, width, step), np.arange(0.0, height, step)), -1).reshape(-1, 2)
+    rays = true.unproject(pixels)
+    seen = np.isfinite(rays).all(1) & (np.arccos(np.clip(rays[:, 2], -1, 1)) <= theta_max)
+    pixels, rays = pixels[seen], rays[seen]
+    for _ in range(10):
+        projected, by_point, _ = found.project_jacobian(rays)
+        good = np.isfinite(projected).all(1)
+        by_turn = -by_point[good] @ fit._cross(rays[good])
+        turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (pixels - projected)[good].ravel(), rcond=None)[0]
+        rays = rays @ fit.rotation_from_vector(turn[None])[0].T
+    error = np.linalg.norm(pixels - found.project(rays), axis=1)
+    return float(np.nanmean(error)), float(np.nanmax(error)) if np.isfinite(error).all() else np.inf

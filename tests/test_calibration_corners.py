@@ -1,0 +1,174 @@
+"""Boards: drawing, finding, refining."""
+
+import re
+
+import numpy as np
+import pytest
+from calibration_boards import BOARD, exact, film, photograph
+
+from avcli.calibration import calibrate, corners, fit, target
+from avcli.calibration.target import Board
+from avcli.lens import KannalaBrandt
+
+HALF = KannalaBrandt(431.135, 431.35, 524.485, 276.13, -0.0269, -0.0038, 0.0016, -0.0006)
+"""The thesis's lens on a sensor of half the pixels."""
+HALF_SIZE = (960, 540)
+
+
+@pytest.fixture(scope="module")
+def shots():
+    """Three photographs of the thesis's board, with where its corners truly are."""
+    rng = np.random.default_rng(0)
+    filmed = film(3, rng, lens=HALF, size=HALF_SIZE)
+    pictures = [
+        photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
+        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+    ]
+    return filmed, pictures, exact(filmed, lens=HALF).pixels.reshape(3, -1, 2)
+
+
+def error(found, true):
+    """RMS along one axis, px; a board of even counts may be read upside down."""
+    return min(np.sqrt(((found - true) ** 2).mean()), np.sqrt(((found[::-1] - true) ** 2).mean()))
+
+
+def test_corners_are_found_to_a_few_hundredths_of_a_pixel(shots):
+    for picture, true in zip(*shots[1:], strict=True):
+        assert error(corners.find(picture, BOARD).pixels, true) < 0.06
+
+
+def test_polish_halves_the_error_and_knows_what_is_left(shots):
+    _filmed, pictures, true = shots
+    views = [corners.find(picture, BOARD) for picture in pictures]
+    before = calibrate.observe(BOARD, views)
+    start = fit.refine_poses(before, fit.start_from_rays(before, HALF), 10)
+    after = calibrate.polished(before, start, np.ones(3, bool), BOARD, views)
+    pairs = [[error(o.pixels[o.view == i], true[i]) for i in range(3)] for o in (before, after)]
+    assert np.mean(pairs[1]) < 0.6 * np.mean(pairs[0])
+    assert np.mean(pairs[1]) < 0.025
+
+
+def test_a_picture_in_any_form_gives_the_same_corners(shots):
+    picture = shots[1][0]
+    expected = corners.find(picture, BOARD).pixels
+    forms = {
+        "colour": np.repeat(picture[:, :, None], 3, 2),
+        "with alpha": np.dstack([picture] * 3 + [np.full_like(picture, 255)]),
+        "one channel": picture[:, :, None],
+        "16 bits": picture.astype(np.uint16) * 257,
+        "12 bits in 16": picture.astype(np.uint16) * 16,
+        "floats": picture / 255.0,
+    }
+    for name, form in forms.items():
+        found = corners.find(corners.to_grey(form), BOARD)
+        assert found is not None, name
+        assert error(found.pixels, expected) < 0.02, name
+
+
+def test_nothing_is_found_where_there_is_nothing():
+    for picture in (
+        np.zeros((540, 960), np.uint8),
+        np.full((540, 960), 200, np.uint8),
+        np.zeros((8, 8), np.uint8),
+        np.tile(np.arange(960, dtype=np.uint8), (540, 1)),
+    ):
+        assert corners.find(picture, BOARD) is None
+    assert (corners.to_grey(np.zeros((40, 40), np.uint16)) == 0).all()
+
+
+def test_a_part_of_a_larger_board_is_not_taken_for_the_board(shots):
+    picture = shots[1][0]
+    whole = corners.find(picture, BOARD)
+    assert corners.is_whole(picture, whole.pixels, BOARD.inner)
+    grid = whole.pixels.reshape(7, 5, 2)
+    for part, inner in ((grid[:-1], (5, 6)), (grid[1:], (5, 6)), (grid[:, :-1], (4, 7)), (grid[:, 1:], (4, 7))):
+        assert not corners.is_whole(picture, part.reshape(-1, 2), inner)
+
+
+@pytest.mark.parametrize("given", ["5x7", "7x9"])
+def test_the_size_of_the_board_is_guessed(shots, given):
+    guess = corners.guess_board(shots[1], Board(*target.parse_size(given)))
+    assert sorted((guess.columns, guess.rows)) == [6, 8]
+
+
+def test_a_large_picture_and_its_small_copy_agree():
+    rng = np.random.default_rng(3)
+    filmed = film(1, rng, lens=HALF, size=HALF_SIZE)
+    R, t = filmed.rotations[0], filmed.translations[0]
+    large = KannalaBrandt(
+        3 * HALF.fx, 3 * HALF.fy, 3 * HALF.cx + 1, 3 * HALF.cy + 1, *[HALF.k1, HALF.k2, HALF.k3, HALF.k4]
+    )
+    picture = photograph(R, t, rng, lens=large, size=(2880, 1620), oversample=1)
+    found = corners.find(picture, BOARD)
+    assert error(found.pixels, exact(filmed, lens=large).pixels) < 0.1
+
+
+def test_half_a_charuco_board_is_enough():
+    rng = np.random.default_rng(5)
+    board = Board(7, 10, 0.06, markers=True)
+    filmed = film(
+        6, rng, lens=HALF, size=HALF_SIZE, board=board, whole=False, distance=(0.3, 0.5), tilt=0.4,
+        aim=((480, 270), 250),
+    )  # fmt: skip
+    partial = 0
+    for R, t in zip(filmed.rotations, filmed.translations, strict=True):
+        view = corners.find(photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=board, blur=0.5), board)
+        if view is None:
+            continue
+        partial += len(view.ids) < len(board.points)
+        true = HALF.project(np.column_stack([board.points, np.zeros(len(board.points))])[view.ids] @ R.T + t)
+        assert np.sqrt(((view.pixels - true) ** 2).mean()) < 0.15
+    assert partial >= 2
+
+
+def test_a_duplicate_is_recognised(shots):
+    views = [corners.find(picture, BOARD) for picture in shots[1]]
+    turned = corners.view_of(shots[1][0], views[0].ids, views[0].pixels[::-1] + 0.2)
+    assert calibrate.is_duplicate(turned, views)
+    assert not calibrate.is_duplicate(views[0], views[1:])
+
+
+# --- targets ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_target_has_true_millimetres():
+    board = Board(7, 10, 0.025)
+    svg = target.to_svg(target.draw(board, "A3"))
+    assert 'width="297mm" height="420mm" viewBox="0 0 297 420"' in svg
+    path = re.search(r'<path d="([^"]*)"', svg)[1]
+    squares = re.findall(r"M([\d.]+) ([\d.]+)h25v25h-25z", path)
+    assert len(squares) == 35
+    x = np.array(squares, float)
+    assert np.ptp(x[:, 0]) == pytest.approx(150)
+    assert np.ptp(x[:, 1]) == pytest.approx(225)
+
+
+def test_a_pdf_is_a_pdf_whose_offsets_hold():
+    pdf = target.to_pdf(target.draw(Board(5, 7, 0.03, markers=True)))
+    assert pdf.startswith(b"%PDF-1.4")
+    table = int(re.search(rb"startxref\n(\d+)\n%%EOF\n$", pdf)[1])
+    assert pdf[table : table + 4] == b"xref"
+    for number, offset in enumerate(re.findall(rb"(\d{10}) 00000 n", pdf), 1):
+        assert pdf[int(offset) :].startswith(b"%d 0 obj" % number)
+    length = int(re.search(rb"/Length (\d+)", pdf)[1])
+    assert pdf.split(b"stream\n", 1)[1][length:].startswith(b"\nendstream")
+    assert target.to_pdf(target.draw(Board(5, 7, 0.03, markers=True))) == pdf
+
+
+def test_a_board_that_does_not_fit_says_what_does():
+    with pytest.raises(ValueError, match="the largest that fit are 26 mm"):
+        target.draw(Board(7, 10, 0.05), "A4")
+    with pytest.raises(ValueError, match="too small"):
+        Board(2, 8)
+    with pytest.raises(ValueError, match="6x8"):
+        target.parse_size("6,8")
+
+
+def test_what_is_drawn_is_what_opencv_knows():
+    """The drawn ChArUco board has the markers where OpenCV's own picture has them."""
+    from calibration_boards import texture
+
+    board = Board(5, 7, 0.03, markers=True)
+    ours = texture(board, 56)[56:-56, 56:-56] > 0.5
+    theirs = board.charuco().generateImage((5 * 56, 7 * 56), marginSize=0) > 127
+    assert (ours == theirs).mean() > 0.999
