@@ -1,4 +1,4 @@
-# make s1            one experiment: simulate, detect, fuse, score; out/s1/ and a table
+# make s1            one experiment: simulate, detect, fuse, score; a table, and out/s1/report.html
 # make s1-audio      the same by ear alone (nothing is rendered); s1-video by eye alone, s1-both by both
 # make all           s1 s2 s3 s4 and the combined table (make -j2 all uses two cores)
 # make test lint     the tests; the style checks
@@ -79,7 +79,7 @@ $(OUT)/%/tracking/audio_video_tracking.jsonl: $(OUT)/%/localization/audio_locali
 
 $(OUT)/%/metrics.jsonl: $(OUT)/%/tracking/audio_tracking.jsonl $(OUT)/%/tracking/video_tracking.jsonl \
                         $(OUT)/%/tracking/audio_video_tracking.jsonl
-	$(BIN)/aveval --experiments $(@D) --format jsonl $(EVAL_FLAGS) -o $@
+	$(BIN)/aveval --experiments $(@D) --html $(@D)/report.html --format jsonl $(EVAL_FLAGS) -o $@
 
 $(SCENARIOS): %: $(OUT)/%/metrics.jsonl
 	@$(BIN)/aveval --experiments $(OUT)/$@ --format table --compare-thesis $(EVAL_FLAGS)
