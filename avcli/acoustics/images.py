@@ -1,0 +1,279 @@
+"""Image sources of a shoebox room, and the impulse responses that they sum to.
+
+A source and a microphone may change places (reciprocity), so the images here are of the microphone: they stand still
+while the source walks. Image (n, q) of an axis of length L lies at (1 − 2q) m + 2 n L and has met the wall at 0 |n − q|
+times and the wall at L |n| times (J. B. Allen and D. A. Berkley, 1979, eq. 10).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+NEAREST_M = 0.05
+"""m; a source nearer to a microphone than this is not louder than at this distance."""
+MOST_IMAGES = 20_000_000
+"""images of one microphone; beyond them a response would take gigabytes and seconds."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """The images of one microphone.
+
+    Attributes:
+        positions: (3, n) m.
+        gains: (n,) product of the reflection coefficients on the way.
+        mirrored: (3, n) −1 where an axis is seen mirrored, otherwise +1.
+    """
+
+    positions: np.ndarray
+    gains: np.ndarray
+    mirrored: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.gains)
+
+    def __getitem__(self, chosen) -> "Images":
+        return Images(self.positions[:, chosen], self.gains[chosen], self.mirrored[:, chosen])
+
+    def offsets(self, source_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the vectors from each image to a source, (3, n) m, and their lengths, (n,) m."""
+        vectors = source_m[:, None] - self.positions
+        squares = vectors[0] * vectors[0]
+        squares += vectors[1] * vectors[1]
+        squares += vectors[2] * vectors[2]
+        return vectors, np.sqrt(squares, out=squares)
+
+
+def image_count(room_dimensions_m: ArrayLike, reach_m: float) -> float:
+    """Return about how many images lie within a distance: 4/3 π r³ / V."""
+    return 4 / 3 * np.pi * reach_m**3 / float(np.prod(room_dimensions_m))
+
+
+def image_microphones(
+    room_dimensions_m: ArrayLike, microphone_m: ArrayLike, reflection: ArrayLike, source_m: ArrayLike, reach_m: float
+) -> Images:
+    """Return all images of a microphone that a source hears within a distance.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        microphone_m: (3,) m.
+        reflection: (6,) signed pressure coefficients of the walls x0 x1 y0 y1 z0 z1.
+        source_m: (3,) m.
+        reach_m: m, the longest way.
+
+    Raises:
+        ValueError: there would be more than MOST_IMAGES of them.
+    """
+    room, microphone, source = (np.asarray(v, dtype=float) for v in (room_dimensions_m, microphone_m, source_m))
+    coefficients = np.asarray(reflection, dtype=float).reshape(3, 2)
+    _refuse_too_many(room, coefficients, reach_m)
+    axes = [_axis(*of_axis, reach_m) for of_axis in zip(room, microphone, coefficients, source, strict=True)]
+    (x, gx, mx), (y, gy, my), (z, gz, mz) = axes
+    square_yz = np.add.outer((y - source[1]) ** 2, (z - source[2]) ** 2).ravel()
+    order = np.argsort(square_yz, kind="stable")
+    iy, iz = np.divmod(order, len(z))
+    counts = np.searchsorted(square_yz[order], reach_m**2 - (x - source[0]) ** 2, side="right")
+    rows = np.concatenate([np.arange(count) for count in counts])
+    ix, iy, iz = np.repeat(np.arange(len(x)), counts), iy[rows], iz[rows]
+    return Images(np.stack([x[ix], y[iy], z[iz]]), gx[ix] * gy[iy] * gz[iz], np.stack([mx[ix], my[iy], mz[iz]]))
+
+
+def _refuse_too_many(room: np.ndarray, reflection: np.ndarray, reach_m: float) -> None:
+    if np.all(reflection != 0) and image_count(room, reach_m) > MOST_IMAGES:
+        raise ValueError(
+            f"sound reaches {image_count(room, reach_m):.2g} images of each microphone within {reach_m:.0f} m; "
+            f"more than {MOST_IMAGES:.2g} are too many"
+        )
+
+
+def _axis(length: float, microphone: float, coefficients: np.ndarray, source: float, reach: float):
+    most = int(reach / (2 * length)) + 2
+    n = np.repeat(np.arange(-most, most + 1), 2)
+    q = np.tile([0, 1], 2 * most + 1)
+    positions = (1 - 2 * q) * microphone + 2 * n * length
+    gains = coefficients[0] ** np.abs(n - q) * coefficients[1] ** np.abs(n)
+    kept = (gains != 0) & (np.abs(positions - source) <= reach)
+    return positions[kept], gains[kept], (1.0 - 2 * q)[kept]
+
+
+def audible(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> np.ndarray:
+    """Return which images a response needs, so that what is left out stays below an error: (n,) bool.
+
+    The faintest are left out. The error is measured on the response rounded to samples, since images that fall on one
+    sample add up there.
+
+    Args:
+        delays: (n,) samples.
+        amplitudes: (n,).
+        error_db: energy that may be lost relative to the whole, dB.
+    """
+    if len(delays) == 0:
+        return np.ones(0, bool)
+    loudness = np.abs(amplitudes)
+    samples = np.rint(delays).astype(np.intp)
+    whole = np.bincount(samples, amplitudes)
+    allowed = 10 ** (error_db / 10) * np.sum(whole**2)
+    levels = np.floor(2 * 20 * np.log10(np.maximum(loudness, 1e-300))).astype(np.intp)  # steps of half a decibel
+    levels -= levels.min()
+    lost = np.cumsum(np.bincount(levels, loudness**2))
+    level = int(np.searchsorted(lost, allowed, side="right"))  # the first level that must be kept if nothing adds up
+    while level > 0:
+        left_out = levels < level
+        missing = np.bincount(samples[left_out], amplitudes[left_out])
+        if np.sum(missing**2) <= allowed:
+            break
+        level -= 1
+    return levels >= level
+
+
+def fast_length(least: int) -> int:
+    """Return the smallest even length of at least `least` whose FFT is fast: 2^a 3^b 5^c with a > 0."""
+    best = 1 << max(1, int(least - 1).bit_length())
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            length = three * 2
+            while length < least:
+                length *= 2
+            best = min(best, length)
+            three *= 3
+        five *= 5
+    return best
+
+
+class DelaySpectrum:
+    """Sums of delayed impulses as spectra: H[b] = Σᵢ aᵢ exp(−2πi b τᵢ / length) by a type 1 non-uniform FFT.
+
+    Impulses are spread over a fine grid by the kernel exp(β (√(1 − z²) − 1)), transformed, and divided by the kernel's
+    transform (A. H. Barnett, J. Magland and L. af Klinteberg, 2019).
+
+    Args:
+        length: samples of the transform; delays lie in [0, length).
+        band: highest frequency that must be right, in cycles a sample, at most 0.5; bins above it are left out.
+        error_db: error relative to the impulses' energy, dB.
+
+    Attributes:
+        length: as given.
+        bins: number of bins that a spectrum has.
+    """
+
+    ROWS = 4096
+
+    def __init__(self, length: int, band: float = 0.5, error_db: float = -80.0):
+        self.length, self.bins = length, min(length // 2, int(np.ceil(band * length))) + 1
+        self._oversampling = 1 if band <= 0.3 else 2
+        ratio = self._oversampling / (2 * min(band, 0.5))
+        digits = -error_db / 20 * np.log(10)
+        width = max(2, int(np.ceil((digits + 1) / (np.pi * np.sqrt(1 - 1 / ratio)))))
+        beta = 0.97 * np.pi * width * (1 - 1 / (2 * ratio))
+        self._width, self._cells = width, length * self._oversampling
+
+        def kernel(cells):
+            return np.exp(beta * (np.sqrt(np.maximum(0.0, 1 - (2 * cells / width) ** 2)) - 1))
+
+        fractions = (np.arange(self.ROWS) + 0.5) / self.ROWS
+        self._taps = [kernel(1 + k - width / 2 - fractions) for k in range(width)]
+        nodes, weights = np.polynomial.legendre.leggauss(32 + 4 * width)
+        frequencies = np.arange(self.bins) / self._cells
+        cells = nodes * width / 2
+        transform = (np.cos(2 * np.pi * np.outer(frequencies, cells)) * (weights * width / 2 * kernel(cells))).sum(
+            axis=1
+        )
+        self._inverse = 1 / transform
+
+    def __call__(self, delays: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
+        """Return the spectrum, (bins,) complex128.
+
+        Args:
+            delays: (n,) samples in [0, length).
+            amplitudes: (n,).
+        """
+        width, cells = self._width, self._cells
+        margin = (width + 1) // 2
+        places = delays * self._oversampling
+        places += margin - width / 2
+        first = places.astype(np.intp)
+        places -= first
+        places *= self.ROWS
+        rows = places.astype(np.intp)
+        grid = np.zeros(cells + 2 * width + 2)
+        for k, taps in enumerate(self._taps):
+            spread = taps.take(rows, mode="clip")
+            spread *= amplitudes
+            np.add.at(grid[k + 1 :], first, spread)
+        circle = grid[margin : margin + cells]
+        circle[cells - margin :] += grid[:margin]
+        rest = grid[margin + cells :]
+        circle[: len(rest)] += rest
+        return np.fft.rfft(circle)[: self.bins] * self._inverse
+
+
+def shoebox_rir(
+    room_dimensions_m: ArrayLike,
+    source_m: ArrayLike,
+    microphones_m: ArrayLike,
+    reflection: ArrayLike,
+    sample_rate_hz: float,
+    num_samples: int,
+    *,
+    speed_of_sound_m_s: float = 343.0,
+    sign: int = -1,
+    error_db: float | None = None,
+) -> np.ndarray:
+    """Return the impulse responses from a source to microphones in a shoebox room.
+
+    The response is the band-limited sum Σ aᵢ sinc(n − τᵢ) over all images whose delay τᵢ falls within it, with
+    aᵢ = (product of reflections) / (4π dᵢ) (J. B. Allen and D. A. Berkley, 1979), to better than −60 dB.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        source_m: (3,) m.
+        microphones_m: (m, 3) or (3,) m.
+        reflection: (6,) or a number, pressure reflection coefficients from 0 to 1 of the walls x0 x1 y0 y1 z0 z1.
+        sample_rate_hz: Hz.
+        num_samples: length of the responses, samples.
+        speed_of_sound_m_s: m/s.
+        sign: −1: a reflection turns the pressure over, and the response has no build-up at low frequencies; +1: not.
+        error_db: the images that can be left out for this relative error (dB, below 0) are left out; None: none are.
+
+    Returns:
+        (m, num_samples) float64.
+
+    Raises:
+        ValueError: an argument has another shape or range, or a point lies outside the room.
+    """
+    room = np.asarray(room_dimensions_m, dtype=float)
+    if room.shape != (3,) or not np.all(np.isfinite(room) & (room > 0)):
+        raise ValueError(f"a room has three dimensions above 0 m, not {room.tolist()}")
+    source, microphones = np.asarray(source_m, dtype=float), np.atleast_2d(np.asarray(microphones_m, dtype=float))
+    for name, points in (("source", source[None]), ("microphone", microphones)):
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError(f"a {name} has three coordinates")
+        for point in points[~np.all((points >= 0) & (points <= room), axis=1)]:
+            raise ValueError(f"the {name} {point.tolist()} is not in the room of {room.tolist()} m")
+    reflection = np.broadcast_to(np.asarray(reflection, dtype=float), 6)
+    if not np.all((reflection >= 0) & (reflection <= 1)):
+        raise ValueError(f"reflection coefficients lie from 0 to 1, not {reflection.tolist()}")
+    if sign not in (-1, 1):
+        raise ValueError(f"the sign of a reflection is -1 or 1, not {sign}")
+    if not (sample_rate_hz > 0 and speed_of_sound_m_s > 0 and num_samples > 0):
+        raise ValueError("sample rate, speed of sound and number of samples are above 0")
+    if error_db is not None and not error_db < 0:
+        raise ValueError(f"an error of {error_db} dB: expected a number below 0")
+
+    samples_per_m = sample_rate_hz / speed_of_sound_m_s
+    _refuse_too_many(room, reflection, (num_samples - 1) / samples_per_m)
+    # The FFT's kernel is periodic; over four lengths it differs from the sinc by less than -70 dB.
+    spectrum = DelaySpectrum(fast_length(max(4 * num_samples, 1 << 15)))
+    responses = np.empty((len(microphones), num_samples))
+    for response, microphone in zip(responses, microphones, strict=True):
+        images = image_microphones(room, microphone, sign * reflection, source, (num_samples - 1) / samples_per_m)
+        _, distances = images.offsets(source)
+        delays, amplitudes = distances * samples_per_m, images.gains / (4 * np.pi * np.maximum(distances, NEAREST_M))
+        if error_db is not None:
+            kept = audible(delays, amplitudes, error_db - 0.5)
+            delays, amplitudes = delays[kept], amplitudes[kept]
+        response[:] = np.fft.irfft(spectrum(delays, amplitudes), spectrum.length)[:num_samples]
+    return responses

@@ -1,0 +1,109 @@
+"""Shoebox rooms: how much their walls absorb.
+
+Walls are counted x0, x1, y0, y1, z0, z1: x = 0, x = length, and so on; z0 is the floor.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+SABINE = 0.161
+"""s/m, the constant of Sabine's equation as the thesis writes it (eq. 4.1); 24 ln 10 / c is 0.1611."""
+
+
+def wall_areas(room_dimensions_m: ArrayLike) -> np.ndarray:
+    """Return the areas of the six walls, (6,) m².
+
+    Args:
+        room_dimensions_m: (3,) m.
+    """
+    lx, ly, lz = np.asarray(room_dimensions_m, dtype=float)
+    return np.repeat([ly * lz, lx * lz, lx * ly], 2)
+
+
+def minimum_rt60(room_dimensions_m: ArrayLike, weights: ArrayLike = 1.0) -> float:
+    """Return the shortest reverberation time, s, that Sabine's equation has for a room: its walls absorb all they can.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        weights: (6,) or a number, how much of the absorption each wall takes relative to the others.
+    """
+    areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
+    return float(SABINE * np.prod(room_dimensions_m) * weights.max() / (weights @ areas))
+
+
+def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
+    """Return the absorption coefficients of the six walls that give a reverberation time, (6,) of energy.
+
+    T60 = 0.161 V / Σ αᵢ Sᵢ with αᵢ = wᵢ α (W. C. Sabine, 1898; thesis eqs. 4.1 and 4.2), solved for α.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: reverberation time, s.
+        weights: (6,) or a number, relative absorption of the walls.
+
+    Raises:
+        ValueError: a wall would have to absorb more than all: rt60_s is below `minimum_rt60`.
+    """
+    least = minimum_rt60(room_dimensions_m, weights)
+    if not rt60_s >= least:
+        raise ValueError(
+            f"T60 of {rt60_s:g} s: this room has at least {least:.4f} s, with walls that absorb everything"
+        )
+    areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
+    return np.minimum(1.0, SABINE * np.prod(room_dimensions_m) / (rt60_s * (weights @ areas)) * weights)
+
+
+def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
+    """Return the absorption coefficients of the six walls by Eyring's equation, (6,) of energy.
+
+    T60 = 0.161 V / (−S ln(1 − ᾱ)) with ᾱ the mean over the area (C. F. Eyring, 1930). It has no shortest T60 for equal
+    weights.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: reverberation time, s.
+        weights: (6,) or a number, relative absorption of the walls.
+
+    Raises:
+        ValueError: a wall would have to absorb more than all, or rt60_s is not above 0.
+    """
+    if not rt60_s > 0:
+        raise ValueError(f"T60 of {rt60_s:g} s: expected a time above 0")
+    areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
+    mean = -np.expm1(-SABINE * np.prod(room_dimensions_m) / (rt60_s * areas.sum()))
+    absorption = weights * mean * areas.sum() / (weights @ areas)
+    if absorption.max() > 1:
+        raise ValueError(f"T60 of {rt60_s:g} s: a wall would have to absorb {absorption.max():.2f} of what meets it")
+    return absorption
+
+
+def sabine_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike) -> float:
+    """Return Sabine's reverberation time of a room, s; infinite where nothing absorbs.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        absorption: (6,) or a number, of energy.
+    """
+    area = float(wall_areas(room_dimensions_m) @ np.broadcast_to(np.asarray(absorption, dtype=float), 6))
+    return float(SABINE * np.prod(room_dimensions_m) / area) if area > 0 else np.inf
+
+
+def schroeder_frequency(room_dimensions_m: ArrayLike, rt60_s: float) -> float:
+    """Return the frequency, Hz, above which rays describe a room well (M. Schroeder, 1962; thesis eq. 4.4).
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: reverberation time, s.
+    """
+    return float(2000.0 * np.sqrt(rt60_s / np.prod(room_dimensions_m)))
+
+
+def speed_of_sound(temperature_c: float) -> float:
+    """Return the speed of sound in dry air, m/s, at a temperature in °C (343.2 at 20 °C; ISO 9613-1:1993).
+
+    Raises:
+        ValueError: the temperature is at or below absolute zero.
+    """
+    if not temperature_c > -273.15:
+        raise ValueError(f"a temperature of {temperature_c:g} °C is below absolute zero")
+    return float(343.2 * np.sqrt((temperature_c + 273.15) / 293.15))

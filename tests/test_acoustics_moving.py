@@ -1,0 +1,205 @@
+"""Moving sources: against the analytic solution by retarded time, and what must hold of any."""
+
+import numpy as np
+import pytest
+
+from avcli.acoustics.images import image_microphones
+from avcli.acoustics.moving import MovingSource, Surroundings, first_sample, interpolation
+from avcli.acoustics.signals import power_spectrum
+
+ROOM = np.array([4.66, 4.66, 3.0])
+MICROPHONES = np.array([[0.115, 4.545, 2.493], [2.386, 2.253, 2.489]])
+RATE = 44100
+C = 343.0
+
+
+def surroundings(beta, reach, **changes):
+    return Surroundings(ROOM, np.full(6, -beta), MICROPHONES, RATE, reach, **changes)
+
+
+def tones(highest, duration, seed=0):
+    """A sum of tones up to a frequency, under a smooth window: exact at any time, also between samples."""
+    rng = np.random.default_rng(seed)
+    frequencies, phases = rng.uniform(150, highest, 12), rng.uniform(0, 2 * np.pi, 12)
+
+    def signal(t):
+        window = np.sin(np.pi * np.clip(t / duration, 0, 1)) ** 2
+        return window * np.cos(2 * np.pi * frequencies[:, None] * t + phases[:, None]).sum(axis=0)
+
+    return signal
+
+
+def by_retarded_time(signal, start, velocity, images, samples):
+    """Solve |p(s) − image| = c (t − s) for every image and sample (emission form: times 1 / (1 + d'/c))."""
+    t = np.arange(samples) / RATE
+    heard = np.zeros(samples)
+    for position, gain in zip(images.positions.T, images.gains, strict=True):
+        away = start - position
+        a, b = C**2 - velocity @ velocity, -(C**2 * t + away @ velocity)
+        s = (-b - np.sqrt(b**2 - a * (C**2 * t**2 - away @ away))) / a
+        distance = C * (t - s)
+        towards = (away[:, None] + velocity[:, None] * s) * velocity[:, None]
+        heard += gain / (4 * np.pi * distance) * signal(s) / (1 + towards.sum(axis=0) / distance / C)
+    return heard
+
+
+def render(source, times, place, dry):
+    before = None
+    for time in times:
+        begin = first_sample(before, RATE) if before is not None else 0
+        source.move(time, place(time), dry[begin : first_sample(time, RATE)] if before is not None else ())
+        before = time
+    source.finish()
+    return source
+
+
+def decibels(found, expected):
+    return 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2))
+
+
+@pytest.mark.parametrize("error_db", [-40, -60])
+@pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("beta", [0.0, 0.1])
+def test_moving_source_against_retarded_time(error_db, speed, beta):
+    duration = 0.3 if speed > 3 else 0.5
+    start, velocity = np.array([0.5, 2.0, 1.6]), speed * np.array([0.95, 0.3, 0.0]) / np.hypot(0.95, 0.3)
+    signal = tones(8000, duration)
+    dry = signal(np.arange(first_sample(duration, RATE)) / RATE)
+    room = surroundings(beta, 25.0)
+    nodes = interpolation(*power_spectrum(dry, RATE), error_db, C)
+    source = MovingSource(room, nodes, 8500 / RATE, error_db - 15)
+    times = np.linspace(0, duration, 1 + round(duration / 0.1))
+    heard = render(source, times, lambda t: start + velocity * t, dry).take(0, len(dry) + 1500)
+    for microphone, found in zip(MICROPHONES[:1], heard, strict=False):
+        images = image_microphones(ROOM, microphone, room.reflection, start, 25.0)
+        images = images[np.abs(images.gains) > 9e-5]
+        expected = by_retarded_time(signal, start, velocity, images, len(found))
+        assert decibels(found, expected) < error_db
+
+
+def test_the_pitch_rises_towards_a_microphone():
+    speed, pitch, duration = 10.0, 2000.0, 0.4
+    dry = np.sin(2 * np.pi * pitch * np.arange(int(duration * RATE)) / RATE)
+    room = Surroundings(np.array([10.0, 4.0, 3.0]), np.zeros(6), np.array([[9.5, 2.0, 1.5]]), RATE, 15.0)
+    nodes = interpolation(*power_spectrum(dry, RATE), -60, C)
+    source = MovingSource(room, nodes, 0.1, -70)
+    heard = render(source, np.arange(5) / 10, lambda t: np.array([0.5 + speed * t, 2.0, 1.5]), dry).take(0, len(dry))[0]
+    part = heard[4000:16000]
+    turns = np.unwrap(np.angle(np.fft.ifft(np.fft.fft(part) * (np.fft.fftfreq(len(part)) > 0))))
+    found = np.polyfit(np.arange(2000, 10000), turns[2000:10000], 1)[0] * RATE / (2 * np.pi)
+    assert found == pytest.approx(pitch / (1 - speed / C), rel=1e-3)
+
+
+def test_a_source_that_stands_still_is_one_convolution():
+    rng = np.random.default_rng(3)
+    dry = np.fft.irfft(np.fft.rfft(rng.normal(size=RATE)) * (np.arange(RATE // 2 + 1) < 12000), RATE)
+    impulse = np.zeros(RATE)
+    impulse[4000] = 1.0
+    room = surroundings(0.8, 20.0)
+    nodes = interpolation(*power_spectrum(dry, RATE), -60, C)
+    heard, responses = (
+        render(
+            MovingSource(room, nodes, 0.3, -130), np.linspace(0, 1, 11), lambda t: np.array([1.73, 2.33, 1.6]), sound
+        ).take(-50, RATE + 8000)
+        for sound in (dry, impulse)
+    )
+    length = 3 * RATE
+    for found, response in zip(heard, responses, strict=True):
+        expected = np.fft.irfft(np.fft.rfft(dry, length) * np.fft.rfft(response, length), length)[4000:]
+        np.testing.assert_allclose(found[50:RATE], expected[50:RATE], atol=1e-6 * np.abs(expected).max())
+        assert decibels(found[50:RATE], expected[50:RATE]) < -120
+
+
+def test_time_shift_gain_and_sum():
+    signal = tones(6000, 0.3)
+    dry = signal(np.arange(first_sample(0.3, RATE)) / RATE)
+    room = surroundings(0.6, 15.0)
+    nodes = interpolation(*power_spectrum(dry, RATE), -40, C)
+
+    def place(t):
+        return np.array([0.5 + t, 2.0, 1.6])
+
+    def heard(sound):
+        return render(MovingSource(room, nodes, 0.2), np.arange(4) / 10, place, sound).take(0, 40000)
+
+    once = heard(dry)
+    np.testing.assert_allclose(heard(-3.0 * dry), -3.0 * once, atol=1e-12)
+    late = first_sample(0.2, RATE)
+    shifted = render(
+        MovingSource(room, nodes, 0.2),
+        np.arange(4) / 10 + 0.2,
+        lambda t: place(t - 0.2),
+        np.append(np.zeros(late), dry),
+    ).take(0, 40000)
+    assert decibels(shifted[:, late:], once[:, :-late]) < -200
+    other = np.random.default_rng(0).normal(size=len(dry))
+    np.testing.assert_allclose(heard(dry + other), once + heard(other), atol=1e-12)
+
+
+def test_silence_costs_nothing(monkeypatch):
+    room = surroundings(0.8, 100.0)
+    nodes = interpolation(np.ones(10), np.arange(10) * 800.0, -40, C)
+    source = MovingSource(room, nodes)
+    monkeypatch.setattr(source._responses, "delays_and_amplitudes", None)
+    heard = render(source, np.arange(5) / 10, lambda t: np.array([1 + t, 2, 1.6]), np.zeros(RATE)).take(0, RATE)
+    assert not heard.any()
+
+
+def test_standing_still_takes_one_response(monkeypatch):
+    room = surroundings(0.5, 10.0)
+    nodes = interpolation(np.ones(10), np.arange(10) * 800.0, -40, C)
+    source = MovingSource(room, nodes)
+    reckon, places = source._responses.delays_and_amplitudes, []
+    monkeypatch.setattr(
+        source._responses, "delays_and_amplitudes", lambda *place: places.append(place) or reckon(*place)
+    )
+    render(source, np.arange(31) / 10, lambda t: np.array([1.0, 2, 1.6]), np.ones(3 * RATE))
+    assert len(places) == 1
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 1000])
+def test_the_samples_do_not_depend_on_how_they_are_taken(pieces):
+    rng = np.random.default_rng(5)
+    dry = rng.normal(size=RATE)
+    room = surroundings(0.7, 30.0, error_db=-30.0)
+    nodes = interpolation(*power_spectrum(dry, RATE), -30, C)
+
+    def place(t):
+        return np.array([1.0 + max(0.0, t - 0.3), 2.0 + np.sin(3 * t) / 2, 1.6])
+
+    whole = render(MovingSource(room, nodes), np.arange(11) / 10, place, dry).take(0, RATE)
+    source, found, now, before = MovingSource(room, nodes), [], 0, None
+    for time in np.arange(11) / 10:
+        begin = first_sample(before, RATE) if before is not None else 0
+        source.move(time, place(time), dry[begin : first_sample(time, RATE)] if before is not None else ())
+        before = time
+        while now + RATE // pieces <= source.settled:
+            found.append(source.take(now, now + RATE // pieces))
+            now += RATE // pieces
+    source.finish()
+    found.append(source.take(now, RATE))
+    assert np.array_equal(np.concatenate(found, axis=1), whole)
+
+
+def test_the_nodes_are_spaced_by_the_signals_bandwidth():
+    spacings = [
+        interpolation((frequencies := np.arange(0, 20000.0, 50)) < highest, frequencies, -40).spacing_m
+        for highest in (2000, 4000, 8000, 16000)
+    ]
+    for spacing, highest in zip(spacings, (2000, 4000, 8000, 16000), strict=True):
+        assert 0.36 < spacing * highest / C < 0.5
+    silent = interpolation(np.zeros(10), np.arange(10), -40)
+    assert np.isfinite(silent.spacing_m)
+    weights = sum(silent.weights(np.linspace(0, 1, 333) - node) for node in range(-8, 9))
+    np.testing.assert_allclose(weights, 1.0, atol=1e-12)
+
+
+def test_going_back_in_time_and_wrong_lengths_are_refused():
+    room = surroundings(0.0, 10.0)
+    nodes = interpolation(np.ones(10), np.arange(10) * 800.0, -40, C)
+    source = MovingSource(room, nodes)
+    source.move(0.0, [1, 2, 1.6])
+    with pytest.raises(ValueError, match="expected 4410"):
+        source.move(0.1, [1, 2, 1.6], np.zeros(3))
+    with pytest.raises(ValueError, match="0 samples"):
+        source.move(0.0, [1, 2, 1.6])
