@@ -26,6 +26,9 @@ SPREAD_M = 0.08
 APART_M = 0.30
 """m; two people's axes are never nearer to each other."""
 
+CHEST_M, STEP_M = 1.15, 0.7
+"""m; what ends below a chest, is less than half of somebody, and no farther from them than a step, is a limb."""
+
 Z_VARIANCE_M2 = 0.5**2
 """m²; z of a position is some point of the body's axis: its spread over a standing adult."""
 
@@ -248,7 +251,20 @@ def separate(points: np.ndarray, surface: np.ndarray) -> list[np.ndarray]:
         return []
     kept = np.array(sorted(map(tuple, kept)))
     nearest = ((cells[:, None, :] - kept[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
-    return [np.flatnonzero(nearest == index) for index in range(len(kept))]
+    nearest = _with_their_limbs(nearest, kept, points[:, 2], surface)
+    return [np.flatnonzero(nearest == index) for index in np.unique(nearest)]
+
+
+def _with_their_limbs(nearest: np.ndarray, peaks: np.ndarray, heights: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """Give what stands apart, but low and small (a leg behind, a hand before), to the body within a step of it."""
+    tops = np.array([heights[nearest == index].max(initial=0.0) for index in range(len(peaks))])
+    sizes = np.bincount(nearest, surface, minlength=len(peaks))
+    for limb in np.flatnonzero(tops < CHEST_M):
+        away = np.linalg.norm(peaks - peaks[limb], axis=1) * CELL_M
+        body = np.flatnonzero((away < STEP_M) & (sizes > 2 * sizes[limb]))
+        if len(body):
+            nearest = np.where(nearest == limb, body[away[body].argmin()], nearest)
+    return nearest
 
 
 def _divided(plan: np.ndarray, peak: np.ndarray, other: np.ndarray) -> bool:
