@@ -218,7 +218,7 @@ def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | Non
     anchors = sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32))
     columns = 4 + len(names) if names else None
     _, rows, width = shape
-    if width == 6 and rows <= 1000 and rows != anchors:
+    if width == 6 and rows <= 1000 and rows not in (anchors, 3 * anchors):
         return Head("end2end", _person(names, len(names or ()) or 80))
     transposed = width not in (anchors, 3 * anchors) and (rows in (anchors, 3 * anchors) or rows > width)
     count, fields = (rows, width) if transposed else (width, rows)
