@@ -18,21 +18,13 @@ def ranked(priors, options, budget=1000, span=11.5):
     options: density index -> list of (log weight, detection), detection -1 for "missed"; best first.
     Returns a list of (log weight, prior number, tuple of detections, bit set of the used detections), best first.
     """
-    beam, floor = [], -math.inf
+    beam, greedy = [], (-math.inf,)
     for number, (weight, row) in enumerate(priors):
-        best = [options[leaf][0][0] if leaf >= 0 else 0.0 for leaf in row]
-        bound = weight + math.fsum(best)
+        bound = weight + math.fsum(options[leaf][0][0] for leaf in row if leaf >= 0)
         beam.append((bound, number, (), 0))
-        used, value = 0, weight
-        for leaf in row:
-            if leaf >= 0:
-                for gain, j in options[leaf]:
-                    if j < 0 or not used >> j & 1:
-                        value += gain
-                        used |= 0 if j < 0 else 1 << j
-                        break
-        floor = max(floor, value)
-    floor -= span + 1e-9
+        if bound > greedy[0]:
+            greedy = max(greedy, _greedy(weight, number, row, options), key=FIRST)
+    floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
         grown = []
         for bound, number, taken, used in beam:
@@ -54,7 +46,20 @@ def ranked(priors, options, budget=1000, span=11.5):
             del grown[budget:]
         beam = grown
     beam.sort(key=FIRST, reverse=True)
-    return beam
+    return beam or [greedy]  # all that the budget kept may have ended in conflicts
+
+
+def _greedy(weight, number, row, options):
+    """One feasible association: each target in turn takes its best detection that is left."""
+    taken, used = [], 0
+    for leaf in row:
+        gain, j = 0.0, -1
+        if leaf >= 0:
+            gain, j = next((g, j) for g, j in options[leaf] if j < 0 or not used >> j & 1)
+        weight += gain
+        used |= 0 if j < 0 else 1 << j
+        taken.append(j)
+    return weight, number, tuple(taken), used
 
 
 def cheapest(cost):

@@ -18,7 +18,8 @@ from avcli.tracking.model import Track
 from avcli.tracking.smoothing import Node
 
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
-LOG_PRUNE = math.log(1e-5)  # weight of a joint hypothesis relative to the best
+LOG_PRUNE = math.log(1e-3)  # weight of a joint hypothesis relative to the best
+BUDGET = 3
 INDEPENDENT = 1e-3  # total variation at which a label's hypotheses count as independent of its cluster's others
 PROMOTE, RECYCLE = 0.1, 0.03  # existence at which a tentative person becomes labelled, and a labelled one tentative
 TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentative Gaussian; how many are kept
@@ -114,8 +115,8 @@ class GLMB:
             return
         self.time = time
         settings, people = self.settings, self.people
-        survive = math.exp(-dt / settings.stay)
-        self.unseen = self.unseen * survive + settings.arrivals * settings.stay * (1 - survive)
+        survive = np.exp(-dt * settings.leaving(people.mean[:, 0, :2]))
+        self.unseen = self.unseen * math.exp(-dt / settings.stay) + settings.arrivals * dt
         if len(people):
             before = people.mean, people.cov, people.mode
             people.mean, people.cov, people.mode, half, mixed = gaussian.predict(*before, settings.motion, dt)
@@ -222,7 +223,7 @@ class GLMB:
                 priors.sort(key=lambda prior: -prior[0])
                 del priors[settings.hypotheses :]
         merged = {}
-        for weight, number, taken, used in ranked(priors, options, 8 * settings.hypotheses, -LOG_PRUNE):
+        for weight, number, taken, used in ranked(priors, options, BUDGET * settings.hypotheses, -LOG_PRUNE):
             pairs = tuple(zip(priors[number][1], taken, strict=True))
             key = tuple([None if leaf < 0 else (past[leaf][1 - settings.memory :], j) for leaf, j in pairs])
             if key in merged:

@@ -47,7 +47,8 @@ class Settings:
 
     area: ((x0, y0), (x1, y1)) m, where people can be.
     motion: Motion.
-    stay: mean time in s that a person stays in the room.
+    stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same within `edge` metres
+        of a wall, where the doors are.
     arrivals: people that come per second, anywhere in the area.
     present: people expected in the room before the first record.
     speed: standard deviation of each velocity component of someone first seen, m/s.
@@ -61,7 +62,9 @@ class Settings:
 
     area: tuple = ((0.0, 0.0), (4.66, 4.66))
     motion: Motion = WALKING
-    stay: float = 30.0
+    stay: float = 100.0
+    pass_by: float = 10.0
+    edge: float = 0.7
     arrivals: float = 0.03
     present: float = 1.0
     speed: float = 0.7
@@ -69,8 +72,14 @@ class Settings:
     birth: str = "poisson"
     newborn: float = 0.05
     adapt: bool = True
-    hypotheses: int = 60
+    hypotheses: int = 20
     memory: int = 10
+
+    def leaving(self, places):
+        """Rate per second at which people at these places, (n, 2) m, leave the room: (n,)."""
+        low, high = np.array(self.area)
+        inside = np.minimum(places - low, high - places).min(1)
+        return np.where(inside < self.edge, 1.0 / self.pass_by, 1.0 / self.stay)
 
     def surface(self):
         """Size of the area, m^2."""

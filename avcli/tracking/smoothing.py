@@ -51,7 +51,7 @@ class Node:
         for i, old in enumerate(people.node):
             old.mean, old.cov, old.exist, old.found = mean[i], cov[i], min(float(people.exist[i]), 1.0), people.found[i]
             new = Node(time)
-            new.prev, new.gain, new.ahead, new.spread, new.survive = old, gain[i], ahead[i], spread[i], survive
+            new.prev, new.gain, new.ahead, new.spread, new.survive = old, gain[i], ahead[i], spread[i], survive[i]
             nodes.append(new)
         return nodes
 

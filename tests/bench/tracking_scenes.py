@@ -173,10 +173,10 @@ def crossing(rng):
 
 
 def turning_back(rng):
-    """Two people who approach each other to 0.2 m at 0.7 m/s and turn back within 0.8 s (1.75 m/s^2)."""
+    """Two people who approach each other to 0.2 m at 0.7 m/s, slow down at 1 m/s^2 and turn back."""
     t = clock(6.0)
     away = np.abs(t - 3.0)
-    x = 0.7 * np.where(away < 0.4, away**2 / 0.8, away - 0.2)
+    x = np.where(away < 0.7, away**2 / 2, 0.7 * (away - 0.35))
     people = People()
     people.add(t, np.column_stack([2.23 - x, np.full_like(t, 2.33)]))
     people.add(t, np.column_stack([2.43 + x, np.full_like(t, 2.33)]), speaks=False)
@@ -207,12 +207,24 @@ def weak(rng):
 
 
 def comings_and_goings(rng):
-    """Six people who each come and go once within 30 s, anywhere in the room."""
+    """Six people within 30 s who each come in through a wall, stroll for 4 to 9 s and leave through a wall."""
+
+    def doorway():
+        along, side = rng.uniform(0.3, ROOM - 0.3), rng.integers(4)
+        across = 0.15 if side < 2 else ROOM - 0.15
+        return np.array([across, along] if side % 2 else [along, across])
+
     people = People()
     for k in range(6):
-        begin = np.round(rng.uniform(4.0 * k, 4.0 * k + 3.0), 1)
-        t = np.round(np.arange(begin, min(begin + rng.uniform(6.0, 12.0), 30.0), 0.1), 10)
-        people.add(t, waypoints(rng, t), rng.random() < 0.5)
+        begin = 3.5 * k + rng.uniform(0.0, 2.5)
+        stroll = begin + np.arange(0.0, rng.uniform(4.0, 9.0), 0.1)
+        path = waypoints(rng, stroll, doorway())
+        way = doorway() - path[-1]
+        leave = np.arange(1, max(np.linalg.norm(way) / 1.0 / 0.1, 1.0))[:, None] * 0.1
+        path = np.vstack([path, path[-1] + leave * way / max(np.linalg.norm(way), 1e-9)])
+        times = begin + 0.1 * np.arange(len(path))
+        keep = times <= 30.0
+        people.add(times[keep], path[keep], rng.random() < 0.5)
     return assemble(rng, people, 30.0)
 
 
@@ -238,12 +250,11 @@ def damaged(rng):
 
 
 def gaps(rng):
-    """Two people for 20 s; for 2 to 2.5 s, twice, no sensor finds anybody."""
+    """Two people for 20 s; for 2 to 2.5 s no sensor finds anybody."""
     people = strollers(rng, 2, 20.0)
-    begins = (rng.uniform(4.0, 7.0), rng.uniform(12.0, 15.0))
-    spans = [(b, b + rng.uniform(2.0, 2.5)) for b in begins]
-    hidden = lambda name, t: (0, 1) if any(a <= t < b for a, b in spans) else ()  # noqa: E731
-    return assemble(rng, people, 20.0, hidden=hidden)
+    begin = rng.uniform(6.0, 12.0)
+    end = begin + rng.uniform(2.0, 2.5)
+    return assemble(rng, people, 20.0, hidden=lambda name, t: (0, 1) if begin <= t < end else ())
 
 
 def dim_edge(rng):
