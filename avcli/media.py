@@ -89,6 +89,7 @@ def read_depth(path: str | os.PathLike) -> np.ndarray:
 
 
 def _read_image(path: str | os.PathLike) -> np.ndarray:
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # what is wrong with a picture is said once, by us
     import cv2
 
     content = read_bytes(path)
