@@ -1,0 +1,286 @@
+"""avdetect-video as a process: what it reads, what it writes, and what it says when something is wrong."""
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+from conftest import run
+from detection_people import KB8, cast, ceiling_view
+from test_detection_network import model, rows
+
+from avcli import experiment, media
+
+PEOPLE = [(1.2, 2.3, 0.0, 0.3, 1.75), (3.4, 2.6, 2.0, -0.3, 1.65)]
+STEP = 1e-4
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """An experiment of three small frames: nobody, one, two people."""
+    folder = tmp_path_factory.mktemp("experiment")
+    view = ceiling_view(4)
+    fx, fy, cx, cy, *k = KB8
+    camera = {
+        "lens_model": "kannala_brandt",
+        "fx_px": fx / 4, "fy_px": fy / 4, "cx_px": (cx - 1.5) / 4, "cy_px": (cy - 1.5) / 4,
+        "k1": k[0], "k2": k[1], "k3": k[2], "k4": k[3],
+        "image_width_px": 480, "image_height_px": 270, "frame_rate_hz": 10,
+        "camera_position_m": [2.33, 2.33, 2.5], "camera_rotation_deg": [90, 0, 0],
+        "depth_step_m": STEP, "background_depth": experiment.Layout.background_depth,
+    }  # fmt: skip
+    for kind in ("rgb", "depth"):
+        (folder / "video" / kind).mkdir(parents=True)
+    experiment.write_config(folder / "config.json", {"camera_config": camera})
+    save(folder / experiment.Layout.background_depth, cast(view))
+    lines = []
+    for index in range(3):
+        depth = cast(view, PEOPLE[:index])
+        names = {"rgb": experiment.Layout.rgb(index / 10), "depth": experiment.Layout.depth(index / 10)}
+        save(folder / names["depth"], depth)
+        media.write_png(folder / names["rgb"], np.repeat((depth * 60).astype(np.uint8)[..., None], 3, axis=2))
+        truth = [{"object_id": k, "position": [*person[:2], 0.0]} for k, person in enumerate(PEOPLE[:index])]
+        lines.append({"timestamp": index / 10, "objects": truth, "frame": names})
+    (folder / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return folder
+
+
+def save(path, depth):
+    media.write_png(path, np.rint(depth / STEP).clip(0, 65535).astype(np.uint16))
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """A copy that a test may break."""
+    return shutil.copytree(made, tmp_path / "experiment")
+
+
+def found(result):
+    assert (result.returncode, result.stderr) == (0, "")
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def refused(result, *words, code=1):
+    assert result.returncode == code, result.stderr
+    assert result.stderr.startswith("avdetect-video: ")
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+
+
+def test_people_before_the_empty_room(made):
+    records = found(run("avdetect-video", "-C", made, made / "frames.jsonl"))
+    assert [record["timestamp"] for record in records] == ["0.0000000000", "0.1000000000", "0.2000000000"]
+    assert [len(record["objects"]) for record in records] == [0, 1, 2]
+    assert {record["sensor"] for record in records} == {"video"}
+    for one, person in zip(records[2]["objects"], PEOPLE, strict=True):
+        assert np.linalg.norm(np.array(one["position"][:2]) - person[:2]) < 0.12
+        assert np.linalg.eigvalsh(one["covariance"])[0] > 0
+        assert set(one) == {"position", "covariance", "score", "bbox_px", "height"}
+
+
+def test_ground_truth_that_passes_by_changes_nothing(made):
+    lines = [json.loads(line) for line in (made / "frames.jsonl").read_text().splitlines()]
+    bare = "".join(json.dumps({"timestamp": line["timestamp"], "frame": line["frame"]}) + "\n" for line in lines)
+    other = '{"timestamp": 0, "audio": {"path": "a.wav"}}\n' + bare
+    expected = run("avdetect-video", "-C", made, made / "frames.jsonl").stdout
+    assert run("avdetect-video", "-C", made, stdin=bare).stdout == expected
+    assert run("avdetect-video", "-C", made, "-", stdin=other).stdout == expected
+
+
+def test_depth_pictures_by_name_give_the_same(made):
+    by_records = run("avdetect-video", "-C", made, made / "frames.jsonl").stdout
+    frames = sorted((made / "video" / "depth").glob("Depth_frame_*.png"))
+    assert run("avdetect-video", "-C", made, *frames).stdout == by_records
+
+
+def test_the_bytes_are_the_same_with_any_number_of_threads(made):
+    once = run("avdetect-video", "-C", made, made / "frames.jsonl").stdout
+    assert run("avdetect-video", "-C", made, "--threads", "2", made / "frames.jsonl").stdout == once
+
+
+def test_nothing_in_nothing_out(made):
+    assert found(run("avdetect-video", "-C", made, stdin="")) == []
+
+
+# --- networks ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def network(tmp_path):
+    """A model file that sees one person in the middle of any picture."""
+    path = tmp_path / "model.onnx"
+    path.write_bytes(model(rows(84).T[None]))
+    return path
+
+
+def test_a_model_places_what_it_sees(folder, network):
+    (folder / "config.json").write_text((folder / "config.json").read_text().replace("background_depth", "unused"))
+    records = found(run("avdetect-video", "-C", folder, "--model", network, folder / "frames.jsonl"))
+    assert [len(record["objects"]) for record in records] == [1, 1, 1]
+    alone = found(run("avdetect-video", "-C", folder, "--model", network, "--monocular", folder / "frames.jsonl"))
+    assert [len(record["objects"]) for record in alone] == [1, 1, 1]
+    pictures = sorted((folder / "video" / "rgb").glob("*.png"))
+    assert found(run("avdetect-video", "-C", folder, "--model", network, *pictures)) == alone
+
+
+def test_a_box_where_depth_shows_the_empty_room_is_nobody(made, network):
+    first = found(run("avdetect-video", "-C", made, "--model", network, made / "frames.jsonl"))[0]
+    assert first["objects"] == []
+
+
+def test_the_thesiss_way(made, network):
+    options = ["-C", made, "--model", network, "--preset", "thesis", made / "frames.jsonl"]
+    assert [len(record["objects"]) for record in found(run("avdetect-video", *options))] == [1, 1, 1]
+
+
+def test_a_real_network_runs(made, shared_data):
+    network = shared_data / "models" / "yolox_nano.onnx"
+    records = found(run("avdetect-video", "-C", made, "--model", network, made / "frames.jsonl"))
+    assert len(records) == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [(b"", "empty"), (b"no model", "no ONNX model"), (b"version https://git-lfs.github.com/spec/v1\n", "git-lfs")],
+)
+def test_a_file_that_is_no_model(made, tmp_path, content, word):
+    (tmp_path / "m.onnx").write_bytes(content)
+    result = run("avdetect-video", "-C", made, "--model", tmp_path / "m.onnx", made / "frames.jsonl")
+    refused(result, "m.onnx", word, code=2 if not content else 1)
+
+
+# --- pictures that are wrong ------------------------------------------------------------------------------------------
+
+
+def broken(folder, kind, how):
+    path = folder / (experiment.Layout.depth(0.1) if kind == "depth" else experiment.Layout.rgb(0.1))
+    content = path.read_bytes()
+    if how == "missing":
+        path.unlink()
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif how == "no picture":
+        path.write_bytes(b"this is no picture")
+    elif how == "truncated":
+        path.write_bytes(content[:100])
+    elif how == "another size":
+        media.write_png(path, np.zeros((100, 200), np.uint16))
+    elif how == "colour":
+        media.write_png(path, np.zeros((270, 480, 3), np.uint8))
+
+
+@pytest.mark.parametrize("how", ["missing", "empty", "no picture", "truncated", "another size", "colour"])
+def test_a_depth_picture_that_is_wrong(folder, how):
+    broken(folder, "depth", how)
+    refused(run("avdetect-video", "-C", folder, folder / "frames.jsonl"))
+
+
+def test_a_picture_that_is_wrong_can_be_skipped(folder):
+    broken(folder, "depth", "truncated")
+    skipping = run("avdetect-video", "-C", folder, "--skip-invalid", folder / "frames.jsonl")
+    assert skipping.returncode == 0
+    assert [json.loads(line)["timestamp"][:3] for line in skipping.stdout.splitlines()] == ["0.0", "0.2"]
+    assert "skipped" in skipping.stderr
+
+
+@pytest.mark.parametrize("how", ["missing", "truncated", "another size"])
+def test_a_colour_picture_that_is_wrong(folder, network, how):
+    broken(folder, "rgb", how)
+    refused(run("avdetect-video", "-C", folder, "--model", network, folder / "frames.jsonl"))
+
+
+@pytest.mark.parametrize("value", [0, 65535])
+def test_depth_without_a_measurement_is_nobody(folder, value):
+    media.write_png(folder / experiment.Layout.depth(0.2), np.full((270, 480), value, np.uint16))
+    records = found(run("avdetect-video", "-C", folder, folder / "frames.jsonl"))
+    assert [len(record["objects"]) for record in records] == [0, 1, 0]
+
+
+@pytest.mark.parametrize("channels", ["grey", "rgba", "16 bit"])
+def test_colour_pictures_of_other_kinds(folder, network, channels):
+    import cv2
+
+    picture = {
+        "grey": np.full((270, 480), 90, np.uint8),
+        "rgba": np.full((270, 480, 4), 90, np.uint8),
+        "16 bit": np.full((270, 480, 3), 90 << 8, np.uint16),
+    }[channels]
+    assert cv2.imwrite(str(folder / experiment.Layout.rgb(0.2)), picture)
+    options = ["--model", network, "--monocular", folder / "frames.jsonl"]
+    assert len(found(run("avdetect-video", "-C", folder, *options))[2]["objects"]) == 1
+
+
+def test_a_record_without_depth(made, network):
+    line = json.dumps({"timestamp": 0.0, "frame": {"rgb": experiment.Layout.rgb(0.0)}}) + "\n"
+    refused(run("avdetect-video", "-C", made, stdin=line), "no depth picture")
+    assert len(found(run("avdetect-video", "-C", made, "--model", network, stdin=line))[0]["objects"]) == 1
+
+
+def test_no_background(folder):
+    (folder / experiment.Layout.background_depth).unlink()
+    refused(run("avdetect-video", "-C", folder, folder / "frames.jsonl"), "Depth_background.png")
+    (folder / "config.json").write_text((folder / "config.json").read_text().replace("background_depth", "unused"))
+    refused(run("avdetect-video", "-C", folder, folder / "frames.jsonl"), "background_depth")
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["nowhere.jsonl"], "nowhere.jsonl"),
+        (["nowhere.png"], "nowhere.png"),
+        (["nowhere.mp4", "--model", "m.onnx"], "nowhere.mp4"),
+        (["/dev/video99", "--model", "m.onnx"], "/dev/video99"),
+        (["--detector", "depth", "--model", "m.onnx"], "--model"),
+        (["--detector", "depth", "--monocular"], "--monocular"),
+        (["--imgsz", "big"], "--imgsz"),
+        (["--confidence", "2"], "--confidence"),
+        (["--model", "nowhere.onnx"], "nowhere.onnx"),
+    ],
+)
+def test_wrong_usage(made, options, word):
+    line = (made / "frames.jsonl").read_text().splitlines()[0] + "\n"
+    refused(run("avdetect-video", "-C", made, *options, stdin=line), word, code=2)
+
+
+# --- other sources and drawings ---------------------------------------------------------------------------------------
+
+
+def test_a_video_and_its_rate(folder, network, tmp_path):
+    import cv2
+
+    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20, (480, 270))
+    for _ in range(10):
+        writer.write(np.full((270, 480, 3), 90, np.uint8))
+    writer.release()
+    options = ["-C", folder, "--model", network, "--overlay", tmp_path / "drawn.mp4", tmp_path / "clip.avi"]
+    every = found(run("avdetect-video", *options))
+    assert [float(record["timestamp"]) for record in every] == pytest.approx(np.arange(10) / 20)
+    some = found(run("avdetect-video", *options, "--rate", "10"))
+    assert [float(record["timestamp"]) for record in some] == pytest.approx(np.arange(5) / 10)
+    capture = cv2.VideoCapture(str(tmp_path / "drawn.mp4"))
+    assert capture.read()[1].shape == (270, 480, 3)
+
+
+def test_an_overlay_of_pictures(made, tmp_path):
+    target = tmp_path / "drawn"
+    run("avdetect-video", "-C", made, "--overlay", target, made / "frames.jsonl")
+    pictures = sorted(target.iterdir())
+    assert [path.name for path in pictures] == [f"overlay_0.{k}000000000.png" for k in range(3)]
+    original = media.read_rgb(made / experiment.Layout.rgb(0.2))
+    assert (media.read_rgb(pictures[2]) != original).any()
+
+
+def test_a_live_pipe_is_answered_frame_by_frame(made):
+    import subprocess
+
+    from conftest import BIN
+
+    command = [BIN / "avdetect-video", "-C", made]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        for line in (made / "frames.jsonl").read_bytes().splitlines(keepends=True):
+            os.write(process.stdin.fileno(), line)
+            assert json.loads(process.stdout.readline())["timestamp"][:3] in ("0.0", "0.1", "0.2")
+        process.stdin.close()
+        assert process.wait(20) == 0
