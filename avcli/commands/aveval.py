@@ -32,7 +32,7 @@ _MOST_FRAMES = 150
 )
 @click.option(
     "--d0",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(min=0, max=1e9, min_open=True),
     default=2.0,
     show_default=True,
     metavar="M",
@@ -48,13 +48,13 @@ _MOST_FRAMES = 150
 )
 @click.option(
     "--cutoff",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(min=0, max=1e9, min_open=True),
     metavar="M",
     help="Distance in m that a missed or false point is worth to OSPA and GOSPA.  [default: half of --d0]",
 )
 @click.option(
     "--order",
-    type=click.FloatRange(min=1),
+    type=click.FloatRange(min=1, max=16),
     default=1.0,
     show_default=True,
     metavar="P",

@@ -74,6 +74,7 @@ def score(
     }
     if covariance is not None:
         known = np.isfinite(covariance[detection]).all(axis=(1, 2))
+        known[known] = np.linalg.det(covariance[detection][known]) > 0  # zero where a dimension was not observed
         if known.any():
             error = offset[known]
             scaled = np.linalg.solve(covariance[detection][known], error[:, :, None])[:, :, 0]

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from avcli.metrics.assignment import assign_each
-from avcli.metrics.sequence import Sequence
+from avcli.metrics.sequence import Group, Sequence
 
 ALPHA = np.arange(0.05, 0.99, 0.05)
 PARTS = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA", "OWTA")
@@ -98,23 +98,36 @@ def _alignment(sequence: Sequence, d0: float, truth_frames: np.ndarray, track_fr
     tracks = track_frames.size
     potential = np.zeros(truth_frames.size * tracks)
     for groups in sequence.blocks():
-        keys, weights, order = [], [], []
-        for group in groups:
+        pairs = sum(group.distance.size for group in groups)
+        keys, weights = np.empty(pairs, dtype=int), np.empty(pairs)
+        for group, place in zip(groups, _places(groups), strict=True):
             similarity = group.similarity(d0)
             total = similarity.sum(axis=1)[:, None, :] + similarity.sum(axis=2)[:, :, None] - similarity
             share = np.zeros_like(similarity)
             np.divide(similarity, total, out=share, where=total > np.finfo(float).eps)
             truth = sequence.truth.identity[group.truth][:, :, None]
-            keys.append((truth * tracks + sequence.track.identity[group.track][:, None, :]).ravel())
-            weights.append(share.ravel())
-            order.append(np.repeat(group.frame, share[0].size))
-        if not groups:
-            continue
+            keys[place] = truth * tracks + sequence.track.identity[group.track][:, None, :]
+            weights[place] = share
         # Added frame by frame: another order would round otherwise and could break a tie that TrackEval sees.
-        by_frame = np.argsort(np.concatenate(order), kind="stable") if len(groups) > 1 else slice(None)
-        np.add.at(potential, np.concatenate(keys)[by_frame], np.concatenate(weights)[by_frame])
+        np.add.at(potential, keys, weights)
     potential = potential.reshape(truth_frames.size, tracks)
     return potential / (truth_frames[:, None] + track_frames[None, :] - potential)
+
+
+def _places(groups: list[Group]) -> list[np.ndarray]:
+    """Places (f, n, m) of each group's pairs when those of all groups are laid out frame by frame."""
+    if not groups:
+        return []
+    frames = np.concatenate([group.frame for group in groups])
+    sizes = np.concatenate([np.full(group.frame.size, group.distance[0].size) for group in groups])
+    order = np.argsort(frames)
+    begin = np.empty(frames.size, dtype=int)
+    begin[order] = np.cumsum(sizes[order]) - sizes[order]
+    ends = np.cumsum([group.frame.size for group in groups])
+    return [
+        first[:, None, None] + np.arange(group.distance[0].size).reshape(group.distance[0].shape)
+        for group, first in zip(groups, np.split(begin, ends[:-1]), strict=True)
+    ]
 
 
 def _matches(sequence: Sequence, d0: float, alignment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

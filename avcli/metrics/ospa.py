@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.metrics.assignment import assign_each, solver
-from avcli.metrics.sequence import Points, Sequence
+from avcli.metrics.sequence import Points, Sequence, length
 
 _FRAMES_A_CHUNK = 256
 
@@ -105,7 +105,7 @@ def ospa2(sequence: Sequence, cutoff: float, order: float = 1.0, window: int = 1
         offset = truth[:, :, None] - track[:, None, :]
         both = here[:, :, None] & there[:, None, :]
         either = here[:, :, None] | there[:, None, :]
-        distance = np.minimum(np.sqrt((offset * offset).sum(axis=-1)), cutoff) ** order
+        distance = np.minimum(length(offset), cutoff) ** order
         distance = np.where(both, distance, np.where(either, cutoff**order, 0.0))
         total, union = _windowed(distance, window), _windowed(either, window)
         apart = (total / np.maximum(1, union))[first - begin :]

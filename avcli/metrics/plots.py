@@ -54,7 +54,7 @@ def plot(run: Run, kind: str) -> bytes:
         heights = (3.9, 2.0, 1.8, 0.5 + 0.16 * rows)
         figure = Figure(figsize=(max(4.4, 4.0 * columns), sum(heights) + 1.2), layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.subplots(4, columns, squeeze=False, height_ratios=heights, sharey="row" if columns > 1 else False)
+        axes = figure.subplots(4, columns, squeeze=False, height_ratios=heights)
         figure.suptitle(run.name, fontsize=13, fontweight="bold")
         for k, (name, tracked) in enumerate(run.trackers.items()):
             summary = tracked.record["summary"]
@@ -62,7 +62,7 @@ def plot(run: Run, kind: str) -> bytes:
             _draw_room(axes[0, k], run, name)
             _draw_hota(axes[1, k], tracked.record)
             _draw_error(axes[2, k], run, name)
-            _draw_timeline(axes[3, k], lanes[name], first=k == 0)
+            _draw_timeline(axes[3, k], lanes[name])
             if k:
                 for row in range(3):
                     axes[row, k].set_ylabel("")
@@ -147,18 +147,19 @@ def _draw_error(axes, run: Run, name: str) -> None:
     axes.legend(loc="upper right", fontsize=8, edgecolor="none", framealpha=0.8)
 
 
-def _draw_timeline(axes, lanes: list, first: bool) -> None:
+def _draw_timeline(axes, lanes: list) -> None:
     shade = {"speaks": "#E69F00", "audio": "0.55", "video": "0.3"}
     for row, lane in enumerate(lanes):
         for begin, end, identity in lane.spans:
             color = IDENTITY_COLORS[identity % len(IDENTITY_COLORS)]
-            color = color if lane.what == "tracked" else shade.get(lane.what, "0.45")
-            axes.barh(row, end - begin, left=begin, height=0.7, color=color, linewidth=0)
-        if row and lane.person != lanes[row - 1].person:
+            color = color if lane.what in ("tracked", "false") else shade.get(lane.what, "0.45")
+            height = 0.3 if lane.what == "false" else 0.7
+            axes.barh(row, end - begin, left=begin, height=height, color=color, linewidth=0)
+        if row and lane.who != lanes[row - 1].who:
             axes.axhline(row - 0.5, color="0.8", linewidth=0.6)
-    axes.set(ylim=(len(lanes) - 0.5, -0.5), xlabel="time in s")
-    axes.set_yticks(range(len(lanes)), [f"{lane.person} {lane.what}" for lane in lanes], fontsize=7)
-    axes.tick_params(axis="y", length=0, labelleft=first)
+    axes.set(ylim=(max(1, len(lanes)) - 0.5, -0.5), xlabel="time in s")
+    axes.set_yticks(range(len(lanes)), [f"{lane.who} {lane.what}" for lane in lanes], fontsize=7)
+    axes.tick_params(axis="y", length=0)
 
 
 def _legend(run: Run) -> list:

@@ -5,13 +5,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from avcli.metrics.clear import Matches
-from avcli.metrics.sequence import Sequence
+from avcli.metrics.sequence import Sequence, length
 
 
 def errors(sequence: Sequence, matches: Matches) -> np.ndarray:
     """Distances (p,) of matched points, m."""
     offset = sequence.truth.position[matches.truth] - sequence.track.position[matches.track]
-    return np.sqrt((offset * offset).sum(axis=1))
+    return length(offset)
 
 
 def position(sequence: Sequence, matches: Matches) -> dict[str, float | None]:

@@ -96,7 +96,7 @@ def _tracker(run: Run, name: str, time: np.ndarray) -> dict:
         "cutoff": tracked.record["OSPA"]["cutoff"],
         "lanes": [
             {
-                "person": lane.person,
+                "who": lane.who,
                 "what": lane.what,
                 "spans": [[round(a, 3), round(b, 3), k] for a, b, k in lane.spans],
             }

@@ -111,43 +111,49 @@ def error_over_time(tracked: Tracked, d0: float) -> tuple[np.ndarray, SetDistanc
 
 @dataclass(frozen=True)
 class Lane:
-    """One line of a timeline: a person and what about it, as spans of time with an identity (-1 for none).
+    """One line of a timeline, as spans of time.
 
     Attributes:
-        person: label of the true identity.
-        what: "speaks", a sensor's name, or "tracked".
-        spans: (start, end) in s and identity of the track.
+        who: a person, or a track that follows nobody.
+        what: of a person "speaks", a sensor's name or "tracked"; of a track "false".
+        spans: start and end in s, and the track's identity (0 for what is no track).
     """
 
-    person: int
+    who: str
     what: str
     spans: list[tuple[float, float, int]]
 
 
 def timeline(run: Run, tracker: str) -> list[Lane]:
-    """When each person spoke, was detected by each sensor, and was tracked, and under which identity."""
+    """When each person spoke, was detected by each sensor, was tracked under which identity; and what was false."""
     tracked = run.trackers[tracker]
-    truth = tracked.sequence.truth
+    truth, track = tracked.sequence.truth, tracked.sequence.track
     time = run.truth_time
     step = float(np.median(np.diff(np.unique(time)))) if np.unique(time).size > 1 else 0.1
     matches = clear.match(tracked.sequence, run.d0)
     follows = np.full(truth.identity.size, -1)
-    follows[matches.truth] = tracked.sequence.track.identity[matches.track]
+    follows[matches.truth] = track.identity[matches.track]
     lanes = []
     for k, label in enumerate(truth.label.tolist()):
-        own = np.flatnonzero(truth.identity == k)
+        who, own = f"person {label}", np.flatnonzero(truth.identity == k)
         if np.isfinite(run.speaking[own]).any():
-            lanes.append(Lane(label, "speaks", _spans(time[own], np.where(run.speaking[own] > 0.5, 0, -1), step)))
+            lanes.append(Lane(who, "speaks", _spans(time[own], np.where(run.speaking[own] > 0.5, 0, -1), step)))
         for name, sensor in run.sensors.items():
             found = np.full(truth.identity.size, -1)
             found[sensor.matches[0]] = 0
-            lanes.append(Lane(label, name, _spans(time[own], found[own], step)))
-        lanes.append(Lane(label, "tracked", _spans(time[own], follows[own], step)))
+            lanes.append(Lane(who, name, _spans(time[own], found[own], step)))
+        lanes.append(Lane(who, "tracked", _spans(time[own], follows[own], step)))
+    false = np.ones(track.identity.size, dtype=bool)
+    false[matches.track] = False
+    for k in np.unique(track.identity[false]):
+        own = np.flatnonzero(false & (track.identity == k))
+        at = tracked.sequence.time[track.frame[own]]
+        lanes.append(Lane(f"track {track.label[k]}", "false", _spans(at, track.identity[own], step)))
     return lanes
 
 
 def _spans(time: np.ndarray, value: np.ndarray, step: float) -> list[tuple[float, float, int]]:
-    """Spans (start, end, value) of equal values other than -1; a pause of more than a step and a half ends one."""
+    """Spans (start, end, value) of equal values other than -1; a missing step ends one."""
     spans: list[tuple[float, float, int]] = []
     for t, v in zip(time.tolist(), value.tolist(), strict=True):
         if v < 0:

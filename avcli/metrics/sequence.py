@@ -148,8 +148,14 @@ class Sequence:
             truth = self.truth.start[frame][:, None] + np.arange(n)
             track = self.track.start[frame][:, None] + np.arange(m)
             offset = self.truth.position[truth][:, :, None] - self.track.position[track][:, None, :]
-            groups.append(Group(frame, truth, track, np.sqrt((offset * offset).sum(axis=-1))))
+            groups.append(Group(frame, truth, track, length(offset)))
         return groups
+
+
+def length(offset: np.ndarray) -> np.ndarray:
+    """Euclidean length (...) of offsets (..., d); infinite where the square is beyond all numbers."""
+    with np.errstate(over="ignore"):
+        return np.sqrt((offset * offset).sum(axis=-1))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,161 @@
+"""Scores of detections against known answers, and the figures that show them."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import run
+from test_aveval import records_of
+from test_metrics_report import experiment
+
+from avcli.metrics import detections
+from avcli.metrics.run import Detected, Run, Tracked
+from avcli.metrics.score import score
+from avcli.metrics.sequence import Sequence
+
+
+def scored(truth, found, **more):
+    number = 0
+    rows = []
+    for points in found:
+        rows.append((range(number, number + len(points)), np.reshape(points, (-1, 2))))
+        number += len(points)
+    sequence = Sequence.of([(range(len(p)), np.reshape(p, (-1, 2))) for p in truth], rows)
+    return detections.score(sequence, detections.match(sequence, 1.0), **more)
+
+
+def test_precision_recall_and_errors():
+    truth = [[[0, 0], [3, 0]]] * 10
+    found = [[[0.3, 0.4], [9, 9]]] * 10
+    result = scored(truth, found)
+    assert (result["TP"], result["FN"], result["FP"]) == (10, 10, 10)
+    assert result["Precision"] == result["Recall"] == result["F1"] == 0.5
+    assert result["RMSE"] == result["MAE"] == pytest.approx(0.5)
+    assert result["Bias"] == pytest.approx([0.3, 0.4])
+    assert result["ANEES"] is None
+    speaks = np.tile([True, False], 10)
+    assert scored(truth, found, speaking=speaks)["Recall_speaking"] == 1.0
+    assert scored(truth, found, speaking=~speaks)["Recall_speaking"] == 0.0
+
+
+def test_as_many_pairs_as_possible_come_before_near_ones():
+    # The nearest pair alone would leave the person at 0.9 without a detection.
+    assert scored([[[0, 0], [0.9, 0]]], [[[0.1, 0], [-0.9, 0]]])["TP"] == 2
+
+
+def test_an_honest_covariance_has_an_anees_of_one():
+    rng = np.random.default_rng(0)
+    covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
+    noise = rng.multivariate_normal([0, 0], covariance, 4000)
+    truth, found = [[[0, 0]]] * 4000, [[row] for row in noise]
+    honest = scored(truth, found, covariance=np.tile(covariance, (4000, 1, 1)))
+    assert honest["ANEES"] == pytest.approx(1, abs=0.05)
+    assert scored(truth, found, covariance=np.tile(covariance / 4, (4000, 1, 1)))["ANEES"] == pytest.approx(4, abs=0.2)
+    unknown = np.full((4000, 2, 2), np.nan)
+    unknown[0] = 0.0  # a dimension that was not observed
+    assert scored(truth, found, covariance=unknown)["ANEES"] is None
+
+
+def test_nothing_found_and_nobody_there():
+    assert scored([[[0, 0]]], [[]])["Precision"] is None
+    assert scored([[[0, 0]]], [[]])["Recall"] == 0.0
+    assert scored([[]], [[[0, 0]]])["Recall"] is None
+    assert scored([[]], [[]])["F1"] is None
+
+
+def test_combined_is_as_if_it_were_one_sequence():
+    rng = np.random.default_rng(1)
+    parts = []
+    for length in (5, 20):
+        truth = rng.uniform(0, 4, (length, 2, 2))
+        parts.append((list(truth), list(truth + rng.normal(0, 0.3, truth.shape))))
+    single = [scored(*part) for part in parts]
+    whole = scored(parts[0][0] + parts[1][0], parts[0][1] + parts[1][1])
+    together = detections.combine(single)
+    for name, value in whole.items():
+        assert together[name] == (pytest.approx(value) if value is not None else None), name
+
+
+def test_aveval_scores_the_sensors_of_experiments(tmp_path):
+    experiment(tmp_path / "s3")
+    files = [
+        word for sensor in ("audio", "video") for word in ("--detections", f"localization/{sensor}_localizations.jsonl")
+    ]
+    found = [r for r in records_of(run("aveval", "--experiments", "s3", *files, cwd=tmp_path)) if "sensor" in r]
+    assert [(r["sequence"], r["sensor"]) for r in found] == [
+        ("s3", "audio"),
+        ("s3", "video"),
+        ("combined", "audio"),
+        ("combined", "video"),
+    ]
+    assert found[0]["Detections"]["Precision"] == 1.0
+    assert found[0]["Detections"]["Recall"] == pytest.approx(2 / 3, abs=0.01)
+    assert found[2]["Detections"] == found[0]["Detections"]
+    text = run("aveval", "--experiments", "s3", *files, "--format", "table", cwd=tmp_path).stdout.decode()
+    assert "RecSp" in text
+    truth, tracks = tmp_path / "s3" / "groundtruth_sources.jsonl", tmp_path / "s3" / "tracking" / "video_tracking.jsonl"
+    named = run("aveval", truth, tracks, "--detections", tmp_path / "s3" / files[1])
+    assert json.loads(named.stdout.splitlines()[1])["sensor"] == "audio"
+    assert run("aveval", truth, tracks, "--detections", "nowhere").returncode == 2
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def a_run(truth, track, found=()):
+    sequence = Sequence.of(truth, track, np.arange(len(truth)) / 10)
+    sensors = {}
+    if found:
+        seen = Sequence.of(truth, found, sequence.time)
+        matches = detections.match(seen)
+        boxes = np.full((seen.track.identity.size, 4), np.nan)
+        sensors["audio"] = Detected(seen, matches, detections.score(seen, matches), boxes)
+    record = {"sequence": "s", "tracker": "audio", **score(sequence)}
+    tracked = Tracked(sequence, record, np.full(sequence.track.identity.size, np.nan))
+    speaking = (np.arange(sequence.truth.identity.size) % 2).astype(float)
+    return Run("s", {"audio": tracked}, sensors, speaking, 2.0, room=np.array([4.66, 4.66]))
+
+
+@pytest.fixture(scope="module")
+def plot():
+    pytest.importorskip("matplotlib", reason="matplotlib, an extra, is not installed")
+    from avcli.metrics.plots import plot
+
+    return plot
+
+
+def one(x, identity=1):
+    return [identity], np.array([[x, 1.0]])
+
+
+NOTHING = ([], np.zeros((0, 2)))
+
+
+@pytest.mark.parametrize(("kind", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_figures_are_the_same_every_time(plot, kind, begins):
+    walk = [one(k / 10) for k in range(20)]
+    run = a_run(walk, walk[:5] + [NOTHING] * 3 + walk[8:], walk)
+    content = plot(run, kind)
+    assert content.startswith(begins)
+    assert content == plot(run, kind)
+
+
+@pytest.mark.parametrize(
+    ("truth", "track"), [([], []), ([NOTHING], [NOTHING]), ([one(1)], [NOTHING]), ([NOTHING], [one(1)])]
+)
+def test_figures_of_little(plot, truth, track):
+    assert plot(a_run(truth, track), "svg").startswith(b"<?xml")
+
+
+def test_a_plot_for_each_sequence(tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib, an extra, is not installed")
+    experiment(tmp_path / "s3")
+    experiment(tmp_path / "s1", people=1)
+    for name in ("s1", "s3"):
+        (tmp_path / name / "tracking" / "audio_tracking.jsonl").unlink()
+        (tmp_path / name / "tracking" / "video_tracking.jsonl").unlink()
+    result = run("aveval", "--experiments", "s3", "s1", "--plot", "p.svg", "-o", "m.jsonl", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    for name in ("p-s1.svg", "p-s3.svg"):
+        assert "audio_video" in (tmp_path / name).read_text()
+    assert run("aveval", "--experiments", "s3", "--plot", "p.bmp", cwd=tmp_path).returncode == 2
