@@ -64,7 +64,7 @@ class Fusion:
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
             self.outside += int((~inside).sum())
             positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
-        noise = noise_of(covariances, model.sigma, self.settings.area)
+        noise = noise_of(covariances, model.sigma, model.floor, self.settings.area)
         self.tracker.scan(at, name, positions, noise, scores)
 
     def _numbered(self, time, tracks):
@@ -74,14 +74,15 @@ class Fusion:
         return self.origin + time, [(self.numbers[track.label], track) for track in tracks]
 
 
-def noise_of(covariances, sigma, area):
+def noise_of(covariances, sigma, floor, area):
     """Measurement noise as the filter needs it.
 
-    covariances: (J, 2, 2) m^2, NaN where not given; sigma: (sx, sy) m for those. A variance of 0 means that the
+    covariances: (J, 2, 2) m^2, NaN where not given; sigma: (sx, sy) m for those; floor: m, see `model.Sensor`. A variance of 0 means that the
     coordinate was not observed: it becomes the one whose density is that of a uniform distribution over the area.
     Returns (J, 2, 2) m^2, positive definite.
     """
-    noise = np.where(np.isnan(covariances).any((1, 2), keepdims=True), np.diag(np.square(sigma)), covariances)
+    given = covariances + np.where(covariances > 0, floor * floor, 0.0) * np.eye(2)
+    noise = np.where(np.isnan(covariances).any((1, 2), keepdims=True), np.diag(np.square(sigma)), given)
     for k in (0, 1):
         unseen = noise[:, k, k] == 0
         noise[unseen, k, :] = noise[unseen, :, k] = 0.0

@@ -90,7 +90,8 @@ class GLMB:
             np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m)), np.zeros(0), np.zeros((0, 0)), [], [], []
         )
         self.clusters, self.tentative = [], []
-        self.time, self.unseen, self.unseen_found = None, settings.present, np.zeros(0)
+        self.time = None
+        self.unseen, self.unseen_found = np.array([settings.present, 0.0]), np.zeros(0)  # anywhere, near the walls
         self.sensors, self.column, self.rates = [], {}, []
         self.next_label, self.scans, self.retired = 0, 0, {}
         self.stationary = settings.motion.stationary()
@@ -116,7 +117,9 @@ class GLMB:
         self.time = time
         settings, people = self.settings, self.people
         survive = np.exp(-dt * settings.leaving(people.mean[:, 0, :2]))
-        self.unseen = self.unseen * math.exp(-dt / settings.stay) + settings.arrivals * dt
+        inside = settings.arrivals * settings.appear
+        come = np.array([inside, settings.arrivals - inside])
+        self.unseen = self.unseen * math.exp(-dt / settings.stay) + come * dt
         if len(people):
             before = people.mean, people.cov, people.mode
             people.mean, people.cov, people.mode, half, mixed = gaussian.predict(*before, settings.motion, dt)
@@ -147,9 +150,9 @@ class GLMB:
         gain = gains(people, z, noise, sensor.lead)
 
         kappa = max(rates.clutter, 1e-9) / surface * rates.doubt(score)
-        uniform = rates.detection * self.unseen * self.unseen_found[column] / surface
+        strangers = rates.detection * self.unseen_found[column] * (self.settings.whereabouts(z) @ self.unseen)
         from_tentative = (people.exist * chance)[self.tentative, None] * gain[self.tentative]
-        rho = from_tentative.sum(0) + (uniform if self.settings.birth == "poisson" else 0.0)
+        rho = from_tentative.sum(0) + (strangers if self.settings.birth == "poisson" else 0.0)
         if len(z):
             rho = rho * self._elbow_room(z, noise)
         background = kappa + rho
@@ -163,7 +166,7 @@ class GLMB:
             rates.learn(float((free * (1 - existence)).sum()), *self._hits_and_misses(groups, chance, rates.detection))
         rates.learn_score(score)
         source = np.where(
-            from_tentative.max(0, initial=0.0) > uniform, from_tentative.argmax(0) if self.tentative else -1, -1
+            from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
         )
         births = self._births(free, existence, source)
         self._rebuild(column, z, noise, groups, births)
@@ -487,8 +490,8 @@ class Rates:
 
 
 def logit(score):
-    """Log odds of probabilities, held within 1 % and 99 %."""
-    score = np.clip(score, 0.01, 0.99)
+    """Log odds of probabilities, held within 0.1 % and 99.9 %."""
+    score = np.clip(score, 0.001, 0.999)
     return np.log(score / (1 - score))
 
 

@@ -14,7 +14,8 @@ class Sensor:
     name: as records say it.
     detection: probability that it finds, in one record, a person whom it can find.
     clutter: false detections expected in one record.
-    sigma: (sx, sy) m, noise of detections that carry no covariance.
+    sigma: (sx, sy) m, noise of detections that carry no covariance. floor: m, added (in squares) to the noise of those that
+        do, for what their covariance does not know: body sway, calibration, a model of sound or light that is not quite true.
     hide, show: rates per second at which people become hidden from it (fall silent) and findable again; hide 0: never.
     lead: metres that what it localizes is in front of the body's axis (a mouth).
     """
@@ -23,6 +24,7 @@ class Sensor:
     detection: float = 0.9
     clutter: float = 0.05
     sigma: tuple = (0.15, 0.15)
+    floor: float = 0.05
     hide: float = 0.2
     show: float = 0.6
     lead: float = 0.0
@@ -35,7 +37,15 @@ class Sensor:
 def sensor(name, **known):
     """The usual model of a sensor by its name: with "audio" in it, microphones that localize mouths; else a camera."""
     if "audio" in name:
-        usual = {"detection": 0.8, "clutter": 0.1, "sigma": (0.25, 0.25), "hide": 1.0, "show": 1.0, "lead": 0.1}
+        usual = {
+            "detection": 0.8,
+            "clutter": 0.2,
+            "sigma": (0.25, 0.25),
+            "floor": 0.1,
+            "hide": 1.0,
+            "show": 1.0,
+            "lead": 0.1,
+        }
     else:
         usual = {}
     return Sensor(name, **{**usual, **known})
@@ -49,7 +59,7 @@ class Settings:
     motion: Motion.
     stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same within `edge` metres
         of a wall, where the doors are.
-    arrivals: people that come per second, anywhere in the area.
+    arrivals: people that come per second, through the walls but for a share `appear`, which may turn up anywhere.
     present: people expected in the room before the first record.
     speed: standard deviation of each velocity component of someone first seen, m/s.
     body: m; someone new is not expected nearer than this to a known person.
@@ -65,7 +75,8 @@ class Settings:
     stay: float = 100.0
     pass_by: float = 10.0
     edge: float = 0.7
-    arrivals: float = 0.03
+    arrivals: float = 0.05
+    appear: float = 0.3
     present: float = 1.0
     speed: float = 0.7
     body: float = 0.3
@@ -80,6 +91,13 @@ class Settings:
         low, high = np.array(self.area)
         inside = np.minimum(places - low, high - places).min(1)
         return np.where(inside < self.edge, 1.0 / self.pass_by, 1.0 / self.stay)
+
+    def whereabouts(self, places):
+        """Densities per m^2, at places (n, 2) m, of someone anywhere and of someone near the walls: (n, 2)."""
+        low, high = np.array(self.area)
+        near = np.minimum(places - low, high - places).min(1) < self.edge
+        inner = (high - low - 2 * self.edge).clip(0.0).prod()
+        return np.column_stack([np.full(len(places), 1 / self.surface()), near / max(self.surface() - inner, 1e-6)])
 
     def surface(self):
         """Size of the area, m^2."""
