@@ -261,3 +261,20 @@ def test_an_old_output_stays_when_the_input_is_bad(experiment, tmp_path):
     result = run("aveval", experiment / "groundtruth_sources.jsonl", "-", "-o", tmp_path / "old.jsonl", stdin="{")
     assert result.returncode == 1
     assert (tmp_path / "old.jsonl").read_text() == "old"
+
+
+def test_all_records_follow_the_schema(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    from importlib.resources import files
+
+    from test_metrics_report import experiment
+
+    schema = json.loads(files("avcli").joinpath("schemas/metrics.schema.json").read_text())
+    experiment(tmp_path / "s3")
+    experiment(tmp_path / "s1", people=1)
+    (tmp_path / "s1" / "tracking" / "audio_tracking.jsonl").write_text("")
+    detections = ("--detections", "localization/audio_localizations.jsonl")
+    found = records_of(run("aveval", "--experiments", "s1", "s3", *detections, cwd=tmp_path))
+    assert len(found) == 6 + 2 + 6 + 1
+    for each in found:
+        jsonschema.validate(each, schema)
