@@ -77,8 +77,9 @@ class Fusion:
 def noise_of(covariances, sigma, floor, area):
     """Measurement noise as the filter needs it.
 
-    covariances: (J, 2, 2) m^2, NaN where not given; sigma: (sx, sy) m for those; floor: m, see `model.Sensor`. A variance of 0 means that the
-    coordinate was not observed: it becomes the one whose density is that of a uniform distribution over the area.
+    covariances: (J, 2, 2) m^2, NaN where not given; sigma: (sx, sy) m for those; floor: m, see `model.Sensor`. A
+    variance of 0 means that the coordinate was not observed: it becomes the one whose density is that of a uniform
+    distribution over the area.
     Returns (J, 2, 2) m^2, positive definite.
     """
     given = covariances + np.where(covariances > 0, floor * floor, 0.0) * np.eye(2)

@@ -164,7 +164,7 @@ class GLMB:
 
         if self.settings.adapt:
             rates.learn(float((free * (1 - existence)).sum()), *self._hits_and_misses(groups, chance, rates.detection))
-        rates.learn_score(score)
+        rates.learn_score(score, 1 - free * (1 - existence))
         source = np.where(
             from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
         )
@@ -471,22 +471,24 @@ class Rates:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
         self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
 
-    def learn_score(self, score):
-        """Take in the scores (J,) of one record, if it has any."""
-        if score is not None and len(score):
-            known = score[~np.isnan(score)]
-            if not len(known):
-                return
-            now = float(logit(known).mean())
-            self.typical = now if self.typical is None else 0.95 * self.typical + 0.05 * now
+    def learn_score(self, score, real):
+        """Take in the scores (J,) of one record, if it has any, each as far as it probably was a person: real (J,)."""
+        if score is None:
+            return
+        known = ~np.isnan(score)
+        weight = float(real[known].sum())
+        if weight > 1e-3:
+            share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
+            now = float(logit(score[known]) @ real[known]) / weight
+            self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
 
     def doubt(self, score):
-        """How many times more clutter than usual each detection stands for, by its score (J,)."""
+        """How much more clutter than usual each detection stands for, by its score against people's: (J,)."""
         if score is None or not len(score) or np.isnan(score).all():
             return np.ones(1)
         odds = logit(score)
-        typical = float(np.nanmean(odds)) if self.typical is None else self.typical
-        return np.exp(np.clip(np.where(np.isnan(odds), 0.0, typical - odds), -1.0, 3.0))
+        typical = float(np.nanmax(odds)) if self.typical is None else self.typical
+        return np.exp(np.clip(np.where(np.isnan(odds), 0.0, typical - odds), -1.0, 4.0))
 
 
 def logit(score):

@@ -14,8 +14,9 @@ class Sensor:
     name: as records say it.
     detection: probability that it finds, in one record, a person whom it can find.
     clutter: false detections expected in one record.
-    sigma: (sx, sy) m, noise of detections that carry no covariance. floor: m, added (in squares) to the noise of those that
-        do, for what their covariance does not know: body sway, calibration, a model of sound or light that is not quite true.
+    sigma: (sx, sy) m, noise of detections that carry no covariance.
+    floor: m, added (in squares) to the noise of those that do, for what their covariance does not know: body sway,
+        calibration, sound and light that do not quite behave as modelled.
     hide, show: rates per second at which people become hidden from it (fall silent) and findable again; hide 0: never.
     lead: metres that what it localizes is in front of the body's axis (a mouth).
     """
@@ -57,8 +58,8 @@ class Settings:
 
     area: ((x0, y0), (x1, y1)) m, where people can be.
     motion: Motion.
-    stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same within `edge` metres
-        of a wall, where the doors are.
+    stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same within `edge`
+        metres of a wall, where the doors are.
     arrivals: people that come per second, through the walls but for a share `appear`, which may turn up anywhere.
     present: people expected in the room before the first record.
     speed: standard deviation of each velocity component of someone first seen, m/s.
