@@ -53,6 +53,24 @@ def join(solids):
     return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in names))
 
 
+def blockers(solids):
+    """What casts shadows in the room: the solids, and in place of meshes a box within each mesh's bounds."""
+    kept = solids.kind != TRIANGLE
+    plain = Solids(*(getattr(solids, f)[kept] for f in ("kind", "centre", "axes", "half", "material", "colour")))
+    boxes = []
+    for start, end in _runs(~kept):
+        corners = np.concatenate([solids.centre[start:end], *solids.axes[start:end, :2].transpose(1, 0, 2)])
+        low, high = corners.min(0), corners.max(0)
+        boxes.append(_solid(BOX, (low + high) / 2, np.eye(3), 0.4 * (high - low), PAINT, np.zeros(3)))
+    return join([plain, *boxes])
+
+
+def _runs(flags):
+    """First and end index of each run of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def build(reader, load_mesh):
     """Build one piece of furniture from its checked reader (scenario._Reader); returns Solids."""
     reader.object(

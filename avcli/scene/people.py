@@ -101,9 +101,11 @@ class Bodies:
         flat_axis: (n, p, 3) unit axis along which a cone is flattened about its middle, by flat (p,) in (0, 1].
         front: (n, p, 3) unit vector to the front of the part, which anchors what is painted on it.
         person: (p,) index of the person.
-        group: (p, 2) first and end index of the cones whose surfaces blend smoothly with this one's.
+        touching: (p, 4) indices of cones whose surfaces blend smoothly with this one's, -1 for none.
         material: (p,) SKIN, KNIT...
-        colours: (p, 2, 3) sRGB fractions of the cone before and beyond `split` (p,), a fraction of its axis.
+        colours: (p, 3, 3) sRGB fractions of the cone before and beyond `split` (p,), a fraction of its axis, and of
+            what is printed on it.
+        balls: (n, people, 20, 4) a coarse body for soft shadows: centre and radius.
         keypoints: (n, people, 17, 3) COCO's keypoints.
         mouths: (n, people, 3).
     """
@@ -117,10 +119,11 @@ class Bodies:
     flat: np.ndarray
     front: np.ndarray
     person: np.ndarray
-    group: np.ndarray
+    touching: np.ndarray
     material: np.ndarray
     colours: np.ndarray
     split: np.ndarray
+    balls: np.ndarray
     keypoints: np.ndarray
     mouths: np.ndarray
 
@@ -153,16 +156,17 @@ def pose(people, t):
         flat=np.array([part.flat for part in parts]),
         front=stacked("front", 3),
         person=np.repeat(np.arange(len(bodies)), np.diff(offsets)),
-        group=np.array(
+        touching=np.concatenate(
             [
-                [g + offset for g in group]
+                np.where(body.touching >= 0, body.touching + offset, -1)
                 for body, offset in zip(bodies, offsets, strict=False)
-                for group in body.groups
             ]
-        ).reshape(-1, 2),
+            or [np.zeros((0, 4), int)]
+        ),
         material=np.array([part.material for part in parts], int),
-        colours=np.array([[part.colour, part.beyond] for part in parts]).reshape(-1, 2, 3),
+        colours=np.array([[part.colour, part.beyond, part.second] for part in parts]).reshape(-1, 3, 3),
         split=np.array([part.split for part in parts]),
+        balls=np.stack([body.balls() for body in bodies], 1) if p else np.zeros((n, 0, 20, 4)),
         keypoints=np.stack([body.keypoints for body in bodies], 1) if p else np.zeros((n, 0, 17, 3)),
         mouths=np.stack([body.mouth for body in bodies], 1) if p else np.zeros((n, 0, 3)),
     )
@@ -181,6 +185,7 @@ class _Part:
     material: int
     colour: tuple
     beyond: tuple
+    second: tuple
     split: float
 
 
@@ -199,10 +204,23 @@ class _Body:
         self._legs()
         self._arms()
         self._head()
-        order = {name: index for index, name in enumerate(dict.fromkeys(part.group for part in self.parts))}
-        self.parts.sort(key=lambda part: order[part.group])
-        names = [part.group for part in self.parts]
-        self.groups = [(names.index(name), names.index(name) + names.count(name)) for name in names]
+        self.touching = _touching(self.parts)
+
+    def balls(self):
+        """Balls (n, 20, 4) that cast about the body's shadow; the first eight are those that darken the body itself."""
+        unit, side = self.unit, 0.075 * self.unit * self.cl
+        centre = 0.5 * (self.parts[self.skull].a + self.parts[self.skull].b)
+        limbs = [
+            (self.elbow[:, 0], 0.05), (self.elbow[:, 1], 0.05), (self.knee[:, 0], 0.06), (self.knee[:, 1], 0.06),
+            (0.5 * (self.hip + self.knee)[:, 0], 0.078), (0.5 * (self.hip + self.knee)[:, 1], 0.078),
+            (0.5 * (self.knee + self.ankle)[:, 0], 0.052), (0.5 * (self.knee + self.ankle)[:, 1], 0.052),
+            (self.ankle[:, 0], 0.05), (self.ankle[:, 1], 0.05), (self.toe[:, 0], 0.04), (self.toe[:, 1], 0.04),
+            (self.wrist[:, 0], 0.04), (self.wrist[:, 1], 0.04), (self.shoulder[:, 0], 0.055),
+            (self.shoulder[:, 1], 0.055),
+        ]  # fmt: skip
+        trunk = [(centre, 0.092), (self.chest + side, 0.105), (self.chest - side, 0.105), (self.pelvis, 0.135)]
+        rows = [np.concatenate([at, np.full((len(at), 1), r * unit)], -1) for at, r in trunk + limbs]
+        return np.stack(rows, 1)
 
     def _place(self):
         """Pelvis, chest and their axes; the chest turns against the pelvis and leans with speed and into a seat."""
@@ -275,7 +293,7 @@ class _Body:
         unit, h, look = self.unit, self.h, self.look
         cloth = {"group": "legs", "material": look.legwear, "colour": look.trousers}
         up = np.array([0.0, 0.0, 1.0])
-        self.hip, self.knee, self.ankle = np.empty((3, len(self.t), 2, 3))
+        self.hip, self.knee, self.ankle, self.toe = np.empty((4, len(self.t), 2, 3))
         for s, sign in enumerate((-1.0, 1.0)):
             forward = _horizontal(self.foot_heading[:, s] + sign * 0.12)
             rel, swing = self.foot_ahead[:, s], self.foot_swing[:, s]
@@ -300,6 +318,7 @@ class _Body:
             self.hip[:, s], self.knee[:, s], self.ankle[:, s] = hip, knee, ankle
             heel = ankle - 0.09 * length * along - (self.ankle_height - 0.035 * unit) * rise
             toe = ankle + 0.62 * length * along - (self.ankle_height - 0.027 * unit) * rise
+            self.toe[:, s] = toe
             g = look.girth
             self._add(hip, knee, 0.088 * unit * g, 0.057 * unit, front=self.pf, **cloth)
             middle = knee + 0.3 * (ankle - knee) - 0.012 * unit * forward
@@ -406,6 +425,7 @@ class _Body:
         skin = {"material": SKIN, "colour": look.skin, "front": f}
         self._add(self.neck - 0.02 * unit * self.cu, base, 0.058 * unit, 0.053 * unit, group="head", **skin)
         skull = (at(-0.022, 0, 0.022), at(0.022, 0, 0.018))
+        self.skull = len(self.parts)
         self._add(*skull, 0.083 * size, 0.079 * size, left, 0.90, group="head", **skin)
         self._add(at(0.03, 0, 0.0), at(0.052, 0, -0.083), 0.066 * size, 0.034 * size, left, 0.95, group="head", **skin)
         self._add(at(0.02, 0, -0.045), at(0.045, 0, -0.085), 0.058 * size, 0.036 * size, group="head", **skin)
@@ -524,7 +544,25 @@ class _Body:
 
     def _add(self, a, b, ra, rb, flat_axis=None, flat=1.0, *, group, material, colour, front, beyond=None, split=2.0):
         axis = np.array([0.0, 0.0, 1.0]) if flat_axis is None else flat_axis
-        self.parts.append(_Part(a, b, ra, rb, axis, flat, front, group, material, colour, beyond or colour, split))
+        second = self.look.second or colour
+        self.parts.append(
+            _Part(a, b, ra, rb, axis, flat, front, group, material, colour, beyond or colour, second, split)
+        )
+
+
+def _touching(parts):
+    """For each cone the (at most 4) cones of its group that touch it most, by the gap between their balls."""
+    f = np.linspace(0, 1, 4)[:, None]
+    balls = np.stack([part.a[0] * (1 - f) + part.b[0] * f for part in parts])
+    radii = np.stack([part.ra * (1 - f[:, 0]) + part.rb * f[:, 0] for part in parts])
+    between = np.linalg.norm(balls[:, None, :, None] - balls[None, :, None], axis=-1)
+    gap = (between - radii[:, None, :, None] - radii[None, :, None]).min((2, 3))
+    names = np.array([part.group for part in parts])
+    gap[(names[:, None] != names) | np.eye(len(parts), dtype=bool) | (gap > 0)] = np.inf
+    best = np.argsort(gap, 1, kind="stable")[:, :4]
+    best = np.pad(best, ((0, 0), (0, 4 - best.shape[1])), constant_values=-1)
+    kept = np.isfinite(np.take_along_axis(gap, np.maximum(best, 0), 1)) & (best >= 0)
+    return np.where(kept, best, -1)
 
 
 def _two_links(root, target, first, second, pole):

@@ -9,10 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.lens import Division
-from avcli.scene import shaders
+from avcli.scene import furniture, shaders
 
 _TERMS = 13  # of the polynomials by which the shaders turn pixels into rays
 _TILE = 32  # px, the grain in which a frame is redrawn
+_COARSE = 4  # px, the grid on which the room's light and people's shadows are computed
+_SHADOW_REACH = 0.8  # m around a person, where their shadow has faded
+_CONE_NAMES = ("origin", "edges", "ball_a", "ball_b", "bulge", "middle")
 _SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
 
 
@@ -81,9 +84,12 @@ class Renderer:
             raise ValueError(f"an image of {self.width} x {self.height} px: this OpenGL draws up to {limit} px a side")
         self.T_camera_room = _inverse(camera.T_room_camera)
         self._lens = lens_uniforms(camera.lens, self.width, self.height)
+        x, y, z = self.room
+        self._lamps = [(0.28 * x, 0.5 * y, z), (0.72 * x, 0.5 * y, z)]
         self._room_pass()
         self._people_buffers()
-        self._compose(np.zeros((0, 20), "f4"), np.zeros((0, 8, 4)), self._stale)
+        self._find(np.zeros((0, 22)))
+        self._paint(np.zeros((0, 9, 4)), np.zeros((0, 4)), np.zeros((0, 6)), self._stale)
         self.room_depth = self._read_depth()
 
     # The room
@@ -95,46 +101,65 @@ class Renderer:
 
     def _room_uniforms(self):
         T = self.camera.T_room_camera
-        return {"to_room": tuple(T[:3, :3].T.ravel()), "eye": tuple(T[:3, 3]), "room": tuple(self.room)}
+        return {
+            "to_room": tuple(T[:3, :3].T.ravel()), "eye": tuple(T[:3, 3]), "room": tuple(self.room),
+            "lamps": self._lamps, "coarse": _COARSE, "samples": self.samples,
+        }  # fmt: skip
+
+    def _fill(self, program, target, depth=False, **textures):
+        """Run a program over all of a target's pixels, or those that its depth lets pass."""
+        _set(program, size=target.size, **{name: unit for unit, name in enumerate(textures)})
+        for unit, texture in enumerate(textures.values()):
+            texture.use(unit)
+        target.use()
+        (self.ctx.enable if depth else self.ctx.disable)(self.ctx.DEPTH_TEST)
+        self._render(program, [[0, 0, *target.size]], "4f/i", ("rectangle",))
 
     def _room_pass(self):
-        """Draw the room and the furniture: depth at the pixels' centres, colour antialiased."""
-        self.solid_texture = self._table(_solid_rows(self.solids))
-        rectangles = np.concatenate([[[0, 0, self.width, self.height]], self._solid_rectangles()]).astype("f4")
-        index = np.arange(-1, len(self.solids), dtype="f4")[:, None]
-        buffer = self.ctx.buffer(np.hstack([rectangles, index]).astype("f4").tobytes())
-        program = self._program(shaders.ROOM_VERTEX, shaders.ROOM_FRAGMENT, **self._room_uniforms(), solids=0)
-        array = self.ctx.vertex_array(program, [(buffer, "4f 1f/i", "rectangle", "solid")])
-        self._draw_room = lambda: array.render(self.ctx.TRIANGLE_STRIP, 4, instances=len(rectangles))
-        self._room_program = program
-        size = (self.width, self.height)
-        self.room_seen, room_surface = self.ctx.texture(size, 2, dtype="f4"), self.ctx.texture(size, 4, dtype="f2")
-        fbo = self.ctx.framebuffer([self.room_seen, room_surface], self.ctx.depth_renderbuffer(size))
-        fbo.use()
-        fbo.clear(0, 0, 0, 0)
-        self.solid_texture.use(0)
-        _set(program, origin=(0, 0), size=size, corner=(0, 0), pitch=1.0)
-        self._draw_room()
-        self.room_surface = room_surface
-        self.room_colour = self.ctx.texture(size, 4)
-        fbo = self.ctx.framebuffer([self.room_colour])
-        shade = self._program(
-            shaders.RESOLVE_VERTEX, shaders.ROOM_SHADE, **self._room_uniforms(), seen=0, surface=1, solids=2
+        """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet."""
+        ctx, size, uniforms = self.ctx, (self.width, self.height), self._room_uniforms()
+        solids = self._table(_solid_rows(self.solids))
+        rectangles = np.concatenate([[[0, 0, *size]], self._solid_rectangles()])
+        index = np.arange(-1, len(self.solids))[:, None]
+        buffer = ctx.buffer(np.hstack([rectangles, index]).astype("f4").tobytes())
+        program = self._program(shaders.ROOM_VERTEX, shaders.ROOM_FRAGMENT, **uniforms, solids=0)
+        _set(program, size=size)
+        self.room_seen, self._room_surface = ctx.texture(size, 2, dtype="f4"), ctx.texture(size, 4, dtype="f2")
+        target = ctx.framebuffer([self.room_seen, self._room_surface], ctx.depth_renderbuffer(size))
+        target.use()
+        target.clear(0, 0, 0, 0)
+        solids.use(0)
+        ctx.enable(ctx.DEPTH_TEST)
+        array = ctx.vertex_array(program, [(buffer, "4f 1f/i", "rectangle", "solid")])
+        array.render(ctx.TRIANGLE_STRIP, 4, instances=len(rectangles))
+        seen = {"seen": self.room_seen, "surface": self._room_surface}
+        coarse = [ctx.texture((-(-self.width // _COARSE), -(-self.height // _COARSE)), 1, dtype="f2") for _ in range(2)]
+        blockers = self._table(_solid_rows(furniture.blockers(self.solids)))
+        light = self._program(
+            shaders.FLAT_VERTEX, shaders.ROOM_LIGHT, **uniforms, blockers=len(furniture.blockers(self.solids))
         )
-        _set(shade, size=size)
-        quad = self.ctx.buffer(np.array([0, 0, *size], "f4").tobytes())
-        self.room_seen.use(0)
-        room_surface.use(1)
-        self.solid_texture.use(2)
-        fbo.use()
-        self.ctx.disable(self.ctx.DEPTH_TEST)
-        self.ctx.vertex_array(shade, [(quad, "4f/i", "rectangle")]).render(self.ctx.TRIANGLE_STRIP, 4, instances=1)
-        self.ctx.enable(self.ctx.DEPTH_TEST)
+        self._fill(light, ctx.framebuffer([coarse[0]]), **seen, solids=blockers)
+        blur = self._program(shaders.FLAT_VERTEX, shaders.ROOM_BLUR, coarse=_COARSE)
+        self._fill(blur, ctx.framebuffer([coarse[1]]), **seen, light=coarse[0])
+        self._room_colour = ctx.texture(size, 4)
+        inputs = {**seen, "light": coarse[1], "solids": solids}
+        shade = self._program(shaders.FLAT_VERTEX, shaders.ROOM_SHADE, **uniforms)
+        self._fill(shade, ctx.framebuffer([self._room_colour]), **inputs)
+        if self.samples > 1:
+            marks = ctx.depth_renderbuffer(size)
+            target = ctx.framebuffer(depth_attachment=marks)
+            target.clear(depth=1.0)
+            ctx.depth_func = "1"
+            self._fill(self._program(shaders.FLAT_VERTEX, shaders.ROOM_EDGES), target, depth=True, **seen)
+            target = ctx.framebuffer([self._room_colour], marks)
+            target.depth_mask = False
+            ctx.depth_func = ">"
+            smooth = self._program(shaders.FLAT_VERTEX, shaders.ROOM_SMOOTH, **uniforms, level=0.5)
+            self._fill(smooth, target, depth=True, **inputs)
+            ctx.depth_func = "<"
 
     def _solid_rectangles(self):
         """A rectangle of pixels around each solid, (n, 4)."""
-        from avcli.scene.furniture import BALL, BOX, TRIANGLE
-
         s = self.solids
         if not len(s):
             return np.zeros((0, 4))
@@ -143,42 +168,45 @@ class Renderer:
         f = np.linspace(0, 1, 17)[:, None]
         unit = np.concatenate([corners[i] * (1 - f) + corners[j] * f for i, j in edges])
         points = s.centre[:, None] + (unit[None] * s.half[:, None]) @ s.axes
-        flat = s.kind == TRIANGLE
+        flat = s.kind == furniture.TRIANGLE
         if flat.any():
             a, b, c = s.centre[flat], s.axes[flat, 0], s.axes[flat, 1]
             rim = np.concatenate([p[:, None] * (1 - f) + q[:, None] * f for p, q in ((a, b), (b, c), (c, a))], 1)
             points[flat] = np.resize(rim.transpose(1, 0, 2), (len(unit), flat.sum(), 3)).transpose(1, 0, 2)
         in_camera = points @ self.T_camera_room[:3, :3].T + self.T_camera_room[:3, 3]
         rectangles = _bounds(clamped_pixels(self.camera.lens, in_camera), 4.0)
-        # Around a ball or a cylinder the box's edges are too wide; where the lens folds they may be too tight.
-        lost = ~np.isfinite(rectangles).all(1) | ((s.kind != BOX) & (s.kind != TRIANGLE) & (s.kind != BALL) & False)
+        lost = ~np.isfinite(rectangles).all(1)
         rectangles[lost] = (0, 0, self.width, self.height)
         return _clip(rectangles, self.width, self.height)
 
     # People
 
     def _people_buffers(self):
-        size = (self.width, self.height)
-        ctx = self.ctx
-        self.people_seen = ctx.texture(size, 2, dtype="f4")
-        self._geometry = ctx.framebuffer([self.people_seen], ctx.depth_renderbuffer(size))
-        self._colour, self._depth, self._ids = (
-            ctx.texture(size, 4),
-            ctx.texture(size, 1, dtype="u2"),
-            ctx.texture(size, 1),
-        )
+        size, ctx, uniforms = (self.width, self.height), self.ctx, self._room_uniforms()
+        self.people_seen, marks = ctx.texture(size, 2, dtype="f4"), ctx.depth_renderbuffer(size)
+        self._geometry = ctx.framebuffer([self.people_seen], marks)
+        self._colour, self._depth = ctx.texture(size, 4), ctx.texture(size, 1, dtype="u2")
+        self._ids = ctx.texture(size, 1)
         self._final = ctx.framebuffer([self._colour, self._depth, self._ids])
-        self._cones = self._program(shaders.PEOPLE_VERTEX, shaders.PEOPLE_FRAGMENT, room_depth=0)
-        _set(self._cones, size=size)
-        self._shapes = self._program(shaders.SHAPE_VERTEX, shaders.SHAPE_FRAGMENT)
-        _set(self._shapes, pitch=float(_SHAPE_PITCH))
-        uniforms = self._room_uniforms()
-        self._resolve = self._program(
-            shaders.RESOLVE_VERTEX, shaders.RESOLVE, **uniforms, seen=0, room_seen=1, room_colour=2, cones=3
+        self._painted = ctx.framebuffer([self._colour], marks)
+        edges = ctx.depth_renderbuffer(size)
+        self._marked, self._smoothed = ctx.framebuffer(depth_attachment=edges), ctx.framebuffer([self._colour], edges)
+        self._painted.depth_mask = self._smoothed.depth_mask = False
+        self._shadow = ctx.texture((-(-self.width // _COARSE), -(-self.height // _COARSE)), 1)
+        self._shade_target = ctx.framebuffer([self._shadow])
+        self._cones = self._program(shaders.PEOPLE_VERTEX, shaders.PEOPLE_FRAGMENT, room_depth=0, size=size)
+        self._shapes = self._program(shaders.SHAPE_VERTEX, shaders.SHAPE_FRAGMENT, pitch=float(_SHAPE_PITCH))
+        self._shadows = self._program(
+            shaders.SHADOW_VERTEX, shaders.SHADOW_FRAGMENT, **uniforms, seen=0, surface=1, balls=2
         )
-        _set(self._resolve, size=size, per_step=1.0 / self.depth_step, samples=self.samples)
+        _set(self._shadows, size=self._shadow.size)
+        units = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "size": size}
+        vertex, step = shaders.FLAT_VERTEX, 1.0 / self.depth_step
+        self._base = self._program(vertex, shaders.BASE, **units, per_step=step)
+        self._shade = self._program(vertex, shaders.SHADE, **uniforms, **units, level=0.9999)
+        self._edges = self._program(vertex, shaders.EDGES, **units)
+        self._smooth = self._program(vertex, shaders.SMOOTH, **uniforms, **units, level=0.5)
         self._stale = np.ones((-(-self.height // _TILE), -(-self.width // _TILE)), bool)
-        self._last = None
 
     def prepare(self, bodies):
         """Everything about bodies (people.Bodies) at n times that the card needs; frames are then drawn by index."""
@@ -187,7 +215,8 @@ class Renderer:
     def draw(self, drawn, index):
         """Draw the frame of one time; returns Frame."""
         now = drawn.tiles(index)
-        self._compose(drawn.instances(index), drawn.rows(index), now | self._stale)
+        self._find(drawn.instances(index))
+        self._paint(drawn.rows(index), drawn.balls(index), drawn.shadow_rectangles(index), now | self._stale)
         self._stale = now
         rgb = np.frombuffer(self._final.read(components=3, attachment=0), np.uint8).reshape(self.height, self.width, 3)
         ids = np.frombuffer(self._ids.read(), np.uint8).reshape(self.height, self.width)
@@ -196,37 +225,63 @@ class Renderer:
     def _read_depth(self):
         return np.frombuffer(self._depth.read(), np.uint16).reshape(self.height, self.width)
 
-    def _compose(self, instances, rows, tiles):
-        """Find what the cones hide, then colour the tiles."""
-        ctx = self.ctx
-        size = (self.width, self.height)
+    def _render(self, program, instances, layout, names):
+        """Draw a quad for each row of instances (n, m)."""
+        if not len(instances):
+            return
+        buffer = self.ctx.buffer(np.ascontiguousarray(instances, "f4").tobytes())
+        array = self.ctx.vertex_array(program, [(buffer, layout, *names)])
+        array.render(self.ctx.TRIANGLE_STRIP, 4, instances=len(instances))
+        array.release()
+        buffer.release()
+
+    def _find(self, instances):
+        """Find which cone each pixel sees."""
         self._geometry.use()
         self._geometry.clear(0, 0, 0, 0, depth=1.0)
-        ctx.enable(ctx.DEPTH_TEST)
+        self.ctx.enable(self.ctx.DEPTH_TEST)
         if len(instances):
-            buffer = ctx.buffer(instances.tobytes())
             self.room_seen.use(0)
-            array = ctx.vertex_array(
-                self._cones, [(buffer, "4f 4f 4f 4f 4f/i", "rectangle", "ball_a", "ball_b", "bulge", "middle")]
-            )
-            array.render(ctx.TRIANGLE_STRIP, 4, instances=len(instances))
-            array.release()
-            buffer.release()
-        if tiles.any():
-            table = self._table(rows if len(rows) else np.zeros((1, 8, 4)))
-            y, x = np.nonzero(tiles)
-            corners = np.stack([x, y, x + 1, y + 1], -1) * _TILE
-            corners = np.minimum(corners, [*size, *size]).astype("f4")
-            buffer = ctx.buffer(corners.tobytes())
-            self._final.use()
-            ctx.disable(ctx.DEPTH_TEST)
-            for unit, texture in enumerate((self.people_seen, self.room_seen, self.room_colour, table)):
+            self._render(self._cones, instances, "2f 4f 4f 4f 4f 4f/i", _CONE_NAMES)
+
+    def _paint(self, rows, balls, shadow_rectangles, tiles):
+        """Colour the tiles of the picture in which people are or were."""
+        ctx, size = self.ctx, (self.width, self.height)
+        balls = self._table(balls[None] if len(balls) else np.zeros((1, 1, 4)))
+        self._shade_target.use()
+        self._shade_target.clear(1, 1, 1, 1)
+        ctx.disable(ctx.DEPTH_TEST)
+        if len(shadow_rectangles):
+            for unit, texture in enumerate((self.room_seen, self._room_surface, balls)):
                 texture.use(unit)
-            array = ctx.vertex_array(self._resolve, [(buffer, "4f/i", "rectangle")])
-            array.render(ctx.TRIANGLE_STRIP, 4, instances=len(corners))
-            array.release()
-            buffer.release()
-            table.release()
+            ctx.enable(ctx.BLEND)
+            ctx.blend_func = ctx.DST_COLOR, ctx.ZERO
+            self._render(self._shadows, shadow_rectangles, "4f 2f/i", ("rectangle", "balls"))
+            ctx.disable(ctx.BLEND)
+        table = self._table(rows if len(rows) else np.zeros((1, 9, 4)))
+        y, x = np.nonzero(tiles)
+        corners = np.minimum(np.stack([x, y, x + 1, y + 1], -1) * _TILE, [*size, *size])
+        inputs = (self.people_seen, self.room_seen, self._room_colour, table, self._shadow, balls)
+        for unit, texture in enumerate(inputs):
+            texture.use(unit)
+        self._final.use()
+        self._render(self._base, corners, "4f/i", ("rectangle",))
+        if len(rows):
+            ctx.enable(ctx.DEPTH_TEST)
+            self._painted.use()
+            ctx.depth_func = ">"
+            self._render(self._shade, corners, "4f/i", ("rectangle",))
+            if self.samples > 1:
+                self._marked.use()
+                self._marked.clear(depth=1.0)
+                ctx.depth_func = "1"
+                self._render(self._edges, corners, "4f/i", ("rectangle",))
+                self._smoothed.use()
+                ctx.depth_func = ">"
+                self._render(self._smooth, corners, "4f/i", ("rectangle",))
+            ctx.depth_func = "<"
+        table.release()
+        balls.release()
 
     def depth_m(self):
         """Radial depth of the frame that was drawn last, unrounded: (height, width) float32 m, 0 none."""
@@ -247,13 +302,9 @@ class Renderer:
         fbo.clear()
         ctx.disable(ctx.DEPTH_TEST)
         _set(self._shapes, size=size)
-        buffer = ctx.buffer(instances.tobytes())
-        array = ctx.vertex_array(
-            self._shapes, [(buffer, "4f 4f 4f 4f 4f 2f/i", "rectangle", "ball_a", "ball_b", "bulge", "middle", "place")]
-        )
-        array.render(ctx.TRIANGLE_STRIP, 4, instances=len(instances))
+        self._render(self._shapes, instances, "2f 4f 4f 4f 4f 4f 2f 4f/i", (*_CONE_NAMES, "place", "tile"))
         covered = np.frombuffer(fbo.read(components=1, alignment=1), np.uint8).reshape(size[1], size[0]) > 0
-        for item in (array, buffer, fbo, picture):
+        for item in (fbo, picture):
             item.release()
         return [(covered[y0:y1, x0:x1], place) for (x0, y0, x1, y1), place in tiles]
 
@@ -282,10 +333,24 @@ class _Drawn:
 
         self.a, self.b = swell(a), swell(b)
         self.axis, self.bulge = axis, bulge
-        self.rectangles = self._cone_rectangles(a, b)
+        self._shadow_bounds()
+        self._outline(a, b)
 
-    def _cone_rectangles(self, a, b):
-        """Bounds (n, p, 4) in pixels of each cone: of balls along its axis, seen as cones of rays by the camera."""
+    def _shadow_bounds(self):
+        """Where in the picture a person darkens the room: around the place under them, (n, people, 4)."""
+        r, bodies = self.renderer, self.bodies
+        middle = bodies.balls[..., :2].mean(2)
+        turn = np.arange(16) * np.pi / 8
+        ring = _SHADOW_REACH * np.stack([np.cos(turn), np.sin(turn)], -1)
+        floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
+        pixels = clamped_pixels(r.camera.lens, floor @ r.T_camera_room[:3, :3].T + r.T_camera_room[:3, 3])
+        self.shadows = _bounds(pixels, 4.0)
+
+    def _outline(self, a, b):
+        """Around each cone in the picture: a rectangle (n, p, 4) and a parallelogram along its axis (n, p, 6).
+
+        Both hold the outlines of balls along its axis, as the camera sees them: as cones of rays.
+        """
         ra, rb = self.bodies.ra, self.bodies.rb
         n, p = a.shape[:2]
         points = np.empty((n, p, 4, 12, 3))
@@ -296,15 +361,24 @@ class _Drawn:
                 distance = np.linalg.norm(centre, axis=-1, keepdims=True)
                 way = centre / distance
                 sine = radius[None, :, None] / distance
+                # A ball that holds the camera has no outline: it is left out, as NaN.
                 tangent = sine / np.sqrt(1 - sine**2) / np.cos(np.pi / 12)
                 u = np.cross(way, np.where(np.abs(way[..., :1]) < 0.8, [1.0, 0, 0], [0, 1.0, 0]))
                 u /= np.linalg.norm(u, axis=-1, keepdims=True)
                 v = np.cross(way, u)
                 ring = np.cos(angles)[:, None] * u[..., None, :] + np.sin(angles)[:, None] * v[..., None, :]
                 points[:, :, k] = way[..., None, :] + tangent[..., None] * ring
-        # A cone that holds the camera has no picture.
-        points = points.reshape(n * p, 48, 3)
-        return _bounds(clamped_pixels(self.renderer.camera.lens, points), 1.5).reshape(n, p, 4)
+        pixels = clamped_pixels(self.renderer.camera.lens, points.reshape(n * p, 48, 3)).reshape(n, p, 48, 2)
+        self.rectangles = _bounds(pixels, 1.5)
+        way = pixels[:, :, 36:].mean(2) - pixels[:, :, :12].mean(2)
+        length = np.linalg.norm(way, axis=-1, keepdims=True)
+        way = np.where(length > 1.0, way / np.maximum(length, 1e-9), [1.0, 0.0])
+        across = np.stack([-way[..., 1], way[..., 0]], -1)
+        along, aside = np.sum(pixels * way[:, :, None], -1), np.sum(pixels * across[:, :, None], -1)
+        low_along, low_aside = along.min(-1, keepdims=True) - 1.5, aside.min(-1, keepdims=True) - 1.5
+        long, wide = along.max(-1, keepdims=True) + 1.5 - low_along, aside.max(-1, keepdims=True) + 1.5 - low_aside
+        origin = low_along * way + low_aside * across + 0.5
+        self.quads = np.concatenate([origin, long * way, wide * across], -1)
 
     def _inside(self, index):
         r = self.renderer
@@ -323,29 +397,43 @@ class _Drawn:
         )  # fmt: skip
 
     def instances(self, index):
-        """One row for each cone in the picture: rectangle and shape."""
-        rectangles, inside = self._inside(index)
-        return np.hstack([rectangles, self._geometry(index)])[inside].astype("f4")
+        """One row for each cone in the picture: parallelogram and shape."""
+        _, inside = self._inside(index)
+        return np.hstack([self.quads[index], self._geometry(index)])[inside]
 
     def rows(self, index):
-        """All about each cone that shading wants, (p, 8, 4)."""
+        """All about each cone that shading wants, (p, 9, 4)."""
         bodies = self.bodies
         p = len(bodies.ra)
-        rows = np.zeros((p, 8, 4))
+        rows = np.zeros((p, 9, 4))
         rows[:, :4] = self._geometry(index).reshape(p, 4, 4)
         rows[:, 3, 3] = bodies.person + 1
-        rows[:, 4:6, :3] = linear(bodies.colours)
+        rows[:, 4:6, :3], rows[:, 7, :3] = linear(bodies.colours[:, :2]), linear(bodies.colours[:, 2])
         rows[:, 4, 3], rows[:, 5, 3] = bodies.material, bodies.split
-        rows[:, 6, :3], rows[:, 6, 3] = self.front[index], bodies.group[:, 0] if p else 0
-        rows[:, 7, 0] = bodies.group[:, 1] if p else 0
+        rows[:, 6, :3], rows[:, 6, 3] = self.front[index], 3.7 * bodies.person
+        rows[:, 7, 3] = bodies.person * bodies.balls.shape[2]
+        rows[:, 8] = bodies.touching
         return rows
+
+    def balls(self, index):
+        """The balls that cast soft shadows, (people * 20, 4)."""
+        return self.bodies.balls[index].reshape(-1, 4)
+
+    def shadow_rectangles(self, index):
+        """Where each person darkens the room, in coarse pixels, and which balls are theirs: (people, 6)."""
+        count, each = self.bodies.balls.shape[1:3]
+        first = np.arange(count)[:, None] * each
+        rectangles = self.shadows[index] / _COARSE + [-1, -1, 1, 1]
+        rows = np.hstack([rectangles, first, first + each])
+        return rows[np.isfinite(rows).all(1)]
 
     def tiles(self, index):
         """Which tiles of the picture this frame's people touch, (rows, columns) bool."""
         r = self.renderer
         tiles = np.zeros((-(-r.height // _TILE), -(-r.width // _TILE)), bool)
         rectangles, inside = self._inside(index)
-        for x0, y0, x1, y1 in (rectangles[inside] / _TILE).tolist():
+        shaded = _clip(self.shadows[index], r.width, r.height)
+        for x0, y0, x1, y1 in (np.concatenate([rectangles[inside], shaded]) / _TILE).tolist():
             tiles[int(y0) : int(np.ceil(y1)), int(x0) : int(np.ceil(x1))] = True
         return tiles
 
@@ -369,16 +457,22 @@ class _Drawn:
             high = np.minimum(high, [2 * r.width, 2 * r.height])
             wide, tall = np.maximum((high - low) / _SHAPE_PITCH, 0).astype(int)
             shift = np.array([left, 0]) - low / _SHAPE_PITCH
-            boxes = np.clip(
-                self.rectangles[index][mine] / _SHAPE_PITCH + np.tile(shift, 2),
-                [left, 0, left, 0],
-                [left + wide, tall, left + wide, tall],
-            )
+            quads = self.quads[index][mine] / _SHAPE_PITCH
+            quads[:, :2] += shift
             place = low - np.array([left, 0]) * _SHAPE_PITCH
-            rows.append(np.hstack([boxes, geometry[mine], np.tile(place, (len(boxes), 1))]))
+            rows.append(
+                np.hstack(
+                    [
+                        quads,
+                        geometry[mine],
+                        np.tile(place, (len(quads), 1)),
+                        np.tile([left, 0, left + wide, tall], (len(quads), 1)),
+                    ]
+                )
+            )
             tiles.append(((left, 0, left + wide, tall), (int(low[0]), int(low[1]))))
             left, height = left + wide, max(height, tall)
-        instances = np.concatenate(rows) if rows else np.zeros((0, 22))
+        instances = np.concatenate(rows) if rows else np.zeros((0, 28))
         instances = instances[np.isfinite(instances).all(1)]
         return instances.astype("f4"), tiles, (max(int(left), 1), max(int(height), 1))
 
@@ -443,8 +537,8 @@ def linear(srgb):
 
 
 def _bounds(pixels, margin):
-    """Rectangles (n, 4) in pixel edges around pixels (n, m, 2); NaN where a pixel is."""
-    low, high = pixels.min(1) + 0.5 - margin, pixels.max(1) + 0.5 + margin
+    """Rectangles (..., 4) in pixel edges around pixels (..., m, 2); NaN where a pixel is."""
+    low, high = pixels.min(-2) + 0.5 - margin, pixels.max(-2) + 0.5 + margin
     return np.concatenate([low, high], -1)
 
 

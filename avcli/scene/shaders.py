@@ -63,8 +63,18 @@ vec4 corner() {
 }
 """
 
+QUAD = """#version 330
+in vec2 origin;      // of a parallelogram of pixels, and its two edges
+in vec4 edges;
+uniform vec2 size;
+vec4 corner() {
+    vec2 at = origin + float(gl_VertexID & 1) * edges.xy + float(gl_VertexID >> 1) * edges.zw;
+    return vec4(at / size * 2.0 - 1.0, 0.0, 1.0);
+}
+"""
+
 PEOPLE_VERTEX = (
-    CORNER
+    QUAD
     + """
 in vec4 ball_a, ball_b, bulge, middle;   // middle.w: index of the cone
 flat out vec4 fa, fb, fbulge, fmiddle;
@@ -98,11 +108,12 @@ SHAPE_FRAGMENT = (
     LENS
     + CONE
     + """
-flat in vec4 fa, fb, fbulge, fmiddle;
+flat in vec4 fa, fb, fbulge, fmiddle, ftile;
 uniform float pitch;
 flat in vec2 fplace;   // from tile to image, in image pixels
 out float covered;
 void main() {
+    if (any(lessThan(gl_FragCoord.xy, ftile.xy)) || any(greaterThan(gl_FragCoord.xy, ftile.zw))) discard;
     vec3 d = ray_through((gl_FragCoord.xy - 0.5) * pitch + fplace);
     if (d == vec3(0.0) || hit_cone(d, fa, fb, fbulge, fmiddle.xyz) <= 0.0) discard;
     covered = 1.0;
@@ -111,34 +122,35 @@ void main() {
 )
 
 SHAPE_VERTEX = (
-    CORNER
+    QUAD
     + """
-in vec4 ball_a, ball_b, bulge, middle;
+in vec4 ball_a, ball_b, bulge, middle, tile;
 in vec2 place;
-flat out vec4 fa, fb, fbulge, fmiddle;
+flat out vec4 fa, fb, fbulge, fmiddle, ftile;
 flat out vec2 fplace;
-void main() { gl_Position = corner(); fa = ball_a; fb = ball_b; fbulge = bulge; fmiddle = middle; fplace = place; }
-"""
-)
-
-RESOLVE_VERTEX = (
-    CORNER
-    + """
-void main() { gl_Position = corner(); }
-"""
-)
-
-ROOM_VERTEX = """#version 330
-in vec4 rectangle;
-in float solid;
-uniform vec2 origin, size;   // of the tile: image pixel edges of its corner, and its extent in them
-flat out int index;
 void main() {
-    vec2 at = mix(rectangle.xy, rectangle.zw, vec2(gl_VertexID & 1, gl_VertexID >> 1));
-    gl_Position = vec4((at - origin) / size * 2.0 - 1.0, 0.0, 1.0);
-    index = int(solid);
+    gl_Position = corner();
+    fa = ball_a; fb = ball_b; fbulge = bulge; fmiddle = middle; fplace = place; ftile = tile;
 }
 """
+)
+
+FLAT_VERTEX = (
+    CORNER
+    + """
+uniform float level;   // depth of the quad, against which marked pixels are tested
+void main() { gl_Position = vec4(corner().xy, 2.0 * level - 1.0, 1.0); }
+"""
+)
+
+ROOM_VERTEX = (
+    CORNER
+    + """
+in float solid;
+flat out int index;
+void main() { gl_Position = corner(); index = int(solid); }
+"""
+)
 
 # A solid is five texels: centre + kind, three axes (+ half sizes), colour + material.
 SOLID = """
@@ -219,12 +231,10 @@ ROOM_FRAGMENT = (
     + SOLID
     + """
 flat in int index;
-uniform vec2 corner;       // image px of the tile's first sample
-uniform float pitch;       // image px from sample to sample
 layout(location = 0) out vec2 seen;
 layout(location = 1) out vec4 surface;
 void main() {
-    vec3 ray = ray_through(corner + (gl_FragCoord.xy - 0.5) * pitch);
+    vec3 ray = ray_through(gl_FragCoord.xy - 0.5);
     if (ray == vec3(0.0)) discard;
     vec3 d = to_room * ray, normal;
     float t;
@@ -244,7 +254,10 @@ void main() {
 """
 )
 
-NOISE = """
+LIGHT = """
+uniform vec3 lamps[2];       // middles of the ceiling lights, room frame
+const float LAMP_RADIUS = 0.35;
+
 float hash(vec3 p) {
     p = fract(p * vec3(0.1031, 0.1030, 0.0973));
     p += dot(p, p.yxz + 33.33);
@@ -259,65 +272,327 @@ float noise(vec3 p) {
     vec4 mid = mix(low, high, f.z);
     return mix(mix(mid.x, mid.y, f.x), mix(mid.z, mid.w, f.x), f.y);
 }
-vec3 display(vec3 light) {
-    light = light / (1.0 + 0.22 * light);
-    return pow(clamp(light, 0.0, 1.0), vec3(1.0 / 2.2));
+// Light from above and, bounced, from below.
+float sky(vec3 n) { return 0.33 + 0.15 * n.z; }
+float lamp(vec3 p, vec3 n, int k) {
+    vec3 way = lamps[k] - p;
+    float square = dot(way, way);
+    return 2.1 * max(dot(n, way) * inversesqrt(square) + 0.08, 0.0) / (square + 1.5);
 }
+// Linear light to the picture: highlights roll off, gamma 2.
+vec3 display(vec3 light) { return sqrt(clamp(light * (1.0 + 0.12 * light) / (1.0 + 0.62 * light), 0.0, 1.0)); }
 """
 
-ROOM_SHADE = (
+# How much light reaches the room's surfaces, on a coarse grid: lamps behind furniture, and the open sky above.
+ROOM_LIGHT = (
     LENS
     + SOLID
-    + NOISE
+    + LIGHT
     + """
 uniform sampler2D seen, surface;
-out vec4 colour;
+uniform int blockers, coarse;
+out float light;
 
-vec3 floor_colour(vec2 p) {
-    vec2 cell = floor(p / 0.6), edge = abs(fract(p / 0.6) - 0.5) * 0.6;
-    float seam = smoothstep(0.296, 0.2985, max(edge.x, edge.y));
-    float tone = 0.94 + 0.05 * hash(vec3(cell, 3.0)) + 0.05 * noise(vec3(p * 9.0, 0.0));
-    tone -= 0.05 * noise(vec3(p * 260.0, 1.0));
-    return vec3(0.43, 0.405, 0.375) * tone * (1.0 - 0.3 * seam);
+bool blocked(vec3 o, vec3 d, float far) {
+    for (int k = 0; k < blockers; ++k) {
+        vec4 c = solid_texel(k, 0), x = solid_texel(k, 1), y = solid_texel(k, 2), z = solid_texel(k, 3);
+        vec3 reach = vec3(x.w, y.w, z.w), lo = o - c.xyz;
+        // A ball around it is asked first.
+        float along = dot(lo, d);
+        if (dot(lo, lo) - along * along > dot(reach, reach)) continue;
+        mat3 axes = mat3(x.xyz, y.xyz, z.xyz);
+        lo = lo * axes;
+        vec3 ld = d * axes;
+        if (c.w > 1.5) {
+            float h = along * along - dot(lo, lo) + reach.x * reach.x;
+            if (h > 0.0 && -along - sqrt(h) > 1e-3 && -along - sqrt(h) < far) return true;
+            continue;
+        }
+        ld = mix(ld, vec3(1e-20), lessThan(abs(ld), vec3(1e-20)));
+        vec3 near3 = -lo / ld - abs(reach / ld), far3 = -lo / ld + abs(reach / ld);
+        float enter = max(near3.x, max(near3.y, near3.z)), leave = min(far3.x, min(far3.y, far3.z));
+        if (enter < leave && enter > 1e-3 && enter < far) return true;
+    }
+    return false;
 }
 
 void main() {
-    ivec2 at = ivec2(gl_FragCoord.xy);
+    ivec2 at = ivec2(gl_FragCoord.xy) * coarse + coarse / 2;
     vec2 hit = texelFetch(seen, at, 0).rg;
-    if (hit.y < 0.5) { colour = vec4(0.0, 0.0, 0.0, 1.0); return; }
-    vec3 d = to_room * ray_through(gl_FragCoord.xy - 0.5);
-    vec3 p = eye + hit.x * d, n = texelFetch(surface, at, 0).xyz, base;
-    int id = int(hit.y + 0.5);
-    if (id == 5) base = floor_colour(p.xy);
-    else if (id == 6) base = vec3(0.75);
-    else if (id < 5) {
-        float s = id < 3 ? p.y : p.x;
-        float fold = sin(s * 40.0 + 2.0 * sin(s * 7.0)) ;
-        base = vec3(0.055, 0.068, 0.10) * (0.75 + 0.45 * fold) * (0.9 + 0.2 * noise(vec3(s * 300.0, p.z * 300.0, 0.0)));
-    } else base = solid_texel(id - 7, 4).rgb;
-    float light = 0.45 + 0.55 * max(n.z, 0.0) + 0.15 * abs(n.x);
-    colour = vec4(display(base * light * 1.3), 1.0);
+    light = 0.0;
+    if (hit.y < 0.5) return;
+    vec3 n = texelFetch(surface, at, 0).xyz;
+    vec3 p = eye + hit.x * (to_room * ray_through(vec2(at))) + 2e-3 * n;
+    float turn = 6.2832 * hash(vec3(gl_FragCoord.xy, 1.0)), ring = hash(vec3(gl_FragCoord.yx, 2.0));
+    for (int k = 0; k < 2; ++k) {
+        float open = 0.0;
+        for (int s = 0; s < 5; ++s) {
+            float r = LAMP_RADIUS * sqrt((float(s) + ring) / 5.0), a = turn + 2.39996 * float(s);
+            vec3 way = lamps[k] + r * vec3(cos(a), sin(a), 0.0) - p;
+            float far = length(way);
+            open += blocked(p, way / far, far) ? 0.0 : 0.2;
+        }
+        light += open * lamp(p, n, k);
+    }
+    vec3 u = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0, 0, 1) : vec3(1, 0, 0))), v = cross(n, u);
+    float open = 0.0;
+    for (int s = 0; s < 8; ++s) {
+        float r = sqrt((float(s) + ring) / 8.0), a = turn + 2.39996 * float(s);
+        vec3 d = r * cos(a) * u + r * sin(a) * v + sqrt(1.0 - r * r) * n;
+        open += blocked(p, d, 0.9) ? 0.0 : 0.125;
+    }
+    // Corners of the room see less of it.
+    vec3 gap = min(p, room - p) + abs(n) * 9.0;
+    float corner = 1.0 - 0.45 * exp(-3.0 * min(gap.x, min(gap.y, gap.z)));
+    light += open * corner * sky(n);
 }
 """
 )
 
-RESOLVE = (
+# Averages the coarse light over neighbours on the same surface.
+ROOM_BLUR = """#version 330
+uniform sampler2D seen, surface, light;
+uniform int coarse;
+out float smoothed;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(light, 0) - 1;
+    vec2 hit = texelFetch(seen, at * coarse + coarse / 2, 0).rg;
+    vec3 n = texelFetch(surface, at * coarse + coarse / 2, 0).xyz;
+    float sum = 0.0, weights = 0.0;
+    for (int y = -3; y <= 3; ++y) for (int x = -3; x <= 3; ++x) {
+        ivec2 other = clamp(at + ivec2(x, y), ivec2(0), most);
+        vec2 seen_there = texelFetch(seen, other * coarse + coarse / 2, 0).rg;
+        vec3 m = texelFetch(surface, other * coarse + coarse / 2, 0).xyz;
+        float w = seen_there.y == hit.y && dot(m, n) > 0.9 && abs(seen_there.x - hit.x) < 0.25 ? 1.0 : 0.0;
+        sum += w * texelFetch(light, other, 0).r;
+        weights += w;
+    }
+    smoothed = sum / max(weights, 1.0);
+}
+"""
+
+_ROOM_PAINT = (
     LENS
-    + CONE
-    + NOISE
+    + SOLID
+    + LIGHT
     + """
-uniform sampler2D seen, room_seen, room_colour, cones;
-uniform mat3 to_room;
-uniform float per_step;
+uniform sampler2D seen, surface, light;
+uniform int coarse;
+out vec4 colour;
+
+float light_at(vec2 px, int id, vec3 n) {
+    vec2 at = (px + 0.5 - float(coarse / 2) - 0.5) / float(coarse);
+    ivec2 base = ivec2(floor(at)), most = textureSize(light, 0) - 1;
+    vec2 f = at - vec2(base);
+    float sum = 0.0, weights = 0.0, any_sum = 0.0;
+    for (int y = -1; y <= 2; ++y) for (int x = -1; x <= 2; ++x) {
+        ivec2 other = clamp(base + ivec2(x, y), ivec2(0), most);
+        ivec2 there = other * coarse + coarse / 2;
+        vec2 near2 = max(1.0 - 0.6 * abs(vec2(x, y) - f), 0.02);
+        float w = near2.x * near2.y, l = texelFetch(light, other, 0).r;
+        any_sum += l / 16.0;
+        int there_id = int(texelFetch(seen, there, 0).g + 0.5);
+        w *= there_id == id && dot(texelFetch(surface, there, 0).xyz, n) > 0.9 ? 1.0 : 0.0;
+        sum += w * l;
+        weights += w;
+    }
+    return weights > 1e-4 ? sum / weights : any_sum;
+}
+
+vec3 floor_colour(vec2 p, float blur) {
+    vec2 cell = floor(p / 0.6), edge = abs(fract(p / 0.6) - 0.5) * 0.6;
+    float seam = smoothstep(0.2985 - blur, 0.2985 + 0.2 * blur, max(edge.x, edge.y)) * min(1.0, 0.003 / blur);
+    float tone = 0.95 + 0.05 * hash(vec3(cell, 3.0)) + 0.06 * (noise(vec3(p * 7.0, 0.0)) - 0.5);
+    tone += 0.10 * (noise(vec3(p * 170.0, 1.0)) - 0.5) * min(1.0, 0.003 / blur);
+    return vec3(0.40, 0.375, 0.345) * tone * (1.0 - 0.35 * seam);
+}
+
+// Curtains: folds that bend the normal, and cloth.
+vec3 curtain(vec3 p, int id, inout vec3 n) {
+    float s = id < 3 ? p.y : p.x, phase = 42.0 * s + 1.3 * sin(5.1 * s + float(id)) + 0.8 * sin(11.0 * s);
+    vec3 tangent = id < 3 ? vec3(0, 1, 0) : vec3(1, 0, 0);
+    n = normalize(n - 0.85 * cos(phase) * tangent);
+    float deep = 0.62 + 0.38 * sin(phase);
+    return vec3(0.060, 0.072, 0.105) * deep * (0.92 + 0.16 * noise(vec3(s * 160.0, p.z * 60.0, 0.0)));
+}
+
+vec3 solid_colour(int index, vec3 p) {
+    vec4 c = solid_texel(index, 4);
+    vec3 q = p - solid_texel(index, 0).xyz;
+    if (solid_texel(index, 0).w < 2.5) {
+        mat3 axes = mat3(solid_texel(index, 1).xyz, solid_texel(index, 2).xyz, solid_texel(index, 3).xyz);
+        q = q * axes;
+    }
+    int material = int(c.w + 0.5);
+    if (material == 1) {
+        float ring = noise(vec3(q.x * 2.5, q.y * 34.0 + 2.0 * noise(vec3(q.xy * 3.0, 5.0)), q.z * 34.0));
+        float pore = noise(vec3(q.x * 14.0, q.y * 300.0, q.z * 300.0));
+        return c.rgb * (0.80 + 0.32 * ring - 0.10 * pore);
+    }
+    if (material == 4) return c.rgb * (0.85 + 0.3 * noise(q * 220.0));
+    if (material == 5) return c.rgb * (0.96 + 0.08 * noise(q * 30.0));
+    return c.rgb * (0.97 + 0.06 * noise(q * 60.0));
+}
+
+vec3 shade(vec2 px, vec3 d, float t, int id, vec3 n) {
+    vec3 p = eye + t * d, base, bent = n;
+    float l = light_at(px, id, n);
+    if (id == 5) base = floor_colour(p.xy, 1.2 * t * t / max(eye.z, 0.1) * per_px.x);
+    else if (id == 6) base = vec3(0.72);
+    else if (id < 5) {
+        base = curtain(p, id, bent);
+        float plain = sky(n) + lamp(p, n, 0) + lamp(p, n, 1);
+        l *= (sky(bent) + lamp(p, bent, 0) + lamp(p, bent, 1)) / plain;
+    } else base = solid_colour(id - 1 - FACES, p);
+    return display(base * l);
+}
+"""
+)
+
+ROOM_SHADE = (
+    _ROOM_PAINT
+    + """
+void main() {
+    vec2 hit = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).rg, px = gl_FragCoord.xy - 0.5;
+    vec3 n = texelFetch(surface, ivec2(gl_FragCoord.xy), 0).xyz;
+    float lit = hit.y > 0.5 ? 1.0 : 0.0;
+    colour = vec4(lit * shade(px, to_room * ray_through(px), hit.x, int(hit.y + 0.5), n), 1.0);
+}
+"""
+)
+
+# llvmpipe runs both sides of a branch and skips only what the depth test rejects: the few pixels that deserve more work
+# are marked in a depth buffer, and the work is done in a pass of its own.
+ROOM_EDGES = """#version 330
+uniform sampler2D seen, surface;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
+    float me = texelFetch(seen, at, 0).g;
+    vec3 n = texelFetch(surface, at, 0).xyz;
+    bool edge = false;
+    for (int k = 0; k < 4; ++k) {
+        ivec2 other = clamp(at + ivec2(int(k == 0) - int(k == 1), int(k == 2) - int(k == 3)), ivec2(0), most);
+        edge = edge || texelFetch(seen, other, 0).g != me || dot(texelFetch(surface, other, 0).xyz, n) < 0.95;
+    }
+    if (!edge) discard;
+    gl_FragDepth = 0.0;
+}
+"""
+
+ROOM_SMOOTH = (
+    _ROOM_PAINT
+    + """
 uniform int samples;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
+    colour = vec4(0.0, 0.0, 0.0, 1.0);
+    for (int s = 0; s < samples; ++s) {
+        vec2 px = gl_FragCoord.xy - 1.0 + fract(vec2(0.7548776662, 0.5698402910) * float(s + 1));
+        vec3 ray = ray_through(px), d = to_room * ray, normal;
+        int id;
+        float nearest = hit_room(eye, d, id);
+        vec3 m = face_normal(id);
+        for (int k = 0; k < 5; ++k) {
+            ivec2 other = clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
+            int solid = int(texelFetch(seen, other, 0).g + 0.5) - 1 - FACES;
+            float t = hit_solid(eye, d, max(solid, 0), normal);
+            if (solid >= 0 && t > 0.0 && t < nearest) { nearest = t; id = solid + 1 + FACES; m = normal; }
+        }
+        float lit = ray == vec3(0.0) ? 0.0 : 1.0 / float(samples);
+        colour.rgb += lit * shade(px, d, nearest, id, m);
+    }
+}
+"""
+)
+
+SHADOW_VERTEX = (
+    CORNER
+    + """
+in vec2 balls;       // first and end index of the person's balls
+flat out ivec2 mine;
+void main() { gl_Position = corner(); mine = ivec2(balls + 0.5); }
+"""
+)
+
+# How much darker a person makes the room around their feet: a factor for the picture, on a coarse grid.
+SHADOW_FRAGMENT = (
+    LENS
+    + LIGHT
+    + """
+flat in ivec2 mine;
+uniform sampler2D seen, surface, balls;
+uniform mat3 to_room;
+uniform vec3 eye;
+uniform int coarse;
+out float factor;
+void main() {
+    ivec2 at = min(ivec2(gl_FragCoord.xy) * coarse + coarse / 2, textureSize(seen, 0) - 1);
+    vec2 hit = texelFetch(seen, at, 0).rg;
+    if (hit.y < 0.5) discard;
+    vec3 p = eye + hit.x * (to_room * ray_through(vec2(at))), n = texelFetch(surface, at, 0).xyz;
+    float open = 1.0;
+    vec2 clear = vec2(1.0);
+    vec3 ways[2];
+    vec2 spread;
+    for (int k = 0; k < 2; ++k) {
+        ways[k] = lamps[k] - p;
+        float far = length(ways[k]);
+        ways[k] /= far;
+        spread[k] = LAMP_RADIUS / far;
+    }
+    for (int j = mine.x; j < mine.y; ++j) {
+        vec4 ball = texelFetch(balls, ivec2(j, 0), 0);
+        vec3 way = ball.xyz - p;
+        float square = max(dot(way, way), ball.w * ball.w), r2 = ball.w * ball.w;
+        open *= 1.0 - 0.85 * max(dot(n, way), 0.0) * inversesqrt(square) * r2 / square;
+        for (int k = 0; k < 2; ++k) {
+            float along = dot(way, ways[k]);
+            float aside = sqrt(max(square - along * along, 0.0)), soft = max(along, 0.0) * spread[k] + 0.02;
+            float cover = 1.0 - smoothstep(ball.w - soft, ball.w + soft, aside);
+            if (along > 0.0) clear[k] *= 1.0 - cover * min(1.0, r2 / (soft * soft));
+        }
+    }
+    vec4 foot = texelFetch(balls, ivec2(mine.x + 3, 0), 0);
+    float fade = smoothstep(0.8, 0.45, distance(foot.xy, p.xy));
+    float all = sky(n) + lamp(p, n, 0) + lamp(p, n, 1);
+    float left = open * sky(n) + clear.x * lamp(p, n, 0) + clear.y * lamp(p, n, 1);
+    factor = mix(1.0, sqrt(left / all), fade);
+}
+"""
+)
+
+BASE = """#version 330
+uniform sampler2D seen, room_seen, room_colour, shadow, cones;
+uniform float per_step;
 layout(location = 0) out vec4 colour;
 layout(location = 1) out uint depth;
 layout(location = 2) out float id;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    vec2 hit = texelFetch(seen, at, 0).rg;
+    float t = hit.y > 0.5 ? hit.x : texelFetch(room_seen, at, 0).r;
+    float steps = floor(t * per_step + 0.5);
+    depth = steps < 65535.5 ? uint(steps) : 0u;
+    id = hit.y > 0.5 ? texelFetch(cones, ivec2(3, int(hit.y - 0.5)), 0).w / 255.0 : 0.0;
+    float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
+    colour = vec4(texelFetch(room_colour, at, 0).rgb * dark, 1.0);
+}
+"""
+
+_PAINT = (
+    LENS
+    + CONE
+    + LIGHT
+    + """
+uniform sampler2D seen, cones, balls;
+uniform mat3 to_room;
+uniform vec3 eye;
+out vec4 colour;
 
 vec4 cone_texel(int index, int part) { return texelFetch(cones, ivec2(part, index), 0); }
 
-// Distance of p to a cone, its outward gradient, and how far along its axis p lies.
-float cone_distance(vec3 p, int index, out vec3 gradient, out float along) {
+// Distance of p to a cone, its outward gradient, how far along its axis p lies, and the place on its ball there.
+float cone_distance(vec3 p, int index, out vec3 gradient, out float along, out vec3 place) {
     vec4 a = cone_texel(index, 0), b = cone_texel(index, 1), bulge = cone_texel(index, 2);
     vec3 q = p + bulge.w * bulge.xyz * dot(bulge.xyz, p - cone_texel(index, 3).xyz) - a.xyz;
     vec3 axis = b.xyz - a.xyz;
@@ -326,72 +601,126 @@ float cone_distance(vec3 p, int index, out vec3 gradient, out float along) {
     // The nearest ball of those that make up the cone: where the distance to the balls' surfaces is stationary.
     float slope = taper * inversesqrt(max(length2 - taper * taper, 1e-12));
     along = clamp(x - radial * slope * inversesqrt(length2), 0.0, 1.0);
-    vec3 out_of = q - along * axis;
-    float far = length(out_of);
-    gradient = out_of / max(far, 1e-9);
+    place = q - along * axis;
+    float far = length(place);
+    gradient = place / max(far, 1e-9);
     gradient = normalize(gradient + bulge.w * bulge.xyz * dot(bulge.xyz, gradient));
     return far - (a.w - along * taper);
 }
 
-vec3 shade(vec3 d, float t, int index) {
-    vec3 p = t * d, normal, g;
-    float along, other;
-    cone_distance(p, index, normal, along);
-    vec4 front = cone_texel(index, 6), base = cone_texel(index, 4), beyond = cone_texel(index, 5);
-    int last = int(cone_texel(index, 7).x + 0.5);
-    vec3 sum = normal;
-    for (int j = int(front.w + 0.5); j < last; ++j) {
-        if (j == index) continue;
-        float apart = cone_distance(p, j, g, other);
-        sum += exp(-max(apart, 0.0) / 0.016) * g;
-    }
-    normal = normalize(to_room * sum);
-    vec3 albedo = along > beyond.w ? beyond.rgb : base.rgb;
-    float light = 0.36 + 0.5 * max(normal.z, 0.0) + 0.25 * max(dot(normal, normalize(vec3(0.5, 0.35, 0.8))), 0.0);
-    return display(albedo * light * 1.45);
-}
+// For each material: the scales of its two textures, their strengths, how much they bend the surface, and the gloss.
+const vec3 COARSE[8] = vec3[8](vec3(45), vec3(22, 22, 30), vec3(16, 16, 9), vec3(150, 150, 14), vec3(30),
+                               vec3(22, 22, 30), vec3(22, 22, 30), vec3(30));
+const vec3 FINE[8] = vec3[8](vec3(150), vec3(420), vec3(500, 500, 160), vec3(420, 420, 30), vec3(90), vec3(420),
+                             vec3(420), vec3(90));
+const vec4 GRAIN[8] = vec4[8](vec4(0.10, 0.04, 0.0, 0.035), vec4(0.24, 0.12, 0.20, 0.0), vec4(0.34, 0.25, 0.1, 0.0),
+                              vec4(0.60, 0.45, 0.0, 0.10), vec4(0.1, 0.05, 0.0, 0.16), vec4(0.24, 0.12, 0.20, 0.0),
+                              vec4(0.24, 0.12, 0.20, 0.0), vec4(0.0, 0.0, 0.0, 0.3));
 
+vec3 shade(vec3 d, float t, int index) {
+    vec3 p = t * d, normal, g, place, unused;
+    float along, other;
+    cone_distance(p, index, normal, along, place);
+    vec4 base = cone_texel(index, 4), beyond = cone_texel(index, 5), front = cone_texel(index, 6);
+    vec4 more = cone_texel(index, 7), touching = cone_texel(index, 8);
+    vec3 sum = normal;
+    for (int k = 0; k < 4; ++k) {
+        int neighbour = int(touching[k] + 0.5);
+        float apart = cone_distance(p, max(neighbour, 0), g, other, unused);
+        sum += touching[k] < -0.5 ? vec3(0.0) : exp(-max(apart, 0.0) / 0.016) * g;
+    }
+    normal = normalize(sum);
+    // Coordinates that move with the part: to its front, to its side, and along it.
+    vec3 axis = cone_texel(index, 1).xyz - cone_texel(index, 0).xyz;
+    float extent = length(axis);
+    axis = extent > 1e-6 ? axis / extent : vec3(0.0, -1.0, 0.0);
+    vec3 ahead = normalize(front.xyz - axis * dot(front.xyz, axis) + 1e-6), side = cross(axis, ahead);
+    vec3 local = vec3(dot(place, ahead), dot(place, side), along * extent);
+    bool bare = along > beyond.w;
+    vec3 albedo = bare ? beyond.rgb : base.rgb;
+    int material = bare ? 0 : int(base.w + 0.5);
+    vec4 grain = GRAIN[material];
+    float large = noise((local + front.w) * COARSE[material]) - 0.5;
+    float small = noise((local + front.w) * FINE[material]) - 0.5;
+    vec2 band = smoothstep(-0.2, 0.2, sin(vec2(local.z, 1.3 * local.y) * 125.0));
+    float print = material == 5 ? smoothstep(-0.15, 0.15, sin(local.z * 209.0) - 0.35) : 0.0;
+    print = material == 6 ? 0.30 * (band.x + band.y) : print;
+    albedo = mix(albedo, more.rgb, print);
+    float look = dot(normalize(place + 1e-9), normalize(front.xyz));
+    vec3 iris = look > 0.93 ? vec3(0.01) : look > 0.80 ? vec3(0.12, 0.07, 0.035) : albedo;
+    albedo = material == 7 ? iris : albedo;
+    float sharp = min(1.0, 2.2e-3 / (t * per_px.x));
+    albedo *= 1.0 + grain.x * large + grain.y * sharp * small;
+    normal = normalize(normal + grain.z * large * (dot(normal, side) > 0.0 ? side : -side));
+    vec3 n = to_room * normal, at = eye + to_room * p;
+    float open = 1.0;
+    int first = int(more.w + 0.5);
+    for (int j = 0; j < 8; ++j) {
+        vec4 ball = texelFetch(balls, ivec2(first + j, 0), 0);
+        vec3 way = ball.xyz - at;
+        float square = dot(way, way);
+        open *= 1.0 - 0.8 * max(dot(n, way), 0.0) * inversesqrt(square) * min(ball.w * ball.w / square, 1.0);
+    }
+    float light = open * sky(n) * (0.75 + 0.25 * smoothstep(0.0, 0.9, at.z)), shine = 0.0;
+    vec3 toward = -(to_room * d);
+    for (int k = 0; k < 2; ++k) {
+        light += (0.35 + 0.65 * open) * lamp(at, n, k);
+        float glint = max(dot(n, normalize(normalize(lamps[k] - at) + toward)), 0.0);
+        glint *= glint; glint *= glint; glint *= glint; glint *= glint;
+        shine += glint * glint;
+    }
+    return display(albedo * light * 1.08 + grain.w * shine * 0.35);
+}
+"""
+)
+
+SHADE = (
+    _PAINT
+    + """
 void main() {
-    ivec2 at = ivec2(gl_FragCoord.xy);
-    vec2 hit = texelFetch(seen, at, 0).rg;
-    float t = hit.y > 0.5 ? hit.x : texelFetch(room_seen, at, 0).r;
-    float steps = floor(t * per_step + 0.5);
-    depth = steps < 65535.5 ? uint(steps) : 0u;
-    id = 0.0;
-    vec4 room = texelFetch(room_colour, at, 0);
-    if (hit.y > 0.5) {
-        int index = int(hit.y - 0.5);
-        id = cone_texel(index, 3).w / 255.0;
-    }
-    int found[9];
-    int count = 0;
-    bool edge = false;
-    for (int k = 0; k < 9; ++k) {
-        int other = int(texelFetch(seen, at + ivec2(k % 3 - 1, k / 3 - 1), 0).g + 0.5);
-        edge = edge || other != int(hit.y + 0.5);
-        bool known = other == 0;
-        for (int j = 0; j < count; ++j) known = known || found[j] == other;
-        if (!known) found[count++] = other;
-    }
-    if (count == 0) { colour = room; return; }
-    if (!edge || samples < 2) {
-        colour = hit.y > 0.5 ? vec4(shade(ray_through(gl_FragCoord.xy - 0.5), t, int(hit.y - 0.5)), 1.0) : room;
-        return;
-    }
-    vec3 total = vec3(0.0);
-    float limit = texelFetch(room_seen, at, 0).r;
+    vec2 hit = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).rg;
+    colour = vec4(shade(ray_through(gl_FragCoord.xy - 0.5), hit.x, int(max(hit.y, 1.0) - 0.5)), 1.0);
+}
+"""
+)
+
+EDGES = """#version 330
+uniform sampler2D seen;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
+    float me = texelFetch(seen, at, 0).g;
+    bool edge = texelFetch(seen, min(at + ivec2(1, 0), most), 0).g != me;
+    edge = edge || texelFetch(seen, max(at - ivec2(1, 0), 0), 0).g != me;
+    edge = edge || texelFetch(seen, min(at + ivec2(0, 1), most), 0).g != me;
+    edge = edge || texelFetch(seen, max(at - ivec2(0, 1), 0), 0).g != me;
+    if (!edge) discard;
+    gl_FragDepth = 0.0;
+}
+"""
+
+SMOOTH = (
+    _PAINT
+    + """
+uniform sampler2D room_seen, room_colour, shadow;
+uniform int samples;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
+    float room = texelFetch(room_seen, at, 0).r;
+    float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
+    vec3 behind = texelFetch(room_colour, at, 0).rgb * dark, total = vec3(0.0);
     for (int s = 0; s < samples; ++s) {
-        vec2 offset = fract(vec2(0.7548776662, 0.5698402910) * float(s + 1) + 0.5) - 0.5;
-        vec3 d = ray_through(gl_FragCoord.xy - 0.5 + offset);
-        float nearest = limit > 0.0 ? limit : 1e9;
+        vec3 d = ray_through(gl_FragCoord.xy - 1.0 + fract(vec2(0.7548776662, 0.5698402910) * float(s + 1)));
+        float nearest = room > 0.0 ? room : 1e9;
         int which = -1;
-        for (int j = 0; j < count; ++j) {
-            int index = found[j] - 1;
-            vec4 a = cone_texel(index, 0), b = cone_texel(index, 1), bulge = cone_texel(index, 2);
-            float reach = hit_cone(d, a, b, bulge, cone_texel(index, 3).xyz);
-            if (reach > 0.0 && reach < nearest) { nearest = reach; which = index; }
+        for (int k = 0; k < 5; ++k) {
+            ivec2 other = clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
+            int index = int(texelFetch(seen, other, 0).g + 0.5) - 1, safe = max(index, 0);
+            vec3 middle = cone_texel(safe, 3).xyz;
+            float reach = hit_cone(d, cone_texel(safe, 0), cone_texel(safe, 1), cone_texel(safe, 2), middle);
+            if (index >= 0 && reach > 0.0 && reach < nearest) { nearest = reach; which = index; }
         }
-        total += which < 0 ? room.rgb : shade(d, nearest, which);
+        vec3 body = shade(d, nearest, max(which, 0));
+        total += which >= 0 ? body : behind;
     }
     colour = vec4(total / float(samples), 1.0);
 }
