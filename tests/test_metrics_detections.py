@@ -159,3 +159,22 @@ def test_a_plot_for_each_sequence(tmp_path):
     for name in ("p-s1.svg", "p-s3.svg"):
         assert "audio_video" in (tmp_path / name).read_text()
     assert run("aveval", "--experiments", "s3", "--plot", "p.bmp", cwd=tmp_path).returncode == 2
+
+
+def test_ears_are_compared_with_mouths(tmp_path):
+    truth, heard = "", ""
+    for k in range(10):
+        person = {"object_id": 0, "position": [k / 10, 1.0, 0.0], "mouth_position": [k / 10 + 0.3, 1.0, 1.6]}
+        truth += json.dumps({"timestamp": f"{k / 10:.10f}", "objects": [person]}) + "\n"
+        found = {"timestamp": f"{k / 10:.10f}", "objects": [{"position": [k / 10 + 0.3, 1.0, 1.5]}]}
+        heard += "".join(json.dumps({**found, "sensor": sensor}) + "\n" for sensor in ("audio", "video"))
+    (tmp_path / "truth.jsonl").write_text(truth)
+    (tmp_path / "heard.jsonl").write_text(heard)
+    command = ("aveval", "truth.jsonl", "truth.jsonl", "--detections", "heard.jsonl", "-q")
+    found = {r["sensor"]: r["Detections"] for r in records_of(run(*command, cwd=tmp_path)) if "sensor" in r}
+    assert (found["audio"]["Reference"], found["audio"]["RMSE"]) == ("mouth", pytest.approx(0))
+    assert (found["video"]["Reference"], found["video"]["RMSE"]) == ("body", pytest.approx(0.3))
+    deep = {
+        r["sensor"]: r["Detections"] for r in records_of(run(*command, "--dims", "3", cwd=tmp_path)) if "sensor" in r
+    }
+    assert deep["audio"]["RMSE"] == pytest.approx(0.1)

@@ -113,7 +113,7 @@ _MOST_FRAMES = 150
     metavar="HZ",
     help="Frames a second of MOTChallenge files (.txt or .csv) that are read.",
 )
-@common(skip_invalid=True)
+@common(skip_invalid=True, presets={"thesis": {"dims": "2", "d0": 2.0, "compare_thesis": True}})
 def main(session, paths, experiments, kind, compare_thesis, fail_under, detections, plot, html, mot, **settings):
     """Score tracks against ground truth: HOTA, CLEAR and identity as TrackEval does, and OSPA, GOSPA, errors, delays.
 
@@ -253,7 +253,7 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
     first = next(iter(trackers.values())).sequence
     speaking = truth.speaking_of(first.truth, first.time)
     for path in (*entry.detections, *(entry.unscored if pictures else ())):
-        for name, found in _detected(session, entry, path, truth.recording, speaking, settings).items():
+        for name, found in _detected(session, entry, path, truth, speaking, settings).items():
             sensors[name] = found
             if path in entry.detections:
                 emit({"sequence": entry.name, "sensor": name, "Detections": found.record})
@@ -263,10 +263,11 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
 
 @dataclass(frozen=True)
 class _Identified:
-    """A file of ground truth or tracks: its recording, and by time and identity the probability of speaking."""
+    """A file of ground truth or tracks: its recording; by time and identity who speaks how surely; where mouths are."""
 
     recording: list
     speaking: dict[tuple[float, int], float]
+    mouths: list | None
 
     def speaking_of(self, points, time):
         """The probability (n,) for each of the points of a sequence, NaN where it is not said."""
@@ -278,29 +279,39 @@ class _Identified:
 
 def _identified(session, path: str, rate: float) -> _Identified:
     """Read a file of ground truth or tracks: JSON Lines, or MOTChallenge's rows in a .txt or .csv."""
+    import numpy as np
+
     from avcli import records
     from avcli.metrics import mot
 
     if Path(path).suffix.lower() in (".txt", ".csv"):
         try:
             with session.open(path) as stream:
-                return _Identified(mot.read(stream.read().decode(), rate), {})
+                return _Identified(mot.read(stream.read().decode(), rate), {}, None)
         except ValueError as error:
             session.fail(f"{path}: {error}")
 
     def parse(record: dict, bad: Callable):
         found = records.identified(record, bad)
-        items = [item for item in record["objects"] if isinstance(item, dict)]
-        said = {item.get("object_id"): item.get("speaking") for item in items if "speaking" in item}
-        return found, said
+        by_identity = {item.get("object_id"): item for item in record["objects"] if isinstance(item, dict)}
+        return found, [by_identity[identity] for identity in found.ids.tolist()]
 
-    recording, speaking = [], {}
-    for found, said in session.records([path], parse):
+    recording, mouths, speaking = [], [], {}
+    for found, items in session.records([path], parse):
         recording.append((found.timestamp, found.ids, found.positions))
-        for identity, value in said.items():
+        mouths.append((found.timestamp, found.ids, np.array([_mouth(item) for item in items]).reshape(-1, 3)))
+        for identity, item in zip(found.ids.tolist(), items, strict=True):
+            value = item.get("speaking")
             if isinstance(value, bool | int | float) and 0 <= value <= 1:
                 speaking.setdefault((found.timestamp, identity), float(value))
-    return _Identified(recording, speaking)
+    known = all(np.isfinite(position).all() for _, _, position in mouths)
+    return _Identified(recording, speaking, mouths if known else None)
+
+
+def _mouth(item: dict) -> list[float]:
+    value = item.get("mouth_position")
+    good = isinstance(value, list) and len(value) == 3 and all(isinstance(number, int | float) for number in value)
+    return value if good else [float("nan")] * 3
 
 
 def _aligned(session, name: str, truth: list, tracks: list, settings: dict):
@@ -340,8 +351,11 @@ def _aligned(session, name: str, truth: list, tracks: list, settings: dict):
     return sequence
 
 
-def _detected(session, entry: _Input, path: str, truth: list, speaking, settings: dict) -> dict:
-    """The detections in a file by sensor (metrics.run.Detected), scored; a detection's identity is its number."""
+def _detected(session, entry: _Input, path: str, truth: _Identified, speaking, settings: dict) -> dict:
+    """The detections in a file by sensor (metrics.run.Detected), scored; a detection's identity is its number.
+
+    Sound comes from mouths, so a sensor named audio is compared with them where the ground truth says where they are.
+    """
     import numpy as np
 
     from avcli import records
@@ -367,9 +381,10 @@ def _detected(session, entry: _Input, path: str, truth: list, speaking, settings
             recording.append((detected.timestamp, np.arange(total, total + len(detected)), detected.positions))
             total += len(detected)
         covariances = np.concatenate([detected.covariances for detected, _ in found])[:, :dims, :dims]
+        reference = truth.mouths if name == "audio" and truth.mouths else truth.recording
         boxes = np.array([_box(box) for _, row in found for box in row]).reshape(-1, 4)
         try:
-            sequence, mismatch = align(truth, recording, dims, settings["tolerance"])
+            sequence, mismatch = align(reference, recording, dims, settings["tolerance"], session.skip_invalid)
         except ValueError as error:
             session.fail(f"{path}: {name}: {error}")
         if mismatch.track_frames:
@@ -381,6 +396,7 @@ def _detected(session, entry: _Input, path: str, truth: list, speaking, settings
         matches = detections.match(sequence, settings["d0"] / 2)
         known = None if np.isnan(speaking).any() or not speaking.size else speaking > 0.5
         scores = detections.score(sequence, matches, covariances[order], known)
+        scores["Reference"] = "body" if reference is truth.recording else "mouth"
         result[name] = Detected(sequence, matches, scores, boxes[order])
     return result
 

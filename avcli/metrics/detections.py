@@ -92,12 +92,17 @@ def combine(results: Iterable[dict]) -> dict:
         return sum(value * n for value, n in known) / sum(n for _, n in known) if known else None
 
     square, bias = mean("square"), mean("Bias")
-    return _finish(counts) | {
-        "RMSE": square and float(square) ** 0.5,
-        "MAE": mean("MAE"),
-        "Bias": None if bias is None else bias.tolist(),
-        "ANEES": mean("ANEES"),
-    }
+    reference = {"Reference": results[0]["Reference"]} if "Reference" in results[0] else {}
+    return (
+        _finish(counts)
+        | reference
+        | {
+            "RMSE": square and float(square) ** 0.5,
+            "MAE": mean("MAE"),
+            "Bias": None if bias is None else bias.tolist(),
+            "ANEES": mean("ANEES"),
+        }
+    )
 
 
 def _finish(counts: dict) -> dict:

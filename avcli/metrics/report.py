@@ -114,6 +114,8 @@ def _points(points: Points, own_time: np.ndarray, time: np.ndarray, speaking: np
     )
     for f, identity, position, says in rows:
         frames[f].append([identity, position[0], position[1], says])
+    for row in frames:
+        row.sort(key=lambda point: point[0])
     return {"labels": points.label.tolist(), "frames": frames}
 
 

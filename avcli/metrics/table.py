@@ -85,7 +85,7 @@ def _sensor_rows(record: dict) -> list[tuple[str, str, str, list[str]]]:
         elif name in _SENSOR_PERCENT:
             cells.append(f"{100 * value:.1f}")
         else:
-            cells.append(str(value) if isinstance(value, int) else f"{value:.3f}")
+            cells.append(str(value) if isinstance(value, int) else f"{value:.3f}" if value < 100 else f"{value:.3g}")
     return [(_labelled(record), record["sensor"], "", cells)]
 
 
