@@ -85,7 +85,7 @@ def texture(board, per_square=48):
 
 
 def photograph(
-    R, t, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), shape=FLAT, blur=0.8, noise=3.0, oversample=3
+    R, t, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), shape=FLAT, blur=0.8, noise=3.0, oversample=2
 ):  # fmt: skip
     """Photograph a board: (height, width) uint8, blurred by a Gaussian of `blur` px, with noise in grey levels.
 
@@ -107,7 +107,7 @@ def photograph(
     y, x = np.mgrid[0:height, 0:width]
     from_centre = np.hypot((x - width / 2) / width, (y - height / 2) / width)
     picture = 90 + 25 * np.sin(x / 37.0) * np.cos(y / 51.0)
-    wide, high_px = (high - low) * oversample
+    wide, high_px = (int(side) * oversample for side in high - low)
     u = low[0] + (np.arange(wide) + 0.5) / oversample - 0.5
     v = low[1] + (np.arange(high_px) + 0.5) / oversample - 0.5
     rays = lens.unproject(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)) @ R
@@ -122,17 +122,14 @@ def photograph(
     column = bx / board.square_m + board.columns / 2
     row = by / (1 + shape[2]) / board.square_m + board.rows / 2
     on = (column > -1) & (column < board.columns + 1) & (row > -1) & (row < board.rows + 1)
-    inside = (column > 0) & (column < board.columns) & (row > 0) & (row < board.rows)
     if board.markers:
         ink = texture(board)
         per_square = ink.shape[0] // (board.rows + 2)
         place = [np.clip(np.nan_to_num((a + 1) * per_square - 0.5, nan=-1), -1, 9e3) for a in (column, row)]
-        at = [a.reshape(int(high_px), int(wide)).astype(np.float32) for a in place]
+        at = [a.reshape(high_px, wide).astype(np.float32) for a in place]
         white = cv2.remap(ink, *at, cv2.INTER_NEAREST, borderValue=1.0).ravel()
     else:
-        with np.errstate(invalid="ignore"):
-            odd = (np.floor(column) + np.floor(row)) % 2 == 1
-        white = np.where(inside, odd, 1.0)
+        white = _squares(column.reshape(high_px, wide), row.reshape(high_px, wide), board).ravel()
     patch = np.repeat(np.repeat(picture[low[1] : high[1], low[0] : high[0]], oversample, 0), oversample, 1)
     patch = np.where(on.reshape(patch.shape), 30 + 190 * white.reshape(patch.shape), patch)
     patch = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), blur * oversample)
@@ -140,6 +137,24 @@ def photograph(
     picture[low[1] : high[1], low[0] : high[0]] = patch
     picture = picture * (1 - 0.5 * from_centre**2) + noise * rng.standard_normal(picture.shape)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def _squares(column, row, board):
+    """How white each subpixel is, edges weighed by the area on either side of them."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+
+        def step(distance, width):
+            return np.clip(distance / width, -0.5, 0.5)
+
+        width = [np.hypot(*np.gradient(a)) for a in (column, row)]
+        black = 1.0
+        sign = 1.0
+        for a, w, count in ((column, width[0], board.columns), (row, width[1], board.rows)):
+            nearest = np.clip(np.round(a), 1, count - 1)
+            sign = sign * 2 * step(a - nearest, w) * np.where(nearest % 2 == 0, 1.0, -1.0)
+            black = black * (0.5 + step(a, w)) * (0.5 + step(count - a, w))
+        white = 1 - black * (0.5 + 0.5 * sign)
+    return np.nan_to_num(white, nan=1.0)
 
 
 def field_error(found, true=THESIS, size=(1920, 1080), step=20, theta_max=np.inf):

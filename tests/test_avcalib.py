@@ -1,13 +1,18 @@
 """avcalib as a user runs it."""
 
 import json
+import signal
+import subprocess
 
 import numpy as np
 import pytest
-from calibration_boards import film, photograph
-from conftest import run
+from calibration_boards import BOARD, film, photograph
+from conftest import BIN, run
 from test_calibration_corners import HALF, HALF_SIZE
 
+from avcli import pose
+from avcli.calibration import corners, place
+from avcli.calibration.target import Board
 from avcli.media import write_png
 
 
@@ -107,6 +112,148 @@ def test_real_photographs(shared_data):
     assert quality["views_used"] == 15
     assert quality["held_out_rms_px"] <= 0.42
     assert camera["fx_px"] == pytest.approx(337, abs=1.5)
+
+
+@pytest.fixture(scope="session")
+def camera(pictures, tmp_path_factory):
+    """What `avcalib calibrate` wrote for these pictures."""
+    path = tmp_path_factory.mktemp("camera") / "camera.json"
+    result = run("avcalib", "calibrate", pictures, "-q", "-o", path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    return path
+
+
+def test_a_report_in_pictures(pictures, tmp_path):
+    plot, page = tmp_path / "report.svg", tmp_path / "report.html"
+    result = run("avcalib", "calibrate", pictures, "--plot", plot, "--html", page)
+    assert result.returncode == 0, result.stderr
+    assert "expected error of the projection" in plot.read_text()
+    text = page.read_text()
+    assert "data:image/png;base64," in text
+    assert text.count("<tr>") == 9
+    assert "http" not in text
+    assert run("avcalib", "calibrate", pictures, "--plot", tmp_path / "report.doc").returncode == 2
+
+
+def test_check_scores_new_pictures(pictures, camera, tmp_path):
+    some = sorted(pictures.iterdir())[:3]
+    result = run("avcalib", "check", camera, *some, "--fail-over", "0.1")
+    assert result.returncode == 0, result.stderr
+    score = json.loads(result.stdout)
+    assert score["views"] == 3
+    assert score["rms_px"] < 0.05
+    other = json.loads(camera.read_text()) | {"fx_px": 436.0}
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text(json.dumps({"camera_config": other}))
+    result = run("avcalib", "check", wrong, *some, "--fail-over", "0.1")
+    assert result.returncode == 3
+    assert json.loads(result.stdout)["rms_px"] > 0.1
+    wrong.write_text("[]")
+    assert run("avcalib", "check", wrong, *some).returncode == 1
+
+
+def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
+    import cv2
+
+    source = sorted(pictures.iterdir())[0]
+    out = tmp_path / "straight.png"
+    result = run("avcalib", "undistort", source, "-c", camera, "--to", out, "--fov", "110", "--size", "1600x900")
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["lens_model"] == "brown_conrady"
+    found = corners.find(cv2.imread(str(out), 0), BOARD)
+    for row in found.pixels.reshape(7, 5, 2):
+        centred = row - row.mean(0)
+        off = centred @ np.linalg.svd(centred)[2][1]
+        assert np.abs(off).max() < 0.3
+    folder = tmp_path / "all"
+    result = run("avcalib", "undistort", pictures, "-c", camera, "--to", folder, "--projection", "whole")
+    assert result.returncode == 0, result.stderr
+    assert len(list(folder.iterdir())) == 8
+    result = run(
+        "avcalib", "undistort", source, "-c", camera, "--to", tmp_path / "a.avi", "--projection", "cylindrical"
+    )
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "a.avi").stat().st_size > 1000
+    assert len(list(tmp_path.iterdir())) == 3
+    assert run("avcalib", "undistort", pictures, "-c", camera, "--to", out).returncode == 2
+    assert run("avcalib", "undistort", source, "-c", camera, "--to", out, "--fov", "200").returncode == 2
+
+
+def test_where_the_camera_hangs(camera, tmp_path):
+    board = Board(7, 10, 0.095)
+    T = pose.camera_pose([2.33, 2.30, 2.5], [88, 4, 0])
+    room = place.board_on_floor(board.points, [2.1, 2.5, 0.0], np.deg2rad(20))
+    c, s = np.cos(np.deg2rad(20)), np.sin(np.deg2rad(20))
+    T_room_board = pose.transform([[c, s, 0], [s, -c, 0], [0, 0, -1]], [2.1, 2.5, 0.0])
+    inside = pose.inverse(T) @ T_room_board
+    picture = photograph(
+        inside[:3, :3], inside[:3, 3], np.random.default_rng(0), lens=HALF, size=HALF_SIZE, board=board
+    )
+    write_png(tmp_path / "floor.png", picture)
+    config = tmp_path / "config.json"
+    config.write_text(json.dumps({"camera_config": json.loads(camera.read_text())}))
+    result = run(
+        "avcalib", "pose", tmp_path / "floor.png", "-C", tmp_path, "--at", "2.1", "2.5", "0", "--yaw", "20"
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    found = json.loads(config.read_text())["camera_config"]
+    assert np.abs(np.array(found["camera_position_m"]) - [2.33, 2.30, 2.5]).max() < 0.02
+    assert found["lens_model"] == "kannala_brandt"
+    table = tmp_path / "points.csv"
+    pixels = HALF.project(pose.apply(pose.inverse(T), room))
+    rows = [",".join(map(str, [*u, *p])) for u, p in zip(pixels, room, strict=True)]
+    table.write_text("u,v,x,y,z\n" + "\n".join(rows))
+    out = tmp_path / "placed.json"
+    result = run("avcalib", "pose", "--points", table, "-c", camera, "-o", out)
+    assert result.returncode == 0, result.stderr
+    placed = json.loads(out.read_text())
+    again = pose.camera_pose(placed["camera_position_m"], placed["camera_rotation_deg"])
+    assert np.abs(again - T).max() < 0.01
+    assert placed["fx_px"] == json.loads(camera.read_text())["fx_px"]
+    table.write_text("u,v,x\n1,2,3\n")
+    assert run("avcalib", "pose", "--points", table, "-c", camera).returncode == 1
+    assert run("avcalib", "pose", "-c", camera).returncode == 2
+
+
+def test_filming_with_hints(pictures, tmp_path):
+    import cv2
+
+    stream = b"".join(
+        cv2.imencode(".jpg", cv2.imread(str(path), 0), [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
+        for path in sorted(pictures.iterdir())
+    )
+    result = run("avcalib", "live", "-", "--rate", "30", "--port", "0", stdin=stream)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["fx_px"] == pytest.approx(HALF.fx, abs=1.5)
+    assert "hold the board" in result.stderr
+    early = run("avcalib", "live", "-", "--rate", "30", "--port", "0", "--enough", "1", stdin=stream)
+    assert early.returncode == 0, early.stderr
+    assert json.loads(early.stdout)["calibration"]["views_given"] < 8
+
+
+def test_ctrl_c_while_filming_keeps_what_was_collected(pictures):
+    import cv2
+
+    jpegs = [
+        cv2.imencode(".jpg", cv2.imread(str(path), 0), [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
+        for path in sorted(pictures.iterdir())
+    ]
+    with subprocess.Popen(
+        [BIN / "avcalib", "live", "-", "--rate", "30", "--port", "0"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        process.stdin.write(b"".join(jpegs))
+        process.stdin.flush()
+        line = b"."
+        while line and b"6 views" not in line:
+            line = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        output, said = process.communicate(jpegs[0] * 3, timeout=60)
+        assert process.returncode == 0, said
+        assert json.loads(output)["fx_px"] == pytest.approx(HALF.fx, abs=2)
 
 
 @pytest.mark.parametrize("kind", ["svg", "pdf"])

@@ -7,6 +7,7 @@ import numpy as np
 from avcli.calibration import corners, fit, opencv, quality
 from avcli.calibration.corners import View
 from avcli.calibration.target import Board
+from avcli.lens import KannalaBrandt
 
 BOARD_GAIN = 0.01
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
@@ -232,3 +233,26 @@ def _board_offsets(observations: fit.Observations, solution: fit.Solution, squar
     design = np.stack([np.ones(9), a, b, a * a, a * b, b * b], -1)
     offsets = np.einsum("tk,nkj->njt", np.linalg.pinv(design), np.nan_to_num(met))[:, :, 1:]
     return np.where(np.isfinite(met).all((1, 2))[:, None, None], offsets, 0.0)
+
+
+def check(board: Board, views: list[View], lens: KannalaBrandt) -> dict:
+    """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
+
+    Returns:
+        views, corners, rms_px (of all corners), median_px, worst_px (of a view) and theta_max_seen_deg.
+    """
+    everything = observe(board, views)
+    start = fit.start_from_rays(everything, lens)
+    solution = fit.refine_poses(everything, start, 20)
+    everything = polished(everything, solution, np.ones(len(views), bool), board, views)
+    solution = fit.refine_poses(everything, solution, 20)
+    each = fit.view_rms(everything, solution)
+    corners_of = np.bincount(everything.view)
+    return {
+        "views": len(views),
+        "corners": len(everything.pixels),
+        "rms_px": float(np.sqrt((each**2 * corners_of).sum() / corners_of.sum())),
+        "median_px": float(np.median(each)),
+        "worst_px": float(each.max()),
+        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(quality.seen_angles(lens, everything.pixels)))),
+    }

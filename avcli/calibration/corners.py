@@ -113,8 +113,28 @@ def _find_checkerboard(grey: np.ndarray, inner: tuple[int, int], thorough: bool)
     if scale != 1:
         corners = (_subpixel(small, corners, spread) + 0.5) * scale - 0.5
         spread = spread * scale
-    pixels = _subpixel(grey, corners, spread)
+    pixels = _in_order(grey, _subpixel(grey, corners, spread), inner)
     return np.arange(len(pixels)), pixels
+
+
+def _in_order(grey: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
+    """Number the corners as the board does: rows to the right of columns, and, where the colours tell, upright.
+
+    The square between the first four corners is black. In a board with one odd and one even count it is white when the
+    board is read upside down.
+    """
+    grid = pixels.reshape(inner[1], inner[0], 2)
+    along, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
+    if along[0] * down[1] - along[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    if (inner[0] + inner[1]) % 2:
+        middles = np.rint((grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4).astype(int)
+        height, width = grey.shape
+        value = grey[middles[:, :, 1].clip(0, height - 1), middles[:, :, 0].clip(0, width - 1)].astype(float)
+        black = np.add.outer(np.arange(inner[1] - 1), np.arange(inner[0] - 1)) % 2 == 0
+        if value[black].mean() > value[~black].mean():
+            grid = grid[::-1, ::-1]
+    return np.ascontiguousarray(grid.reshape(-1, 2))
 
 
 def _shrunk(grey: np.ndarray) -> tuple[np.ndarray, float]:
@@ -271,7 +291,7 @@ def _charuco_detector(board: Board):
 
 
 def polish(
-    patches, pixels, origins, to_board, *, reach: float = 0.75, clear: float = 1.0, half: int = 10, rounds: int = 5
+    patches, pixels, origins, to_board, *, reach: float = 0.75, clear: float = 1.0, half: int = PATCH, rounds: int = 5
 ):
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 

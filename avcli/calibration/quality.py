@@ -233,3 +233,18 @@ def _places(q: Quality) -> str:
     if len(names) == 4 or not names:
         return "near the corners" if names else "closer, larger and more tilted"
     return f"at the {' and the '.join(names)}"
+
+
+def next_view(q: Quality) -> str:
+    """Say where the board should be held next: where the projection is known worst, or where nothing was seen."""
+    rows = np.array_split(np.arange(q.field_sd_px.shape[0]), 3)
+    columns = np.array_split(np.arange(q.field_sd_px.shape[1]), 3)
+    names = [["top left", "top", "top right"], ["left", "middle", "right"], ["bottom left", "bottom", "bottom right"]]
+    worst, place = -1.0, "middle"
+    for i, ys in enumerate(rows):
+        for j, xs in enumerate(columns):
+            part = q.field_sd_px[np.ix_(ys, xs)]
+            if np.isfinite(part).any() and np.nanmean(part) > worst:
+                worst, place = float(np.nanmean(part)), names[i][j]
+    lean = ", tilted" if q.tilt < np.deg2rad(25) else ""
+    return f"hold the board at the {place}{lean} (expected error there {worst:.2f} px)"

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from avcli.calibration import fit, undistort
 from avcli.calibration.calibrate import Calibration
 
 
@@ -39,3 +40,152 @@ def words(result: Calibration) -> list[str]:
 
 def _degrees(angle: float) -> str:
     return f"{np.rad2deg(angle):.1f}°"
+
+
+def picture(result: Calibration, sample: np.ndarray | None = None, kind: str = "png") -> bytes:
+    """Draw residuals, coverage, expected error, residuals by picture and, with a sample, a straightened picture.
+
+    Args:
+        result: the calibration.
+        sample: (height, width) uint8, one of the pictures.
+        kind: "png", "svg" or "pdf".
+    """
+    import io
+
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 8.4 if sample is None else 12.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    rows = 2 if sample is None else 3
+    axes = figure.subplots(rows, 2)
+    _draw_residuals(axes[0, 0], result)
+    _draw_coverage(figure, axes[0, 1], result)
+    _draw_uncertainty(figure, axes[1, 0], result)
+    _draw_views(axes[1, 1], result)
+    if sample is not None:
+        _draw_sample(axes[2], result, sample)
+    out = io.BytesIO()
+    # Neither the time nor a random salt belongs in a file that the same pictures must give again.
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    with matplotlib.rc_context({"svg.hashsalt": "avcalib"}):
+        figure.savefig(out, format=kind, dpi=110, metadata=metadata)
+    return out.getvalue()
+
+
+def _frame(axis, result: Calibration, title: str) -> None:
+    axis.set(xlim=(-0.5, result.width - 0.5), ylim=(result.height - 0.5, -0.5), aspect="equal", title=title)
+    axis.set_xlabel("u, px")
+    axis.set_ylabel("v, px")
+    for angle in range(15, int(np.rad2deg(result.solution.lens.theta_max)), 15):
+        turn = np.linspace(0, 2 * np.pi, 181)
+        theta = np.deg2rad(angle)
+        ring = np.stack([np.sin(theta) * np.cos(turn), np.sin(theta) * np.sin(turn), np.full(181, np.cos(theta))], -1)
+        axis.plot(*result.solution.lens.project(ring).T, color="0.5", lw=0.5, ls=":")
+
+
+def _draw_residuals(axis, result: Calibration) -> None:
+    rest = fit.residuals(result.observations, result.solution)
+    length = float(np.nanquantile(np.linalg.norm(rest, axis=1), 0.9))
+    enlarged = max(1.0, 0.03 * result.width / max(length, 1e-9))
+    power = 10 ** np.floor(np.log10(enlarged))
+    enlarged = np.floor(enlarged / power) * power
+    _frame(axis, result, f"residuals, {enlarged:g} times enlarged; rings every 15°")
+    u, v = result.observations.pixels.T
+    axis.quiver(u, v, *(enlarged * rest.T), angles="xy", scale_units="xy", scale=1, width=0.0015, color="tab:blue")
+
+
+def _draw_coverage(figure, axis, result: Calibration) -> None:
+    _frame(axis, result, "where corners were seen")
+    drawn = axis.imshow(
+        np.ma.masked_equal(result.quality.counts, 0),
+        extent=(-0.5, result.width - 0.5, result.height - 0.5, -0.5),
+        cmap="YlGn",
+        alpha=0.7,
+    )
+    axis.plot(*result.observations.pixels.T, ".", ms=2, color="k")
+    figure.colorbar(drawn, ax=axis, label="corners in a cell", shrink=0.8)
+
+
+def _draw_uncertainty(figure, axis, result: Calibration) -> None:
+    from matplotlib.colors import LogNorm
+
+    q = result.quality
+    values = np.where(np.isfinite(q.field_sd_px), np.maximum(q.field_sd_px, 1e-6), np.nan)
+    _frame(axis, result, "expected error of the projection")
+    if np.isfinite(values).any():
+        low, high = np.nanmin(values), np.nanmax(values)
+        norm = LogNorm(low * 0.99, max(high, low * 1.1))
+        drawn = axis.pcolormesh(
+            q.field_pixels[:, :, 0], q.field_pixels[:, :, 1], values, cmap="viridis", norm=norm, shading="gouraud"
+        )
+        figure.colorbar(drawn, ax=axis, label="standard deviation, px", shrink=0.8)
+
+
+def _draw_views(axis, result: Calibration) -> None:
+    number = np.arange(len(result.kept))
+    for kept, colour, label in ((True, "tab:blue", "used"), (False, "tab:red", "left out")):
+        some = result.kept == kept
+        if some.any():
+            axis.bar(number[some], result.view_rms_px[some], color=colour, label=label)
+    axis.set(title="residual of each picture", xlabel="picture", ylabel="RMS, px")
+    if not result.kept.all():
+        axis.set_yscale("log")
+    axis.legend()
+
+
+def _draw_sample(axes, result: Calibration, sample: np.ndarray) -> None:
+    size = (result.width, result.height)
+    axes[0].imshow(sample, cmap="gray", vmin=0, vmax=255)
+    axes[0].set_title("a picture")
+    straight = undistort.straighten(result.solution.lens, size, "perspective", size, balance=0.5)
+    axes[1].imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
+    axes[1].set_title(f"straightened, {_degrees(straight.fov)} wide")
+    for axis in axes:
+        axis.set_axis_off()
+
+
+def page(result: Calibration, names: list[str], sample: np.ndarray | None = None) -> str:
+    """Write the report as one HTML page that needs nothing else.
+
+    Args:
+        result: the calibration.
+        names: what each given view is called, in order.
+        sample: see `picture`.
+    """
+    import base64
+    from html import escape
+
+    drawn = base64.b64encode(picture(result, sample)).decode()
+    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result))
+    rows = "\n".join(
+        f"<tr{'' if kept else ' class=out'}><td>{escape(name)}</td><td>{rms:.3f}</td>"
+        f"<td>{'used' if kept else 'left out'}</td></tr>"
+        for name, rms, kept in zip(names, result.view_rms_px, result.kept, strict=True)
+    )
+    verdict = "not observable" if result.quality.refusals else "observable"
+    return f"""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<title>Camera calibration</title>
+<style>
+body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }}
+img {{ width: 100%; }}
+table {{ border-collapse: collapse; }}
+td, th {{ padding: 0.1rem 0.8rem; text-align: left; }}
+.out {{ color: #b00; }}
+</style>
+<h1>A calibrated camera: {verdict}</h1>
+<p>{result.width} × {result.height} px, {int(result.kept.sum())} of {len(result.kept)} pictures used,
+a board of {result.board} squares of {1000 * result.board.square_m:g} mm.</p>
+<ul>
+{said}
+</ul>
+<img alt="residuals, coverage, expected error, residual of each picture" src="data:image/png;base64,{drawn}">
+<table>
+<tr><th>picture</th><th>RMS, px</th><th></th></tr>
+{rows}
+</table>
+</html>
+"""

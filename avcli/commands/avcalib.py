@@ -6,6 +6,7 @@ import signal
 import click
 
 from avcli import __version__
+from avcli.commands import avcalib_room
 from avcli.commands.filter import FilterGroup, GateNotMet, common
 
 _THESIS = {"thesis": {"procedure": "thesis", "board_text": "6x8", "square": 95.0, "rate": 2.0}}
@@ -16,6 +17,10 @@ _THESIS = {"thesis": {"procedure": "thesis", "board_text": "6x8", "square": 95.0
 @click.version_option(__version__, "--version", message="%(prog)s %(version)s")
 def main():
     """Calibrate a camera with a printed board: films, pictures or a USB camera in, a camera_config out."""
+
+
+for _command in (avcalib_room.undistort_command, avcalib_room.pose_command, avcalib_room.microphones_command):
+    main.add_command(_command)
 
 
 # --- boards and pictures ----------------------------------------------------------------------------------------------
@@ -110,8 +115,8 @@ class _Seen:
 
     def __init__(self, board):
         self.board = board
-        self.records, self.views, self.misses = [], [], []
-        self.size = None
+        self.records, self.views, self.names, self.misses = [], [], [], []
+        self.size = self.sample = None
 
     def take(self, session, picture, grey, view):
         from avcli.calibration import calibrate
@@ -135,6 +140,9 @@ class _Seen:
         if why is None:
             record["view"] = len(self.views)
             self.views.append(view)
+            self.names.append(picture.name)
+            if self.sample is None:
+                self.sample = grey
         self.records.append(record)
 
     def count(self, why):
@@ -167,7 +175,7 @@ def _looked(pictures, searched, filming):
         try:
             for picture in pictures:
                 waiting.append(pool.submit(_look, picture, searched[0]))
-                if len(waiting) >= 4:
+                if filming.active or len(waiting) >= 4:  # a hint must not wait for pictures to come
                     yield waiting.popleft().result()
                 if filming.stopped:
                     break
@@ -181,7 +189,7 @@ def _looked(pictures, searched, filming):
 def _collect(session, sources, board, rate, size=None, after=None):
     """Look for the board in all pictures; a board of another size than the given one is recognised, said and taken.
 
-    `after(seen)` is called after each picture and ends the filming by returning True.
+    `after(seen, grey, view)` is called after each picture and ends the filming by returning True.
     """
     from avcli import footage
     from avcli.calibration import corners
@@ -194,7 +202,7 @@ def _collect(session, sources, board, rate, size=None, after=None):
         seen = _Seen(board)
         searched = [board]
         restart = False
-        with _Filming(endless) as filming:
+        with _Filming(endless or after is not None) as filming:
             pictures = session.progress(_pictures(session, sources, rate, size), total, "looking for boards")
             try:
                 for picture, grey, view in _looked(pictures, searched, filming):
@@ -208,7 +216,7 @@ def _collect(session, sources, board, rate, size=None, after=None):
                             if restart:
                                 break
                             seen, searched[0] = _Seen(board), board
-                    if after and after(seen):
+                    if after and after(seen, grey, view):
                         break
             except MediaError as error:
                 if not seen.views:
@@ -292,6 +300,8 @@ def _fit_options(function):
             help="Fit the board's bow and stretch too; auto does where held-out pictures improve by 1 %.",
         ),
         click.option("--details", metavar="FILE", help="Write a record a picture: corners, residual, kept or why not."),
+        click.option("--plot", metavar="FILE", help="Draw residuals, coverage and expected error: .png, .svg or .pdf."),
+        click.option("--html", metavar="FILE", help="Write the report with its pictures as one HTML file."),
         click.option(
             "--force", is_flag=True, help="Write the result even where the lens is not observable (still exit 3)."
         ),
@@ -317,9 +327,12 @@ def calibrate_command(session, sources, board_text, square, charuco, rate, size,
     _finish(session, seen, **options)
 
 
-def _finish(session, seen, *, procedure, max_rms, board_shape, details, force):
+def _finish(session, seen, *, procedure, max_rms, board_shape, details, plot, html, force):
     """Fit, judge, report, write."""
     from avcli.calibration import calibrate, fit, opencv
+
+    if plot and plot.rsplit(".", 1)[-1].lower() not in ("png", "svg", "pdf"):
+        session.usage(f"--plot {plot}: expected a name that ends in .png, .svg or .pdf")
 
     if not seen.views:
         _write_details(session, details, seen, None)
@@ -336,6 +349,8 @@ def _finish(session, seen, *, procedure, max_rms, board_shape, details, force):
         raise GateNotMet(str(error)) from None
     _write_details(session, details, seen, result)
     _report(session, seen, result)
+    with session.timing("draw"):
+        _draw(session, seen, result, plot, html)
     refusals = result.quality.refusals
     if not refusals or force:
         _write_camera(session, result.camera_config())
@@ -353,6 +368,16 @@ def _report(session, seen, result):
     )
     for line in report.words(result):
         session.warn(line)
+
+
+def _draw(session, seen, result, plot, html):
+    from avcli.atomic import write_bytes
+    from avcli.calibration import report
+
+    if plot:
+        write_bytes(plot, report.picture(result, seen.sample, plot.rsplit(".", 1)[-1].lower()))
+    if html:
+        write_bytes(html, report.page(result, seen.names, seen.sample).encode())
 
 
 def _write_details(session, path, seen, result):
@@ -394,6 +419,111 @@ def _write_camera(session, found: dict) -> None:
     raw["camera_config"] = {**raw.get("camera_config", {}), **found}
     path.parent.mkdir(parents=True, exist_ok=True)
     experiment.write_config(path, raw)
+
+
+# --- check ------------------------------------------------------------------------------------------------------------
+
+
+@main.command("check")
+@click.argument("camera", metavar="CONFIG")
+@click.argument("sources", nargs=-1, metavar="SOURCE...")
+@_board_options
+@_rate_option()
+@click.option(
+    "--fail-over",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="PX",
+    help="Exit 3 if the RMS residual is more than this many px.",
+)
+@common(experiment=False)
+def check_command(session, camera, sources, board_text, square, charuco, rate, fail_over):
+    """Score a calibration on new pictures of a board: only the board's pose is fitted, the lens is held."""
+    from avcli.calibration import calibrate
+
+    lens, size, _ = read_camera(session, camera)
+    board = _board(session, board_text, square, charuco)
+    seen = _collect(session, _check_sources(session, sources), board, rate)
+    if not seen.views:
+        _nothing_found(session, seen)
+    if seen.size != size:
+        session.fail(f"the pictures are {seen.size[0]} × {seen.size[1]} px, {camera} is for {size[0]} × {size[1]} px")
+    score = calibrate.check(seen.board, seen.views, lens)
+    with session.output() as write:
+        write({"pictures": len(seen.records), **score})
+    if fail_over is not None and not score["rms_px"] <= fail_over:
+        raise GateNotMet(f"RMS {score['rms_px']:.3f} px, more than {fail_over:g} px")
+
+
+def read_camera(session, path):
+    """Read a lens from a config.json or from a line that `calibrate` wrote: lens, (width, height) px, raw keys."""
+    import orjson
+
+    from avcli import experiment
+
+    try:
+        with session.open(str(path)) as stream:
+            raw = orjson.loads(stream.read())
+        values = raw.get("camera_config", raw)
+        width, height = int(values.get("image_width_px", 1920)), int(values.get("image_height_px", 1080))
+    except (orjson.JSONDecodeError, AttributeError, TypeError, ValueError) as error:
+        session.fail(f"{path}: no camera_config: {error}")
+    return (
+        experiment.lens_from_config(values, name=str(path), width_px=width, height_px=height),
+        (width, height),
+        values,
+    )
+
+
+# --- live -------------------------------------------------------------------------------------------------------------
+
+
+@main.command("live")
+@click.argument("source", default="/dev/video0", metavar="[CAMERA]")
+@_board_options
+@_rate_option()
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8080,
+    show_default=True,
+    help="Port on 127.0.0.1 of the page that shows the camera with corners and coverage; 0 for none.",
+)
+@click.option(
+    "--enough",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="PX",
+    help="Stop when the mean expected error over the picture is below this many px.  [default: until Ctrl-C]",
+)
+@_fit_options
+@common()
+def live_command(session, source, board_text, square, charuco, rate, port, enough, size, **options):
+    """Film with hints: what was found, what is known so far, and where to hold the board next; then calibrate.
+
+    The first Ctrl-C ends the filming, and the lens is found from what was collected.
+    """
+    import contextlib
+
+    from avcli.calibration import live
+    from avcli.commands import mjpeg
+
+    board = _board(session, board_text, square, charuco)
+    sources = _check_sources(session, [source])
+    with contextlib.ExitStack() as stack:
+        show = stack.enter_context(mjpeg.serving(port)) if port else None
+        if show:
+            session.warn(f"watch on http://127.0.0.1:{show.port}/")
+        guide = live.Guide()
+
+        def after(seen, grey, view):
+            line = guide.take(seen.board, seen.views, view is not None)
+            if line:
+                session.warn(line)
+            if show:
+                show(live.overlay(grey, view, guide))
+            return bool(enough and guide.quality and not guide.quality.refusals and guide.mean_px <= enough)
+
+        seen = _collect(session, sources, board, rate, size, after)
+    _finish(session, seen, **options)
 
 
 # --- target -----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,160 @@
+"""Where a camera of known lens hangs: its pose from pixels whose places in the room are known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli import pose
+from avcli.calibration.fit import _cross, rotation_from_vector
+
+_STARTS = 400
+_TRIED = 12
+
+
+@dataclass(frozen=True)
+class Place:
+    """A camera's pose in the room.
+
+    Attributes:
+        T_room_camera: (4, 4), m.
+        covariance: (6, 6) of a turn (rad, in the room's axes, about the camera) and of the position (m).
+        rms_px: residual, root of the mean of du² + dv².
+        residuals: (n, 2) px, seen minus predicted.
+        sigma_px: standard deviation of a pixel along one axis that the covariance assumes.
+    """
+
+    T_room_camera: np.ndarray
+    covariance: np.ndarray
+    rms_px: float
+    residuals: np.ndarray
+    sigma_px: float
+
+
+def locate(lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None = None) -> Place:
+    """Find the pose of a camera that sees room points (n, 3) m at pixels (n, 2), n >= 4; beyond 90 degrees too.
+
+    Rotations are tried all over; for each the position follows linearly from ray × (R p + t) = 0. The best are polished
+    by Levenberg-Marquardt on the pixels, large residuals counting less (Huber).
+
+    Args:
+        lens: any model of avcli.lens.
+        pixels, points: what was seen, and where it is.
+        sigma_px: standard deviation of a pixel; None takes it from the residuals, at least 0.1 px.
+
+    Raises:
+        ValueError: there are fewer than four points, they lie on a line, or the lens images none of the pixels.
+    """
+    pixels, points = np.asarray(pixels, float), np.asarray(points, float)
+    rays = lens.unproject(pixels)
+    if not np.isfinite(rays).all():
+        bad = pixels[~np.isfinite(rays).all(1)][0]
+        raise ValueError(f"the lens sees nothing at pixel ({bad[0]:.1f}, {bad[1]:.1f})")
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
+    if len(points) < 4 or spread[1] < 1e-6 * max(spread[0], 1e-12):
+        raise ValueError(f"{len(points)} points{'' if len(points) < 4 else ' on a line'} do not hold a camera: give 4")
+    starts = _starts(rays, points)
+    found = min((_polish(lens, pixels, points, *start) for start in starts), key=lambda one: one[2])
+    R, t, _ = found
+    residuals, jacobian = _residuals(lens, pixels, points, R, t)
+    freedom = max(2 * len(points) - 6, 1)
+    if sigma_px is None:
+        sigma_px = max(float(np.sqrt((residuals**2).sum() / freedom)), 0.1)
+    J = jacobian.reshape(-1, 6)
+    # From a turn and shift of the points in the camera's frame to the camera's own in the room.
+    inner = sigma_px**2 * np.linalg.pinv(J.T @ J)
+    change = np.zeros((6, 6))
+    change[:3, :3] = -R.T
+    change[3:, :3] = -R.T @ _cross(t)
+    change[3:, 3:] = -R.T
+    covariance = change @ inner @ change.T
+    return Place(
+        pose.inverse(pose.transform(R, t)),
+        (covariance + covariance.T) / 2,
+        float(np.sqrt((residuals**2).sum(1).mean())),
+        residuals,
+        sigma_px,
+    )
+
+
+def _starts(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The likeliest of many rotations, room to camera, with their positions."""
+    rotations = _rotations(_STARTS)
+    turned = np.einsum("kij,nj->kni", rotations, points)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]  # what of a vector lies across the ray
+    normal = across.sum(0)
+    t = -np.linalg.solve(normal, np.einsum("nij,knj->ki", across, turned).T).T
+    inside = turned + t[:, None]
+    off = np.einsum("nij,knj->kni", across, inside)
+    behind = np.einsum("ni,kni->kn", rays, inside) < 0
+    score = (off**2).sum((1, 2)) + 10 * (behind * (inside**2).sum(2)).sum(1)
+    return [(rotations[k], t[k]) for k in np.argsort(score)[:_TRIED]]
+
+
+def _rotations(count: int) -> np.ndarray:
+    """Rotations spread evenly, (count, 3, 3) (Alexa 2022, super-Fibonacci spirals)."""
+    s = np.arange(count) + 0.5
+    a, b = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / 1.533751168755204288118041
+    r, q = np.sqrt(s / count), np.sqrt(1 - s / count)
+    x, y, z, w = r * np.sin(a), r * np.cos(a), q * np.sin(b), q * np.cos(b)
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
+            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
+            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        -2,
+    )
+
+
+def _residuals(lens, pixels, points, R, t):
+    """Seen minus predicted (n, 2) and the derivative of the prediction to a turn and a shift (n, 2, 6)."""
+    turned = points @ R.T
+    predicted, by_point, _ = lens.project_jacobian(turned + t)
+    residuals = pixels - predicted
+    jacobian = np.concatenate([-by_point @ _cross(turned), by_point], -1)
+    unseen = ~(np.isfinite(residuals).all(1) & np.isfinite(jacobian).all((1, 2)))
+    residuals[unseen], jacobian[unseen] = 1000.0, 0.0
+    return residuals, jacobian
+
+
+def _polish(lens, pixels, points, R, t):
+    delta, damping = 50.0, 1e-3
+
+    def robust(residuals, limit):
+        size = np.linalg.norm(residuals, axis=1)
+        weight = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+        return np.where(size <= limit, size**2, 2 * limit * size - limit**2).sum(), weight
+
+    residuals, jacobian = _residuals(lens, pixels, points, R, t)
+    for _ in range(60):
+        cost, weight = robust(residuals, delta)
+        A = np.einsum("nia,nib,n->ab", jacobian, jacobian, weight)
+        g = np.einsum("nia,ni,n->a", jacobian, residuals, weight)
+        step = np.linalg.lstsq(A + damping * np.diag(np.diag(A)) + 1e-12 * np.eye(6), g, rcond=None)[0]
+        R_new, t_new = rotation_from_vector(step[None, :3])[0] @ R, t + step[3:]
+        new = _residuals(lens, pixels, points, R_new, t_new)
+        if robust(new[0], delta)[0] < cost:
+            gain = 1 - robust(new[0], delta)[0] / cost
+            R, t, (residuals, jacobian), damping = R_new, t_new, new, damping / 6
+            if gain < 1e-10:
+                break
+            middle = float(np.median(np.linalg.norm(residuals, axis=1)))
+            delta = min(delta, max(5 * middle, 1.0))
+        else:
+            damping *= 6
+            if damping > 1e8:
+                break
+    return R, t, robust(residuals, 20.0)[0]
+
+
+def board_on_floor(corners: np.ndarray, position: np.ndarray, yaw: float) -> np.ndarray:
+    """Room places (n, 3) m of corners (n, 2) m of a board that lies face up.
+
+    Args:
+        corners: in the board's frame, from its middle.
+        position: (3,) m, of the board's middle in the room.
+        yaw: rad, from the room's x axis to the direction in which the board's rows run, counter-clockwise from above.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    across, down = np.array([c, s, 0.0]), np.array([s, -c, 0.0])
+    return np.asarray(position) + corners[:, :1] * across + corners[:, 1:] * down

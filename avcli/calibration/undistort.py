@@ -1,0 +1,140 @@
+"""Pictures without the fisheye: perspective, cylindrical, or the whole field at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_WIDEST = np.deg2rad(80.0)
+"""A perspective picture stretches by 1 / cos² of the angle; beyond this half angle there is nothing to see."""
+
+
+@dataclass(frozen=True)
+class Straightened:
+    """Where each pixel of a straightened picture comes from.
+
+    Attributes:
+        sources: (height, width, 2) px in the fisheye picture; NaN where the lens sees nothing.
+        fov: rad, from the left edge to the right.
+        focal_px: px; of a perspective picture its pinhole's focal length, of the others px a radian.
+    """
+
+    sources: np.ndarray
+    fov: float
+    focal_px: float
+
+
+def straighten(
+    lens,
+    source_size: tuple[int, int],
+    projection: str,
+    size: tuple[int, int],
+    *,
+    balance: float = 0.0,
+    fov: float | None = None,
+    theta_max: float = np.inf,
+) -> Straightened:
+    """Map a straightened picture's pixels to the fisheye picture's.
+
+    Args:
+        lens: a model of avcli.lens.
+        source_size, size: width and height of the fisheye and of the straightened picture, px.
+        projection: "perspective" keeps straight lines straight; "cylindrical" keeps upright lines straight and goes
+            around further; "whole" shows azimuth and elevation about the camera (equirectangular), past 90 degrees too.
+        balance: of "perspective", without `fov`: 0 shows only what the fisheye picture fills, 1 all that it shows (to
+            80 degrees from the axis).
+        fov: rad, from the left edge to the right.
+        theta_max: rad; beyond it the lens is not believed and the picture stays black.
+
+    Raises:
+        ValueError: the field of view does not suit the projection.
+    """
+    limit = {"perspective": np.pi, "cylindrical": 2 * np.pi, "whole": 2 * np.pi}[projection]
+    if fov is not None and not 0 < fov <= (0.99 * limit if projection == "perspective" else limit):
+        raise ValueError(f"a {projection} picture cannot show {np.rad2deg(fov):.0f} degrees")
+    if fov is None:
+        if projection == "perspective":
+            fov = 2 * np.arctan(_perspective_reach(lens, source_size, size, balance))
+        else:
+            fov = min(2 * _reach(lens, source_size), 2 * np.pi)
+    width, height = size
+    x, y = np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2
+    if projection == "perspective":
+        focal = width / 2 / np.tan(fov / 2)
+        rays = np.stack([*np.meshgrid(x / focal, y / focal), np.ones((height, width))], -1)
+    else:
+        focal = width / fov
+        azimuth, down = np.meshgrid(x / focal, y / focal)
+        if projection == "cylindrical":
+            rays = np.stack([np.sin(azimuth), down, np.cos(azimuth)], -1)
+        else:
+            elevation = np.clip(down, -np.pi / 2, np.pi / 2)
+            rays = np.stack(
+                [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], -1
+            )
+            rays[np.abs(down) > np.pi / 2] = np.nan
+    flat = rays.reshape(-1, 3)
+    sources = lens.project(flat)
+    outside = np.arctan2(np.hypot(flat[:, 0], flat[:, 1]), flat[:, 2]) > theta_max
+    sources[outside] = np.nan
+    return Straightened(sources.reshape(height, width, 2), float(fov), float(focal))
+
+
+def resample(image: np.ndarray, straightened: Straightened) -> np.ndarray:
+    """Straighten a picture (height, width[, channels]) uint8 or uint16; black where the lens sees nothing."""
+    import cv2
+
+    at = np.nan_to_num(straightened.sources, nan=-1e4).astype(np.float32)
+    return cv2.remap(
+        image, at[:, :, 0], at[:, :, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0, 0)
+    )
+
+
+def _rim(size: tuple[int, int]) -> np.ndarray:
+    """Pixels along the border of a picture, (n, 2)."""
+    width, height = size
+    x, y = np.linspace(0, width - 1, 101), np.linspace(0, height - 1, 101)
+    return np.concatenate(
+        [
+            np.stack([x, 0 * x], -1),
+            np.stack([x, 0 * x + height - 1], -1),
+            np.stack([0 * y, y], -1),
+            np.stack([0 * y + width - 1, y], -1),
+        ]
+    )
+
+
+def _reach(lens, source_size: tuple[int, int]) -> float:
+    """Largest angle that the picture shows, rad."""
+    rays = lens.unproject(_rim(source_size))
+    if not np.isfinite(rays).all():
+        return float(lens.theta_max)
+    return float(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]).max())
+
+
+def _perspective_reach(lens, source_size, size, balance: float) -> float:
+    """Half width of a perspective picture at distance 1: between the largest that is filled and all that is shown."""
+    rim = _rim(size) - (np.array(size) - 1) / 2
+    plane = np.column_stack([rim / (size[0] / 2), np.ones(len(rim))])
+
+    def filled(reach):
+        seen = lens.project(plane * [reach, reach, 1])
+        with np.errstate(invalid="ignore"):
+            return bool(((seen >= -0.5) & (seen <= np.array(source_size) - 0.5)).all())
+
+    low, high = 0.0, float(np.tan(_WIDEST))
+    inner = high
+    if not filled(high):
+        for _ in range(50):
+            middle = (low + high) / 2
+            low, high = (middle, high) if filled(middle) else (low, middle)
+        inner = low
+    rays = lens.unproject(_rim(source_size))
+    theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    outer = np.tan(_WIDEST)
+    shown = np.isfinite(theta) & (theta < _WIDEST)
+    if shown.all():
+        aspect = size[1] / size[0]
+        outer = max(np.abs(rays[:, 0] / rays[:, 2]).max(), np.abs(rays[:, 1] / rays[:, 2]).max() / aspect)
+    if inner <= 0:
+        inner = outer / 10
+    return float(inner * (max(outer, inner) / inner) ** balance)

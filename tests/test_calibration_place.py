@@ -1,0 +1,107 @@
+"""Where the camera hangs, from known points."""
+
+import numpy as np
+import pytest
+from calibration_boards import THESIS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli import pose
+from avcli.calibration import place
+from avcli.calibration.target import Board
+from avcli.lens import BrownConrady, KannalaBrandt
+
+CEILING = pose.camera_pose([2.33, 2.33, 2.5], [90, 0, 0])
+
+
+def seen(lens, T_room_camera, points):
+    return lens.project(pose.apply(pose.inverse(T_room_camera), points))
+
+
+def visible(lens, T, rng, count, planar):
+    points = []
+    while len(points) < count:
+        p = rng.uniform([0.5, 1.0, 0.0], [4.0, 3.6, 0.0 if planar else 1.5])
+        u = seen(lens, T, p[None])[0]
+        if np.isfinite(u).all() and (u > 0).all() and (u < [1919, 1079]).all():
+            points.append(p)
+    return np.array(points)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    tilt=st.floats(-25, 25),
+    yaw=st.floats(-180, 180),
+    planar=st.booleans(),
+    count=st.integers(6, 12),
+)
+def test_exact_points_give_the_exact_pose(seed, tilt, yaw, planar, count):
+    rng = np.random.default_rng(seed)
+    T = pose.camera_pose([2.3, 2.2, 2.5], [90 + tilt, yaw, 0])
+    points = visible(THESIS, T, rng, count, planar)
+    if np.linalg.svd(points - points.mean(0), compute_uv=False)[1] < 0.3:
+        return
+    found = place.locate(THESIS, seen(THESIS, T, points), points)
+    assert np.abs(found.T_room_camera - T).max() < 1e-6
+
+
+def test_points_beyond_90_degrees_and_another_lens():
+    lens = KannalaBrandt(300, 300, 512, 512)
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(30, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    angles = np.arccos(directions[:, 2])
+    cloud = directions[angles < 1.9] * rng.uniform(1, 3, (np.sum(angles < 1.9), 1))
+    assert (np.arccos(cloud[:, 2] / np.linalg.norm(cloud, axis=1)) > np.pi / 2).any()
+    points = pose.apply(CEILING, cloud)
+    assert np.abs(place.locate(lens, lens.project(cloud), points).T_room_camera - CEILING).max() < 1e-6
+    plain = BrownConrady(900, 900, 960, 540, 0.01)
+    floor = visible(plain, CEILING, rng, 8, True)
+    assert np.abs(place.locate(plain, seen(plain, CEILING, floor), floor).T_room_camera - CEILING).max() < 1e-6
+
+
+def test_the_covariance_is_honest():
+    rng = np.random.default_rng(1)
+    points = visible(THESIS, CEILING, rng, 12, True)
+    exact = seen(THESIS, CEILING, points)
+    pulls = []
+    for _ in range(60):
+        found = place.locate(THESIS, exact + 0.5 * rng.standard_normal(exact.shape), points, sigma_px=0.5)
+        moved = found.T_room_camera[:3, 3] - CEILING[:3, 3]
+        turn = found.T_room_camera[:3, :3] @ CEILING[:3, :3].T
+        omega = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        pulls.append(np.concatenate([omega, moved]) / np.sqrt(np.diag(found.covariance)))
+    assert ((np.std(pulls, axis=0) > 0.7) & (np.std(pulls, axis=0) < 1.35)).all()
+
+
+def test_one_wrong_point_of_many_does_not_matter():
+    rng = np.random.default_rng(2)
+    points = visible(THESIS, CEILING, rng, 12, False)
+    pixels = seen(THESIS, CEILING, points)
+    pixels[4] += 150
+    found = place.locate(THESIS, pixels, points)
+    assert np.abs(found.T_room_camera[:3, 3] - CEILING[:3, 3]).max() < 0.02
+
+
+def test_a_board_on_the_floor():
+    board = Board(7, 10, 0.095)
+    points = place.board_on_floor(board.points, [2.0, 2.5, 0.0], np.deg2rad(30))
+    assert np.allclose(points[:, 2], 0)
+    along = points[1] - points[0]
+    assert np.allclose(along, 0.095 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0]))
+    down = points[board.inner[0]] - points[0]
+    # Seen from above (x right, y up) the board reads as it was printed: down is to the right of along.
+    assert np.cross(along, down)[2] < 0
+    found = place.locate(THESIS, seen(THESIS, CEILING, points), points)
+    assert np.abs(found.T_room_camera - CEILING).max() < 1e-6
+
+
+def test_too_little_is_refused():
+    with pytest.raises(ValueError, match="give 4"):
+        place.locate(THESIS, np.zeros((3, 2)) + 500, np.eye(3))
+    line = np.array([[1.0, 1, 0], [2, 2, 0], [3, 3, 0], [1.5, 1.5, 0]])
+    with pytest.raises(ValueError, match="on a line"):
+        place.locate(THESIS, seen(THESIS, CEILING, line), line)
+    with pytest.raises(ValueError, match="sees nothing"):
+        place.locate(THESIS, np.array([[5000.0, 500]] * 4), np.eye(4)[:, :3])
