@@ -41,9 +41,10 @@ class Fusion:
         now = round(time - self.origin, 6)
         looks = {}
         for at, name, found in records:
-            looks.setdefault((round(at - self.origin, 6), name), []).append(found)
-        for (at, name), parts in looks.items():
-            self._scan(at, name, parts)
+            looks.setdefault((round(at - self.origin, 6), self._column(name)), []).append(found)
+        sensors = self.tracker.sensors  # at one time the exact sensor first: where it sees nobody, a vague one doubts
+        for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
+            self._scan(at, sensors[column], parts)
         if self.delayed:
             return [self._numbered(*due) for due in self.delayed.push(now)]
         return [self._numbered(now, self.tracker.tracks(now))]
@@ -52,10 +53,12 @@ class Fusion:
         """The steps that are left at the end, as `step` returns them."""
         return [self._numbered(*due) for due in self.delayed.finish()] if self.delayed else []
 
-    def _scan(self, at, name, parts):
+    def _column(self, name):
         if name not in self.tracker.column:
             self.tracker.add(sensor(name, **self.known.get(name, {})))
-        model = self.tracker.sensors[self.tracker.column[name]]
+        return self.tracker.column[name]
+
+    def _scan(self, at, model, parts):
         positions = np.concatenate([part.positions[:, :2] for part in parts])
         covariances = np.concatenate([part.covariances[:, :2, :2] for part in parts])
         scores = np.concatenate([part.scores for part in parts])
@@ -65,7 +68,7 @@ class Fusion:
             self.outside += int((~inside).sum())
             positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
         noise = noise_of(covariances, model.sigma, model.floor, self.settings.area)
-        self.tracker.scan(at, name, positions, noise, scores)
+        self.tracker.scan(at, model.name, positions, noise, scores)
 
     def _numbered(self, time, tracks):
         for track in tracks:

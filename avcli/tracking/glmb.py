@@ -492,8 +492,8 @@ class Rates:
 
 
 def logit(score):
-    """Log odds of probabilities, held within 0.1 % and 99.9 %."""
-    score = np.clip(score, 0.001, 0.999)
+    """Log odds of probabilities, held within 0.01 % and 99.99 %."""
+    score = np.clip(score, 1e-4, 1 - 1e-4)
     return np.log(score / (1 - score))
 
 

@@ -26,7 +26,7 @@ class Sensor:
     clutter: float = 0.05
     sigma: tuple = (0.15, 0.15)
     floor: float = 0.05
-    hide: float = 0.2
+    hide: float = 0.1
     show: float = 0.6
     lead: float = 0.0
 
