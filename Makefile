@@ -79,13 +79,14 @@ $(OUT)/%/tracking/audio_video_tracking.jsonl: $(OUT)/%/localization/audio_locali
 
 $(OUT)/%/metrics.jsonl: $(OUT)/%/tracking/audio_tracking.jsonl $(OUT)/%/tracking/video_tracking.jsonl \
                         $(OUT)/%/tracking/audio_video_tracking.jsonl
-	$(BIN)/aveval --experiments $(@D) --html $(@D)/report.html --format jsonl $(EVAL_FLAGS) -o $@
+	$(BIN)/aveval --experiments $(@D) --compare-thesis --html $(@D)/report.html --format jsonl $(EVAL_FLAGS) -o $@
 
 $(SCENARIOS): %: $(OUT)/%/metrics.jsonl
 	@$(BIN)/aveval --experiments $(OUT)/$@ --format table --compare-thesis $(EVAL_FLAGS)
 
 all: $(SCENARIOS)
-	@$(BIN)/aveval --experiments $(SCENARIOS:%=$(OUT)/%) --format table --compare-thesis $(EVAL_FLAGS)
+	@$(BIN)/aveval --experiments $(SCENARIOS:%=$(OUT)/%) --format table --compare-thesis --html $(OUT)/report.html \
+	  $(EVAL_FLAGS)
 
 $(SCENARIOS:%=%-audio): %: $(OUT)/%/tracking/audio_tracking.jsonl
 	@$(BIN)/aveval $(OUT)/$@/groundtruth_sources.jsonl $< --format table $(EVAL_FLAGS)
