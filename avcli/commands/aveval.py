@@ -125,6 +125,9 @@ def main(session, paths, experiments, kind, compare_thesis, fail_under, detectio
     gates = [_gate(session, text, table.PERCENT) for text in fail_under]
     if plot and Path(plot).suffix.lower() not in (".png", ".svg", ".pdf"):
         session.usage(f"--plot {plot}: expected a name that ends in .png, .svg or .pdf")
+    for path in filter(None, (plot, html)):
+        if not Path(path).parent.is_dir():
+            session.usage(f"{path}: its directory does not exist")
     inputs = _experiments(session, paths, detections) if experiments else _files(session, paths, detections)
     if kind is None:
         kind = "table" if session.output_path == "-" and sys.stdout.isatty() else "jsonl"
@@ -254,6 +257,7 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
     speaking = truth.speaking_of(first.truth, first.time)
     for path in (*entry.detections, *(entry.unscored if pictures else ())):
         for name, found in _detected(session, entry, path, truth, speaking, settings).items():
+            name = f"{name} of {Path(path).name}" if name in sensors else name
             sensors[name] = found
             if path in entry.detections:
                 emit({"sequence": entry.name, "sensor": name, "Detections": found.record})

@@ -3,6 +3,7 @@
 import base64
 import html
 import json
+import re
 from collections.abc import Sequence as List
 from importlib.resources import files
 
@@ -46,14 +47,13 @@ def report(runs: List[Run], records: List[dict], compare: bool = False) -> str:
     data = {"runs": [_run(run) for run in runs], "alpha": np.round(ALPHA, 2).tolist(), "colors": IDENTITY_COLORS}
     # No name in the data may end the script element that holds it, or begin another.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    for mark, content in (
-        ("{{title}}", html.escape(title)),
-        ("{{tables}}", table.render(records, "html", compare)),
-        ("{{version}}", __version__),
-        ("{{data}}", text),
-    ):
-        page = page.replace(mark, content)
-    return page
+    content = {
+        "title": html.escape(title),
+        "tables": table.render(records, "html", compare),
+        "version": __version__,
+        "data": text,
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: content[mark[1]], page)
 
 
 def _run(run: Run) -> dict:
@@ -125,7 +125,10 @@ def _detections(sensor: Detected, time: np.ndarray) -> list[list]:
     points = sensor.sequence.track
     if not time.size:
         return frames
-    nearest = np.abs(sensor.sequence.time[:, None] - time[None, :]).argmin(axis=1)[points.frame]
+    own = sensor.sequence.time
+    after = np.minimum(np.searchsorted(time, own), time.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(own - time[before]) < np.abs(own - time[after]), before, after)[points.frame]
     matched = np.zeros(points.identity.size, dtype=int)
     matched[sensor.matches[1]] = 1
     boxes = [None if np.isnan(box).any() else np.round(box, 1).tolist() for box in sensor.box]

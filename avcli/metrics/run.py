@@ -70,11 +70,6 @@ class Run:
     frame_size: tuple[int, int] | None = None
 
     @property
-    def truth(self):
-        """The ground truth's points (their `frame` counts on one tracker's timeline)."""
-        return next(iter(self.trackers.values())).sequence.truth
-
-    @property
     def truth_time(self) -> np.ndarray:
         """(g,) time of each true point, s."""
         first = next(iter(self.trackers.values())).sequence
