@@ -11,6 +11,7 @@ from detection_people import KB8, cast, ceiling_view
 from test_detection_network import model, rows
 
 from avcli import experiment, media
+from avcli.detection.network import Letterbox
 
 PEOPLE = [(1.2, 2.3, 0.0, 0.3, 1.75), (3.4, 2.6, 2.0, -0.3, 1.65)]
 STEP = 1e-4
@@ -109,9 +110,14 @@ def test_nothing_in_nothing_out(made):
 
 @pytest.fixture
 def network(tmp_path):
-    """A model file that sees one person in the middle of any picture."""
+    """A model file that sees the first of PEOPLE in any picture."""
+    view = ceiling_view(4)
+    v, u = np.nonzero(cast(view, PEOPLE[:1]) < cast(view) - 0.03)
+    box = Letterbox.fit((480, 270), (96, 64)).to_input(np.array([[u.min(), v.min()], [u.max() + 1, v.max() + 1]]))
+    table = rows(84)
+    table[5, :4] = [*box.mean(axis=0), *(box[1] - box[0])]
     path = tmp_path / "model.onnx"
-    path.write_bytes(model(rows(84).T[None]))
+    path.write_bytes(model(table.T[None]))
     return path
 
 

@@ -223,7 +223,7 @@ def test_two_boxes_that_overlap_give_two_points(view, detector, background):
 
 
 def test_a_box_on_the_empty_room_is_nobody_where_depth_shows_it(view, detector, background):
-    found = Boxes(np.array([[200.0, 100.0, 240.0, 150.0]]), np.array([0.9]))
+    found = Boxes(box_of(cast(view, [(1.2, 2.0, 0.0, 0.2, 1.75)]), background)[None], np.array([0.9]))
     assert detector.place(found, background) == []
     assert len(detector.place(found, None)) == 1
     assert len(detector.place(found, np.zeros_like(background))) == 1
@@ -251,6 +251,11 @@ def test_parts_sharpen_the_place(view, background):
     assert np.linalg.norm(centre - person[:2]) < 0.05
     assert height == pytest.approx(1.75, abs=0.06)
     assert np.trace(covariance) < np.trace(locate_box(box, view)[1])
+
+
+def test_a_box_that_no_body_fills_gives_no_place(view):
+    assert locate_box(np.array([200.0, 100.0, 215.0, 115.0]), view) is None
+    assert locate_box(np.array([10.0, 10.0, 470.0, 260.0]), view) is None
 
 
 def test_rays_above_the_horizon_give_no_place():

@@ -16,6 +16,9 @@ VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".og
 AHEAD = 3
 """Frames that are decoded ahead of use where that cannot hold up a live pipeline."""
 
+WALL_M = 0.3
+"""m; who is found farther than this behind a wall is a reflection, or a box that was misread."""
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -113,6 +116,7 @@ def main(session, files, detector, model, rate, overlay, position, **options):
             people = watcher.people(shot, rgb, depth)
             if people is None:
                 continue
+            people = [person for person in people if watcher.in_room(person)]
             write({"timestamp": shot.timestamp, "sensor": "video", "objects": [_object(person) for person in people]})
             if drawing:
                 drawing.add(shot.timestamp, rgb.result() if rgb else None, people, watcher.view)
@@ -132,6 +136,8 @@ class _Watcher:
         self.network = self._network(model, options) if network else None
         background = None if options["monocular"] else self._background(needed=not network)
         self.detector = DepthDetector(self.view, background)
+        known = "room_dimensions_m" in session.config.raw.get("room_config", {})
+        self.room = session.config.room.dimensions if known else None
 
     def people(self, shot: Shot, rgb, depth) -> list | None:
         """The people of a shot, None where its pictures cannot be read and --skip-invalid passes over them."""
@@ -158,6 +164,11 @@ class _Watcher:
                 raise
             self.session.warn(f"skipped: {error}", kind="a frame that cannot be read was skipped")
             return None
+
+    def in_room(self, person) -> bool:
+        """Whether a person stands within the walls, if config.json says where they are."""
+        x, y = person.position[:2]
+        return self.room is None or (-WALL_M < x < self.room[0] + WALL_M and -WALL_M < y < self.room[1] + WALL_M)
 
     def _placed(self, found, metres):
         from avcli.detection.depth import place_centre

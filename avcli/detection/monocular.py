@@ -70,7 +70,7 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
     if predicted is None:
         return None
     extent = np.sqrt(max((predicted[2:4] - predicted[:2]).prod(), 1.0))
-    spread = np.full(len(measured), 0.08 * extent + 1.0)
+    spread = np.full(len(measured), 0.10 * extent + 1.0)
     spread[4:] *= 0.75
     mean, prior = np.array([0.0, 0.0, HEIGHT_M]), np.diag([0.0, 0.0, HEIGHT_SPREAD_M**-2])
     for _ in range(8):
@@ -79,7 +79,9 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
         if predicted is None or any(item is None for item in moved):
             return None
         jacobian = (np.array(moved) - predicted).T / 0.01
-        error = measured - predicted
+        told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=1)
+        jacobian[~told] = 0.0
+        error = np.where(told, measured - predicted, 0.0)
         weights = 1.0 / np.maximum(np.abs(error / spread) / 2.0, 1.0) / spread**2  # Huber: an arm moves one side only
         information = jacobian.T @ (weights[:, None] * jacobian) + prior + np.eye(3)
         step = np.linalg.solve(information, jacobian.T @ (weights * error) + prior @ (mean - state))
@@ -88,10 +90,16 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
         if np.abs(step).max() < 1e-3:
             break
     cost = float(weights @ error**2)
-    if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6 or cost > 60.0:
+    if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6 or not _agree(predicted[:4], measured[:4]):
         return None
     covariance = np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)
     return state, (covariance + covariance.T) / 2, cost
+
+
+def _agree(box: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two boxes (4,) overlap well enough that one body explains both: what is half hidden is not explained."""
+    shared = np.maximum(np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2]), 0).prod()
+    return bool(shared > 0.5 * ((box[2:] - box[:2]).prod() + (other[2:] - other[:2]).prod() - shared))
 
 
 def _on_plane(pixel: np.ndarray, view: View, z: float) -> np.ndarray | None:
@@ -119,5 +127,4 @@ def _predict(state: np.ndarray, view: View, parts: bool, *, whole: bool = False)
         box = np.clip(box, 0.0, [*view.size, *view.size])
     if not parts:
         return box
-    points = pixels[len(_OUTLINE) :]
-    return None if not np.isfinite(points).all() else np.concatenate([box, points.ravel()])
+    return np.concatenate([box, pixels[len(_OUTLINE) :].ravel()])  # NaN where the lens does not see a part
