@@ -3,9 +3,13 @@
 import csv
 import io
 import json
+import os
+import subprocess
+import sys
+import time
 
 import pytest
-from conftest import run
+from conftest import BIN, run
 
 
 def record(t, objects):
@@ -18,9 +22,9 @@ def walk(identity=0, y=2.33, offset=0.0, frames=41, height=0.0):
 
 def lines(*walks):
     rows = {}
-    for time, identity, position in (row for each in walks for row in each):
-        rows.setdefault(time, []).append({"object_id": identity, "position": position})
-    return "".join(record(time, objects) for time, objects in sorted(rows.items()))
+    for at, identity, position in (row for each in walks for row in each):
+        rows.setdefault(at, []).append({"object_id": identity, "position": position})
+    return "".join(record(at, objects) for at, objects in sorted(rows.items()))
 
 
 @pytest.fixture
@@ -130,6 +134,33 @@ def test_listing_5_of_the_thesis_as_printed(tmp_path):
     found = records_of(run("aveval", tmp_path / "truth.jsonl", "-", stdin=text))
     assert found[0]["summary"]["HOTA"] == 1.0
     assert found[0]["Count"]["GT_IDs"] == 3
+
+
+def test_the_ground_truth_is_read_when_the_tracks_have_ended(tmp_path):
+    """A whole pipeline starts at once, and its head writes the ground truth while its end waits for tracks."""
+    command = [BIN / "aveval", "truth.jsonl", "-"]
+    aveval = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=tmp_path)
+    first, rest = lines(walk()).split("\n", 1)
+    aveval.stdin.write(first.encode() + b"\n")
+    aveval.stdin.flush()
+    time.sleep(0.3)
+    (tmp_path / "truth.jsonl").write_text(lines(walk()))
+    out, _ = aveval.communicate(rest.encode())
+    assert json.loads(out.splitlines()[0])["summary"]["HOTA"] == 1
+    missing = run("aveval", "nowhere.jsonl", "-", stdin=lines(walk()), cwd=tmp_path)
+    assert (missing.returncode, missing.stderr.count("\n")) == (2, 1)
+
+
+def test_a_short_sequence_needs_no_scipy(experiment):
+    program = (
+        "import sys\nfrom avcli.commands.aveval import main\n"
+        "try: main()\nexcept SystemExit as end: assert not end.code\n"
+        "heavy = {'scipy', 'matplotlib', 'cv2'} & set(sys.modules)\nassert not heavy, heavy"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program, "--experiments", experiment, "-o", os.devnull], capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
 
 
 # --- gates ------------------------------------------------------------------------------------------------------------

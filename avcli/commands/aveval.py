@@ -173,7 +173,7 @@ def _files(session, paths: tuple[str, ...], detections: tuple[str, ...]) -> list
     if len(paths) < 2:
         session.usage("GROUNDTRUTH and at least one TRACKS are needed (- is standard input)")
     truth, *tracks = paths
-    for path in (*paths, *detections):
+    for path in (*(tracks if "-" in tracks else paths), *detections):
         _must_exist(session, path)
     names = ["stdin" if path == "-" else Path(path).stem.removesuffix("_tracking") for path in tracks]
     if len(set(names)) < len(names):
@@ -240,6 +240,8 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
     from avcli.metrics.score import score
 
     with session.timing("read"):
+        # A pipeline that ends here may still be writing the ground truth: it is whole when the tracks have ended.
+        piped = {path: _identified(session, path, settings["rate"]) for _, path in entry.tracks if path == "-"}
         truth = _identified(session, entry.truth, settings["rate"])
     if not any(len(identities) for _, identities, _ in truth.recording):
         session.warn(f"{entry.name}: the ground truth has no objects, so all that was tracked is false")
@@ -247,7 +249,7 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
     trackers, sensors = {}, {}
     for name, path in entry.tracks:
         with session.timing("read"):
-            tracks = _identified(session, path, settings["rate"])
+            tracks = piped.get(path) or _identified(session, path, settings["rate"])
         sequence = _aligned(session, f"{entry.name} {name}", truth.recording, tracks.recording, settings)
         with session.timing("score"):
             record = {"sequence": entry.name, "tracker": name, **score(sequence, **distances)}
