@@ -1,5 +1,6 @@
 """Positions of people: from depth against bodies cast ray by ray, from boxes alone, and where nothing can be known."""
 
+import cv2
 import numpy as np
 import pytest
 from detection_people import KB8, cast, ceiling_view
@@ -7,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli.detection.depth import DepthDetector, place_centre, separate
+from avcli.detection.gate import Gate
 from avcli.detection.monocular import locate_box
 from avcli.detection.network import Boxes
 from avcli.detection.overlay import draw
@@ -297,6 +299,30 @@ def test_a_drawing_changes_a_copy(view, detector):
     drawn = draw(picture, people, view)
     assert not picture.any()
     assert drawn.any()
+
+
+@pytest.mark.parametrize("noise", [0, 6])
+def test_the_gate_sees_five_millimetres_and_no_noise(noise):
+    rng = np.random.default_rng(noise)
+    room = cv2.resize(rng.integers(60, 200, (27, 48, 3), dtype=np.uint8), (1920, 1080), interpolation=cv2.INTER_CUBIC)
+
+    def frame(x):
+        picture = cv2.ellipse(room.copy(), (x, 500), (130, 90), 0, 0, 360, (40, 60, 150), -1).astype(float)
+        return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
+
+    gate = Gate(refresh=100)
+    assert gate.changed(frame(900))
+    assert not any(gate.changed(frame(900)) for _ in range(5))
+    assert gate.changed(frame(904))  # 5 mm at 2.5 m is about two pixels; noise of 6 levels hides one or two of them
+    assert not gate.changed(frame(904))
+
+
+def test_the_gate_looks_again_now_and_then():
+    gate = Gate(refresh=4)
+    still = np.zeros((64, 64, 3), np.uint8)
+    assert [gate.changed(still) for _ in range(9)] == [True, False, False, False, True, False, False, False, True]
+    assert [Gate(refresh=1).changed(still) for _ in range(3)] == [True] * 3
+    assert gate.changed(np.zeros((32, 64, 3), np.uint8))
 
 
 def test_the_division_lens_places_too():

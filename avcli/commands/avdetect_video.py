@@ -89,6 +89,15 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
     show_default=True,
     help="Threads of the network; more than one pays only on an idle machine.",
 )
+@click.option(
+    "--refresh",
+    type=click.IntRange(1),
+    default=10,
+    show_default=True,
+    metavar="N",
+    help="Of pictures in which nothing changes the network looks at every N-th and says of the others the same again; "
+    "1: it looks at each.",
+)
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw what was found into a video, or into PNG files in DIR.")
 @filter.common(skip_invalid=True, presets={"thesis": {"position": "centre"}})
 def main(session, files, detector, model, rate, overlay, position, **options):
@@ -127,6 +136,7 @@ class _Watcher:
 
     def __init__(self, session, network: bool, model: str | None, position: str, options: dict):
         from avcli.detection.depth import DepthDetector
+        from avcli.detection.gate import Gate
         from avcli.detection.view import View
 
         self.session, self.position, self.monocular = session, position, options["monocular"]
@@ -134,6 +144,7 @@ class _Watcher:
         self.size = self.camera.width_px, self.camera.height_px
         self.view = View(self.camera.lens, self.camera.T_room_camera, self.size, self.camera.theta_max)
         self.network = self._network(model, options) if network else None
+        self.gate, self.last = Gate(options["refresh"]), []
         background = None if options["monocular"] else self._background(needed=not network)
         self.detector = DepthDetector(self.view, background)
         known = "room_dimensions_m" in session.config.raw.get("room_config", {})
@@ -152,18 +163,23 @@ class _Watcher:
                 raise MediaError(f"t = {shot.timestamp:.4f} s: the record names no colour picture")
             picture = rgb.result()
             self._check_size(picture, shot, "colour")
-            with self.session.timing("network"):
-                found = self.network.detect(picture)
-            if not len(found):
-                return []
-            with self.session.timing("positions"):
-                metres = self._metres(shot.depth(), shot) if shot.depth and not self.monocular else None
-                return self._placed(found, metres)
+            if self.gate.changed(picture):
+                self.last = self._look(picture, shot)
+            return self.last
         except MediaError as error:
             if not self.session.skip_invalid:
                 raise
             self.session.warn(f"skipped: {error}", kind="a frame that cannot be read was skipped")
             return None
+
+    def _look(self, picture, shot: Shot) -> list:
+        with self.session.timing("network"):
+            found = self.network.detect(picture)
+        if not len(found):
+            return []
+        with self.session.timing("depth and positions"):
+            metres = self._metres(shot.depth(), shot) if shot.depth and not self.monocular else None
+            return self._placed(found, metres)
 
     def in_room(self, person) -> bool:
         """Whether a person stands within the walls, if config.json says where they are."""
