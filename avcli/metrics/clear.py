@@ -43,7 +43,8 @@ def match(sequence: Sequence, d0: float = 2.0) -> Matches:
     EURASIP JIVP, 2008; TrackEval 1.3.0, trackeval/metrics/clear.py.
     """
     truth, track = sequence.truth, sequence.track
-    solve = solver(float((truth.count * track.count * np.minimum(truth.count, track.count)).sum()))
+    shapes = list(zip(truth.count.tolist(), track.count.tolist(), strict=True))
+    work = 0
     before: dict[int, int] = {}
     found = [(np.zeros(0, int), np.zeros(0, int), np.zeros(0))]
     for frame, row, column, similarity in _candidates(sequence, d0):
@@ -51,11 +52,12 @@ def match(sequence: Sequence, d0: float = 2.0) -> Matches:
         identities = truth.identity[true].tolist(), track.identity[tracked].tolist()
         kept, settled = _settle(*identities, before)
         if not settled:
-            score = np.zeros((truth.count[frame], track.count[frame]))
+            score = np.zeros(shapes[frame])
+            work += score.size * min(score.shape)
             score[row, column] = similarity
             score[row[kept], column[kept]] += 1000
             chosen = np.zeros(score.shape, dtype=bool)
-            chosen[solve(-score)] = True
+            chosen[solver(work)(-score)] = True
             kept = np.flatnonzero(chosen[row, column]).tolist()
         before = {identities[0][i]: identities[1][i] for i in kept}
         found.append((true[kept], tracked[kept], similarity[kept]))
