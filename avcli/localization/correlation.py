@@ -69,7 +69,7 @@ def whiten(spectra: np.ndarray, beta: float) -> np.ndarray:
         (channels, bins) complex64.
     """
     magnitude = np.abs(spectra)
-    floor = np.maximum(magnitude.max(axis=1, keepdims=True, initial=0.0) * 1e-7, np.finfo(np.float32).tiny)
+    floor = np.maximum(magnitude.max(axis=1, keepdims=True, initial=0.0) * 1e-7, 1e-30)
     return (spectra / np.maximum(magnitude, floor) ** beta).astype(np.complex64)
 
 
@@ -103,7 +103,8 @@ def gcc(
     if weight is not None:
         cross *= weight
         magnitude *= weight
-    total = np.maximum(magnitude.sum(axis=1), np.finfo(np.float32).tiny)
+    total = magnitude.sum(axis=1)
+    total[total == 0.0] = 1.0
     size = round(window_size * oversampling)
     spectrum = np.zeros((len(first), size // 2 + 1), np.complex64)
     spectrum[:, bins] = cross * (0.5 * size / total)[:, None]

@@ -48,7 +48,8 @@ class SteeredResponse:
         return (ranges[:, self.first] - ranges[:, self.second]) * self.steps_per_metre
 
     def _ranges(self, points: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.maximum(((points[:, None, :] - self.microphones) ** 2).sum(axis=2), 0.0))
+        squares = (points**2).sum(axis=1)[:, None] + (self.microphones**2).sum(axis=1)
+        return np.sqrt(np.maximum(squares - 2.0 * points @ self.microphones.T, 0.0))
 
     def _spans(self, centres: np.ndarray, half: np.ndarray):
         """Return where each cell's lags lie: flat index into the ladder's rung, rung, and the last run's flat index."""
@@ -90,6 +91,11 @@ class SteeredResponse:
         row = np.arange(gcc.shape[0])
         return (gcc[row, index] * (1.0 - fraction) + gcc[row, index + 1] * fraction).mean(axis=1)
 
+    def at(self, gcc: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Return each pair's GCC at the lag of a place (3,) m, (pairs,)."""
+        lag = np.clip(self.lags(position[None])[0] + self.half_lags, 0.0, 2.0 * self.half_lags)
+        return _cubic(gcc, lag[:, None])[:, 0]
+
     def search(self, gcc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,)."""
         ladder = self._ladder(gcc)
@@ -118,42 +124,64 @@ class SteeredResponse:
         Returns:
             position (3,) m, velocity (3,) m/s, mean response of the windows.
         """
-        reach = 3  # lag steps: the wide grid's points are further apart than a peak is wide
-        pooled = [_dilate(gcc, reach) for gcc in gccs]
-        moving = len(gccs) > 1
-        speeds = max_speed * np.linspace(-1.0, 1.0, 5) if moving else np.zeros(1)
-        position, velocity = start, np.zeros(3)
-        stages = [(pooled, _level_grid(0.05, 3), _level_velocities(speeds))] if moving else []
-        for step, speed in ((0.03, 0.25), (0.02, 0.25), (0.01, 0.125)):
-            speeds = max_speed * speed * np.array([-1.0, 0.0, 1.0]) if moving else np.zeros(1)
-            stages.append((gccs, _CUBE * step, _level_velocities(speeds)))
-        response = -np.inf
-        for correlations, places, changes in stages:
-            points = np.tile(position + places, (len(changes), 1))
-            velocities = np.repeat(velocity + changes, len(places), axis=0)
+        position, velocity = np.asarray(start, dtype=np.float64), np.zeros(3)
+        still = changes = np.zeros((1, 3))
+        if len(gccs) > 1 and max_speed > 0.0:
+            position, velocity = self._rough(gccs, offsets, position, max_speed)
+            speeds = max_speed * np.array([0.0, -0.25, 0.25])
+            changes = np.array([[x, y, 0.0] for y in speeds for x in speeds])
+
+        def best(places, velocities):
+            points = np.clip(np.tile(places, (len(velocities), 1)), self.low, self.high)
+            velocities = np.repeat(velocities, len(places), axis=0)
             total = np.zeros(len(points))
-            for gcc, offset in zip(correlations, offsets, strict=True):
+            for gcc, offset in zip(gccs, offsets, strict=True):
                 total += self.response(gcc, np.clip(points + velocities * offset, self.low, self.high))
-            total /= len(gccs)
-            # Of equal places the slower talker nearer the start: rest is what a still talker's noise must not hide.
-            penalty = 1e-4 * np.sqrt((velocities**2).sum(axis=1))
-            best = int(np.argmax(total - penalty))
-            position = np.clip(points[best], self.low, self.high)
-            velocity, response = velocities[best], float(total[best])
-        return position, velocity, response
+            index = int(np.argmax(total))
+            return points[index], velocities[index], float(total[index]) / len(gccs)
+
+        position, velocity, _ = best(position + 0.03 * _CUBE, velocity + changes)
+        position, velocity, _ = best(position + 0.015 * _CUBE, velocity[None])
+        # Most talkers stand or sit: rest is tried besides the neighbouring velocities, and by name.
+        position, velocity, _ = best(position[None], np.concatenate([still, velocity + 0.5 * changes]))
+        return best(position + 0.0075 * _CUBE, velocity[None])
+
+    def _rough(self, gccs, offsets, start: np.ndarray, max_speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """Find place and velocity on a lattice, so that each window's response is taken once for all velocities."""
+        step, reach, speeds = 0.04, 3, max_speed * np.linspace(-1.0, 1.0, 5)
+        furthest = int(np.ceil(max_speed * np.abs(offsets).max() / step))
+        axis = step * np.arange(-reach - furthest, reach + furthest + 1)
+        points = start + np.array([[x, y, 0.0] for y in axis for x in axis])
+        points = np.clip(points, self.low, self.high)
+        size = 2 * self.half_lags + 1
+        lag = np.clip(np.rint(self.lags(points)).astype(np.int64) + self.half_lags, 0, size - 1)
+        lag += size * np.arange(len(self.first))
+        # The lattice is wider than a peak: each lag stands for its neighbours within 3 steps too.
+        maps = [_dilate(gcc, 3).ravel()[lag].mean(axis=1).reshape(len(axis), len(axis)) for gcc in gccs]
+        best, found = -np.inf, (start, np.zeros(3))
+        for vy in speeds:
+            for vx in speeds:
+                total = 0.0
+                for values, offset in zip(maps, offsets, strict=True):
+                    row, column = (furthest + round(v * offset / step) for v in (vy, vx))
+                    total = total + values[row : row + 2 * reach + 1, column : column + 2 * reach + 1]
+                # Of nearly equal velocities the slower: noise must not make a still talker walk.
+                total = total / len(gccs) - 1e-4 * np.hypot(vx, vy)
+                place = int(np.argmax(total))
+                if total.flat[place] > best:
+                    best = total.flat[place]
+                    y, x = divmod(place, 2 * reach + 1)
+                    moved = start + step * np.array([x - reach, y - reach, 0.0])
+                    found = (np.clip(moved, self.low, self.high), np.array([vx, vy, 0.0]))
+        return found
 
     def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""
         total = 0.0
-        row = np.arange(len(self.first))[:, None]
+        around = np.arange(-reach, reach + 1)
         for gcc, offset in zip(gccs, offsets, strict=True):
             lag = self.lags((position + velocity * offset)[None])[0] + self.half_lags
-            lag = np.clip(lag, reach, 2 * self.half_lags - reach - 1)
-            whole = lag.astype(np.int64)
-            part = (lag - whole)[:, None]
-            index = whole[:, None] + np.arange(-reach, reach + 2)
-            values = gcc[row, index]
-            total = total + values[:, :-1] * (1.0 - part) + values[:, 1:] * part
+            total = total + _cubic(gcc, np.clip(lag, reach, 2 * self.half_lags - reach)[:, None] + around)
         return total / len(gccs)
 
     def differences(self, aligned: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,12 +197,9 @@ class SteeredResponse:
         """Return the response at `moved` (3,) m, given `aligned` for `position`; 0 where it is out of reach."""
         reach = aligned.shape[1] // 2
         lag = (self.lags(moved[None]) - self.lags(position[None]))[0] + reach
-        if lag.min() < 0.0 or lag.max() > 2 * reach - 1e-6:
+        if lag.min() < 0.0 or lag.max() > 2 * reach:
             return 0.0
-        whole = lag.astype(np.int64)
-        part = lag - whole
-        row = np.arange(len(aligned))
-        return float((aligned[row, whole] * (1.0 - part) + aligned[row, whole + 1] * part).mean())
+        return float(_cubic(aligned, lag[:, None]).mean())
 
     def notch(self, gcc: np.ndarray, position: np.ndarray, width: float) -> np.ndarray:
         """Return the GCC without what a place (3,) m adds: 0 up to `width` m from its lag, whole from twice that."""
@@ -186,13 +211,16 @@ class SteeredResponse:
 _CUBE = np.array([[x, y, z] for z in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)], dtype=np.float64)
 
 
-def _level_grid(step: float, count: int) -> np.ndarray:
-    axis = step * np.arange(-count, count + 1)
-    return np.array([[x, y, 0.0] for y in axis for x in axis])
-
-
-def _level_velocities(speeds: np.ndarray) -> np.ndarray:
-    return np.array([[x, y, 0.0] for y in speeds for x in speeds])
+def _cubic(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Interpolate each row (n, lags) at fractional indices (n, k) by the cubic of Catmull & Rom (1974)."""
+    whole = np.clip(at.astype(np.int64), 1, rows.shape[1] - 3)
+    t = at - whole
+    row = np.arange(len(rows))[:, None]
+    before, here, there, after = (rows[row, whole + i] for i in (-1, 0, 1, 2))
+    slope, next_slope = 0.5 * (there - before), 0.5 * (after - here)
+    return here + t * (
+        slope + t * (3.0 * (there - here) - 2.0 * slope - next_slope + t * (2.0 * (here - there) + slope + next_slope))
+    )
 
 
 def _dilate(gcc: np.ndarray, reach: int) -> np.ndarray:

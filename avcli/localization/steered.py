@@ -31,6 +31,7 @@ class Settings:
         cell, resolution: m, largest edge of a coarse and of a finest cell.
         keep: cells that go on to the next level of the search.
         max_speakers: most talkers in one decision.
+        separation: m, the least distance in x and y between two talkers.
         max_speed: m/s, the fastest that a talker walks along x or y.
         occupancy: least share of the band's bins within 40 dB of the strongest; a tone has less.
         false_alarm: probability that a decision on noise alone reports something.
@@ -48,6 +49,7 @@ class Settings:
     resolution: float = 0.02
     keep: int = 24
     max_speakers: int = 2
+    separation: float = 0.5
     max_speed: float = 1.6
     occupancy: float = 0.03
     false_alarm: float = 0.01
@@ -63,6 +65,31 @@ class _Window:
     energy: float = 0.0
     occupancy: float = 0.0
     notices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """The Gumbel law of the largest response to noise, and the standard deviation of a GCC of noise."""
+
+    location: float
+    scale: float
+    deviation: float
+
+    def threshold(self, false_alarm: float) -> float:
+        """Return the response that noise exceeds with this probability."""
+        return float(self.location - self.scale * np.log(-np.log1p(-false_alarm)))
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """A place (3,) m that is answered, its response, the share of pairs that agree (0 to 1), its speed (m/s), and the
+    normal matrix (3, 3) of its range differences."""
+
+    position: np.ndarray
+    response: float
+    support: float
+    speed: float
+    normal: np.ndarray
 
 
 class SteeredLocalizer:
@@ -113,7 +140,8 @@ class SteeredLocalizer:
         self.outvoted = np.zeros(len(array.microphones), bool)
         self.votes = np.zeros(len(array.microphones))
         self.ballots = 0
-        self.null: dict[int, tuple[float, float]] = {}
+        self.before: list[tuple[np.ndarray, float]] = []
+        self.null: _Noise | None = None
 
     @property
     def latency(self) -> float:
@@ -122,7 +150,7 @@ class SteeredLocalizer:
 
     # --- windows ------------------------------------------------------------------------------------------------------
 
-    def correlate(self, samples: np.ndarray) -> _Window:
+    def correlate(self, samples: np.ndarray, taper: np.ndarray) -> _Window:
         """Correlate one window of samples (size, m): what sounds in it, and which channels cannot be believed."""
         finite = np.isfinite(samples)
         notices = []
@@ -136,7 +164,7 @@ class SteeredLocalizer:
         scale = peak.max()
         if scale == 0.0:
             return _Window(None, notices=tuple(notices))
-        tapered = (samples * (correlation.hann(self.size)[:, None] / scale)).astype(np.float32)
+        tapered = (samples * (taper[:, None] / scale)).astype(np.float32)
         spectra = np.fft.rfft(tapered, axis=0).T[:, self.bins]
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
@@ -171,25 +199,25 @@ class SteeredLocalizer:
 
     # --- one decision -------------------------------------------------------------------------------------------------
 
-    def threshold(self, count: int) -> float:
-        """Return the response that `count` windows of noise alone exceed with the probability `false_alarm`."""
-        location, scale = self.noise(count)
-        return location - scale * np.log(-np.log1p(-self.settings.false_alarm))
+    def noise(self, count: int) -> _Noise:
+        """Return what `count` windows of white noise, independent in each channel, do to the response.
 
-    def noise(self, count: int) -> tuple[float, float]:
-        """Return location and scale of the Gumbel law that the largest response to `count` windows of noise follows.
-
-        The noise is white and independent in each channel; the law is fitted by its moments to 32 draws.
+        The law is fitted by its moments to 32 draws of all windows; of fewer it falls as the square root of their
+        number.
         """
-        if count not in self.null:
-            hop, draws = round(self.hop * self.array.sample_rate), 32
-            channels = len(self.array.microphones)
-            noise = self.rng.standard_normal((self.size + hop * (draws + count - 2), channels))
-            gccs = [self.correlate(noise[i * hop : i * hop + self.size]).gcc for i in range(draws + count - 1)]
-            peaks = [self.response.search(sum(gccs[i : i + count]) / count)[1][0] for i in range(draws)]
-            scale = np.std(peaks) * np.sqrt(6.0) / np.pi
-            self.null[count] = (float(np.mean(peaks) - np.euler_gamma * scale), float(scale))
-        return self.null[count]
+        if self.null is None:
+            hop, draws, all_windows = round(self.hop * self.array.sample_rate), 32, len(self.offsets)
+            length = self.size + hop * (draws + all_windows - 2)
+            noise = self.rng.standard_normal((length, len(self.array.microphones)))
+            taper = correlation.hann(self.size)
+            gccs = [self.correlate(noise[i * hop :][: self.size], taper).gcc for i in range(draws + all_windows - 1)]
+            means = [sum(gccs[i : i + all_windows]) / all_windows for i in range(draws)]
+            peaks = [self.response.search(mean)[1][0] for mean in means]
+            scale = float(np.std(peaks) * np.sqrt(6.0) / np.pi)
+            deviation = float(np.sqrt(np.mean([np.mean(mean**2) for mean in means])))
+            self.null = _Noise(float(np.mean(peaks) - np.euler_gamma * scale), scale, deviation)
+        factor = np.sqrt(len(self.offsets) / count)
+        return _Noise(self.null.location * factor, self.null.scale * factor, self.null.deviation * factor)
 
     def decide(self, windows: list[_Window], offsets: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, float]]:
         """Find the talkers in the windows around one moment.
@@ -204,42 +232,110 @@ class SteeredLocalizer:
         kept = [(self.masked(window), offset) for window, offset in zip(windows, offsets, strict=True)]
         gccs = [gcc for gcc, _ in kept if gcc is not None]
         offsets = np.array([offset for gcc, offset in kept if gcc is not None])
+        if not gccs:
+            self.before = []
+            return []
+        noise = self.noise(len(gccs))
+        peaks = self.peaks(gccs, offsets, noise)
+        judged = []
+        for rank, peak in enumerate(peaks):
+            response = peak.response / noise.location
+            features = uncertainty.Features(
+                response=response,
+                support=peak.support,
+                evidence=uncertainty.accumulate(response, self.nearby(peak.position)),
+                share=peak.response / peaks[0].response,
+                speed=peak.speed,
+            )
+            judged.append((uncertainty.probability(features), rank, features))
+        judged.sort(key=lambda item: (-item[0], item[1]))
+        self.before = [(peaks[rank].position, features.evidence) for _, rank, features in judged]
         found = []
-        while gccs and len(found) < self.settings.max_speakers:
-            centres, values = self.response.search(sum(gccs) / len(gccs))
-            position, velocity, response = self.response.follow(gccs, offsets, centres[0], self.settings.max_speed)
-            if response < self.threshold(len(gccs)):
-                break
-            away = np.hypot(*(centres - position)[:, :2].T) > 0.5
-            rival = float(values[away][0]) if away.any() else 0.0
-            position, covariance, score = self.judge(gccs, offsets, position, velocity, response, rival, len(found))
+        for score, rank, features in judged[: self.settings.max_speakers]:
             if score >= self.settings.min_score:
-                found.append((position, covariance, score))
-            else:
+                low, high = self.response.low, self.response.high
+                found.append(
+                    (peaks[rank].position, uncertainty.covariance(peaks[rank].normal, features, low, high), score)
+                )
+        return found
+
+    def peaks(self, gccs: list[np.ndarray], offsets: np.ndarray, noise: _Noise) -> list[_Peak]:
+        """Return the places that are answered better than noise would, each without those before it.
+
+        They are sought in GCCs that are cut off well above their noise, so that many pairs must agree: two talkers
+        make ghosts where a few strong pairs of the one meet a few of the other. There is one more than there may be
+        talkers, since a ghost may still come before the second talker.
+        """
+        found: list[_Peak] = []
+        steered, gccs = self.response, list(gccs)
+        threshold = noise.threshold(self.settings.false_alarm)
+        for _ in range(self.settings.max_speakers + 1):
+            limited = np.minimum(sum(gccs) / len(gccs), 7.0 * noise.deviation)
+            centres, _ = steered.search(limited)
+            position, velocity, response = steered.follow(gccs, offsets, centres[0], self.settings.max_speed)
+            if response < threshold:
                 break
+            peak = self.refined(gccs, offsets, position, velocity, response, noise)
+            if all(np.hypot(*(peak.position - other.position)[:2]) > self.settings.separation for other in found):
+                found.append(peak)
             gccs = [
-                self.response.notch(gcc, position + velocity * offset, 0.1)
+                steered.notch(gcc, peak.position + velocity * offset, 0.1)
                 for gcc, offset in zip(gccs, offsets, strict=True)
             ]
         return found
 
-    def judge(self, gccs, offsets, position, velocity, response, rival, rank):
-        """Refine a position below the grid and say how far it may be believed (see `decide`)."""
+    def refined(self, gccs, offsets, position, velocity, response: float, noise: _Noise) -> _Peak:
+        """Fit a position to the peaks of each pair's GCC nearby; keep the fit where it is answered better."""
         steered = self.response
         aligned = steered.aligned(gccs, offsets, position, velocity, reach=6)
         differences, height = steered.differences(aligned, position)
-        refined, normal, residual = multilateration.refine(
+        fitted, normal, _ = multilateration.refine(
             position, self.array.microphones, steered.first, steered.second, differences, np.maximum(height, 0.0)
         )
-        inside = ((refined >= steered.low) & (refined <= steered.high)).all()
-        if inside and np.abs(refined - position).max() < 0.1:
-            moved = steered.aligned_response(aligned, position, refined)
-            if moved > response:
-                position, response = refined, moved
-        location, _ = self.noise(len(gccs))
-        features = uncertainty.Features(response / location, response / max(rival, 1e-9), residual, rank)
-        covariance = uncertainty.covariance(normal, features, steered.low, steered.high)
-        return position, covariance, uncertainty.probability(features)
+        if ((fitted >= steered.low) & (fitted <= steered.high)).all():
+            gain = steered.aligned_response(aligned, position, fitted) - steered.aligned_response(
+                aligned, position, position
+            )
+            if gain > 0.0:
+                position, response = fitted, response + gain
+        support = float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean())
+        scale = max(np.maximum(height, 0.0).mean(), 1e-9)
+        return _Peak(position, response, support, float(np.hypot(*velocity[:2])), normal / scale)
+
+    def nearby(self, position: np.ndarray) -> float:
+        """Return the evidence of the peak near a place (3,) m one decision ago, 0 where there was none."""
+        reach = 0.2 + self.settings.max_speed / self.settings.rate
+        near = [evidence for place, evidence in self.before if np.hypot(*(place - position)[:2]) < reach]
+        return max(near, default=0.0)
+
+    def poll(self, gcc: np.ndarray, position: np.ndarray) -> list[str]:
+        """Let the pairs vote about their channels at a place that is clearly answered; return what is news about one.
+
+        A channel that is late, that stands elsewhere, or that is swapped with another adds nothing where all others
+        agree, and one of wrong polarity takes away.
+        """
+        steered = self.response
+        value = steered.at(gcc, position)
+        if value.mean() < 3.0 * self.noise(1).location:
+            return []
+        votes = np.bincount(steered.first, value, len(self.votes)) + np.bincount(steered.second, value, len(self.votes))
+        self.votes = 0.95 * self.votes + votes
+        self.ballots += 1
+        if self.ballots < 5:
+            return []
+        usual = np.median(self.votes)
+        outvoted = self.votes < 0.1 * usual
+        new = np.flatnonzero(outvoted & ~self.outvoted)
+        if (~outvoted).sum() < max(4, 0.5 * len(outvoted)):
+            return []
+        self.outvoted = outvoted
+        inverted = self.votes < -0.3 * usual
+        return [
+            f"channel {c + 1} has the wrong polarity and is left out"
+            if inverted[c]
+            else f"channel {c + 1} does not agree with the others (late, swapped, or elsewhere) and is left out"
+            for c in new
+        ]
 
     # --- the stream ---------------------------------------------------------------------------------------------------
 
@@ -266,7 +362,7 @@ class SteeredLocalizer:
                 while index <= step * each + reach:
                     if place(index) + self.size > stream.end and not ended:
                         return
-                    windows[index] = self.sounding(self.correlate(stream.window(place(index), self.size)))
+                    windows[index] = self.sounding(self.correlate(*stream.window(place(index), self.size)))
                     stream.forget(place(index + 1))
                     windows.pop(index - 2 * reach - 1, None)
                     index += 1
@@ -289,11 +385,15 @@ class SteeredLocalizer:
         """Decide about one time step from the windows around it."""
         middle = step * self.windows_a_step
         around = [windows[middle + i] for i in range(-self.reach, self.reach + 1)]
-        found = []
-        if around[self.reach].gcc is not None:
+        found, notices = [], list(around[self.reach].notices)
+        if around[self.reach].gcc is None:
+            self.before = []
+        else:
             heard = [i for i, window in enumerate(around) if window.gcc is not None]
             found = self.decide([around[i] for i in heard], self.offsets[heard])
-        return Decision.of(step / self.settings.rate, found, around[self.reach].notices)
+            if found and found[0][2] > 0.9:
+                notices += self.poll(around[self.reach].gcc, found[0][0])
+        return Decision.of(step / self.settings.rate, found, notices)
 
 
 class _Stream:
@@ -307,12 +407,17 @@ class _Stream:
         self.samples = np.concatenate([self.samples, block])
         self.end += len(block)
 
-    def window(self, begin: int, size: int) -> np.ndarray:
-        cut = np.zeros((size, self.samples.shape[1]))
+    def window(self, begin: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return samples (size, channels) and a taper (size,) over those that were received.
+
+        At the ends of a stream the taper is narrower: a step there, at once in all channels, would be a source.
+        """
+        samples, taper = np.zeros((size, self.samples.shape[1])), np.zeros(size)
         first, last = max(begin, self.origin), min(begin + size, self.end)
-        if last > first:
-            cut[first - begin : last - begin] = self.samples[first - self.origin : last - self.origin]
-        return cut
+        if last - first > size // 8:
+            samples[first - begin : last - begin] = self.samples[first - self.origin : last - self.origin]
+            taper[first - begin : last - begin] = correlation.hann(last - first)
+        return samples, taper
 
     def forget(self, before: int) -> None:
         excess = min(before, self.end) - self.origin

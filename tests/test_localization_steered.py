@@ -1,0 +1,279 @@
+"""The steered localizer on simulated streams: what it finds, what it must not find, and what it survives."""
+
+import numpy as np
+import pytest
+from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
+
+from avcli.localization.array import Array
+from avcli.localization.steered import Settings, SteeredLocalizer
+
+FS = 16000
+PLACE = np.array([1.4, 3.1, 1.55])
+
+
+def localize(samples, *, microphones=MICROPHONES, fs=FS, block=4000, begin=0, tail=0.0, speed=343.0, **options):
+    array = Array(np.asarray(microphones), fs, ROOM, speed)
+    localizer = SteeredLocalizer(array, Settings(**options), np.random.default_rng(0))
+    blocks = (samples[i : i + block] for i in range(0, len(samples), block))
+    return list(localizer.localize(blocks, begin, tail))
+
+
+def errors(decisions, place=PLACE):
+    """Distances in x and y of all that was found, (n,)."""
+    positions = np.concatenate([d.positions for d in decisions])
+    return np.hypot(*(positions - place)[:, :2].T)
+
+
+@pytest.fixture(scope="module")
+def speech():
+    return voice(1.6, FS, np.random.default_rng(11))
+
+
+@pytest.fixture(scope="module")
+def talk(speech):
+    """1.6 s of one talker in a room that echoes a little, with noise 30 dB below."""
+    samples = heard(PLACE, speech, FS, reflection=0.6, order=2)
+    return noisy(samples, 30, np.random.default_rng(12))
+
+
+@pytest.fixture(scope="module")
+def found(talk):
+    return localize(talk)
+
+
+# --- what it finds ----------------------------------------------------------------------------------------------------
+
+
+def test_a_talker_is_found_in_every_step_and_nobody_else(found):
+    assert [d.time for d in found] == pytest.approx(np.arange(17) / 10)
+    spoken = found[1:15]
+    assert np.mean([len(d.positions) == 1 for d in spoken]) >= 0.9
+    assert np.median(errors(spoken)) < 0.01
+    assert errors(spoken).max() < 0.5
+    heights = np.concatenate([d.positions for d in spoken])[:, 2]
+    assert np.median(np.abs(heights - PLACE[2])) < 0.03
+
+
+def test_covariances_are_positive_and_scores_probabilities(found):
+    for d in found:
+        for covariance in d.covariances:
+            np.testing.assert_array_equal(covariance, covariance.T)
+            assert np.linalg.eigvalsh(covariance)[0] > 1e-6
+        assert ((d.scores >= 0.5) & (d.scores <= 1.0)).all()
+
+
+def test_the_same_bytes_twice_and_in_blocks_of_any_size(talk, found):
+    for block in (1000, 100_000):
+        again = localize(talk, block=block)
+        for one, two in zip(found, again, strict=True):
+            np.testing.assert_array_equal(one.positions, two.positions)
+            np.testing.assert_array_equal(one.covariances, two.covariances)
+            np.testing.assert_array_equal(one.scores, two.scores)
+
+
+@pytest.mark.parametrize("fs", [8000, 22050, 48000])
+def test_any_sample_rate(fs):
+    samples = noisy(heard(PLACE, voice(0.8, fs, np.random.default_rng(1)), fs), 30, np.random.default_rng(2))
+    assert np.median(errors(localize(samples, fs=fs)[1:7])) < 0.03
+
+
+@pytest.mark.parametrize("rate", [4.0, 25.0])
+def test_any_decision_rate(talk, rate):
+    decisions = localize(talk, rate=rate)
+    assert [d.time for d in decisions] == pytest.approx(np.arange(len(decisions)) / rate)
+    assert len(decisions) == int(1.6 * rate) + 1
+    assert np.median(errors(decisions)) < 0.02
+
+
+def test_a_decision_needs_no_sample_that_comes_after_its_latency(talk, found):
+    array = Array(MICROPHONES, FS, ROOM)
+    localizer = SteeredLocalizer(array, Settings(), np.random.default_rng(0))
+    assert localizer.latency < 0.22
+    until = round((1.0 + localizer.latency) * FS) + 1
+    decided = localize(talk[:until])
+    np.testing.assert_array_equal(decided[10].positions, found[10].positions)
+
+
+def test_a_stream_that_begins_later_and_a_tail_in_which_nobody_speaks(talk, found):
+    later = localize(talk, begin=2 * FS, tail=0.4)
+    assert [d.time for d in later] == pytest.approx(np.arange(20, 33) / 10)
+    for one, two in zip(found, later, strict=False):
+        assert one.positions == pytest.approx(two.positions, abs=1e-3)
+
+
+def test_a_walker_is_where_he_was_when_he_spoke():
+    rng = np.random.default_rng(4)
+    sound, step = voice(1.6, FS, rng), FS // 50
+    path = np.array([1.0, 2.0, 1.6]) + np.arange(82)[:, None] / 50 * [1.0, 0.0, 0.0]
+    fade = np.hanning(2 * step + 1)[:-1]
+    samples = np.zeros((len(sound), 8))
+    padded = np.concatenate([np.zeros(step), sound, np.zeros(2 * step)])
+    for k in range(len(sound) // step + 1):
+        piece = np.zeros(len(sound) + 3 * step)
+        piece[k * step : (k + 2) * step] = padded[k * step : (k + 2) * step] * fade
+        first, last = max(k * step, step), min((k + 2) * step + FS // 10, len(sound) + step)
+        samples[first - step : last - step] += heard(path[k], piece[k * step :][: FS // 4], FS)[
+            first - k * step : last - k * step
+        ]
+    decisions = localize(noisy(samples, 30, rng))[2:14]
+    along = np.concatenate([(d.positions - [1.0 + d.time, 2.0, 1.6]) for d in decisions])[:, 0]
+    assert len(along) >= 10
+    assert abs(np.median(along)) < 0.02
+    assert np.abs(along).max() < 0.15
+
+
+def test_two_talkers_at_once():
+    rng = np.random.default_rng(5)
+    other = np.array([3.4, 1.0, 1.7])
+    samples = heard(PLACE, voice(1.6, FS, rng), FS, reflection=0.4, order=2)
+    samples += heard(other, voice(1.6, FS, rng), FS, reflection=0.4, order=2)
+    decisions = localize(noisy(samples, 30, rng))[1:15]
+    hits = [(errors([d], place) < 0.3).any() for d in decisions for place in (PLACE, other)]
+    assert np.mean(hits) >= 0.8
+    assert max(len(d.positions) for d in decisions) == 2
+    alone = localize(noisy(samples, 30, rng), max_speakers=1)
+    assert max(len(d.positions) for d in alone) == 1
+
+
+# --- what it must not find --------------------------------------------------------------------------------------------
+
+
+def test_silence_and_the_least_significant_bit_are_nobody():
+    rng = np.random.default_rng(6)
+    bits = rng.integers(-1, 2, (2 * FS, 8)) / 32768
+    for samples in (np.zeros((2 * FS, 8)), bits):
+        decisions = localize(samples)
+        assert len(decisions) == 21
+        assert sum(len(d.positions) for d in decisions) <= 1
+
+
+def test_noise_alone_is_rarely_somebody():
+    rng = np.random.default_rng(7)
+    samples = rng.standard_normal((15 * FS, 8))
+    samples[: FS // 2] *= 0.1  # so that the gate lets the rest pass
+    decisions = localize(samples, min_score=0.0, false_alarm=0.05)
+    assert sum(len(d.positions) > 0 for d in decisions) <= 0.15 * len(decisions)
+    assert sum(len(d.positions) for d in localize(samples)) <= 1
+
+
+@pytest.mark.parametrize("frequency", [100, 300, 1000])
+def test_a_tone_or_a_hum_is_no_speaker(frequency):
+    t = np.arange(2 * FS) / FS
+    tone = heard(PLACE, np.sin(2 * np.pi * frequency * t), FS, reflection=0.5, order=2)[FS // 2 :]
+    assert sum(len(d.positions) for d in localize(tone)) == 0
+    assert sum(len(d.positions) for d in localize(noisy(tone, 40, np.random.default_rng(8)))) == 0
+
+
+def test_a_click_does_not_mute_the_talker(talk, found):
+    samples = talk.copy()
+    samples[3000:3004] += 1e3
+    decisions = localize(samples)
+    late = slice(5, 15)
+    assert sum(len(d.positions) for d in decisions[late]) >= sum(len(d.positions) for d in found[late]) - 1
+
+
+def test_music_from_one_place_is_one_source():
+    t = np.arange(2 * FS) / FS
+    chord = sum(
+        np.sin(2 * np.pi * f * h * t + f) / h * np.exp(-3 * (t % 0.5))
+        for f in (220.0, 277.2, 329.6)
+        for h in range(1, 12)
+    )
+    decisions = localize(noisy(heard(PLACE, chord, FS), 40, np.random.default_rng(9)))
+    assert (errors(decisions) < 0.5).mean() >= 0.9
+
+
+# --- what it survives -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1e-12, -1.0, 1e20])
+def test_any_scale_and_polarity(talk, found, scale):
+    for one, two in zip(found, localize(talk * scale), strict=True):
+        assert two.positions == pytest.approx(one.positions, abs=1e-3)
+
+
+def test_dc_is_not_heard(talk, found):
+    for one, two in zip(found[2:15], localize(talk + 0.3)[2:15], strict=True):
+        assert two.positions == pytest.approx(one.positions, abs=0.02)
+
+
+def noticed(decisions):
+    return {notice for d in decisions for notice in d.notices}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (lambda x: x * (np.arange(8) != 3), "channel 4 is dead"),
+        (lambda x: x[:, [0, 1, 2, 2, 4, 5, 6, 7]], "channels 3 and 4 are the same"),
+        (lambda x: x * np.where(np.arange(8) == 3, -1, 1), "channel 4"),
+        (lambda x: np.column_stack([np.roll(x[:, 0], 300), x[:, 1:]]), "channel 1"),
+        (lambda x: np.column_stack([x[:, :7], np.clip(20 * x[:, 7], -0.5, 0.5)]), "channel 8 is clipped"),
+        (lambda x: np.where((np.arange(len(x)) % 4001 == 7)[:, None] & (np.arange(8) == 5), np.nan, x), "channel 6"),
+        (lambda x: np.where((np.arange(len(x)) % 4001 == 7)[:, None] & (np.arange(8) == 5), np.inf, x), "channel 6"),
+    ],
+    ids=["dead", "twins", "inverted", "late", "clipped", "nan", "inf"],
+)
+def test_a_bad_channel_is_named_and_the_talker_still_found(talk, spoil, word):
+    decisions = localize(spoil(talk))
+    assert np.median(errors(decisions)) < 0.02
+    clearest = np.array([d.positions[0] for d in decisions if len(d.positions)])
+    assert (np.hypot(*(clearest - PLACE)[:, :2].T) < 0.5).mean() >= 0.9
+    assert any(word in notice for notice in noticed(decisions)), noticed(decisions)
+
+
+def test_good_channels_give_no_notice(found):
+    assert noticed(found) == set()
+
+
+def test_everything_clipped_is_named_and_still_heard(talk):
+    decisions = localize(np.clip(talk * (20 / np.abs(talk).max()), -1, 1))
+    assert np.median(errors(decisions)) < 0.1
+    assert len(noticed(decisions)) == 8
+
+
+def test_shorter_than_a_window_or_empty(talk):
+    assert localize(talk[:0]) == []
+    decisions = localize(talk[:1000])
+    assert [d.time for d in decisions] == [0.0]
+    assert len(localize(talk[:1])) == 1
+
+
+# --- arrays -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("microphones", "limit"),
+    [
+        (MICROPHONES * [1, 1, 0] + [0, 0, 2.4], 0.02),
+        (MICROPHONES[[0, 1, 2, 3, 4, 5, 6, 6]], 0.02),
+        (MICROPHONES[[0, 2, 4, 7]], 0.1),
+    ],
+    ids=["coplanar", "coincident", "four"],
+)
+def test_other_arrays(speech, microphones, limit):
+    rng = np.random.default_rng(13)
+    decisions = localize(noisy(heard(PLACE, speech, FS, microphones=microphones), 30, rng), microphones=microphones)
+    assert np.median(errors(decisions)) < limit
+
+
+def test_arrays_that_see_too_little_are_refused():
+    line = np.outer(np.linspace(0, 4, 6), [1.0, 0.2, 0.0]) + 0.3
+    for microphones, reason in ((MICROPHONES[:3], "needs 4"), (line, "one line")):
+        with pytest.raises(ValueError, match=reason):
+            localize(np.zeros((100, len(microphones))), microphones=microphones)
+    with pytest.raises(ValueError, match="band"):
+        localize(np.zeros((100, 8)), band=(7000.0, 7010.0))
+
+
+@pytest.mark.parametrize(
+    "place",
+    [(5.3, 2.0, 1.5), (0.05, 0.05, 1.0), (2.386, 2.253, 1.95)],
+    ids=["outside", "corner", "below a microphone"],
+)
+def test_extreme_places_give_finite_answers_inside_the_room(speech, place):
+    decisions = localize(noisy(heard(place, speech, FS), 30, np.random.default_rng(14)))
+    for d in decisions:
+        assert np.isfinite(d.positions).all()
+        assert np.isfinite(d.covariances).all()
+        assert ((d.positions >= 0) & (d.positions <= ROOM)).all()
