@@ -22,6 +22,7 @@ LOG_PRUNE = math.log(1e-3)  # weight of a joint hypothesis relative to the best
 BUDGET = 3
 INDEPENDENT = 1e-3  # total variation at which a label's hypotheses count as independent of its cluster's others
 PROMOTE, RECYCLE = 0.1, 0.03  # existence at which a tentative person becomes labelled, and a labelled one tentative
+FORGET = 5e-3  # expected number of people below which a tentative person who was labelled loses the label
 TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentative Gaussian; how many are kept
 
 
@@ -284,6 +285,9 @@ class GLMB:
         hidden = people.found[:, column]
         left = people.exist * (1 - hidden * detection)
         stay = [i for i in self.tentative if left[i] > TENTATIVE]
+        for i in stay:
+            if left[i] < FORGET:
+                people.label[i] = -1
         if len(stay) > TENTATIVES:
             stay = sorted(sorted(stay, key=lambda i: -left[i])[:TENTATIVES])
         miss = [leaf for leaf, j in pairs if j < 0]
@@ -418,7 +422,8 @@ class GLMB:
         best = max(leaves, key=lambda leaf: (shares[leaf] * people.exist[leaf], -leaf))
         if self.record:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
-            self.retired[label] = people.node[best], mean[0], cov[0], min(exists, 1.0)
+            meant = math.fsum(shares[leaf] for leaf in leaves)
+            self.retired[label] = people.node[best], mean[0], cov[0], min(exists / meant, 1.0), meant
         if exists > TENTATIVE:
             people.exist[best] = exists
             self.tentative.append(best)
@@ -426,8 +431,9 @@ class GLMB:
     # --- what is known now --------------------------------------------------------------------------------------------
 
     def labelled(self):
-        """All labelled people: [(label, density index, probability of existence)] by label.
+        """All labelled people: [(label, density index, probability of existence, probability of being meant)] by label.
 
+        A label is meant in the hypotheses in which its first detection was a person at all; there it may have left since.
         Densities are those of the likeliest joint hypothesis, so that two people are never taken for one.
         """
         found = []
@@ -437,7 +443,7 @@ class GLMB:
                 leaf = cluster.rows[0][at]
                 if leaf < 0:
                     leaf = max((k for k in shares if k >= 0), key=lambda k: (shares[k], -k))
-                found.append((label, leaf, min(exists, 1.0)))
+                found.append((label, leaf, min(exists, 1.0), math.fsum(w for k, w in shares.items() if k >= 0)))
         return sorted(found)
 
     def tracks(self, time):
@@ -446,12 +452,12 @@ class GLMB:
         found = [one for one in self.labelled() if one[2] > 0.5]
         if not found:
             return []
-        rows = [leaf for _, leaf, _ in found]
+        rows = [leaf for _, leaf, *_ in found]
         people = self.people
         mean, cov = gaussian.moments(people.mean[rows], people.cov[rows], people.mode[rows])
         return [
             Track(label, mean[k], cov[k], exists, dict(zip(self.column, people.found[leaf].tolist(), strict=True)))
-            for k, (label, leaf, exists) in enumerate(found)
+            for k, (label, leaf, exists, _) in enumerate(found)
         ]
 
 
@@ -460,7 +466,7 @@ class Rates:
 
     def __init__(self, sensor):
         self.clutter, self.detection, self.typical = sensor.clutter, sensor.detection, None
-        self.clutter_sum, self.clutter_count = 20.0 * sensor.clutter, 20.0
+        self.clutter_sum, self.clutter_count = 3.0 * sensor.clutter, 3.0
         self.hit_sum, self.hit_count = 60.0 * sensor.detection, 60.0
 
     def learn(self, clutter, hits, misses):

@@ -100,31 +100,31 @@ class Delayed:
         return self._collect(times)
 
     def _ends(self):
-        """(label, node, mean, cov, exist) of each history's end."""
+        """(label, probability of being meant, node, mean, cov, existence if meant) of each history's end."""
         tracker = self.tracker
         found = tracker.labelled()
         if found:
-            rows = [leaf for _, leaf, _ in found]
+            rows = [leaf for _, leaf, *_ in found]
             people = tracker.people
             mean, cov = gaussian.moments(people.mean[rows], people.cov[rows], people.mode[rows])
-            for k, (label, leaf, exist) in enumerate(found):
+            for k, (label, leaf, exist, meant) in enumerate(found):
                 node = people.node[leaf]
                 node.found = people.found[leaf]
-                yield label, node, mean[k], cov[k], exist
-        for label, end in tracker.retired.items():
-            yield label, *end
+                yield label, meant, node, mean[k], cov[k], min(exist / meant, 1.0)
+        for label, (*end, meant) in tracker.retired.items():
+            yield label, meant, *end
 
     def _collect(self, times):
         wanted = {round(time, 6): [] for time in times}
         earliest = min(wanted, default=0.0)
-        for label, *end in self._ends():
+        for label, meant, *end in self._ends():
             for node, mean, cov, exist in backwards(*end):
                 now = round(node.time, 6)
                 if now < earliest:
                     break
-                if now in wanted and exist > 0.5:
+                if now in wanted and meant * exist > 0.5:
                     found = dict(zip(self.tracker.column, node.found.tolist(), strict=False))
-                    wanted[now].append(Track(label, mean, cov, exist, found))
+                    wanted[now].append(Track(label, mean, cov, min(meant * exist, 1.0), found))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
 
     def _forget(self, time):
