@@ -95,7 +95,7 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 def _find_checkerboard(grey: np.ndarray, inner: tuple[int, int], thorough: bool):
     import cv2
 
-    small, scale = _shrunk(grey)
+    small, scale = shrunk(grey)
     base = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(small, inner, flags=base | cv2.CALIB_CB_FAST_CHECK)
     if not found and thorough:  # the fast check misses dim and oblique boards; the sector search finds yet others
@@ -137,7 +137,7 @@ def _in_order(grey: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> n
     return np.ascontiguousarray(grid.reshape(-1, 2))
 
 
-def _shrunk(grey: np.ndarray) -> tuple[np.ndarray, float]:
+def shrunk(grey: np.ndarray) -> tuple[np.ndarray, float]:
     """The picture at the size in which boards are searched, and the factor back to the full picture."""
     import cv2
 
@@ -229,14 +229,13 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     Someone may have counted inner corners for squares, or one row too many.
 
     Args:
-        pictures: a few pictures (height, width) uint8.
+        pictures: a few pictures (height, width) uint8, as `shrunk` makes them.
         board: as given.
     """
     import cv2
 
     votes: dict[tuple[int, int], int] = {}
-    for grey in pictures:
-        small, _ = _shrunk(grey)
+    for small in pictures:
         flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
         found, corners, cells = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
         if not found:
@@ -248,7 +247,8 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     if not votes:
         return None
     size, count = max(votes.items(), key=lambda item: (item[1], item[0][0] * item[0][1]))
-    if count < max(1, len(pictures) // 4) or sorted(size) == sorted((board.columns, board.rows)):
+    # One grid may be a tiled floor.
+    if count < min(len(pictures), max(2, len(pictures) / 3)) or sorted(size) == sorted((board.columns, board.rows)):
         return None
     return Board(*size, board.square_m)
 

@@ -119,7 +119,7 @@ class _Seen:
         self.size = self.sample = None
 
     def take(self, session, picture, grey, view):
-        from avcli.calibration import calibrate
+        from avcli.calibration import calibrate, corners
 
         height, width = grey.shape
         if self.size is None:
@@ -132,8 +132,8 @@ class _Seen:
         why = None
         if view is None:
             why = "no board"
-            if len(self.misses) < 12:
-                self.misses.append(grey)
+            if len(self.misses) < 8:
+                self.misses.append(corners.shrunk(grey)[0])
         elif calibrate.is_duplicate(view, self.views):
             why = "duplicate"
         record = {"timestamp": picture.timestamp, "picture": picture.name, "why": why, "view": None}
@@ -197,7 +197,7 @@ def _collect(session, sources, board, rate, size=None, after=None):
 
     endless = _is_endless(sources)
     total = None if endless else footage.count_pictures(sources, rate)
-    guessed = board.markers
+    guessed, before = board.markers, None
     while True:
         seen = _Seen(board)
         searched = [board]
@@ -209,7 +209,7 @@ def _collect(session, sources, board, rate, size=None, after=None):
                     seen.take(session, picture, grey, view)
                     if not guessed and len(seen.records) in (4, 12) and seen.few:
                         guessed = len(seen.records) == 12
-                        other = corners.guess_board(seen.misses[:8], board)
+                        other = corners.guess_board(seen.misses, board)
                         if other:
                             _say_other_size(session, board, other)
                             guessed, restart, board = True, not endless, other
@@ -224,12 +224,12 @@ def _collect(session, sources, board, rate, size=None, after=None):
                 session.warn(f"{error}; going on with what was collected")
         if not restart and not guessed and not endless and seen.few:
             guessed = True
-            other = corners.guess_board(seen.misses[:8], board)
+            other = corners.guess_board(seen.misses, board)
             if other:
                 _say_other_size(session, board, other)
-                restart, board = True, other
+                restart, board, before = True, other, seen
         if not restart:
-            return seen
+            return before if before and len(before.views) > len(seen.views) else seen
 
 
 def _say_other_size(session, given, other):
