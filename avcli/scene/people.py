@@ -326,17 +326,9 @@ class _Body:
             self._add(knee, middle, 0.056 * unit, 0.056 * unit, **{**shin, "split": 2.0})
             self._add(middle, ankle, 0.055 * unit, 0.043 * unit, **shin)
             shoe = {"group": f"shoe{s}", "material": LEATHER, "colour": look.shoes, "front": forward}
-            self._add(heel, toe, 0.037 * unit, 0.030 * unit, **shoe)
-            inner = toe - 0.16 * length * along
-            self._add(
-                inner - 0.018 * unit * self.pl,
-                inner + 0.018 * unit * self.pl,
-                0.034 * unit,
-                0.034 * unit,
-                rise,
-                0.8,
-                **shoe,
-            )
+            ball = toe - 0.2 * length * along
+            self._add(heel, ball, 0.035 * unit, 0.039 * unit, rise, 0.82, **shoe)
+            self._add(ball, toe, 0.039 * unit, 0.032 * unit, rise, 0.74, **shoe)
             self._add(ankle - 0.02 * unit * rise, heel + 0.02 * rise, 0.041 * unit, 0.036 * unit, **shoe)
 
     def _arms(self):

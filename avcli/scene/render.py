@@ -11,7 +11,7 @@ import numpy as np
 from avcli.lens import Division
 from avcli.scene import furniture, shaders
 
-_TERMS = 13  # of the polynomials by which the shaders turn pixels into rays
+_MOST_TERMS = 40  # of the series by which the shaders turn pixels into rays
 _TILE = 32  # px, the grain in which a frame is redrawn
 _COARSE = 4  # px, the grid on which the room's light and people's shadows are computed
 _SHADOW_REACH = 0.8  # m around a person, where their shadow has faded
@@ -95,6 +95,7 @@ class Renderer:
     # The room
 
     def _program(self, vertex, fragment, **uniforms):
+        fragment = fragment.replace("TERMS", str(len(self._lens["series"])))
         program = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
         _set(program, **self._lens, **uniforms)
         return program
@@ -478,10 +479,10 @@ class _Drawn:
 
 
 def lens_uniforms(lens, width, height):
-    """What the shaders need to turn pixels into rays: a polynomial each for the lateral and the axial part.
+    """What the shaders need to turn pixels into rays: a series each for the lateral and the axial part.
 
-    Its variable is the squared radius, or, where the lens ends inside the polynomial's reach, the root of the distance
-    to that end, in which the fold is smooth.
+    Its variable is the squared radius, or, where the lens folds within the series' reach, the root of the distance to
+    the fold, in which it is smooth.
     """
     if isinstance(lens, Division):
         per_px = np.array([2.0 / lens.width, 2.0 / lens.height])
@@ -490,8 +491,9 @@ def lens_uniforms(lens, width, height):
         per_px, stretch = np.array([1.0 / lens.fx, 1.0 / lens.fy]), np.ones(2)
     x = np.maximum(abs(lens.cx + 0.5), abs(width - 0.5 - lens.cx)) * per_px[0]
     y = np.maximum(abs(lens.cy + 0.5), abs(height - 0.5 - lens.cy)) * per_px[1]
-    top = min(1.5 * np.hypot(x, y), lens.radius_max)
-    ends = top == lens.radius_max and not isinstance(lens, Division)
+    # Bodies are counted beyond the image too; a pinhole image ends within it.
+    top = min((1.0 if isinstance(lens, Division) else 1.5) * np.hypot(x, y), lens.radius_max)
+    ends = top == lens.radius_max and not isinstance(lens, Division) and lens.theta_max < np.pi
     node = 0.5 - 0.5 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
     m = top * np.sqrt((1 - node) * (1 + node)) if ends else top * np.sqrt(node)
     if isinstance(lens, Division):
@@ -501,18 +503,14 @@ def lens_uniforms(lens, width, height):
     else:
         rays = lens.unproject(np.stack([lens.cx + lens.fx * m * (1 - 1e-13), np.full_like(m, lens.cy)], -1))
         across, ahead = rays[:, 0] / m, rays[:, 2]
-    fits = []
-    for values in (across, ahead):
-        for degree in range(_TERMS):
-            series = np.polynomial.Chebyshev.fit(node, values, degree, domain=[0, 1])
-            if np.abs(series(node) - values).max() < 3e-8:
-                break
-        coefficients = series.convert(kind=np.polynomial.Polynomial).coef
-        fits.append(np.pad(coefficients, (0, _TERMS - len(coefficients))))
+    wanted = np.stack([across, ahead], -1)
+    for terms in range(2, _MOST_TERMS + 1):
+        series = np.polynomial.chebyshev.chebfit(2 * node - 1, wanted, terms - 1)
+        if np.abs(np.polynomial.chebyshev.chebval(2 * node - 1, series).T - wanted).max() < 3e-8:
+            break
     return {
         "centre": (lens.cx, lens.cy), "per_px": tuple(per_px), "stretch": tuple(stretch),
-        "domain": (1.0 / top**2, float(ends), top**2, float(isinstance(lens, Division))),
-        "across": fits[0].tolist(), "ahead": fits[1].tolist(),
+        "domain": (1.0 / top**2, float(ends), top**2, float(isinstance(lens, Division))), "series": series.tolist(),
     }  # fmt: skip
 
 

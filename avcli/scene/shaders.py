@@ -3,7 +3,7 @@
 LENS = """#version 330
 uniform vec2 centre, per_px, stretch;   // principal point, px to the lens's plane, and back to slopes (division)
 uniform vec4 domain;                    // 1 / m_top^2, whether the variable is sqrt(1 - .), m_max^2, source bound
-uniform float across[13], ahead[13];    // polynomials of the lateral and the axial part of the ray
+uniform vec2 series[TERMS];             // Chebyshev coefficients of the lateral and the axial part of the ray
 
 // The unit ray through image point px, or (0, 0, 0) where the lens images nothing.
 vec3 ray_through(vec2 px) {
@@ -11,8 +11,15 @@ vec3 ray_through(vec2 px) {
     float square = dot(m, m);
     float w = square * domain.x;
     if (domain.y > 0.5) w = sqrt(max(1.0 - w, 0.0));
-    float a = across[12], b = ahead[12];
-    for (int i = 11; i >= 0; --i) { a = a * w + across[i]; b = b * w + ahead[i]; }
+    w = 2.0 * w - 1.0;
+    vec2 one = vec2(0.0), two = vec2(0.0);   // Clenshaw's recurrence
+    for (int i = TERMS - 1; i > 0; --i) {
+        vec2 sum = 2.0 * w * one - two + series[i];
+        two = one;
+        one = sum;
+    }
+    vec2 ab = w * one - two + series[0];
+    float a = ab.x, b = ab.y;
     vec2 lateral = m * a;
     if (square > domain.z || (domain.w > 0.5 && max(abs(lateral.x), abs(lateral.y)) > 1.0)) return vec3(0.0);
     return normalize(vec3(lateral * stretch, b));
@@ -273,11 +280,11 @@ float noise(vec3 p) {
     return mix(mix(mid.x, mid.y, f.x), mix(mid.z, mid.w, f.x), f.y);
 }
 // Light from above and, bounced, from below.
-float sky(vec3 n) { return 0.33 + 0.15 * n.z; }
+float sky(vec3 n) { return 0.40 + 0.18 * n.z; }
 float lamp(vec3 p, vec3 n, int k) {
     vec3 way = lamps[k] - p;
     float square = dot(way, way);
-    return 2.1 * max(dot(n, way) * inversesqrt(square) + 0.08, 0.0) / (square + 1.5);
+    return 2.7 * max(dot(n, way) * inversesqrt(square) + 0.08, 0.0) / (square + 1.5);
 }
 // Linear light to the picture: highlights roll off, gamma 2.
 vec3 display(vec3 light) { return sqrt(clamp(light * (1.0 + 0.12 * light) / (1.0 + 0.62 * light), 0.0, 1.0)); }
@@ -498,7 +505,7 @@ void main() {
             float t = hit_solid(eye, d, max(solid, 0), normal);
             if (solid >= 0 && t > 0.0 && t < nearest) { nearest = t; id = solid + 1 + FACES; m = normal; }
         }
-        float lit = ray == vec3(0.0) ? 0.0 : 1.0 / float(samples);
+        float lit = ray == vec3(0.0) || texelFetch(seen, at, 0).g < 0.5 ? 0.0 : 1.0 / float(samples);
         colour.rgb += lit * shade(px, d, nearest, id, m);
     }
 }
@@ -722,7 +729,7 @@ void main() {
         vec3 body = shade(d, nearest, max(which, 0));
         total += which >= 0 ? body : behind;
     }
-    colour = vec4(total / float(samples), 1.0);
+    colour = vec4(room > 0.0 ? total / float(samples) : vec3(0.0), 1.0);
 }
 """
 )

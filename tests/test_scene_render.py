@@ -1,0 +1,280 @@
+"""The renderer against an independent ray caster (embree on triangles), analytic rooms, and counted pixels."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from avcli import pose
+from avcli.lens import BrownConrady, Division, KannalaBrandt
+from avcli.scene import annotations, furniture, mesh, people, render, scenario
+
+SMALL_KB = {
+    "lens_model": "kannala_brandt", "fx_px": 215.6, "fy_px": 215.7, "cx_px": 262.0, "cy_px": 137.8, "k1": -0.0269,
+    "k2": -0.0038, "k3": 0.0016, "k4": -0.0006, "image_width_px": 480, "image_height_px": 270,
+}  # fmt: skip
+WIDE_KB = {
+    "lens_model": "kannala_brandt", "fx_px": 95.0, "fy_px": 95.0, "cx_px": 180.0, "cy_px": 180.0, "image_width_px": 361,
+    "image_height_px": 361, "camera_position_m": [2.33, 2.33, 1.4], "camera_rotation_deg": [10.0, 20.0, 5.0],
+}  # fmt: skip
+DIVISION = {
+    "lens_model": "division", "fx_px": 149.1, "fy_px": 149.1, "cx_px": 240.0, "cy_px": 135.0, "k1": -0.2,
+    "image_width_px": 480, "image_height_px": 270,
+}  # fmt: skip
+FOLDED = {
+    "lens_model": "brown_conrady", "fx_px": 149.1, "fy_px": 149.1, "cx_px": 240.0, "cy_px": 135.0, "k1": -0.2,
+    "image_width_px": 480, "image_height_px": 270,
+}  # fmt: skip
+FURNITURE = [
+    {"kind": "table", "position_m": [1.0, 3.6], "rotation_deg": 20},
+    {"kind": "chair", "position_m": [3.6, 3.4], "rotation_deg": 215},
+    {"kind": "cylinder", "position_m": [3.9, 1.0, 0.5], "radius_m": 0.2, "height_m": 1.0},
+    {"kind": "sphere", "position_m": [1.2, 1.0, 0.3], "radius_m": 0.3},
+]
+PEOPLE = [
+    {"look": "red", "waypoints": [{"position_m": [1.2, 2.2]}, {"position_m": [3.2, 2.6]}], "speech_s": True},
+    {"look": "plaid", "waypoints": [{"position_m": [3.0, 1.9]}, {"position_m": [1.9, 1.6]}]},
+]
+TIMES = np.array([0.35])
+
+
+@pytest.fixture(scope="module")
+def context():
+    return render.open_context()
+
+
+def scene_of(camera=SMALL_KB, people=PEOPLE, solids=FURNITURE, **more):
+    return scenario.parse({"camera_config": camera, "people": people, "furniture": solids, **more})
+
+
+def renderer_of(scene, context, **options):
+    return render.Renderer(scene.config.camera, scene.config.room.dimensions, scene.solids, context=context, **options)
+
+
+def rays_of(camera):
+    u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+    rays = camera.lens.unproject(np.stack([u.ravel(), v.ravel()], -1))
+    return rays @ camera.T_room_camera[:3, :3].T
+
+
+def to_the_walls(scene):
+    rays = rays_of(scene.config.camera)
+    rays = np.where(np.abs(rays) < 1e-15, 1e-15, rays)
+    eye, size = scene.config.camera.T_room_camera[:3, 3], scene.config.room.dimensions
+    return np.where(rays > 0, (size - eye) / rays, -eye / rays).min(1)
+
+
+@pytest.mark.parametrize("camera", [SMALL_KB, WIDE_KB, DIVISION, FOLDED], ids=["kb", "wide", "division", "folded"])
+def test_depth_equals_a_ray_caster_on_the_same_bodies(camera, context):
+    import trimesh
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    scene = scene_of(camera)
+    bodies = people.pose(scene.people, TIMES)
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(bodies), 0)
+    depth = renderer.depth_m().ravel()
+    room = mesh.room_triangles(scene.config.room.dimensions)
+    solids, _ = mesh.solids_triangles(scene.solids, 256)
+    persons, owner = mesh.bodies_triangles(bodies, 0, 96)
+    triangles = np.concatenate([room, solids, persons])
+    label = np.concatenate([np.zeros(len(room) + len(solids), int), bodies.person[owner] + 1])
+    caster = RayMeshIntersector(trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles), process=False))
+    rays = rays_of(scene.config.camera)
+    seen = np.isfinite(rays[:, 0])
+    assert (depth[~seen] == 0).all()
+    assert (frame.rgb.reshape(-1, 3)[~seen] == 0).all()
+    eye = np.tile(scene.config.camera.T_room_camera[:3, 3], (seen.sum(), 1))
+    hit, ray, at = caster.intersects_id(eye, rays[seen], multiple_hits=False, return_locations=True)
+    truth, ids = np.zeros(seen.sum()), np.zeros(seen.sum(), int)
+    truth[ray], ids[ray] = np.linalg.norm(at - eye[0], axis=1), label[hit]
+    error = np.abs(depth[seen] - truth)
+    # Where two surfaces meet in a pixel, an outline's 0.1 mm decides: look at pixels away from edges of the truth.
+    image = np.zeros(depth.shape)
+    image[seen] = truth
+    image = image.reshape(frame.depth.shape)
+    step = np.maximum(
+        np.abs(np.diff(image, axis=0, append=image[-1:])), np.abs(np.diff(image, axis=1, append=image[:, -1:]))
+    )
+    near = np.zeros_like(step, bool)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            near |= np.roll(step > 0.03, (dy, dx), (0, 1))
+    inner = ~near.ravel()[seen]
+    assert np.median(error) < 1e-4
+    assert np.quantile(error[inner], 0.999) < 2e-3
+    assert (error[inner] > 0.02).mean() < 1e-4
+    assert (frame.ids.ravel()[seen][inner] == ids[inner]).mean() > 0.9999
+    assert {1, 2} <= set(np.unique(frame.ids))
+    steps = frame.depth.ravel()[seen] * 1e-4
+    assert np.abs(steps - depth[seen]).max() < 0.51e-4
+
+
+def test_an_empty_room_is_exact(context):
+    scene = scene_of(people=[], solids=[])
+    renderer = renderer_of(scene, context)
+    renderer.draw(renderer.prepare(people.pose([], TIMES)), 0)
+    np.testing.assert_allclose(renderer.depth_m().ravel(), to_the_walls(scene), rtol=0, atol=5e-6)
+
+
+def test_a_ball_has_the_outline_of_its_cone_of_rays(context):
+    scene = scene_of(people=[], solids=[{"kind": "sphere", "position_m": [2.9, 2.1, 1.2], "radius_m": 0.25}])
+    camera = scene.config.camera
+    renderer = renderer_of(scene, context)
+    renderer.draw(renderer.prepare(people.pose([], TIMES)), 0)
+    rays = rays_of(camera)
+    way = np.array([2.9, 2.1, 1.2]) - camera.T_room_camera[:3, 3]
+    far = np.linalg.norm(way)
+    inside = rays @ (way / far) > np.sqrt(1 - (0.25 / far) ** 2)
+    assert inside.sum() > 1000
+    assert ((renderer.depth_m().ravel() < to_the_walls(scene) - 1e-3) == inside).mean() > 0.9999
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006),
+        KannalaBrandt(300.0, 300.0, 960.0, 540.0, 0.01, -0.002),
+        BrownConrady(596.43, 596.43, 960.0, 540.0, -0.2),
+        BrownConrady(900.0, 900.0, 960.0, 540.0),
+        Division(596.43, 596.43, 960.0, 540.0, -0.2),
+    ],
+)
+def test_the_shaders_rays_are_the_lens(lens):
+    values = render.lens_uniforms(lens, 1920, 1080)
+    u, v = np.meshgrid(np.linspace(0, 1919, 61), np.linspace(0, 1079, 41))
+    pixels = np.stack([u.ravel(), v.ravel()], -1)
+    m = (pixels - values["centre"]) * values["per_px"]
+    inverse_square, ends, limit, bounded = values["domain"]
+    square = np.sum(m * m, -1)
+    w = np.sqrt(np.maximum(1 - square * inverse_square, 0)) if ends else square * inverse_square
+    across, ahead = np.polynomial.chebyshev.chebval(2 * w - 1, np.array(values["series"]))
+    lateral = m * across[:, None]
+    ray = np.concatenate([lateral * values["stretch"], ahead[:, None]], 1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    seen = (square <= limit) & ~(bool(bounded) & (np.abs(lateral).max(1) > 1))
+    exact = lens.unproject(pixels)
+    assert (seen == np.isfinite(exact[:, 0])).all()
+    np.testing.assert_allclose(ray[seen], exact[seen], rtol=0, atol=2e-7)
+
+
+def test_visible_fraction_is_what_can_be_counted(context):
+    table = {"kind": "table", "position_m": [2.5, 2.7], "size_m": [1.0, 0.5, 1.2]}
+    people_near = [{"waypoints": [{"position_m": [2.4, 2.8]}]}, {"waypoints": [{"position_m": [2.8, 2.3]}]}]
+    scene = scene_of({**SMALL_KB, "camera_position_m": [2.33, 2.33, 2.95]}, people_near, [table])
+    bodies = people.pose(scene.people, TIMES)
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(bodies), 0)
+    alone = []
+    for number in range(2):
+        one = dataclasses.replace(scene, people=(scene.people[number],))
+        single = renderer_of(dataclasses.replace(one, solids=furniture.join([])), context)
+        ids = single.draw(single.prepare(people.pose(one.people, TIMES)), 0).ids
+        # Only people who are inside the image as a whole can be counted there.
+        assert not ids[[0, -1]].any()
+        assert not ids[:, [0, -1]].any()
+        alone.append(int((ids == 1).sum()))
+    assert any(annotations.visibility(frame, number)["visible_fraction"] < 0.9 for number in range(2))
+    for number in range(2):
+        said = annotations.visibility(frame, number)
+        counted = (frame.ids == number + 1).sum() / alone[number]
+        assert said["visible_fraction"] == pytest.approx(counted, abs=0.01)
+        rows, columns = np.nonzero(frame.ids == number + 1)
+        assert said["bbox_px"] == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+
+
+def test_a_person_outside_the_image_is_not_seen(context):
+    scene = scene_of({**DIVISION, "fx_px": 900.0, "fy_px": 900.0}, [{"waypoints": [{"position_m": [0.3, 0.3]}]}])
+    bodies = people.pose(scene.people, TIMES)
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(bodies), 0)
+    said = annotations.visibility(frame, 0)
+    assert said["visible_fraction"] == 0
+    assert "bbox_px" not in said
+
+
+def test_a_person_at_the_border_is_partly_seen(context):
+    scene = scene_of(SMALL_KB, [{"waypoints": [{"position_m": [2.33, 3.2]}]}], [])
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(people.pose(scene.people, TIMES)), 0)
+    said = annotations.visibility(frame, 0)
+    assert 0.05 < said["visible_fraction"] < 0.95
+    assert said["bbox_full_px"][1] < 0
+    assert said["bbox_px"][1] == 0
+
+
+def test_frames_are_redrawn_without_a_trace_of_the_last(context):
+    scene = scene_of()
+    times = np.array([0.0, 0.4, 0.8])
+    bodies = people.pose(scene.people, times)
+    one, other = renderer_of(scene, context), renderer_of(scene, context)
+    a, b = one.prepare(bodies), other.prepare(bodies)
+    for index in range(3):
+        drawn = one.draw(a, index)
+    fresh = other.draw(b, 2)
+    for name in ("rgb", "depth", "ids"):
+        np.testing.assert_array_equal(getattr(drawn, name), getattr(fresh, name))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (64, 36), (333, 77)])
+def test_odd_sizes(size, context):
+    width, height = size
+    f = 0.45 * width
+    camera = {
+        "fx_px": f,
+        "fy_px": f,
+        "cx_px": width / 2 - 0.5,
+        "cy_px": height / 2 - 0.5,
+        "lens_model": "kannala_brandt",
+    }
+    scene = scene_of({**camera, "image_width_px": width, "image_height_px": height})
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(people.pose(scene.people, TIMES)), 0)
+    assert frame.rgb.shape == (height, width, 3)
+    assert (frame.depth > 0).all()
+
+
+def test_more_samples_change_colours_at_outlines_alone(context):
+    scene = scene_of()
+    bodies = people.pose(scene.people, TIMES)
+    hard, soft = (renderer_of(scene, context, samples=s) for s in (1, 8))
+    a, b = hard.draw(hard.prepare(bodies), 0), soft.draw(soft.prepare(bodies), 0)
+    np.testing.assert_array_equal(a.depth, b.depth)
+    np.testing.assert_array_equal(a.ids, b.ids)
+    changed = (a.rgb != b.rgb).any(-1)
+    assert 0.005 < changed.mean() < 0.2
+
+
+def test_a_persons_depth_out_of_range_is_none(context):
+    scene = scene_of(SMALL_KB, PEOPLE[:1], [])
+    renderer = renderer_of(scene, context, depth_step=1e-5)
+    frame = renderer.draw(renderer.prepare(people.pose(scene.people, TIMES)), 0)
+    assert (frame.depth[renderer.depth_m() > 0.66] == 0).all()
+
+
+def test_keypoints_lie_on_their_person(context):
+    scene = scene_of()
+    bodies = people.pose(scene.people, TIMES)
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(bodies), 0)
+    record = annotations.truth(scene, bodies, 0, frame)
+    for number, item in enumerate(record["objects"]):
+        seen = [(x, y) for x, y, v in item["keypoints_px"] if v == 2]
+        assert len(seen) >= 6
+        for x, y in seen:
+            assert frame.ids[round(y), round(x)] == number + 1
+        assert np.hypot(*(np.subtract(item["mouth_position"], item["position"])[:2])) < 0.35
+
+
+def test_camera_pose_is_used(context):
+    tilted = {**SMALL_KB, "camera_position_m": [0.4, 0.5, 2.4], "camera_rotation_deg": [45.0, 45.0, 0.0]}
+    scene = scene_of(tilted)
+    bodies = people.pose(scene.people, TIMES)
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(bodies), 0)
+    camera = scene.config.camera
+    mouth = pose.apply(pose.inverse(camera.T_room_camera), bodies.mouths[0])
+    for number, (x, y) in enumerate(camera.lens.project(mouth)):
+        x0, y0, x1, y1 = annotations.visibility(frame, number)["bbox_full_px"]
+        assert x0 - 2 <= x <= x1 + 2
+        assert y0 - 2 <= y <= y1 + 2
