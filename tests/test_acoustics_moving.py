@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from avcli.acoustics.images import image_microphones
-from avcli.acoustics.moving import MovingSource, Surroundings, first_sample, interpolation
+from avcli.acoustics.moving import MovingSource, first_sample
+from avcli.acoustics.responses import Surroundings
+from avcli.acoustics.sampling import interpolation
 from avcli.acoustics.signals import power_spectrum
 
 ROOM = np.array([4.66, 4.66, 3.0])
@@ -140,7 +142,7 @@ def test_silence_costs_nothing(monkeypatch):
     room = surroundings(0.8, 100.0)
     nodes = interpolation(np.ones(10), np.arange(10) * 800.0, -40, C)
     source = MovingSource(room, nodes)
-    monkeypatch.setattr(source._responses, "delays_and_amplitudes", None)
+    monkeypatch.setattr(source._responses, "at", None)
     heard = render(source, np.arange(5) / 10, lambda t: np.array([1 + t, 2, 1.6]), np.zeros(RATE)).take(0, RATE)
     assert not heard.any()
 
@@ -149,10 +151,8 @@ def test_standing_still_takes_one_response(monkeypatch):
     room = surroundings(0.5, 10.0)
     nodes = interpolation(np.ones(10), np.arange(10) * 800.0, -40, C)
     source = MovingSource(room, nodes)
-    reckon, places = source._responses.delays_and_amplitudes, []
-    monkeypatch.setattr(
-        source._responses, "delays_and_amplitudes", lambda *place: places.append(place) or reckon(*place)
-    )
+    reckon, places = source._responses.at, []
+    monkeypatch.setattr(source._responses, "at", lambda *place: places.append(place) or reckon(*place))
     render(source, np.arange(31) / 10, lambda t: np.array([1.0, 2, 1.6]), np.ones(3 * RATE))
     assert len(places) == 1
 

@@ -9,7 +9,7 @@ import orjson
 import pytest
 from conftest import BIN, ROOT, run
 
-from avcli import media
+from avcli import acoustics, media
 
 MICROPHONES = [
     [0.115, 4.545, 2.493],
@@ -45,7 +45,9 @@ def truth(times, *people):
         for identity, person in enumerate(people):
             if (state := person(time)) is not None:
                 mouth, speaking = state
-                objects.append({"object_id": identity, "position": [mouth[0], mouth[1], 0.0], "speaking": bool(speaking)})
+                objects.append(
+                    {"object_id": identity, "position": [mouth[0], mouth[1], 0.0], "speaking": bool(speaking)}
+                )
                 objects[-1]["mouth_position"] = list(mouth)
         lines.append(json.dumps({"timestamp": f"{time:.10f}", "objects": objects}))
     return "\n".join(lines) + "\n"
@@ -200,6 +202,155 @@ def test_real_speech_at_other_rates(experiment, shared_data, rate):
     assert sound.any()
 
 
+# --- options ----------------------------------------------------------------------------------------------------------
+
+
+def test_flac_and_bit_depths(experiment):
+    _, floats, _ = simulate(experiment, truth(TIMES, walk))
+    for options, step in (
+        (("--bit-depth", "16"), 2**-15),
+        (("--bit-depth", "24"), 2**-23),
+        (("--format", "flac"), 2**-23),
+        (("--format", "flac", "--bit-depth", "16"), 2**-15),
+    ):
+        records, sound, _ = simulate(experiment, truth(TIMES, walk), *options)
+        assert records[0]["audio"]["path"].endswith("flac" if "flac" in options else "wav")
+        assert np.abs(sound - floats).max() <= 0.51 * step
+        assert len(list(experiment.glob("audio/wav/*"))) == 1, "the old file is gone"
+    _, _, messages = simulate(experiment, truth(TIMES, walk), "--bit-depth", "16", "--level", "110")
+    assert "samples were clipped" in messages
+
+
+def test_the_sample_rate_may_be_lower(experiment):
+    _, whole, _ = simulate(experiment, truth(TIMES, walk), "--error-db", "-60")
+    records, low, _ = simulate(experiment, truth(TIMES, walk), "--sample-rate", "8000", "--error-db", "-60")
+    assert records[0]["audio"]["sample_rate_hz"] == 8000
+    spectra = [np.abs(np.fft.rfft(sound, axis=1)[:, 200:3000]) for sound in (whole / 2, low)]
+    assert np.sum((spectra[0] - spectra[1]) ** 2) < 0.1 * np.sum(spectra[0] ** 2)  # the same voice, scaled on its own
+
+
+def test_noise(experiment):
+    silent = truth(TIMES, lambda t: (walk(t)[0], False))
+    _, sound, _ = simulate(experiment, silent, "--noise", "sensor=30")
+    assert 20 * np.log10(sound.std() / 2e-5) == pytest.approx(30, abs=0.2)
+    correlation = np.corrcoef(sound)
+    assert np.abs(correlation - np.eye(8)).max() < 0.05
+    _, sound, _ = simulate(experiment, silent, "--noise", "room=40")
+    assert 20 * np.log10(sound.std() / 2e-5) == pytest.approx(40, abs=0.5)
+    _, pieces, _ = simulate(experiment, silent, "--noise", "room=40", "--noise", "sensor=30", "--chunk", "0.3")
+    _, whole, _ = simulate(experiment, silent, "--noise", "room=40", "--noise", "sensor=30")
+    assert np.array_equal(pieces, whole)
+    _, other, _ = simulate(experiment, silent, "--noise", "room=40", "--noise", "sensor=30", "--seed", "1")
+    assert not np.array_equal(other, whole)
+
+
+def test_directivities(experiment):
+    config = json.loads((experiment / "config.json").read_text())
+    microphones = config["microphone_config"]
+    still = truth(TIMES, lambda t: ((2.386, 2.253, 1.0), True))  # right below the last microphone, which looks down
+    _, omni, _ = simulate(experiment, still, "--rt60", "0")
+    for kind, looks, gain in (
+        ("cardioid", [0, 0, -1], 1.0),
+        ("cardioid", [0, 0, 1], 0.0),
+        ("cardioid", [1, 0, 0], 0.5),
+        ("bidirectional", [0, 0, 1], -1.0),
+    ):
+        microphones["directivities"], microphones["orientations"] = [kind] * 8, [looks] * 8
+        (experiment / "config.json").write_text(json.dumps(config))
+        _, sound, _ = simulate(experiment, still, "--rt60", "0")
+        np.testing.assert_allclose(sound[7], gain * omni[7], atol=1e-4 * np.abs(omni).max())
+
+
+def test_a_talking_head_looks_where_it_walks(experiment):
+    _, omni, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
+    _, head, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0", "--source-directivity", "cardioid")
+    gain = np.sqrt(np.sum(head**2, axis=1) / np.sum(omni**2, axis=1))
+    assert gain[3] > 0.9  # ahead
+    assert gain[0] < 0.6  # behind
+
+
+def test_absorption_speed_and_temperature(experiment):
+    alpha = 0.161 * 4.66 * 4.66 * 3 / (2 * (4.66 * 4.66 + 2 * 4.66 * 3)) / 0.2
+    _, by_time, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.2")
+    _, by_walls, _ = simulate(experiment, truth(TIMES, walk), "--absorption", str(alpha))
+    np.testing.assert_allclose(by_walls[:, : by_time.shape[1]], by_time, atol=1e-6)
+    _, cold, _ = simulate(experiment, truth(TIMES, walk), "--temperature", "-10")
+    _, slow, _ = simulate(experiment, truth(TIMES, walk), "--speed-of-sound", str(343.2 * np.sqrt(263.15 / 293.15)))
+    np.testing.assert_allclose(cold[:, : slow.shape[1]], slow[:, : cold.shape[1]], atol=1e-6)
+    _, positive, _ = simulate(experiment, truth(TIMES, walk), "--reflection-sign", "positive")
+    assert np.abs(positive.mean()) > 3 * np.abs(by_time.mean())
+    _, eyring, _ = simulate(experiment, truth(TIMES, walk), "--eyring")
+    assert np.sum(eyring**2) > np.sum(by_time**2)
+
+
+def test_the_thesis_preset_switches_and_ends_in_noise(experiment):
+    _, exact, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35")
+    _, thesis, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35", "--preset", "thesis")
+    _, again, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35", "--switch", "0.01", "--ism-decay", "15")
+    assert np.array_equal(thesis, again)
+    error = 10 * np.log10(np.sum((thesis - exact) ** 2) / np.sum(exact**2))
+    assert -20 < error < -6
+    tail, expected = thesis[:, int(1.05 * RATE) :], exact[:, int(1.05 * RATE) :]
+    assert 10 * np.log10(np.sum(tail**2) / np.sum(expected**2)) == pytest.approx(0, abs=4)
+
+
+def test_long_reverberation_ends_in_noise_that_stays(experiment):
+    still = truth(TIMES, lambda t: ((1.0, 2.0, 1.6), True))
+    _, exact, _ = simulate(experiment, still, "--rt60", "0.6")
+    _, sound, _ = simulate(experiment, still, "--rt60", "0.6", "--ism-decay", "15", "--error-db", "-20")
+    late = slice(int(1.2 * RATE), int(1.5 * RATE))
+    assert 10 * np.log10(np.sum(sound[:, late] ** 2) / np.sum(exact[:, late] ** 2)) == pytest.approx(0, abs=3)
+
+
+def test_microphones_at_one_place_hear_the_same(experiment):
+    config = json.loads((experiment / "config.json").read_text())
+    config["microphone_config"]["mic_positions_m"][5] = MICROPHONES[2]
+    (experiment / "config.json").write_text(json.dumps(config))
+    _, sound, _ = simulate(experiment, truth(TIMES, walk))
+    assert np.array_equal(sound[5], sound[2])
+    assert not np.allclose(sound[4], sound[2])
+    assert np.sum(sound[7] ** 2) > 0
+
+
+def test_impulse_responses_for_others(experiment, tmp_path):
+    simulate(experiment, truth(TIMES, walk), "--rir", tmp_path / "rir.npz", "--error-db", "-60")
+    content = np.load(tmp_path / "rir.npz")
+    assert content["rir"].shape[:2] == (11, 8)
+    np.testing.assert_allclose(content["source_position_m"], [walk(t)[0] for t in TIMES])
+    expected = acoustics.shoebox_rir(
+        content["room_dimensions_m"],
+        content["source_position_m"][3],
+        content["microphone_positions_m"],
+        -content["reflection"],
+        RATE,
+        2000,
+    )
+    found = content["rir"][3][:, :2000]
+    assert 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2)) < -55
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--rt60", "0.3", "--absorption", "0.3"), "contradict each other"),
+        (("--no-reverb", "--rt60", "0.3"), "contradict each other"),
+        (("--temperature", "20", "--speed-of-sound", "340"), "contradict each other"),
+        (("--absorption", "0.3,0.4"), "one number from 0 to 1, or six"),
+        (("--absorption", "1.3"), "one number from 0 to 1, or six"),
+        (("--noise", "traffic=30"), "expected sensor=DB or room=DB"),
+        (("--noise", "room=nan"), "expected sensor=DB or room=DB"),
+        (("--format", "flac", "--bit-depth", "32"), "FLAC takes 16 or 24"),
+        (("--rir", "rir.wav"), "ends in .npz or .sofa"),
+        (("--error-db", "10"), "--error-db"),
+    ],
+)
+def test_options_that_make_no_sense(experiment, options, message):
+    result = run("avsim-audio", "-C", experiment, *options, stdin=truth(TIMES, walk))
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
 # --- rooms and places that are not easy -------------------------------------------------------------------------------
 
 
@@ -239,6 +390,30 @@ def test_someone_comes_and_goes(experiment):
     assert records[0]["activity"]["0"][0][0] == pytest.approx(0.3, abs=0.011)
     assert records[0]["activity"]["0"][-1][1] <= 0.63
     assert np.abs(sound[:, : int(0.3 * RATE)]).max() < 1e-6 * np.abs(sound).max()
+
+
+def test_reverberation_that_is_too_long(experiment):
+    result = run("avsim-audio", "-C", experiment, "--rt60", "5", stdin=truth(TIMES, walk))
+    assert result.returncode == 1
+    assert "images of each microphone" in result.stderr
+    assert "are too many" in result.stderr
+    result = run("avsim-audio", "-C", experiment, "--absorption", "0", stdin=truth(TIMES, walk))
+    assert result.returncode == 1
+    assert "would never end" in result.stderr
+
+
+@pytest.mark.parametrize("dimensions", [[0.3, 0.3, 0.3], [50.0, 40.0, 20.0]])
+def test_tiny_and_huge_rooms(experiment, dimensions):
+    config = json.loads((experiment / "config.json").read_text())
+    config["room_config"]["room_dimensions_m"] = dimensions
+    spots = [[0.1, 0.1, 0.1], [0.9, 0.8, 0.9]]
+    config["microphone_config"]["mic_positions_m"] = (np.array(spots) * dimensions).tolist()
+    (experiment / "config.json").write_text(json.dumps(config))
+    mouth = tuple(0.5 * np.array(dimensions))
+    _, sound, messages = simulate(experiment, truth(TIMES, lambda t: (mouth, True)), "--rt60", "0.05")
+    assert np.isfinite(sound).all()
+    assert sound.any(axis=1).all()
+    assert ("without echo" in messages) == (dimensions[0] > 1)
 
 
 def test_one_record_is_silence(experiment):

@@ -1,7 +1,9 @@
 """Room acoustics: image sources, moving speakers, and what microphones hear of them."""
 
 from avcli.acoustics.images import image_count, image_microphones, shoebox_rir
-from avcli.acoustics.moving import MovingSource, Surroundings, interpolation
+from avcli.acoustics.moving import MovingSource
+from avcli.acoustics.noise import Noise
+from avcli.acoustics.responses import Surroundings, impulse_responses
 from avcli.acoustics.room import (
     eyring_absorption,
     minimum_rt60,
@@ -11,19 +13,24 @@ from avcli.acoustics.room import (
     speed_of_sound,
     wall_areas,
 )
-from avcli.acoustics.signals import at_level, resample
+from avcli.acoustics.sampling import Switching, interpolation
+from avcli.acoustics.signals import at_level, pascal, resample
 from avcli.acoustics.speakers import Speakers
 
 __all__ = [
     "MovingSource",
+    "Noise",
     "Speakers",
     "Surroundings",
+    "Switching",
     "at_level",
     "eyring_absorption",
     "image_count",
     "image_microphones",
+    "impulse_responses",
     "interpolation",
     "minimum_rt60",
+    "pascal",
     "resample",
     "sabine_absorption",
     "sabine_rt60",

@@ -5,6 +5,7 @@ while the source walks. Image (n, q) of an axis of length L lies at (1 − 2q) m
 times and the wall at L |n| times (J. B. Allen and D. A. Berkley, 1979, eq. 10).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,13 +37,23 @@ class Images:
     def __getitem__(self, chosen) -> "Images":
         return Images(self.positions[:, chosen], self.gains[chosen], self.mirrored[:, chosen])
 
-    def offsets(self, source_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the vectors from each image to a source, (3, n) m, and their lengths, (n,) m."""
-        vectors = source_m[:, None] - self.positions
-        squares = vectors[0] * vectors[0]
-        squares += vectors[1] * vectors[1]
-        squares += vectors[2] * vectors[2]
-        return vectors, np.sqrt(squares, out=squares)
+    def distances(self, source_m: np.ndarray) -> np.ndarray:
+        """Return the distances from a source, (n,) m."""
+        squares = self.positions[0] - source_m[0]
+        squares *= squares
+        for axis in (1, 2):
+            difference = self.positions[axis] - source_m[axis]
+            difference *= difference
+            squares += difference
+        return np.sqrt(squares, out=squares)
+
+    def amplitudes(self, distances: np.ndarray) -> np.ndarray:
+        """Return the amplitudes at these distances, (n,): gain / (4π d), with d at least NEAREST_M."""
+        if len(distances) and distances.min() < NEAREST_M:
+            distances = np.maximum(distances, NEAREST_M)
+        amplitudes = self.gains / distances
+        amplitudes *= 1 / (4 * np.pi)
+        return amplitudes
 
 
 def image_count(room_dimensions_m: ArrayLike, reach_m: float) -> float:
@@ -183,31 +194,32 @@ class DelaySpectrum:
         )
         self._inverse = 1 / transform
 
-    def __call__(self, delays: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the spectrum, (bins,) complex128.
+    def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """Return the spectra of several sums, (m, bins) complex128.
 
         Args:
-            delays: (n,) samples in [0, length).
-            amplitudes: (n,).
+            impulses: m times delays, (n,) samples in [0, length), and amplitudes, (n,).
         """
-        width, cells = self._width, self._cells
-        margin = (width + 1) // 2
+        grids = np.zeros((len(impulses), self._cells + 2 * self._width + 2))
+        for grid, (delays, amplitudes) in zip(grids, impulses, strict=True):
+            self._spread(grid, delays, amplitudes)
+        margin = (self._width + 1) // 2  # what was spread over an end goes round to the other
+        circles, rest = grids[:, margin : margin + self._cells], grids[:, margin + self._cells :]
+        circles[:, self._cells - margin :] += grids[:, :margin]
+        circles[:, : rest.shape[1]] += rest
+        return np.fft.rfft(circles)[:, : self.bins] * self._inverse
+
+    def _spread(self, grid: np.ndarray, delays: np.ndarray, amplitudes: np.ndarray) -> None:
         places = delays * self._oversampling
-        places += margin - width / 2
+        places += (self._width + 1) // 2 - self._width / 2
         first = places.astype(np.intp)
         places -= first
         places *= self.ROWS
         rows = places.astype(np.intp)
-        grid = np.zeros(cells + 2 * width + 2)
         for k, taps in enumerate(self._taps):
-            spread = taps.take(rows, mode="clip")
+            spread = taps.take(rows, mode="clip", out=places)
             spread *= amplitudes
             np.add.at(grid[k + 1 :], first, spread)
-        circle = grid[margin : margin + cells]
-        circle[cells - margin :] += grid[:margin]
-        rest = grid[margin + cells :]
-        circle[: len(rest)] += rest
-        return np.fft.rfft(circle)[: self.bins] * self._inverse
 
 
 def shoebox_rir(
@@ -267,13 +279,13 @@ def shoebox_rir(
     _refuse_too_many(room, reflection, (num_samples - 1) / samples_per_m)
     # The FFT's kernel is periodic; over four lengths it differs from the sinc by less than -70 dB.
     spectrum = DelaySpectrum(fast_length(max(4 * num_samples, 1 << 15)))
-    responses = np.empty((len(microphones), num_samples))
-    for response, microphone in zip(responses, microphones, strict=True):
+    impulses = []
+    for microphone in microphones:
         images = image_microphones(room, microphone, sign * reflection, source, (num_samples - 1) / samples_per_m)
-        _, distances = images.offsets(source)
-        delays, amplitudes = distances * samples_per_m, images.gains / (4 * np.pi * np.maximum(distances, NEAREST_M))
+        distances = images.distances(source)
+        delays, amplitudes = distances * samples_per_m, images.amplitudes(distances)
         if error_db is not None:
             kept = audible(delays, amplitudes, error_db - 0.5)
             delays, amplitudes = delays[kept], amplitudes[kept]
-        response[:] = np.fft.irfft(spectrum(delays, amplitudes), spectrum.length)[:num_samples]
-    return responses
+        impulses.append((delays, amplitudes))
+    return np.fft.irfft(spectrum(impulses), spectrum.length)[:, :num_samples].copy()

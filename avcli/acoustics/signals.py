@@ -15,6 +15,11 @@ QUIET_DB = -35.0
 """dB; a frame this far below a voice's level is no sound of it."""
 
 
+def pascal(level_db_spl: float) -> float:
+    """Return the root mean square pressure of a level, Pa."""
+    return PASCAL_AT_0_DB * 10 ** (level_db_spl / 20)
+
+
 def resample(signal: np.ndarray, from_hz: int, to_hz: int) -> np.ndarray:
     """Resample a signal by its spectrum: exact for what is below both Nyquist frequencies, nothing beyond.
 
@@ -64,7 +69,7 @@ def active_level(signal: np.ndarray, sample_rate_hz: float) -> float:
 def at_level(signal: np.ndarray, sample_rate_hz: float, level_db_spl: float) -> np.ndarray:
     """Scale a recording to a source signal of a level, dB SPL at 1 m while it sounds; silence stays silence."""
     level = active_level(signal, sample_rate_hz)
-    wanted = 4 * np.pi * PASCAL_AT_0_DB * 10 ** (level_db_spl / 20)
+    wanted = 4 * np.pi * pascal(level_db_spl)
     return np.asarray(signal, dtype=float) * (wanted / level if level > 0 else 0.0)
 
 

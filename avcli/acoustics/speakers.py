@@ -5,7 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from avcli.acoustics.moving import MARGIN, Interpolation, MovingSource, Surroundings, first_sample, interpolation
+from avcli.acoustics.moving import MovingSource, first_sample
+from avcli.acoustics.responses import MARGIN, Surroundings
+from avcli.acoustics.sampling import Interpolation, Switching, interpolation
 from avcli.acoustics.signals import (
     FADE_S,
     FRAME_S,
@@ -22,6 +24,8 @@ FASTEST_M_S = 20.0
 """m/s; who would have to be faster has jumped: the sound fades out there and in again here."""
 WALL_M = 0.05
 """m; a mouth is kept this far from walls, floor and ceiling, and inside the room."""
+ANECHOIC_ERROR_DB = -80.0
+"""dB; where there is only the direct path, it costs little to have it so exact."""
 MOUTH_HEIGHT_M = 1.6
 """m above the floor, of a mouth whose place is not stated."""
 
@@ -29,7 +33,7 @@ MOUTH_HEIGHT_M = 1.6
 @dataclass
 class _Person:
     voice: Voice
-    sampling: Interpolation
+    sampling: Interpolation | Switching
     band: float
     quiet: float
     source: MovingSource | None = None
@@ -49,9 +53,11 @@ class Speakers:
     Args:
         surroundings: the room and the microphones (its error_db is set here).
         voices: source signals at the room's sample rate; the person with object id i has voice i modulo their number.
-        error_db: error of what is heard relative to it, dB.
+        error_db: error of what is heard relative to it, dB; without reflection it is at most ANECHOIC_ERROR_DB.
+        switch_s: hold a response for so long and switch then, as gpuRIR does, s; None: interpolate.
         pause_s: between a recording's end and its next beginning, s.
         mouth_height_m: above the floor, of mouths whose place is not stated.
+        seed: of all chance.
 
     Attributes:
         moved_inside: how often a mouth on a wall or outside the room was moved inside.
@@ -64,13 +70,18 @@ class Speakers:
         voices: Sequence[np.ndarray],
         *,
         error_db: float = -40.0,
+        switch_s: float | None = None,
         pause_s: float = 0.15,
         mouth_height_m: float = MOUTH_HEIGHT_M,
+        seed: int = 0,
     ):
+        if not np.any(surroundings.reflection):
+            error_db = min(error_db, ANECHOIC_ERROR_DB)
         # Three errors add up: images left out, interpolation between nodes (which is reckoned for the worst direction
         # and is some 10 dB better over all), and what lies above the band.
-        self._surroundings = replace(surroundings, error_db=error_db - 1.5)
+        self._surroundings, self._copies = _distinct(replace(surroundings, error_db=error_db - 3.5))
         self._voices, self._error_db, self._pause_s = voices, error_db, pause_s
+        self._switch_s, self._seed = switch_s, seed
         self._mouth_height_m = mouth_height_m
         self._people: dict[int, _Person] = {}
         self._sources: list[MovingSource] = []
@@ -78,8 +89,11 @@ class Speakers:
         self.time: float | None = None
         self.moved_inside = self.jumps = 0
 
-    def step(self, people: Sources) -> None:
+    def step(self, people: Sources) -> np.ndarray:
         """Take the people's places at a time, and whose turn it is from then on.
+
+        Returns:
+            (n, 3) m, where their mouths are.
 
         Raises:
             ValueError: the time does not increase.
@@ -99,7 +113,13 @@ class Speakers:
                 self.jumps += 1
                 self._leave(person)
             if person.source is None:
-                person.source = MovingSource(self._surroundings, person.sampling, person.band, self._error_db - 15)
+                person.source = MovingSource(
+                    self._surroundings,
+                    person.sampling,
+                    person.band,
+                    self._error_db - 15,
+                    rng=np.random.default_rng([self._seed, identity % 2**63]),
+                )
                 person.source.move(people.timestamp, mouth)
                 person.velocity = np.zeros(3)
                 self._sources.append(person.source)
@@ -107,6 +127,7 @@ class Speakers:
                 person.velocity = (mouth - person.mouth) / elapsed
                 self._speak(person, people.timestamp, mouth, person.speaking)
             person.time, person.mouth, person.speaking = people.timestamp, mouth, speaking
+        return mouths
 
     def finish(self) -> None:
         """End the scene at the last time step: voices fade out, and what is heard of them is settled."""
@@ -128,7 +149,7 @@ class Speakers:
         for source in self._sources:
             heard += source.take(begin, end)
         self._sources = [source for source in self._sources if not source.exhausted]
-        return heard
+        return heard[self._copies]
 
     def activity(self, begin_s: float, end_s: float) -> dict[int, list[list[float]]]:
         """Return when each voice sounds from one time to another: object id -> [start, end] s."""
@@ -152,13 +173,16 @@ class Speakers:
 
     def _meet(self, identity: int) -> _Person:
         rate, voice = self._surroundings.sample_rate_hz, self._voices[identity % len(self._voices)]
-        sampling = interpolation(
-            *power_spectrum(voice, rate), self._error_db - 4, self._surroundings.speed_of_sound_m_s
-        )
+        sampling: Interpolation | Switching
+        if self._switch_s is not None:
+            sampling = Switching(self._switch_s)
+        else:
+            power, frequencies = power_spectrum(voice, rate)
+            sampling = interpolation(power, frequencies, self._error_db - 5, self._surroundings.speed_of_sound_m_s)
         return _Person(
             voice=Voice(voice, rate, self._pause_s),
             sampling=sampling,
-            band=bandwidth(voice, rate, self._error_db - 8) / rate,
+            band=bandwidth(voice, rate, self._error_db - 10) / rate,
             quiet=active_level(voice, rate) * 10 ** (QUIET_DB / 20),
         )
 
@@ -183,3 +207,21 @@ class Speakers:
         self._speak(person, person.time + FADE_S, person.mouth + person.velocity * FADE_S, False)
         person.source.finish()
         person.source, person.speaking = None, False
+
+
+def _distinct(surroundings: Surroundings) -> tuple[Surroundings, np.ndarray]:
+    """Return the surroundings with each microphone once, and for every microphone which of those it is, (m,)."""
+    columns = [surroundings.microphones_m]
+    if surroundings.directivities is not None:
+        columns += [surroundings.directivities[:, None], surroundings.orientations]
+    _, first, copies = np.unique(np.column_stack(columns), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # as they came
+    kept, places = first[order], np.argsort(order)
+    directional = surroundings.directivities is not None
+    distinct = replace(
+        surroundings,
+        microphones_m=surroundings.microphones_m[kept],
+        directivities=surroundings.directivities[kept] if directional else None,
+        orientations=surroundings.orientations[kept] if directional else None,
+    )
+    return distinct, places[copies.ravel()]

@@ -12,6 +12,35 @@ DEFAULT_RT60_S = 0.35
 """s; an office by DIN 18041, as in the thesis."""
 LONGEST_SILENCE_S = 3600.0
 """s; a scene whose first record is later begins there."""
+MANY_IMAGES = 1_000_000
+"""images of a microphone from which on it is said that they take long."""
+PATTERNS = ("omni", "subcardioid", "cardioid", "hypercardioid", "bidirectional")
+PRESETS = {"thesis": {"switch": 0.01, "ism_decay": 15.0}}
+
+
+def _absorption(_context, _parameter, text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 6) or not all(0 <= value <= 1 for value in values):
+        raise click.BadParameter(f"{text}: expected one number from 0 to 1, or six for x0,x1,y0,y1,z0,z1")
+    return values if len(values) == 6 else values * 6
+
+
+def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    levels = {}
+    for text in texts:
+        kind, _, value = text.partition("=")
+        try:
+            levels[kind] = float(value)
+        except ValueError:
+            kind = ""
+        if kind not in ("sensor", "room") or not math.isfinite(levels[kind]):
+            raise click.BadParameter(f"{text}: expected sensor=DB or room=DB")
+    return levels
 
 
 @click.command("avsim-audio", cls=Filter)
@@ -24,7 +53,12 @@ LONGEST_SILENCE_S = 3600.0
     "The person with object id i has voice i modulo their number.",
 )
 @click.option(
-    "--level", type=float, default=60.0, show_default=True, metavar="DB", help="Level of a voice, dB SPL at 1 m."
+    "--level",
+    type=click.FloatRange(-20, 140),
+    default=60.0,
+    show_default=True,
+    metavar="DB",
+    help="Level of a voice, dB SPL at 1 m.",
 )
 @click.option(
     "--pause",
@@ -43,12 +77,52 @@ LONGEST_SILENCE_S = 3600.0
     help="Height above the floor, m, of a mouth whose mouth_position the ground truth does not state.",
 )
 @click.option(
+    "--source-directivity",
+    type=click.Choice(PATTERNS),
+    default="omni",
+    show_default=True,
+    help="Pattern of a talking head, which looks where it walks.",
+)
+@click.option(
     "--rt60",
     type=click.FloatRange(0),
     metavar="S",
     help="Reverberation time, s; 0 is a room without echo.  [default: the config's, else 0.35]",
 )
+@click.option("--no-reverb", is_flag=True, help="The direct path alone, to -80 dB; as --rt60 0.")
+@click.option(
+    "--absorption",
+    callback=_absorption,
+    metavar="A[,A...]",
+    help="Energy that the walls absorb, from 0 to 1, instead of a reverberation time: one number, or six for "
+    "x0,x1,y0,y1,z0,z1.",
+)
+@click.option("--eyring", is_flag=True, help="Find the absorption by Eyring's equation instead of Sabine's.")
 @click.option("--strict", is_flag=True, help="Refuse a reverberation time that the room cannot have.")
+@click.option(
+    "--reflection-sign",
+    type=click.Choice(["negative", "positive"]),
+    default="negative",
+    show_default=True,
+    help="Whether a wall turns the pressure over. If not, low frequencies build up.",
+)
+@click.option(
+    "--speed-of-sound",
+    type=click.FloatRange(0, min_open=True),
+    metavar="M/S",
+    help="Speed of sound, m/s.  [default: the config's, else 343]",
+)
+@click.option(
+    "--temperature", type=float, metavar="C", help="Temperature of the air, °C, instead of its speed of sound."
+)
+@click.option(
+    "--noise",
+    multiple=True,
+    callback=_noise,
+    metavar="KIND=DB",
+    help="sensor=DB: white noise of each microphone, DB below a voice of --level at 1 m. "
+    "room=DB: diffuse pink noise of DB SPL. May be given for each.",
+)
 @click.option(
     "--error-db",
     type=click.FloatRange(-100, -10),
@@ -58,19 +132,55 @@ LONGEST_SILENCE_S = 3600.0
     help="Error allowed relative to what is heard, dB; a smaller one takes longer.",
 )
 @click.option(
+    "--ism-decay",
+    type=click.FloatRange(1, 60),
+    metavar="DB",
+    help="Follow image sources until the sound has decayed by DB, and let noise go on from there; for very long "
+    "reverberation.  [default: image sources throughout]",
+)
+@click.option(
+    "--switch",
+    type=click.FloatRange(0.001),
+    metavar="S",
+    help="Hold the response of a place for S seconds and switch then, as gpuRIR does, with the noise of --ism-decay "
+    "drawn anew each time; to compare with.  [default: interpolate]",
+)
+@click.option(
+    "--sample-rate", type=click.IntRange(4000, 384000), metavar="HZ", help="Sample rate, Hz.  [default: the config's]"
+)
+@click.option(
+    "--bit-depth",
+    type=click.Choice(["16", "24", "32"]),
+    help="Bits of a sample; 32 are floats.  [default: the config's, else 32; 24 in FLAC]",
+)
+@click.option(
+    "--format",
+    "extension",
+    type=click.Choice(["wav", "flac"]),
+    default="wav",
+    show_default=True,
+    help="Kind of the sound files.",
+)
+@click.option(
     "--chunk",
     type=click.FloatRange(0.05),
     metavar="S",
     help="Write a sound file for every S seconds, as soon as it is known.  [default: one for the whole scene]",
 )
-@common(seed=True, skip_invalid=True)
-def main(session: Session, files, speech, level, pause, mouth_height, rt60, strict, error_db, chunk):
+@click.option(
+    "--rir",
+    metavar="FILE",
+    help="Write the impulse responses from every mouth of every record too: .npz, or .sofa (needs sofar).",
+)
+@common(seed=True, skip_invalid=True, presets=PRESETS)
+def main(session: Session, files, **options):
     """Simulate what the microphones of a room hear of people who walk and talk in it.
 
     Reads ground-truth records (who is where, and whose turn it is to speak), writes sound files with a channel for each
     microphone to DIR/audio/wav, and a record for each file.
     """
-    recordings = _recordings(session, speech)
+    _check(session, options)
+    recordings = _recordings(session, options["speech"])
     last = -math.inf
 
     def people_at(record, bad):
@@ -85,22 +195,56 @@ def main(session: Session, files, speech, level, pause, mouth_height, rt60, stri
 
     with session.output() as write, contextlib.ExitStack() as stack:
         tape = None
+        places = []
         for people in session.records(files, people_at):
             if tape is None:
-                surroundings, tail_s = _surroundings(session, rt60, strict)
-                speakers = _speakers(session, surroundings, recordings, level, pause, mouth_height, error_db)
+                surroundings, tail_s = _surroundings(session, options)
                 rate = surroundings.sample_rate_hz
+                speakers = _speakers(session, surroundings, recordings, options)
                 # A clock that does not start with the scene (Unix time) is not waited for from its zero on.
                 begin = 0 if people.timestamp < LONGEST_SILENCE_S else math.ceil(people.timestamp * rate)
-                tape = stack.enter_context(_Tape(session, speakers, rate, begin, chunk, write))
+                hear = _with_noise(session, surroundings, speakers, options)
+                tape = stack.enter_context(_Tape(session, hear, speakers.activity, rate, begin, options, write))
             with session.timing("simulation"):
-                speakers.step(people)
+                mouths = speakers.step(people)
             tape.roll(speakers.settled)
-        if tape is not None:
-            with session.timing("simulation"):
-                speakers.finish()
-            tape.roll(math.ceil((last + tail_s) * rate - 1e-4))
-            _tell(session, speakers)
+            if options["rir"]:
+                places += [(people.timestamp, *who) for who in zip(people.ids.tolist(), mouths, strict=True)]
+        if tape is None:
+            return
+        with session.timing("simulation"):
+            speakers.finish()
+        tape.roll(math.ceil((last + tail_s) * rate - 1e-4))
+        if speakers.moved_inside:
+            session.warn(f"{speakers.moved_inside} times a mouth on a wall or outside the room was moved inside")
+        if speakers.jumps:
+            session.warn(f"{speakers.jumps} times someone jumped; the voice breaks off there")
+        if options["rir"]:
+            with session.timing("responses"):
+                _write_responses(session, options["rir"], surroundings, places)
+
+
+def _check(session: Session, options) -> None:
+    """Refuse options that contradict each other or need what is missing, before any work is done."""
+    for one, other in (
+        ("rt60", "absorption"),
+        ("rt60", "no_reverb"),
+        ("absorption", "no_reverb"),
+        ("speed_of_sound", "temperature"),
+    ):
+        if options[one] not in (None, False) and options[other] not in (None, False):
+            session.usage(f"--{one.replace('_', '-')} and --{other.replace('_', '-')} contradict each other")
+    if options["extension"] == "flac" and options["bit_depth"] == "32":
+        session.usage("--bit-depth 32: FLAC takes 16 or 24")
+    if options["rir"] and options["source_directivity"] != "omni":
+        session.usage("--rir writes the responses to a source that sounds all round; not with --source-directivity")
+    if options["rir"] and Path(options["rir"]).suffix not in (".npz", ".sofa"):
+        session.usage(f"--rir {options['rir']}: expected a name that ends in .npz or .sofa")
+    if options["rir"] and Path(options["rir"]).suffix == ".sofa":
+        import importlib.util
+
+        if importlib.util.find_spec("sofar") is None:
+            session.fail("--rir FILE.sofa needs the package sofar (pip install sofar); .npz does not")
 
 
 def _recordings(session: Session, paths):
@@ -124,76 +268,135 @@ def _recordings(session: Session, paths):
     return recordings
 
 
-def _surroundings(session: Session, rt60, strict):
+def _surroundings(session: Session, options):
     """Return the room with its microphones, and how long its reverberation lasts, s."""
     import numpy as np
 
-    from avcli import acoustics
+    from avcli import acoustics, experiment
 
     room, microphones = session.config.room, session.config.microphones
     for i, position in enumerate(microphones.positions):
         if ((position < 0) | (position > room.dimensions)).any():
             session.fail(f"{session.config.name}: microphone {i} at {position.tolist()} is outside the room")
-    absorption = room.absorption
-    if rt60 is None and absorption is None:
-        rt60 = DEFAULT_RT60_S if room.reverberation_time_s is None else room.reverberation_time_s
-    if rt60 is not None:
-        absorption = np.ones(6)
-        shortest = acoustics.minimum_rt60(room.dimensions)
-        if rt60 >= shortest:
-            absorption = acoustics.sabine_absorption(room.dimensions, rt60)
-        elif rt60 > 0:
-            text = f"T60 {rt60:g} s: this room has at least {shortest:.4f} s"
-            if strict:
-                session.fail(text)
-            session.warn(f"{text}; simulated without echo")
-    else:
-        rt60 = acoustics.sabine_rt60(room.dimensions, absorption)
-        if not math.isfinite(rt60):
-            session.fail(f"{session.config.name}: room_config.absorption: the sound of this room would never end")
-    direct_s = float(np.linalg.norm(room.dimensions)) / room.speed_of_sound_m_s
-    tail_s = max(rt60 if (absorption < 1).any() else 0.0, direct_s)
+    speed = options["speed_of_sound"] or room.speed_of_sound_m_s
+    if options["temperature"] is not None:
+        speed = acoustics.speed_of_sound(options["temperature"])
+    rt60, absorption = _absorption_of(session, room, options)
+
+    direct_m = float(np.linalg.norm(room.dimensions))
+    tail_s = max(rt60, direct_m / speed)
+    # At the default error the last of the reverberation is not heard; below −45 dB more than T60 of it is.
+    followed_s = rt60 * (15 - options["error_db"]) / 60
+    if options["ism_decay"] is not None:
+        followed_s = min(followed_s, rt60 * options["ism_decay"] / 60)
+    reach_m = max(followed_s * speed, direct_m)
+    images = acoustics.image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1
+    if images > MANY_IMAGES:
+        session.warn(
+            f"sound reaches {images:.2g} images of each microphone, which takes long; "
+            "--ism-decay 15 follows the strong ones and lets noise go on"
+        )
     session.note(
-        f"T60 {rt60:g} s, absorption {np.round(absorption, 4).tolist()}, "
-        f"Schroeder frequency {acoustics.schroeder_frequency(room.dimensions, rt60):.1f} Hz"
+        f"T60 {rt60:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a microphone, "
+        f"Schroeder frequency {acoustics.schroeder_frequency(room.dimensions, rt60):.1f} Hz, {speed:.1f} m/s"
     )
+    sign = -1 if options["reflection_sign"] == "negative" else 1
     surroundings = acoustics.Surroundings(
         room_dimensions_m=room.dimensions,
-        reflection=-np.sqrt(1 - absorption),
+        reflection=sign * np.sqrt(1 - absorption),
         microphones_m=microphones.positions,
-        sample_rate_hz=microphones.sample_rate_hz,
-        reach_m=tail_s * room.speed_of_sound_m_s,
-        speed_of_sound_m_s=room.speed_of_sound_m_s,
+        sample_rate_hz=options["sample_rate"] or microphones.sample_rate_hz,
+        reach_m=reach_m,
+        speed_of_sound_m_s=speed,
         directivities=microphones.directivities,
         orientations=microphones.orientations,
+        source_directivity=experiment.DIRECTIVITIES[options["source_directivity"]],
+        rt60_s=rt60,
+        end_s=tail_s if options["ism_decay"] is not None and rt60 > 0 else 0.0,
     )
     return surroundings, tail_s
 
 
-def _speakers(session: Session, surroundings, recordings, level, pause, mouth_height, error_db):
+def _absorption_of(session: Session, room, options):
+    """Return the reverberation time, s, and the absorption of the six walls that go together."""
+    import numpy as np
+
+    from avcli import acoustics
+
+    rt60, absorption = options["rt60"], options["absorption"]
+    if options["no_reverb"]:
+        rt60 = 0.0
+    if rt60 is None and absorption is None:
+        absorption = room.absorption
+        if absorption is None:
+            rt60 = DEFAULT_RT60_S if room.reverberation_time_s is None else room.reverberation_time_s
+    if rt60 is None:
+        absorption = np.asarray(absorption)
+        rt60 = acoustics.sabine_rt60(room.dimensions, absorption)
+        if not math.isfinite(rt60):
+            session.fail("walls that absorb nothing: the sound of this room would never end")
+        return (rt60 if (absorption < 1).any() else 0.0), absorption
+    if rt60 > 0 and options["eyring"]:
+        return rt60, acoustics.eyring_absorption(room.dimensions, rt60)
+    shortest = acoustics.minimum_rt60(room.dimensions)
+    if rt60 >= shortest:
+        return rt60, acoustics.sabine_absorption(room.dimensions, rt60)
+    if rt60 > 0:
+        text = f"T60 {rt60:g} s: this room has at least {shortest:.4f} s"
+        if options["strict"]:
+            session.fail(text)
+        session.warn(f"{text}; simulated without echo")
+    return 0.0, np.ones(6)
+
+
+def _speakers(session: Session, surroundings, recordings, options):
     from avcli import acoustics
 
     rate = surroundings.sample_rate_hz
     with session.timing("voices"):
         voices = [
-            acoustics.at_level(acoustics.resample(samples, own, rate), rate, level) for samples, own in recordings
+            acoustics.at_level(acoustics.resample(samples, own_rate, rate), rate, options["level"])
+            for samples, own_rate in recordings
         ]
-    return acoustics.Speakers(surroundings, voices, error_db=error_db, pause_s=pause, mouth_height_m=mouth_height)
+    return acoustics.Speakers(
+        surroundings,
+        voices,
+        error_db=options["error_db"],
+        switch_s=options["switch"],
+        pause_s=options["pause"],
+        mouth_height_m=options["mouth_height"],
+        seed=session.seed,
+    )
 
 
-def _tell(session: Session, speakers) -> None:
-    if speakers.moved_inside:
-        session.warn(f"{speakers.moved_inside} times a mouth on a wall or outside the room was moved inside")
-    if speakers.jumps:
-        session.warn(f"{speakers.jumps} times someone jumped; the voice breaks off there")
+def _with_noise(session: Session, surroundings, speakers, options):
+    """Return a function of (begin, end) that gives what the microphones hear, (m, n) Pa."""
+    from avcli import acoustics
+
+    wanted = options["noise"]
+    if not wanted:
+        return speakers.take
+    noise = acoustics.Noise(
+        surroundings.microphones_m,
+        surroundings.sample_rate_hz,
+        sensor_pa=acoustics.pascal(options["level"] - wanted["sensor"]) if "sensor" in wanted else 0.0,
+        room_pa=acoustics.pascal(wanted["room"]) if "room" in wanted else 0.0,
+        speed_of_sound_m_s=surroundings.speed_of_sound_m_s,
+        seed=session.seed,
+    )
+    return lambda begin, end: speakers.take(begin, end) + noise.take(begin, end)
 
 
 class _Tape:
     """The sound files of an experiment, one after another, with a record for each that is complete."""
 
-    def __init__(self, session: Session, speakers, sample_rate_hz: int, begin: int, chunk_s: float | None, write):
-        self._session, self._speakers, self._rate, self._write = session, speakers, sample_rate_hz, write
-        self._chunk = math.inf if chunk_s is None else round(chunk_s * sample_rate_hz)
+    def __init__(self, session: Session, hear, activity, rate: int, begin: int, options, write):
+        self._session, self._hear, self._activity, self._rate, self._write = session, hear, activity, rate, write
+        self._chunk = math.inf if options["chunk"] is None else round(options["chunk"] * rate)
+        self._extension = options["extension"]
+        self._bit_depth = int(options["bit_depth"] or session.config.microphones.bit_depth)
+        if self._extension == "flac":
+            self._bit_depth = min(self._bit_depth, 24)
         self._begin = self._now = begin
         self._file = None
 
@@ -216,13 +419,12 @@ class _Tape:
 
         while self._now < until:
             if self._file is None:
-                microphones = self._session.config.microphones
-                self._path = experiment.Layout.audio(self._begin / self._rate)
-                self._file = media.AudioWriter(
-                    self._session.experiment / self._path, self._rate, len(microphones.positions), microphones.bit_depth
-                ).__enter__()
+                self._path = experiment.Layout.audio(self._begin / self._rate, self._extension)
+                channels = len(self._session.config.microphones.positions)
+                path = self._session.experiment / self._path
+                self._file = media.AudioWriter(path, self._rate, channels, self._bit_depth).__enter__()
             end = min(until, self._begin + self._chunk, self._now + (1 << 16))
-            self._file.write(self._speakers.take(self._now, end).T)
+            self._file.write(self._hear(self._now, end).T)
             self._now = end
             if end == self._begin + self._chunk:
                 self._file.__exit__(None, None, None)
@@ -232,7 +434,7 @@ class _Tape:
     def _report(self) -> None:
         begin_s, end_s = self._begin / self._rate, self._now / self._rate
         if self._file.clipped:
-            self._session.warn(f"{self._path}: {self._file.clipped} samples were clipped")
+            self._session.warn(f"{self._path}: {self._file.clipped} samples were clipped at 1 Pa", "samples clipped")
         audio = {
             "path": self._path,
             "start_sample": self._begin,
@@ -242,6 +444,53 @@ class _Tape:
         }
         activity = {
             str(identity): [[round(start, 6), round(end, 6)] for start, end in intervals]
-            for identity, intervals in self._speakers.activity(begin_s, end_s).items()
+            for identity, intervals in self._activity(begin_s, end_s).items()
         }
         self._write({"timestamp": begin_s, "audio": audio, "activity": activity})
+
+
+def _write_responses(session: Session, path: str, surroundings, places) -> None:
+    """Write the impulse responses of all places, [(time, object id, mouth)], to a .npz or a .sofa file."""
+    import numpy as np
+
+    from avcli import acoustics, atomic
+
+    mouths = np.array([mouth for _, _, mouth in places]).reshape(-1, 3)
+    content = {
+        "rir": acoustics.impulse_responses(surroundings, mouths).astype(np.float32),
+        "timestamp": np.array([time for time, _, _ in places]),
+        "object_id": np.array([identity for _, identity, _ in places], dtype=np.int64),
+        "source_position_m": mouths,
+        "microphone_positions_m": surroundings.microphones_m,
+        "room_dimensions_m": surroundings.room_dimensions_m,
+        "reflection": surroundings.reflection,
+        "sample_rate_hz": np.array(surroundings.sample_rate_hz),
+        "speed_of_sound_m_s": np.array(surroundings.speed_of_sound_m_s),
+    }
+    with atomic.replacing(path) as temporary:
+        if path.endswith(".npz"):
+            with open(temporary, "wb") as file:
+                np.savez_compressed(file, **content)
+        else:
+            _write_sofa(temporary, content)
+
+
+def _write_sofa(path, content) -> None:
+    """Write responses by AES69 (SingleRoomSRIR): a measurement for each place, a receiver for each microphone."""
+    import sofar
+
+    sofa = sofar.Sofa("SingleRoomSRIR")
+    sofa.GLOBAL_Title = "Simulated impulse responses of a shoebox room"
+    sofa.GLOBAL_ApplicationName = "avsim-audio"
+    sofa.GLOBAL_RoomType = "shoebox"
+    sofa.RoomCornerA, sofa.RoomCornerB = [0.0, 0.0, 0.0], content["room_dimensions_m"]
+    sofa.Data_IR, sofa.Data_SamplingRate = content["rir"].astype(float), float(content["sample_rate_hz"])
+    sofa.Data_Delay = [[0.0] * len(content["microphone_positions_m"])]
+    sofa.SourcePosition, sofa.SourcePosition_Type = content["source_position_m"], "cartesian"
+    sofa.SourcePosition_Units = "metre"
+    sofa.ListenerPosition, sofa.ListenerPosition_Type = [0.0, 0.0, 0.0], "cartesian"
+    sofa.ListenerPosition_Units = "metre"
+    sofa.ReceiverPosition, sofa.ReceiverPosition_Type = content["microphone_positions_m"][:, :, None], "cartesian"
+    sofa.ReceiverPosition_Units = "metre"
+    sofa.MeasurementDate = content["timestamp"]
+    sofar.write_sofa(str(path), sofa)

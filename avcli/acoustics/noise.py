@@ -1,0 +1,78 @@
+"""What microphones pick up beside the voices: their own noise, and the noise of a room that comes from all sides."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+FRAME = 4096
+"""samples of a frame of room noise; frames overlap by half."""
+BLOCK = 8192
+"""samples of sensor noise that are drawn together."""
+LOWEST_HZ = 50.0
+"""Hz, below which there is no room noise; above it the power falls by 3 dB an octave."""
+
+
+class Noise:
+    """Noise at microphones, the same to the last bit however it is asked for.
+
+    Sensor noise is white and independent. Room noise is pink and comes equally from all directions: between microphones
+    at a distance d its coherence is sin(k d) / (k d) (E. A. P. Habets and S. Gannot, 2007), k = 2π f / c.
+
+    Args:
+        microphones_m: (m, 3) m.
+        sample_rate_hz: Hz.
+        sensor_pa: root mean square of the sensor noise, Pa.
+        room_pa: root mean square of the room noise, Pa.
+        speed_of_sound_m_s: m/s.
+        seed: of all chance.
+    """
+
+    def __init__(
+        self,
+        microphones_m: ArrayLike,
+        sample_rate_hz: float,
+        sensor_pa: float = 0.0,
+        room_pa: float = 0.0,
+        speed_of_sound_m_s: float = 343.0,
+        seed: int = 0,
+    ):
+        microphones = np.asarray(microphones_m, dtype=float)
+        self._count, self._sensor_pa, self._room_pa, self._seed = len(microphones), sensor_pa, room_pa, seed
+        frequencies = np.fft.rfftfreq(FRAME, 1 / sample_rate_hz)
+        distances = np.linalg.norm(microphones[:, None] - microphones[None], axis=2)
+        coherence = np.sinc(2 * frequencies[:, None, None] * distances / speed_of_sound_m_s)
+        self._mixing = np.linalg.cholesky(coherence + 1e-9 * np.eye(self._count))
+        power = np.where(frequencies >= LOWEST_HZ, LOWEST_HZ / np.maximum(frequencies, LOWEST_HZ), 0.0)
+        self._shape = np.sqrt(power * FRAME**2 / (4 * power.sum()))
+        self._window = np.sin(np.pi * (np.arange(FRAME) + 0.5) / FRAME)
+        self._frames: dict[int, np.ndarray] = {}
+
+    def take(self, begin: int, end: int) -> np.ndarray:
+        """Return the noise from sample `begin` to before `end`, (m, n) Pa; later calls ask for later samples."""
+        noise = np.zeros((self._count, end - begin))
+        if self._sensor_pa > 0:
+            for block in range(begin // BLOCK, -(-end // BLOCK)):
+                drawn = self._rng(0, block).normal(scale=self._sensor_pa, size=(self._count, BLOCK))
+                _add(noise, drawn, block * BLOCK - begin)
+        if self._room_pa > 0:
+            hop = FRAME // 2
+            self._frames = {index: frame for index, frame in self._frames.items() if (index + 2) * hop > begin}
+            for index in range(begin // hop - 1, -(-end // hop)):
+                if index not in self._frames:
+                    self._frames[index] = self._room_frame(index)
+                _add(noise, self._frames[index], index * hop - begin)
+        return noise
+
+    def _room_frame(self, index: int) -> np.ndarray:
+        drawn = self._rng(1, index).normal(size=(2, len(self._shape), self._count, 1))
+        spectra = (self._mixing @ (drawn[0] + 1j * drawn[1]))[:, :, 0] * (self._room_pa * self._shape)[:, None]
+        return np.fft.irfft(spectra, FRAME, axis=0).T * self._window
+
+    def _rng(self, kind: int, index: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, kind, index + 1])
+
+
+def _add(total: np.ndarray, part: np.ndarray, at: int) -> None:
+    """Add a part to the total where they overlap; `at` is the part's first place."""
+    first, last = max(at, 0), min(at + part.shape[1], total.shape[1])
+    if last > first:
+        total[:, first:last] += part[:, first - at : last - at]

@@ -1,0 +1,110 @@
+"""How the way of a moving source is sampled.
+
+As a source advances by s, the phase of an image at frequency f turns by at most 2π f s / c. So the nodes of its way are
+spaced in distance, not in time: a spacing below c / (2 f) is enough at every speed, and a source that stands still
+needs one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+SLOWEST_M_S = 0.3
+"""m/s; a node is made at least as often as at this speed, so that turning round is followed in time."""
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """Interpolation between nodes by a Kaiser-windowed sinc that is scaled to a partition of unity.
+
+    Attributes:
+        spacing_m: distance of the nodes, m.
+        half_width: nodes that count on each side.
+        table: the kernel from −half_width to half_width in steps of 1 / STEPS.
+    """
+
+    spacing_m: float
+    half_width: int
+    table: np.ndarray
+
+    STEPS = 1024
+
+    @property
+    def window_s(self) -> float:
+        """Length of the window of a node at 1 m/s, s."""
+        return 2 * self.half_width * self.spacing_m
+
+    def nodes_a_second(self, speeds_m_s: np.ndarray) -> np.ndarray:
+        """Return how many nodes a second a source passes at these speeds, (n,)."""
+        return np.sqrt(speeds_m_s**2 + SLOWEST_M_S**2) / self.spacing_m
+
+    def weights(self, places: np.ndarray) -> np.ndarray:
+        """Return the weights at places relative to a node, (n,), in units of the spacing."""
+        grid = (np.arange(len(self.table)) - self.half_width * self.STEPS) / self.STEPS
+        return np.interp(places, grid, self.table, left=0.0, right=0.0)
+
+
+def interpolation(
+    power: ArrayLike, frequencies_hz: ArrayLike, error_db: float, speed_of_sound_m_s: float = 343.0, half_width: int = 6
+) -> Interpolation:
+    """Choose the widest spacing of nodes at which a signal is interpolated within an error.
+
+    The error of the kernel is known for every frequency, in nodes a turn, and is weighted with the signal's power. It
+    is taken for images straight ahead, where the phase turns fastest.
+
+    Args:
+        power: (n,) power spectrum of the dry signal, any unit.
+        frequencies_hz: (n,) Hz.
+        error_db: error power relative to the signal's, dB, below 0.
+        speed_of_sound_m_s: m/s.
+        half_width: nodes that count on each side.
+    """
+    power, frequencies = np.asarray(power, dtype=float), np.asarray(frequencies_hz, dtype=float)
+    steps = Interpolation.STEPS
+    places = (np.arange(2 * half_width * steps + 1) - half_width * steps) / steps
+    beta = max(1.0, 0.12 * -error_db - 0.6)  # the window that reaches this error at the widest spacing
+    kernel = np.sinc(places) * np.i0(beta * np.sqrt(np.maximum(0, 1 - (places / half_width) ** 2))) / np.i0(beta)
+    kernel[[0, -1]] = 0.0
+    sums = kernel[:-1].reshape(2 * half_width, steps).sum(axis=0)
+    kernel /= np.append(np.tile(sums, 2 * half_width), sums[0])
+
+    turns = np.linspace(0.0, 1.0, 101)  # of phase between two nodes
+    offsets = places[:-1].reshape(2 * half_width, steps)[:, ::32]
+    taps = kernel[:-1].reshape(2 * half_width, steps)[:, ::32]
+    found = (np.exp(2j * np.pi * turns[:, None, None] * offsets) * taps).sum(axis=1)
+    errors = np.mean(np.abs(found - 1) ** 2, axis=1)
+    allowed = 10 ** (error_db / 10) * power.sum()
+    spacing = 0.25
+    while power.sum() > 0 and spacing > 1e-4:
+        lost = np.sum(power * np.interp(frequencies * spacing / speed_of_sound_m_s, turns, errors))
+        if lost <= allowed:
+            break
+        spacing *= 0.97
+    return Interpolation(spacing, half_width, kernel)
+
+
+@dataclass(frozen=True)
+class Switching:
+    """Responses that are held for a time and then switched, as gpuRIR does; for comparison.
+
+    Attributes:
+        step_s: s.
+    """
+
+    step_s: float
+
+    half_width = 1
+
+    @property
+    def window_s(self) -> float:
+        """Length of the window of a node, s."""
+        return self.step_s
+
+    def nodes_a_second(self, speeds_m_s: np.ndarray) -> np.ndarray:
+        """Return how many nodes a second a source passes at these speeds, (n,)."""
+        return np.full(len(speeds_m_s), 1 / self.step_s)
+
+    def weights(self, places: np.ndarray) -> np.ndarray:
+        """Return the weights at places relative to a node, (n,), in steps."""
+        return ((places >= 0) & (places < 1)).astype(float)
