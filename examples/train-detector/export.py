@@ -1,0 +1,141 @@
+"""Export a checkpoint as the ONNX file that avdetect-video ships: python export.py CHECKPOINT OUT.onnx [--judge N]
+
+Batch norms are folded, and the score is stretched and shifted so that it says how often such a detection is right on
+pictures of other seeds than training had (Platt scaling, at the working point of best F1).
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from generate import HEIGHT, WIDTH
+from judge import average_precision, judge, pictures_to_judge
+from model import Detector, Exported
+from onnx import TensorProto, helper, numpy_helper
+
+
+def folded(conv, norm) -> tuple:
+    """Weight and bias of a convolution with its batch norm folded in."""
+    scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+    bias = torch.zeros(len(scale)) if conv.bias is None else conv.bias
+    return conv.weight * scale[:, None, None, None], (bias - norm.running_mean) * scale + norm.bias
+
+
+class Graph:
+    """An ONNX graph of plain operators (opset 13) that is written node by node."""
+
+    def __init__(self):
+        self.nodes, self.constants, self.count = [], [], 0
+
+    def constant(self, value) -> str:
+        self.count += 1
+        self.constants.append(numpy_helper.from_array(np.asarray(value), f"c{self.count}"))
+        return f"c{self.count}"
+
+    def node(self, kind: str, *inputs: str, **attributes) -> str:
+        self.count += 1
+        self.nodes.append(helper.make_node(kind, list(inputs), [f"n{self.count}"], **attributes))
+        return f"n{self.count}"
+
+    def conv(self, x: str, weight, bias, stride: int = 1, padding: int = 0, groups: int = 1) -> str:
+        weight, bias = (self.constant(item.detach().numpy().astype(np.float32)) for item in (weight, bias))
+        return self.node("Conv", x, weight, bias, strides=[stride] * 2, pads=[padding] * 4, group=groups)
+
+    def unit(self, x: str, unit) -> str:
+        conv, norm, _ = unit
+        return self.node("Relu", self.conv(x, *folded(conv, norm), conv.stride[0], conv.padding[0]))
+
+    def block(self, x: str, block) -> str:
+        depthwise = block.depthwise
+        y = self.conv(x, *folded(depthwise, block.norm), 1, 2, depthwise.groups)
+        y = self.node("Relu", self.conv(y, block.widen.weight, block.widen.bias))
+        return self.node("Add", x, self.conv(y, block.narrow.weight, block.narrow.bias))
+
+
+def to_onnx(detector: Detector, slope: float, shift: float, metadata: dict) -> bytes:
+    """Write the detector as an ONNX model of open height and width."""
+    graph = Graph()
+    four, two = graph.constant(np.float32(4)), graph.constant(np.float32(2))
+    x = graph.node("Sub", graph.node("Mul", "images", four), two)
+    x = graph.unit(x, detector.stem)
+    fine = graph.unit(x, detector.eighth[0])
+    for block in list(detector.eighth)[1:]:
+        fine = graph.block(fine, block)
+    coarse = graph.unit(fine, detector.sixteenth[0])
+    for block in list(detector.sixteenth)[1:]:
+        coarse = graph.block(coarse, block)
+    coarse = graph.conv(coarse, detector.lift.weight, detector.lift.bias)
+    scales = graph.constant(np.array([1, 1, 2, 2], np.float32))
+    coarse = graph.node("Resize", coarse, "", scales, mode="nearest", nearest_mode="floor",
+                        coordinate_transformation_mode="asymmetric")  # fmt: skip
+    merged = graph.block(graph.node("Add", fine, coarse), detector.merge)
+    merged = graph.unit(merged, detector.heads[0])
+    head = detector.heads[1]
+    logit = graph.conv(merged, head.weight[:1] * slope, head.bias[:1] * slope + shift)
+    score = graph.node("Sigmoid", logit)
+    peak = graph.node("MaxPool", score, kernel_shape=[3, 3], strides=[1, 1], pads=[1, 1, 1, 1])
+    is_peak = graph.node("Cast", graph.node("GreaterOrEqual", score, peak), to=TensorProto.FLOAT)
+    score = graph.node("Mul", score, is_peak)
+    rest = graph.conv(merged, head.weight[1:], head.bias[1:])
+    graph.nodes.append(helper.make_node("Concat", [score, rest], ["people"], axis=1))
+    made = helper.make_model(
+        helper.make_graph(
+            graph.nodes, "people from above",
+            [helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, "height", "width"])],
+            [helper.make_tensor_value_info("people", TensorProto.FLOAT, [1, 11, "rows", "columns"])],
+            graph.constants,
+        ),
+        opset_imports=[helper.make_opsetid("", 13)], ir_version=8, producer_name="avcli",
+    )  # fmt: skip
+    for key, value in metadata.items():
+        made.metadata_props.add(key=key, value=value)
+    onnx.checker.check_model(made)
+    return made.SerializeToString()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--judge", type=int, default=200, help="pictures that the score is calibrated on")
+    parser.add_argument("--seed", type=int, default=900_000, help="of those pictures")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    state = torch.load(options.checkpoint)
+    detector = Detector().eval()
+    detector.load_state_dict(state["average"])
+    metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": "16",
+                "imgsz": f"[{HEIGHT}, {WIDTH}]"}  # fmt: skip
+    samples = pictures_to_judge(options.seed, options.judge)
+    raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
+    slope, shift = platt(raw.scores, raw.right)
+    content = to_onnx(detector, slope, shift, metadata | {"steps": str(state["step"])})
+    options.out.write_bytes(content)
+    with torch.no_grad():
+        picture = torch.rand(1, 3, HEIGHT, WIDTH)
+        wanted = Exported(detector, slope, shift)(picture).numpy()
+    import onnxruntime
+
+    got = onnxruntime.InferenceSession(content).run(None, {"images": picture.numpy()})[0]
+    print(f"step {state['step']}, {len(content)} bytes, torch and ONNX differ by {np.abs(wanted - got).max():.2g}")
+    print(f"score: slope {slope:.3f}, shift {shift:.3f}; AP50 there {average_precision(raw):.3f}")
+
+
+def platt(scores: np.ndarray, right: np.ndarray) -> tuple[float, float]:
+    """Slope and shift of the logit that make the score the probability of being right (Platt, 1999)."""
+    x = np.log(scores / (1 - scores))
+    slope, shift = 1.0, 0.0
+    for _ in range(50):
+        p = 1 / (1 + np.exp(-(slope * x + shift)))
+        w = np.maximum(p * (1 - p), 1e-9)
+        gradient = np.array([((right - p) * x).sum(), (right - p).sum()])
+        hessian = np.array([[(w * x * x).sum(), (w * x).sum()], [(w * x).sum(), w.sum()]]) + 1e-6 * np.eye(2)
+        step = np.linalg.solve(hessian, gradient)
+        slope, shift = slope + step[0], shift + step[1]
+    return float(slope), float(shift)
+
+
+if __name__ == "__main__":
+    main()

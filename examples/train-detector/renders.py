@@ -1,0 +1,177 @@
+"""Random scenes drawn by avsim-scene's own renderer: to learn from, and, with other seeds, to be judged by."""
+
+import dataclasses
+
+import numpy as np
+from generate import HEIGHT, PAD, WIDTH, Sample, _camera_effects, _colour, _flipped, random_look
+
+from avcli.detection.monocular import PART_HEIGHTS
+from avcli.detection.view import View
+from avcli.scene import people as scene_people
+from avcli.scene import render, scenario
+
+SHAPES = [(640, 360), (640, 360), (640, 360), (640, 384), (512, 384), (384, 384)]
+
+
+def random_scenario(rng: np.random.Generator, width: int, height: int, people: int | None = None) -> dict:
+    """A scenario of random room, camera, furniture and walks, for pictures of width × height px; 10 s long."""
+    room = [*rng.uniform(3.6, 7.5, 2), rng.uniform(2.5, 4.2)]
+    top = min(rng.uniform(2.2, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.0), room[2] - 0.1)
+    eye = [room[0] / 2 + rng.normal(0, 0.3), room[1] / 2 + rng.normal(0, 0.3), top]
+    scale = width / 1920
+    camera = {"camera_position_m": eye, "image_width_px": width, "image_height_px": height, "frame_rate_hz": 10}
+    kind = rng.random()
+    if kind < 0.2:
+        focal = rng.uniform(0.24, 0.42) * width
+        lens = {"lens_model": "division", "fx_px": focal, "fy_px": focal, "cx_px": width / 2, "cy_px": height / 2,
+                "k1": rng.uniform(-0.3, -0.05)}  # fmt: skip
+    elif kind < 0.5 and width == 640:
+        focal = 862.27 * scale * rng.uniform(0.9, 1.1)
+        lens = {"lens_model": "kannala_brandt", "fx_px": focal, "fy_px": focal, "cx_px": 1049.47 * scale,
+                "cy_px": 552.76 * scale, "k1": -0.0269, "k2": -0.0038, "k3": 0.0016, "k4": -0.0006}  # fmt: skip
+    else:
+        focal = rng.uniform(0.32, 0.6) * width
+        lens = {"lens_model": "kannala_brandt", "fx_px": focal, "fy_px": focal, "cx_px": width / 2 + rng.normal(0, 10),
+                "cy_px": height / 2 + rng.normal(0, 6), "k1": rng.uniform(-0.05, 0.03)}  # fmt: skip
+    tilt = rng.normal(0, 3) if rng.random() < 0.75 else rng.normal(0, 12)
+    camera |= lens | {"camera_rotation_deg": [90.0 - tilt, rng.uniform(0, 360), 0.0]}
+
+    def place(margin=0.35):
+        return [float(rng.uniform(margin, side - margin)) for side in room[:2]]
+
+    furniture = []
+    for _ in range(rng.integers(0, 6)):
+        kind = ["table", "chair", "chair", "box", "cylinder", "sphere", "panel"][rng.integers(7)]
+        item = {"kind": kind, "rotation_deg": rng.uniform(0, 360), "color": [float(c) for c in _colour(rng)]}
+        if kind in ("table", "chair"):
+            item["position_m"] = place()
+            if kind == "table":
+                item["size_m"] = [rng.uniform(0.8, 1.8), rng.uniform(0.6, 0.9), rng.uniform(0.68, 0.78)]
+        elif kind == "box":
+            size = [rng.uniform(0.2, 1.0), rng.uniform(0.2, 0.6), rng.uniform(0.2, 1.9)]
+            item |= {"position_m": [*place(), size[2] / 2], "size_m": size}
+        elif kind == "cylinder":
+            tall = rng.uniform(0.1, 1.2)
+            item |= {"position_m": [*place(), tall / 2], "radius_m": rng.uniform(0.08, 0.35), "height_m": tall}
+        elif kind == "sphere":
+            radius = rng.uniform(0.08, 0.35)
+            item |= {"position_m": [*place(), radius], "radius_m": radius}
+        elif rng.random() < 0.3:
+            item |= {"position_m": [*place(), min(top - 0.3, 2.1)], "size_m": [*rng.uniform(0.2, 0.8, 2), 0.02]}
+        else:
+            continue
+        furniture.append({key: value for key, value in item.items() if key != "color" or kind != "mesh"})
+    walkers = []
+    for index in range(int(rng.integers(0, 6)) if people is None else people):
+        walk = [{"t_s": 0.0, "position_m": place(), "heading_deg": rng.uniform(0, 360)}]
+        if rng.random() < 0.15:
+            walk[0] |= {"pose": "sit", "stay_s": 10.0}
+        elif rng.random() < 0.8:
+            for _ in range(rng.integers(1, 4)):
+                walk.append({"position_m": place(), "speed_m_s": rng.uniform(0.5, 1.6)})
+        walkers.append({"object_id": index, "waypoints": walk, "height_m": float(np.clip(rng.normal(1.71, 0.11), 1.3, 2.0)),
+                        "speech_s": [[0, 5]] if rng.random() < 0.4 else []})  # fmt: skip
+    return {
+        "name": "random", "duration_s": 10.0, "camera_config": camera,
+        "room_config": {"room_dimensions_m": room}, "furniture": furniture, "people": walkers,
+    }  # fmt: skip
+
+
+@dataclasses.dataclass
+class Shot:
+    """A frame of a random scene: picture, depth (m, radial), the empty room's depth, and its people.
+
+    places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px, parts (n, 3, 2) px.
+    """
+
+    picture: np.ndarray
+    depth: np.ndarray
+    background: np.ndarray
+    view: View
+    places: np.ndarray
+    tops: np.ndarray
+    visible: np.ndarray
+    boxes: np.ndarray
+    parts: np.ndarray
+
+
+def shots(rng: np.random.Generator, width: int, height: int, count: int, context=None, people=None):
+    """Yield `count` frames at random times of one random scene."""
+    scene = scenario.parse(random_scenario(rng, width, height, people))
+    actors = [
+        dataclasses.replace(person, look=random_look(rng, person.height), gestures=bool(rng.random() < 0.8))
+        for person in scene.people
+    ]
+    camera = scene.config.camera
+    artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, 1e-4, 2, context)
+    view = View(camera.lens, camera.T_room_camera, (width, height), camera.theta_max, 1)
+    background = artist.room_depth.astype(np.float32) * np.float32(1e-4)
+    times = np.sort(rng.uniform(0, 10, count))
+    bodies = scene_people.pose(actors, times)
+    drawn = artist.prepare(bodies)
+    for k, t in enumerate(times):
+        stands = np.array([actor.motion.position(np.array([t]))[0] for actor in actors]).reshape(-1, 2)
+        apart = np.linalg.norm(stands[:, None] - stands[None], axis=2) + 9 * np.eye(len(actors))
+        if (apart < 0.42).any():
+            continue  # walks are random: bodies would pass through each other
+        frame = artist.draw(drawn, k)
+        rows = []
+        for index, actor in enumerate(actors):
+            mask = frame.ids == index + 1
+            v, u = np.nonzero(mask)
+            if len(v) < 8:
+                continue
+            own = bodies.person == index
+            top = float(np.maximum(bodies.a[k, own, 2] + bodies.ra[own], bodies.b[k, own, 2] + bodies.rb[own]).max())
+            place = stands[index]
+            middle = (bodies.a[k, own] + bodies.b[k, own]) / 2
+            size = bodies.ra[own] * (bodies.ra[own] + np.linalg.norm(bodies.a[k, own] - bodies.b[k, own], axis=1))
+            within = size[view.inside(view.project(middle))].sum() / size.sum()
+            axis = np.column_stack([np.tile(place, (3, 1)), PART_HEIGHTS * top])
+            box = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], float)
+            parts = view.project(axis) + 0.5
+            if not np.isfinite(parts).all():
+                parts = np.tile((box[:2] + box[2:]) / 2, (3, 1))
+            whole = frame.shapes[index][0].sum() * render.Frame.pitch**2
+            rows.append((place, top, min(len(v) / max(whole, 1), within), box, parts))
+        yield Shot(
+            frame.rgb.copy(), frame.depth * np.float32(1e-4), background, view,
+            np.array([row[0] for row in rows]).reshape(-1, 2), np.array([row[1] for row in rows]),
+            np.array([row[2] for row in rows]), np.array([row[3] for row in rows]).reshape(-1, 4),
+            np.array([row[4] for row in rows]).reshape(-1, 3, 2),
+        )  # fmt: skip
+
+
+class Library:
+    """An endless stream of rendered training pictures, the same for the same seed.
+
+    Args:
+        seed: of all chance.
+        each: frames of one scene.
+        plain: leave out the camera's effects and the mirror (for judging).
+    """
+
+    def __init__(self, seed: int, each: int = 12, plain: bool = False):
+        self.rng, self.each, self.plain = np.random.default_rng([seed, 7]), each, plain
+        self.context = render.open_context()
+        self._shots = iter(())
+
+    def __call__(self) -> Sample:
+        shot = next(self._shots, None)
+        while shot is None:
+            width, height = SHAPES[self.rng.integers(len(SHAPES))]
+            try:
+                self._shots = shots(self.rng, width, height, self.each, self.context)
+                shot = next(self._shots, None)
+            except scenario.ScenarioError:
+                continue
+        height, width = shot.picture.shape[:2]
+        picture = shot.picture
+        if not self.plain:
+            picture = _camera_effects(self.rng, picture.astype(np.float32) / 255)
+        top, left = (HEIGHT - height) // 2, (WIDTH - width) // 2
+        out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
+        out[top : top + height, left : left + width] = picture
+        shift = np.array([left, top])
+        sample = Sample(out, shot.boxes + np.tile(shift, 2), shot.parts + shift, shot.visible)
+        return sample if self.plain else _flipped(self.rng, sample)

@@ -1,0 +1,141 @@
+"""Train the embedded detector: python train.py --out DIR [--hours 1] [--resume] [--renders SHARE]
+
+Needs torch and the package itself. Checkpoints every two minutes; --resume goes on from the last one. One process draws
+pictures, one learns from them; each uses one thread.
+"""
+
+import argparse
+import copy
+import json
+import math
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from model import Detector, loss, targets
+
+
+def pictures(queue, seed: int, batch: int, renders: float) -> None:
+    """Put batches of pictures and targets into the queue for ever."""
+    import cv2
+    from generate import HEIGHT, WIDTH, Generator
+
+    os.nice(6)
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+    generator = Generator(seed)
+    library = None
+    if renders:
+        from renders import Library
+
+        library = Library(seed)
+    while True:
+        samples = [library() if library and generator.rng.random() < renders else generator() for _ in range(batch)]
+        maps = [targets(s.boxes, s.parts, s.visible, HEIGHT, WIDTH) for s in samples]
+        images = np.stack([s.picture for s in samples])
+        queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
+
+
+def mirrored(chance, image, maps) -> tuple:
+    """A picture and its maps as they are, or mirrored left to right, top to bottom, or both."""
+    heat, negative, regression, weight = maps
+    for axis, near, far, offsets in ((1, 0, 2, [4, 6, 8]), (0, 1, 3, [5, 7, 9])):
+        if chance.random() < 0.5:
+            image = np.flip(image, axis)
+            heat, negative, weight = (np.flip(item, axis) for item in (heat, negative, weight))
+            regression = np.flip(regression, axis + 1).copy()
+            regression[[near, far]] = regression[[far, near]]
+            regression[offsets] *= -1
+    return image, (heat, negative, regression, weight)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--hours", type=float, default=1.0, help="length of the learning rate's schedule")
+    parser.add_argument("--batch", type=int, default=6)
+    parser.add_argument("--rate", type=float, default=3e-3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--restart-schedule", action="store_true", help="with --resume: a new schedule from here")
+    parser.add_argument(
+        "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
+    )
+    parser.add_argument("--echo", type=int, default=3, help="how often a picture is learnt from")
+    parser.add_argument("--memory", type=int, default=1200, help="pictures that are kept for it")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)
+    torch.manual_seed(options.seed)
+    model = Detector().to(memory_format=torch.channels_last)
+    average = copy.deepcopy(model)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=options.rate, weight_decay=0.02)
+    step, spent, begun = 0, 0.0, 0.0
+    checkpoint = options.out / "checkpoint.pt"
+    if options.resume:
+        state = torch.load(checkpoint)
+        model.load_state_dict(state["model"])
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        step, spent, begun = state["step"], state["spent"], state["begun"]
+        if options.restart_schedule:
+            begun = spent
+    queue = multiprocessing.Queue(4)
+    worker = multiprocessing.Process(
+        target=pictures, args=(queue, options.seed * 1000 + step, options.batch, options.renders), daemon=True
+    )
+    worker.start()
+    started, saved, sums = time.time() - spent, time.time(), np.zeros(3)
+    chance, memory = np.random.default_rng([options.seed, step]), []
+    while True:
+        progress = (spent - begun) / (options.hours * 3600)
+        if progress >= 1:
+            break
+        warm = min(1.0, (step + 1) / 100)
+        for group in optimizer.param_groups:
+            group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * progress)))
+        # Drawing costs as much as learning: each picture is seen `echo` times, mirrored otherwise, among others.
+        if step % options.echo == 0 or len(memory) < 20 * options.batch:
+            images, maps = queue.get()
+            memory += [(image, [item[k] for item in maps]) for k, image in enumerate(images)]
+            del memory[: -options.memory]
+        chosen = [mirrored(chance, *memory[k]) for k in chance.integers(len(memory), size=options.batch)]
+        images = np.stack([image for image, _ in chosen])
+        maps = [np.stack(item) for item in zip(*(item for _, item in chosen), strict=True)]
+        batch = torch.from_numpy(images).permute(0, 3, 1, 2).float().div_(255)
+        batch = batch.contiguous(memory_format=torch.channels_last)
+        with torch.autocast("cpu", torch.bfloat16):
+            guess = model(batch)
+        parts = loss(guess.float(), *(torch.from_numpy(item) for item in maps))
+        total = parts[0] + 2.0 * parts[1] + 2.0 * parts[2]
+        optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
+        optimizer.step()
+        step += 1
+        decay = min(0.998, step / (step + 20))
+        with torch.no_grad():
+            for mean, value in zip(average.state_dict().values(), model.state_dict().values(), strict=True):
+                if value.dtype.is_floating_point:
+                    mean.lerp_(value, 1 - decay)
+                else:
+                    mean.copy_(value)
+        sums += [float(part.detach()) for part in parts]
+        spent = time.time() - started
+        if step % 50 == 0:
+            print(json.dumps({"step": step, "s": round(spent), "cpu_s": round(time.process_time()),
+                              "loss": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
+            sums[:] = 0
+        if time.time() - saved > 120 or (spent - begun) / (options.hours * 3600) >= 1:
+            torch.save({"model": model.state_dict(), "average": average.state_dict(), "begun": begun,
+                        "optimizer": optimizer.state_dict(), "step": step, "spent": spent}, f"{checkpoint}.new")  # fmt: skip
+            os.replace(f"{checkpoint}.new", checkpoint)
+            saved = time.time()
+    worker.terminate()
+
+
+if __name__ == "__main__":
+    main()
