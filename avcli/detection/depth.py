@@ -26,7 +26,7 @@ SPREAD_M = 0.08
 APART_M = 0.30
 """m; two people's axes are never nearer to each other."""
 
-CHEST_M, STEP_M = 1.15, 0.7
+CHEST_M, STEP_M = 1.15, 0.45
 """m; what ends below a chest, is less than half of somebody, and no farther from them than a step, is a limb."""
 
 Z_VARIANCE_M2 = 0.5**2
