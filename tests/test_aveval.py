@@ -248,6 +248,26 @@ def test_bad_lines_are_located(tmp_path, bad):
     assert "skipped 1 invalid" in kept.stderr
 
 
+@pytest.mark.parametrize(
+    "bad",
+    [
+        '{"timestamp":"0.1","objects":[{"object_id":[1],"position":[1,2]},{"object_id":0,"position":[0.43,2.33]}]}',
+        '{"timestamp":"0.1","objects":[{"object_id":true,"position":[1,2]},{"object_id":0,"position":[0.43,2.33]}]}',
+        '{"timestamp":"0.1","objects":[{"object_id":0,"position":[1e308,-1e308,1e308]}]}',
+        '{"timestamp":"0.1","objects":[{"object_id":0,"position":[0.43,2.33],"speaking":"x","bbox_px":[1,"a"]}]}',
+        '{"timestamp":1e308,"objects":[{"object_id":0,"position":[0.43,2.33]}]}',
+    ],
+)
+def test_wild_values_do_no_harm(tmp_path, bad):
+    tracks = lines(walk(frames=1)) + bad + "\n"
+    (tmp_path / "truth.jsonl").write_text(lines(walk(frames=2)))
+    (tmp_path / "tracks.jsonl").write_text(tracks)
+    more = ("--skip-invalid", "--detections", "tracks.jsonl", "--html", "r.html", "--dims", "2", "-q")
+    result = run("aveval", "truth.jsonl", "tracks.jsonl", *more, cwd=tmp_path, env={"PYTHONWARNINGS": "error"})
+    assert records_of(result)[0]["summary"]["HOTA"] > 0.3
+    assert "Warning" not in result.stderr
+
+
 def test_heights(tmp_path):
     high = lines(walk(height=1.5))
     assert records_of(scored(tmp_path, lines(walk()), high))[0]["summary"]["HOTA"] == 1

@@ -299,7 +299,11 @@ def _identified(session, path: str, rate: float) -> _Identified:
 
     def parse(record: dict, bad: Callable):
         found = records.identified(record, bad)
-        by_identity = {item.get("object_id"): item for item in record["objects"] if isinstance(item, dict)}
+        # Bad objects have been dropped from `found`, so that its identities, not its places, lead back to the objects.
+        by_identity = {}
+        for item in record["objects"]:
+            if isinstance(item, dict) and type(item.get("object_id")) is int:
+                by_identity.setdefault(item["object_id"], item)
         return found, [by_identity[identity] for identity in found.ids.tolist()]
 
     recording, mouths, speaking = [], [], {}

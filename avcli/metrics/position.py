@@ -33,7 +33,7 @@ def position(sequence: Sequence, matches: Matches) -> dict[str, float | None]:
         "MAE": float(distance.mean()) if distance.size else None,
         "MaxError": float(distance.max()) if distance.size else None,
         "Found": delay.size,
-        "BirthDelay": float(delay.mean()) if delay.size else None,
+        "BirthDelay": float((delay / delay.size).sum()) if delay.size else None,
         "MaxBirthDelay": float(delay.max()) if delay.size else None,
     }
 

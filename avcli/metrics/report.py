@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Sequence as List
 from importlib.resources import files
+from math import isfinite
 
 import numpy as np
 
@@ -63,9 +64,9 @@ def _run(run: Run) -> dict:
         "name": run.name,
         "room": None if run.room is None else run.room.tolist(),
         "extent": [round(number, 3) for number in run.extent()],
-        "microphones": np.round(run.microphones, 3).tolist(),
-        "camera": None if run.camera is None else np.round(run.camera, 3).tolist(),
-        "times": np.round(time, 4).tolist(),
+        "microphones": [_numbers(row) for row in run.microphones],
+        "camera": None if run.camera is None else _numbers(run.camera),
+        "times": _numbers(time),
         "truth": _points(first.truth, first.time, time, run.speaking),
         "trackers": [
             {
@@ -110,7 +111,7 @@ def _points(points: Points, own_time: np.ndarray, time: np.ndarray, speaking: np
     frames: list[list] = [[] for _ in time]
     frame = np.searchsorted(time, own_time)[points.frame]
     rows = zip(
-        frame.tolist(), points.identity.tolist(), np.round(points.position, 3).tolist(), _numbers(speaking), strict=True
+        frame.tolist(), points.identity.tolist(), map(_numbers, points.position), _numbers(speaking), strict=True
     )
     for f, identity, position, says in rows:
         frames[f].append([identity, position[0], position[1], says])
@@ -131,9 +132,9 @@ def _detections(sensor: Detected, time: np.ndarray) -> list[list]:
     nearest = np.where(np.abs(own - time[before]) < np.abs(own - time[after]), before, after)[points.frame]
     matched = np.zeros(points.identity.size, dtype=int)
     matched[sensor.matches[1]] = 1
-    boxes = [None if np.isnan(box).any() else np.round(box, 1).tolist() for box in sensor.box]
+    boxes = [None if np.isnan(box).any() else _numbers(box) for box in sensor.box]
     for f, position, right, box in zip(
-        nearest.tolist(), np.round(points.position, 3).tolist(), matched.tolist(), boxes, strict=True
+        nearest.tolist(), map(_numbers, points.position), matched.tolist(), boxes, strict=True
     ):
         frames[f].append([position[0], position[1], right, box])
     return frames
@@ -150,4 +151,5 @@ def _pictures(run: Run, time: np.ndarray) -> dict:
 
 
 def _numbers(values: np.ndarray) -> list[float | None]:
-    return [round(value, 4) if np.isfinite(value) else None for value in values.tolist()]
+    # Not numpy's round, which overflows on the largest numbers.
+    return [round(value, 4) if isfinite(value) else None for value in values.tolist()]

@@ -235,8 +235,15 @@ def align(
         unsorted=truth_odd[0] + track_odd[0],
         repeated=truth_odd[1] + track_odd[1],
         dropped=truth_odd[2] + track_odd[2],
-        height=float(heights[1].mean() - heights[0].mean()) if heights[0].size and heights[1].size else np.nan,
+        height=_gap(*heights),
     )
+
+
+def _gap(below: np.ndarray, above: np.ndarray) -> float:
+    if not below.size or not above.size:
+        return np.nan
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(above.mean() - below.mean())
 
 
 def _in_order(recording: Recording, keep_first: bool, name: str) -> tuple[Recording, tuple[int, int, int]]:
