@@ -26,8 +26,8 @@ SPREAD_M = 0.08
 APART_M = 0.30
 """m; two people's axes are never nearer to each other."""
 
-CHEST_M, STEP_M = 1.15, 0.45
-"""m; what ends below a chest, is less than half of somebody, and no farther from them than a step, is a limb."""
+SHOULDER_M, REACH_M = 1.4, 0.45
+"""m; what ends below a shoulder, is less than half of somebody, and no farther from them than an elbow, is a limb."""
 
 Z_VARIANCE_M2 = 0.5**2
 """m²; z of a position is some point of the body's axis: its spread over a standing adult."""
@@ -256,12 +256,12 @@ def separate(points: np.ndarray, surface: np.ndarray) -> list[np.ndarray]:
 
 
 def _with_their_limbs(nearest: np.ndarray, peaks: np.ndarray, heights: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """Give what stands apart, but low and small (a leg behind, a hand before), to the body within a step of it."""
+    """Give what stands apart, but low and small (a leg behind, a hand before), to the body beside it."""
     tops = np.array([heights[nearest == index].max(initial=0.0) for index in range(len(peaks))])
     sizes = np.bincount(nearest, surface, minlength=len(peaks))
-    for limb in np.flatnonzero(tops < CHEST_M):
+    for limb in np.flatnonzero(tops < SHOULDER_M):
         away = np.linalg.norm(peaks - peaks[limb], axis=1) * CELL_M
-        body = np.flatnonzero((away < STEP_M) & (sizes > 2 * sizes[limb]))
+        body = np.flatnonzero((away < REACH_M) & (sizes > 2 * sizes[limb]))
         if len(body):
             nearest = np.where(nearest == limb, body[away[body].argmin()], nearest)
     return nearest
