@@ -11,6 +11,7 @@ import click
 from avcli.commands.filter import Filter, Session, common
 
 CHUNK = 100  # frames whose bodies are posed together: memory does not grow with the scene
+SHUTTER_PICTURES = 8  # that are averaged while the shutter is open
 THESIS_DEPTH_STEP_M = 0.02  # 8 bits over 5.1 m, a little more than the room's diagonal from the camera
 PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 BUILT_IN = ("s1", "s2", "s3", "s4")
@@ -50,57 +51,112 @@ BUILT_IN = ("s1", "s2", "s3", "s4")
 )
 @click.option("--camera-config", metavar="FILE", help="Lens and image size from avcalib: a twin of your own camera.")
 @click.option("--camera-height", type=click.FloatRange(0, min_open=True), metavar="M", help="Height of the camera, m.")
+@click.option(
+    "--people", type=click.IntRange(0, 250), default=3, show_default=True, help="People of a random scenario."
+)
+@click.option("--duration", type=click.FloatRange(0), metavar="S", help="Length of the scene, s, instead of its own.")
+@click.option("--masks", is_flag=True, help="Write video/masks/Mask_frame_<t>.png: whose each pixel is, 0 the room's.")
+@click.option("--coco", metavar="FILE", help="Write boxes, masks and keypoints of all frames as COCO JSON.")
+@click.option("--sheet", metavar="FILE", help="Write a contact sheet of twelve frames, a PNG.")
+@click.option("--gltf", metavar="FILE", help="Write the scene at its middle as binary glTF, for any viewer.")
+@click.option("--shutter", type=click.FloatRange(0), default=0.0, metavar="S", help="Exposure time, s: motion blur.")
+@click.option("--exposure", type=float, default=0.0, metavar="EV", help="Stops brighter or darker.")
+@click.option("--vignetting", type=click.FloatRange(0, 1), default=0.0, metavar="F", help="Light lost in the corner.")
+@click.option(
+    "--aberration", type=float, default=0.0, metavar="PX", help="Shift of red and blue against green in the corner, px."
+)
+@click.option(
+    "--full-well",
+    type=click.FloatRange(0),
+    default=0.0,
+    metavar="N",
+    help="Shot noise of a sensor whose white pixels hold N electrons; 0 for none.",
+)
+@click.option(
+    "--read-noise", type=click.FloatRange(0), default=0.0, metavar="S", help="Noise of reading, in 1/255 of white."
+)
+@click.option("--jpeg", type=click.IntRange(1, 100), metavar="Q", help="Compress frames as JPEG of this quality would.")
 @click.option("--print-scenario", is_flag=True, help="Print the scenario, every default filled in, and end.")
 @click.option("--force", is_flag=True, help="Use DIR even where another program wrote its config.json.")
 @common(seed=True, presets=PRESETS)
-def main(
-    session: Session, scenario, no_video, frames, samples, depth_bits, camera, camera_config, camera_height, **options
-):
+def main(session: Session, scenario, **options):
     """Simulate people who walk and talk in a room under a fisheye camera.
 
-    SCENARIO is a built-in one (s1, s2, s3, s4), or a JSON file, - for standard input. Writes config.json,
+    SCENARIO is a built-in one (s1, s2, s3, s4), random, or a JSON file, - for standard input. Writes config.json,
     groundtruth_sources.jsonl and video/ into the experiment directory, and one record a frame.
     """
-    raw, name = _read_scenario(session, scenario)
-    scene = _parse(session, _with_camera(session, raw, camera, camera_config, camera_height), name)
+    scene = _scenario(session, scenario, options)
     if options["print_scenario"]:
         with session.output() as write:
             write(json.dumps(scene.raw, indent=2, ensure_ascii=False) + "\n")
         return
-    directory = session.experiment
     for warning in scene.warnings:
         session.warn(warning)
-    step = THESIS_DEPTH_STEP_M if depth_bits == "8" else 1e-4
+    if options["gltf"]:
+        _write_gltf(scene, options["gltf"])
+        if not session.has_experiment:
+            return
+    directory = session.experiment
+    draws = not options["no_video"]
+    for name in ("masks", "coco", "sheet"):
+        if options[name] and not draws:
+            session.usage(f"--{name} needs pictures, and --no-video draws none")
+    step = THESIS_DEPTH_STEP_M if options["depth_bits"] == "8" else 1e-4
     renderer = None
-    if not no_video:
+    if draws:
         with session.timing("open the renderer and draw the room"):
-            renderer = _renderer(session, scene, samples, step)
+            renderer = _renderer(session, scene, options["samples"], step)
     _prepare(session, directory, options["force"])
-    saver = _Saver(session, directory, "none" if no_video else frames, depth_bits)
+    saver = _Saver(session, directory, options["frames"] if draws else "none", options)
     with session.output() as write, contextlib.ExitStack() as stack:
         if saver.kind != "none":
-            with session.timing("write the empty room"):
-                saver.background(renderer.room_depth)
-        _write_config(session, directory, scene, step, background=saver.kind != "none", video=renderer is not None)
+            saver.background(renderer.room_depth)
+        _write_config(session, directory, scene, step, background=saver.kind != "none", video=draws)
         stack.enter_context(saver)
         truth = stack.enter_context(_GroundTruth(directory))
-        for record in session.progress(_records(session, scene, renderer, saver), len(scene.times)):
+        extras = [kind(scene, options[name]) for name, kind in (("coco", _Coco), ("sheet", _Sheet)) if options[name]]
+        frames = _drawn(session, scene, renderer, saver, extras, options)
+        for record in session.progress(_complete(frames), len(scene.times)):
             truth.write({key: value for key, value in record.items() if key != "frame"})
             write(record)
+        for extra in extras:
+            extra.finish()
 
 
 # --- the scenario -----------------------------------------------------------------------------------------------------
 
 
-def _read_scenario(session, source):
-    """The JSON of a scenario and the name by which messages call it."""
-    if source in BUILT_IN:
+def _scenario(session, source, options):
+    """The scenario that the command line asks for."""
+    from avcli.scene import scenario
+
+    if source == "random":
+        import numpy as np
+
+        from avcli.scene import crowd
+
+        duration = 10.0 if options["duration"] is None else options["duration"]
+        raw, name = crowd.random(options["people"], duration, np.random.default_rng(session.seed)), "random"
+    elif source in BUILT_IN:
         path = importlib.resources.files("avcli.scene") / "scenarios" / f"{source}.json"
-        return json.loads(path.read_bytes()), source
-    with session.open(source) as stream:
-        text = stream.read()
-    name = "<stdin>" if source == "-" else source
-    return _json(session, text, name), name
+        raw, name = json.loads(path.read_bytes()), source
+    else:
+        with session.open(source) as stream:
+            text = stream.read()
+        name = "<stdin>" if source == "-" else source
+        raw = _json(session, text, name)
+    if isinstance(raw, dict):
+        if options["duration"] is not None:
+            raw = {**raw, "duration_s": options["duration"]}
+        if options["camera"] != "scenario":
+            raw = scenario.with_camera(raw, scenario.CAMERAS[options["camera"]])
+        if options["camera_config"] is not None:
+            with session.open(options["camera_config"]) as stream:
+                text = stream.read()
+            raw = scenario.with_camera(raw, _json(session, text, options["camera_config"]))
+        if options["camera_height"] is not None:
+            raw = scenario.at_height(raw, options["camera_height"])
+    return scenario.parse(raw, name, _mesh_loader(Path(name).parent))
 
 
 def _json(session, text, name):
@@ -112,40 +168,21 @@ def _json(session, text, name):
         session.fail(f"{name}: no UTF-8 at byte {error.start}")
 
 
-def _with_camera(session, raw, camera, camera_config, height):
-    from avcli.scene import scenario
-
-    if not isinstance(raw, dict):
-        return raw
-    if camera != "scenario":
-        raw = scenario.with_camera(raw, scenario.CAMERAS[camera])
-    if camera_config is not None:
-        with session.open(camera_config) as stream:
-            raw = scenario.with_camera(raw, _json(session, stream.read(), camera_config))
-    if height is not None:
-        section = {**scenario.LABORATORY["camera_config"], **raw.get("camera_config", {})}
-        position = [*list(section["camera_position_m"])[:2], height]
-        raw = {**raw, "camera_config": {**raw.get("camera_config", {}), "camera_position_m": position}}
-    return raw
-
-
-def _parse(session, raw, name):
-    from avcli.scene import scenario
-
-    folder = Path(name).parent
+def _mesh_loader(folder):
+    """A function that reads a mesh's triangles; its path is relative to the scenario's file."""
 
     def load_mesh(path):
         import trimesh
 
+        if not (folder / path).is_file():
+            raise ValueError(f"{path}: no such file")
         try:
             mesh = trimesh.load_mesh(folder / path, process=False)
-        except FileNotFoundError:
-            raise ValueError(f"{path}: no such file") from None
         except Exception as error:  # each of trimesh's readers has its own
             raise ValueError(f"{path}: no mesh that can be read: {error}") from None
         return getattr(mesh, "triangles", [])
 
-    return scenario.parse(raw, name, load_mesh)
+    return load_mesh
 
 
 # --- the experiment directory -----------------------------------------------------------------------------------------
@@ -178,9 +215,9 @@ def _prepare(session, directory, force):
             )
     layout.config.unlink(missing_ok=True)
     layout.groundtruth.unlink(missing_ok=True)
-    for kind, prefix in (("rgb", "RGB_frame_"), ("depth", "Depth_frame_"), ("depth", "Depth_background")):
+    for pattern in ("rgb/RGB_frame_*", "depth/Depth_frame_*", "depth/Depth_background", "masks/Mask_frame_*"):
         for extension in ("png", "npy"):
-            for path in (directory / "video" / kind).glob(f"{prefix}*.{extension}"):
+            for path in (directory / "video").glob(f"{pattern}.{extension}"):
                 path.unlink()
     directory.mkdir(parents=True, exist_ok=True)
 
@@ -234,8 +271,9 @@ class _GroundTruth:
 class _Saver:
     """Writes frames beside the drawing, in a thread of its own (deflate needs no interpreter)."""
 
-    def __init__(self, session, directory, kind, depth_bits):
-        self.session, self.directory, self.kind, self.depth_bits = session, directory, kind, depth_bits
+    def __init__(self, session, directory, kind, options):
+        self.session, self.directory, self.kind = session, directory, kind
+        self.narrow, self.masks = options["depth_bits"] == "8", options["masks"]
 
     def __enter__(self):
         from concurrent.futures import ThreadPoolExecutor
@@ -247,29 +285,34 @@ class _Saver:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def background(self, depth):
+        """Write the empty room's depth, always as PNG."""
         from avcli.experiment import Layout
 
         self._write(Layout.background_depth, self._bits(depth), "png")
 
-    def save(self, time, frame):
+    def save(self, time, rgb, frame):
         """Begin to write a frame; returns the record's "frame" and a function that waits until its files are there."""
         from avcli.experiment import Layout
 
-        if self.kind == "none":
-            return None, lambda: None
-        paths = {"rgb": Layout.rgb(time, self.kind), "depth": Layout.depth(time, self.kind)}
+        pictures = {}
+        if self.kind != "none":
+            pictures["rgb"] = Layout.rgb(time, self.kind), rgb, self.kind
+            pictures["depth"] = Layout.depth(time, self.kind), self._bits(frame.depth), self.kind
+        if self.masks:
+            stem = Layout.rgb(time).rsplit("RGB_frame_", 1)[1]
+            pictures["mask"] = f"video/masks/Mask_frame_{stem}", frame.ids, "png"
 
         def work():
-            with self.session.timing(f"write {self.kind} (in parallel)"):
-                self._write(paths["rgb"], frame.rgb, self.kind)
-                self._write(paths["depth"], self._bits(frame.depth), self.kind)
+            with self.session.timing("write (beside the drawing)"):
+                for path, picture, kind in pictures.values():
+                    self._write(path, picture, kind)
 
-        return paths, self._pool.submit(work).result
+        return {name: path for name, (path, _, _) in pictures.items()}, self._pool.submit(work).result
 
     def _bits(self, depth):
         import numpy as np
 
-        return depth if self.depth_bits == "16" else np.where(depth < 256, depth, 0).astype(np.uint8)
+        return np.where(depth < 256, depth, 0).astype(np.uint8) if self.narrow else depth
 
     def _write(self, path, picture, kind):
         import io
@@ -288,13 +331,84 @@ class _Saver:
             atomic.write_bytes(path, raw.getbuffer())
 
 
+class _Coco:
+    """Collects COCO's annotations and writes them at the end."""
+
+    def __init__(self, scene, path):
+        self.scene, self.path, self.images, self.annotations = scene, path, [], []
+
+    def add(self, time, record, rgb, frame):
+        from avcli.experiment import Layout
+        from avcli.scene import annotations
+
+        number = len(self.images) + 1
+        height, width = frame.ids.shape
+        self.images.append({"id": number, "file_name": Layout.rgb(time), "width": width, "height": height})
+        for person, item in enumerate(record["objects"]):
+            entry = annotations.coco(self.scene, person, frame, number, len(self.annotations) + 1)
+            if entry is not None:
+                flat = [value for keypoint in item["keypoints_px"] for value in keypoint]
+                seen = sum(keypoint[2] > 0 for keypoint in item["keypoints_px"])
+                self.annotations.append({**entry, "keypoints": flat, "num_keypoints": seen})
+
+    def finish(self):
+        from avcli import atomic
+        from avcli.scene import annotations
+
+        content = {"images": self.images, "annotations": self.annotations, "categories": annotations.COCO_CATEGORIES}
+        atomic.write_bytes(self.path, json.dumps(content).encode() + b"\n")
+
+
+class _Sheet:
+    """A contact sheet: frames spread over the scene, three rows of four."""
+
+    def __init__(self, scene, path):
+        count = len(scene.times)
+        self.path, self.pictures = path, []
+        self.wanted = {round(k * (count - 1) / 11) for k in range(12)}
+        self.number = 0
+
+    def add(self, time, record, rgb, frame):
+        import cv2
+
+        if self.number in self.wanted:
+            height, width = rgb.shape[:2]
+            size = (480, max(round(480 * height / width), 1))
+            small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+            cv2.putText(
+                small, f"{time:.1f} s", (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 1, cv2.LINE_AA
+            )
+            self.pictures.append(small)
+        self.number += 1
+
+    def finish(self):
+        import numpy as np
+
+        from avcli import media
+
+        if not self.pictures:
+            return
+        blank = np.full_like(self.pictures[0], 40)
+        pictures = self.pictures + [blank] * (-len(self.pictures) % 4)
+        rows = [np.concatenate(pictures[k : k + 4], 1) for k in range(0, len(pictures), 4)]
+        media.write_png(self.path, np.concatenate(rows))
+
+
+def _write_gltf(scene, path):
+    from avcli import atomic
+    from avcli.scene import mesh, people
+
+    bodies = people.pose(scene.people, [scene.times[len(scene.times) // 2]])
+    atomic.write_bytes(path, mesh.glb(scene, bodies, 0))
+
+
 # --- the frames -------------------------------------------------------------------------------------------------------
 
 
-def _records(session, scene, renderer, saver):
-    """Yield one record a frame as soon as its files are there; two frames are on their way at a time."""
+def _complete(frames):
+    """Yield each record when its files are there; two frames are on their way at a time."""
     waiting = collections.deque()
-    for record, done in _drawn(session, scene, renderer, saver):
+    for record, done in frames:
         waiting.append((record, done))
         if len(waiting) > 2:
             record, done = waiting.popleft()
@@ -305,22 +419,40 @@ def _records(session, scene, renderer, saver):
         yield record
 
 
-def _drawn(session, scene, renderer, saver):
-    from avcli.scene import annotations, people
+def _drawn(session, scene, renderer, saver, extras, options):
+    """Yield each frame's record, and a function that waits for its files."""
+    import numpy as np
 
-    times = scene.times
+    from avcli.scene import annotations, people, sensor
+
+    effects = sensor.Sensor(
+        options["exposure"], options["vignetting"], options["aberration"], options["full_well"], options["read_noise"],
+        options["jpeg"] or 0,
+    )  # fmt: skip
+    generator = np.random.default_rng(session.seed)
+    times, shutter = scene.times, options["shutter"] if renderer else 0.0
+    # The shutter opens half its time before a frame's time, so that truth and picture agree on the mean.
+    instants = shutter * (np.arange(SHUTTER_PICTURES) + 0.5) / SHUTTER_PICTURES - shutter / 2
     for start in range(0, len(times), CHUNK):
         with session.timing("pose the people"):
             bodies = people.pose(scene.people, times[start : start + CHUNK])
             prepared = renderer.prepare(bodies) if renderer else None
         for index, time in enumerate(bodies.times):
-            frame = None
-            if renderer:
-                with session.timing("draw"):
-                    frame = renderer.draw(prepared, index)
+            if not renderer:
+                yield annotations.truth(scene, bodies, index), lambda: None
+                continue
+            with session.timing("draw"):
+                frame = renderer.draw(prepared, index)
+                rgb = frame.rgb
+                if shutter:
+                    open_ = renderer.prepare(people.pose(scene.people, time + instants))
+                    rgb = sensor.blurred([renderer.draw(open_, k).rgb for k in range(SHUTTER_PICTURES)])
+            with session.timing("sensor effects"):
+                optics = scene.config.camera.lens
+                rgb = effects.expose(rgb, (optics.cx, optics.cy), generator)
             with session.timing("annotate"):
                 record = annotations.truth(scene, bodies, index, frame)
-            paths, done = saver.save(float(time), frame) if frame else (None, lambda: None)
-            if paths:
-                record["frame"] = paths
-            yield record, done
+                for extra in extras:
+                    extra.add(float(time), record, rgb, frame)
+            paths, done = saver.save(float(time), rgb, frame)
+            yield record | ({"frame": paths} if paths else {}), done

@@ -89,3 +89,45 @@ def _keypoints(frame, number, pixels, camera, bodies, index):
         near = near and frame.depth[row, column] * frame.depth_step > distance[k] - 0.15
         rows.append([round(float(x), 2), round(float(y), 2), 2 if near else 1])
     return rows
+
+
+def coco(scenario, number, frame, image_id, annotation_id):
+    """COCO's annotation of one person in one frame, None where nothing of them shows.
+
+    The box and the mask (run lengths, column by column) are of what shows; keypoints as COCO has them.
+    """
+    said = visibility(frame, number)
+    if "bbox_px" not in said:
+        return None
+    x0, y0, x1, y1 = said["bbox_px"]
+    height, width = frame.ids.shape
+    seen = frame.ids[:, x0:x1] == number + 1
+    flat = np.concatenate([[0], seen.T.ravel().astype(np.int8), [0]])
+    edges = np.flatnonzero(np.diff(flat)) + x0 * height
+    counts = np.diff(np.concatenate([[0], edges, [height * width]]))
+    counts = counts[: len(counts) - (counts[-1] == 0)]
+    return {
+        "id": annotation_id,
+        "image_id": image_id,
+        "category_id": 1,
+        "iscrowd": 0,
+        "area": int(seen.sum()),
+        "bbox": [x0, y0, x1 - x0, y1 - y0],
+        "segmentation": {"size": [height, width], "counts": counts.tolist()},
+        "object_id": scenario.people[number].object_id,
+    }
+
+
+COCO_CATEGORIES = [
+    {
+        "id": 1,
+        "name": "person",
+        "supercategory": "person",
+        "keypoints": list(KEYPOINTS),
+        "skeleton": [
+            [16, 14], [14, 12], [17, 15], [15, 13], [12, 13], [6, 12], [7, 13], [6, 7], [6, 8], [7, 9], [8, 10],
+            [9, 11], [2, 3], [1, 2], [1, 3], [2, 4], [3, 5], [4, 6], [5, 7],
+        ],
+    }
+]  # fmt: skip
+"""The one category of COCO's files, as COCO's own person keypoint files have it."""

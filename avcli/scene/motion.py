@@ -41,10 +41,9 @@ class Motion:
 
     def heading(self, t):
         """Direction that the body faces at times t (n,): (n,) rad counterclockwise from +x."""
-        offsets = np.linspace(-0.5, 0.5, 15) * _TURN_S
-        weights = np.cos(np.pi * offsets / (1.2 * _TURN_S)) ** 2
-        legs = np.searchsorted(self.times, np.asarray(t)[:, None] + offsets, "right")
-        return self._leg_headings[legs] @ (weights / weights.sum())
+        legs = self._leg_headings
+        x = np.clip((np.asarray(t, float)[:, None] - self.times) / _TURN_S, -0.5, 0.5)
+        return legs[0] + (0.5 + x + np.sin(2 * np.pi * x) / (2 * np.pi)) @ np.diff(legs)
 
     def sitting(self, t):
         """How far the person sits at times t (n,): 0 stands, 1 sits."""
@@ -148,7 +147,7 @@ class _Walk:
             e = eased[:, None]
             place = np.where(swings[:, None], start[0] * (1 - e) + stop[0] * e, stance[0])
             heading[:, foot] = np.where(swings, start[1] * (1 - eased) + stop[1] * eased, stance[1])
-            swing[:, foot] = np.where(swings, u, 0.0)
+            swing[:, foot] = np.where(swings & (u < 1), u, 0.0)
             at = np.where(swings, from_at * (1 - eased) + to_at * eased, stance_at)
             ahead[:, foot] = (at - s) / self.step
             lift = np.where(swings, 0.035 * np.sin(np.pi * u) ** 2, 0.0)

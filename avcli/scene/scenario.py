@@ -181,6 +181,15 @@ def with_camera(raw, camera_config):
     return {**raw, "camera_config": {**kept, **given}}
 
 
+def at_height(raw, height):
+    """Put a scenario's camera at another height, m."""
+    section = {**LABORATORY["camera_config"], **raw.get("camera_config", {})}
+    position = section["camera_position_m"]
+    if isinstance(position, list) and len(position) == 3:
+        position = [*position[:2], height]
+    return {**raw, "camera_config": {**raw.get("camera_config", {}), "camera_position_m": position}}
+
+
 def _person(reader, index, duration, dimensions, warnings):
     reader.object(_PERSON_KEYS)
     identity = reader.get("object_id", index)

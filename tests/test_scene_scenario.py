@@ -1,0 +1,205 @@
+"""Scenario files: what is refused, and how it is said; random scenarios; camera twins."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import ROOT, run
+
+from avcli.scene import crowd, furniture, mesh, scenario, sensor
+
+GOOD = {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0]}]}]}
+
+
+def test_what_is_left_out_is_the_laboratory():
+    scene = scenario.parse({})
+    assert scene.duration == 4.0
+    assert scene.config.room.dimensions.tolist() == [4.66, 4.66, 3.0]
+    assert scene.config.camera.lens.fx == 862.27
+    assert len(scene.config.microphones.positions) == 8
+    assert len(scene.times) == 41
+
+
+def point(**keys):
+    return {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0], **keys}]}]}
+
+
+@pytest.mark.parametrize(
+    ("raw", "where"),
+    [
+        ([], "s.json: expected an object"),
+        ({"peeple": []}, "s.json: peeple: is no key here"),
+        ({"people": {}}, "s.json: people: expected a list"),
+        ({"people": [3]}, "s.json: people[0]: expected an object"),
+        ({"people": [{}]}, "s.json: people[0].waypoints: expected at least one"),
+        ({"people": [{"waypoints": [{}]}]}, "s.json: people[0].waypoints[0].position_m: is missing"),
+        (point(position_m=[9.0, 1.0]), "people[0].waypoints[1].position_m: [9.0, 1.0] is outside the room"),
+        (point(position_m=[1.0, None]), "s.json: people[0].waypoints[1].position_m: expected 2 numbers"),
+        (point(position_m=[1.0, float("nan")]), "people[0].waypoints[1].position_m: expected 2 numbers"),
+        (point(speed_m_s=0), "people[0].waypoints[1].speed_m_s: expected a number above 0, found 0"),
+        (point(speed_m_s=1, t_s=2), "people[0].waypoints[1].speed_m_s: t_s and speed_m_s exclude each other"),
+        (point(t_s=0), "people[0].waypoints[1].t_s: 0 s is not after the waypoint before it"),
+        (point(pose="lie"), "people[0].waypoints[1].pose: expected one of stand, sit, found 'lie'"),
+        (point(stay_s=-1), "people[0].waypoints[1].stay_s: expected a number of at least 0"),
+        ({"people": [{**GOOD["people"][0], "look": "pink"}]}, "people[0].look: expected one of red"),
+        ({"people": [{**GOOD["people"][0], "height_m": 9}]}, "people[0].height_m: expected a number of at least 0.5"),
+        ({"people": [{**GOOD["people"][0], "speech_s": [[2, 1]]}]}, "people[0].speech_s[0]: expected [start, end]"),
+        ({"people": [{**GOOD["people"][0], "speech_s": [[0, 2], [1, 3]]}]}, "people[0].speech_s[1]: begins before"),
+        ({"people": [{**GOOD["people"][0], "object_id": 1}, GOOD["people"][0]]}, "people[1].object_id: 1 is taken"),
+        ({"camera_config": {"camera_position_m": [1, 1, 3.5]}}, "camera_position_m: [1.0, 1.0, 3.5] is outside"),
+        ({"camera_config": {"fx_px": -1}}, "s.json: camera_config.fx_px: expected a number above 0, found -1"),
+        ({"camera_config": {"image_width_px": 0}}, "camera_config.image_width_px"),
+        ({"room_config": {"room_dimensions_m": [4, 0, 3]}}, "room_config.room_dimensions_m"),
+        ({"duration_s": -1}, "s.json: duration_s: expected a number of at least 0"),
+        ({"duration_s": 1e9}, "s.json: duration_s: 1e+09 s are more than 10 million frames"),
+        ({"furniture": [{"kind": "sofa"}]}, "s.json: furniture[0].kind: expected one of table"),
+        ({"furniture": [{"kind": "box", "position_m": [1, 1, 1]}]}, "furniture[0].size_m: is missing"),
+        ({"furniture": [{"kind": "box", "position_m": [1, 1, 1], "size_m": [1, 1, 0]}]}, "furniture[0].size_m: exp"),
+        ({"furniture": [{"kind": "sphere", "position_m": [1, 1, 1]}]}, "furniture[0].radius_m: is missing"),
+        ({"furniture": [{"kind": "table", "position_m": [1, 1], "radius_m": 1}]}, "furniture[0].radius_m: is no key"),
+        ({"furniture": [{"kind": "table", "position_m": [1, 1], "color": [2, 0, 0]}]}, "furniture[0].color: expected"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_its_place(raw, where):
+    with pytest.raises(scenario.ScenarioError) as error:
+        scenario.parse(raw, "s.json")
+    assert where in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_odd_scenes_are_taken_with_a_warning():
+    fast = scenario.parse(point(speed_m_s=100))
+    assert "100 m/s" in fast.warnings[0]
+    table = {"kind": "table", "position_m": [1.5, 1.0]}
+    assert "walks through furniture" in scenario.parse({**GOOD, "furniture": [table]}).warnings[0]
+    assert "meet" in scenario.parse({"people": GOOD["people"] * 2}).warnings[0]
+
+
+def test_a_parsed_scenario_parses_to_itself():
+    scene = scenario.parse({**GOOD, "furniture": [{"kind": "chair", "position_m": [3, 3]}]}, "s")
+    again = scenario.parse(json.loads(json.dumps(scene.raw)), "s")
+    assert again.raw == scene.raw
+    np.testing.assert_array_equal(again.solids.centre, scene.solids.centre)
+
+
+def test_another_camera_replaces_the_lens_whole():
+    scene = scenario.parse(scenario.with_camera({}, {"fx_px": 300, "fy_px": 300, "cx_px": 320, "cy_px": 240}))
+    assert type(scene.config.camera.lens).__name__ == "Division"
+    twin = {"camera_config": {"lens_model": "kannala_brandt", "fx_px": 300, "fy_px": 300, "cx_px": 320, "cy_px": 240}}
+    raw = {"camera_config": {"camera_position_m": [1, 1, 2.4], "frame_rate_hz": 5}}
+    camera = scenario.parse(scenario.with_camera(raw, twin)).config.camera
+    assert (camera.lens.fx, camera.lens.k1) == (300, 0.0)
+    assert camera.T_room_camera[:3, 3].tolist() == [1, 1, 2.4]
+    assert camera.frame_rate_hz == 5
+    assert scenario.parse(scenario.at_height({}, 2.8)).config.camera.T_room_camera[2, 3] == 2.8
+
+
+@pytest.mark.parametrize("count", [0, 1, 6])
+def test_random_scenarios_are_valid_and_seeded(count):
+    one, two = (crowd.random(count, 8.0, np.random.default_rng(3)) for _ in range(2))
+    assert one == two
+    assert one != crowd.random(count, 8.0, np.random.default_rng(4))
+    scene = scenario.parse(json.loads(json.dumps(one)))
+    assert len(scene.people) == count
+    assert scene.warnings == ()
+    for person in scene.people:
+        assert person.motion.times[-1] >= 8.0
+        assert 1.5 <= person.height <= 1.95
+
+
+def test_meshes(tmp_path):
+    import trimesh
+
+    trimesh.creation.icosphere(radius=0.3).export(tmp_path / "ball.stl")
+    (tmp_path / "text.stl").write_text("this is no mesh")
+    shared = {"kind": "mesh", "position_m": [2.0, 2.0, 0.5]}
+    good = {"furniture": [{**shared, "path": "ball.stl"}]}
+    (tmp_path / "good.json").write_text(json.dumps(good))
+    result = run("avsim-scene", tmp_path / "good.json", "--gltf", tmp_path / "scene.glb")
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "scene.glb").read_bytes()[:4] == b"glTF"
+    for path, reason in (("text.stl", "furniture[0].path"), ("nowhere.stl", "no such file")):
+        (tmp_path / "bad.json").write_text(json.dumps({"furniture": [{**shared, "path": path}]}))
+        result = run("avsim-scene", tmp_path / "bad.json", "--print-scenario")
+        assert result.returncode == 1
+        assert reason in result.stderr
+        assert result.stderr.count("\n") == 1
+
+
+def test_triangles_of_solids_are_the_solids():
+    import trimesh
+
+    reader = scenario._Reader
+    pieces = [
+        ({"kind": "box", "position_m": [1, 1, 1], "size_m": [1, 2, 0.5], "rotation_deg": 30}, 1.0),
+        ({"kind": "cylinder", "position_m": [1, 1, 1], "radius_m": 0.5, "height_m": 2}, np.pi * 0.5),
+        ({"kind": "sphere", "position_m": [1, 1, 1], "radius_m": 0.5}, np.pi / 6),
+    ]
+    for raw, volume in pieces:
+        triangles, owner = mesh.solids_triangles(furniture.build(reader(raw, "s", "furniture[0]"), None), 256)
+        solid = trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles))
+        assert solid.volume == pytest.approx(volume, rel=2e-3)
+        assert set(owner) == {0}
+
+
+def test_a_rounded_cone_is_two_balls_and_what_lies_between():
+    vertices, faces = mesh.rounded_cone([0, 0, 0], [0, 0, 1], 0.3, 0.2, (1, 0, 0), 0.5, 64)
+    assert (vertices.min(0) >= np.array([-0.1501, -0.3001, -0.3001])).all()
+    np.testing.assert_allclose(vertices[:, 2].max(), 1.2, atol=1e-9)
+    np.testing.assert_allclose(vertices[:, 1].max(), 0.2985, atol=2e-3)
+    assert faces.max() < len(vertices)
+
+
+# --- the sensor -------------------------------------------------------------------------------------------------------
+
+GREY = np.full((40, 60, 3), 120, np.uint8)
+
+
+def expose(picture=GREY, seed=0, **effects):
+    return sensor.Sensor(**effects).expose(picture, (30.0, 20.0), np.random.default_rng(seed))
+
+
+def test_without_effects_the_picture_is_untouched():
+    assert expose() is GREY
+
+
+def test_exposure_doubles_the_light():
+    brighter = expose(exposure_ev=1.0)
+    assert brighter[0, 0, 0] == round(120 * np.sqrt(2))
+    assert (expose(exposure_ev=9.0) == 255).all()
+
+
+def test_vignetting_darkens_the_corner():
+    dark = expose(vignetting=0.75)
+    assert dark[20, 30, 0] == 120
+    assert dark[0, 0, 0] == 60
+
+
+def test_noise_has_the_variance_that_was_asked_for():
+    picture = np.full((400, 600, 3), 150, np.uint8)
+    noisy = sensor.Sensor(read_noise=3.0, full_well_e=5000.0).expose(picture, (0.0, 0.0), np.random.default_rng(1))
+    light = (noisy / 255.0) ** 2
+    mean = (150 / 255) ** 2
+    assert light.mean() == pytest.approx(mean, rel=2e-3)
+    assert light.std() == pytest.approx(np.sqrt(mean / 5000 + (3 / 255) ** 2), rel=0.02)
+    assert (expose(read_noise=2.0, seed=5) == expose(read_noise=2.0, seed=5)).all()
+    assert (expose(read_noise=2.0, seed=5) != expose(read_noise=2.0, seed=6)).any()
+
+
+def test_aberration_spreads_red_outwards():
+    picture = np.zeros((200, 300, 3), np.uint8)
+    picture[:, 250:] = 255
+    spread = sensor.Sensor(aberration_px=4.0).expose(picture, (150.0, 100.0), np.random.default_rng(0))
+    edges = [(spread[100, :, channel].astype(int) > 127).argmax() for channel in range(3)]
+    assert edges[0] > edges[1] > edges[2]
+
+
+def test_blur_is_the_mean_of_light():
+    black, white = np.zeros((2, 2, 3), np.uint8), np.full((2, 2, 3), 255, np.uint8)
+    assert (sensor.blurred([black, white]) == round(255 * np.sqrt(0.5))).all()
+
+
+def test_every_look_and_built_in_scenario_is_in_the_manual():
+    page = (ROOT / "man" / "avsim-scene.1").read_text()
+    for look in scenario.LOOKS:
+        assert look in page
