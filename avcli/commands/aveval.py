@@ -47,6 +47,11 @@ _MOST_FRAMES = 150
     help="Records match whose times differ by no more than this, in s.",
 )
 @click.option(
+    "--speaking",
+    is_flag=True,
+    help="Score people only while they speak; whoever tracks a silent one is neither right nor wrong.",
+)
+@click.option(
     "--cutoff",
     type=click.FloatRange(min=0, max=1e9, min_open=True),
     metavar="M",
@@ -122,6 +127,8 @@ def main(session, paths, experiments, kind, compare_thesis, fail_under, detectio
     """
     from avcli.metrics import table
 
+    if settings["speaking"] and compare_thesis:
+        session.usage("the thesis scored silent people too: --speaking and --compare-thesis exclude each other")
     gates = [_gate(session, text, table.PERCENT) for text in fail_under]
     if plot and Path(plot).suffix.lower() not in (".png", ".svg", ".pdf"):
         session.usage(f"--plot {plot}: expected a name that ends in .png, .svg or .pdf")
@@ -246,13 +253,15 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
     if not any(len(identities) for _, identities, _ in truth.recording):
         session.warn(f"{entry.name}: the ground truth has no objects, so all that was tracked is false")
     distances = {name: settings[name] for name in ("d0", "cutoff", "order", "window")}
+    people = {"people": "speaking"} if settings["speaking"] else {}
     trackers, sensors = {}, {}
     for name, path in entry.tracks:
         with session.timing("read"):
             tracks = piped.get(path) or _identified(session, path, settings["rate"])
         sequence = _aligned(session, f"{entry.name} {name}", truth.recording, tracks.recording, settings)
+        sequence = truth.speakers_of(session, sequence, settings)
         with session.timing("score"):
-            record = {"sequence": entry.name, "tracker": name, **score(sequence, **distances)}
+            record = {"sequence": entry.name, "tracker": name, **people, **score(sequence, **distances)}
         emit(record)
         trackers[name] = Tracked(sequence, record, tracks.speaking_of(sequence.track, sequence.time))
     first = next(iter(trackers.values())).sequence
@@ -262,7 +271,7 @@ def _score(session, entry: _Input, settings: dict, emit: Callable[[dict], None],
             name = f"{name} of {Path(path).name}" if name in sensors else name
             sensors[name] = found
             if path in entry.detections:
-                emit({"sequence": entry.name, "sensor": name, "Detections": found.record})
+                emit({"sequence": entry.name, "sensor": name, **people, "Detections": found.record})
     run = Run(entry.name, trackers, sensors, speaking, settings["d0"])
     return _with_surroundings(session, entry, run, pictures == "html") if pictures else run
 
@@ -281,6 +290,19 @@ class _Identified:
 
         keys = zip(time[points.frame].tolist(), points.label[points.identity].tolist(), strict=True)
         return np.array([self.speaking.get(key, np.nan) for key in keys])
+
+    def speakers_of(self, session, sequence, settings: dict):
+        """With --speaking the sequence with those alone of its true points that speak."""
+        import numpy as np
+
+        from avcli.metrics.ignore import ignore
+
+        if not settings["speaking"]:
+            return sequence
+        speaking = self.speaking_of(sequence.truth, sequence.time)
+        if np.isnan(speaking).any():
+            session.fail('--speaking: the ground truth does not say of everybody who is "speaking"')
+        return ignore(sequence, speaking < 0.5, settings["d0"])
 
 
 def _identified(session, path: str, rate: float) -> _Identified:
@@ -402,6 +424,7 @@ def _detected(session, entry: _Input, path: str, truth: _Identified, speaking, s
                 f"{entry.name} {name}: {mismatch.track_frames} of {len(found)} detection records have no ground truth "
                 f"within {1000 * settings['tolerance']:g} ms; their {mismatch.track_points} detections count as false"
             )
+        sequence = truth.speakers_of(session, sequence, settings)
         order = sequence.track.label[sequence.track.identity]
         matches = detections.match(sequence, settings["d0"] / 2)
         known = None if np.isnan(speaking).any() or not speaking.size else speaking > 0.5
@@ -427,15 +450,19 @@ def _combine(session, records: list[dict], emit: Callable[[dict], None]) -> None
         blank = [record["sequence"] for record in own if not record["HOTA"]["HOTA_TP"].any()]
         if blank and len(own) > 1:
             session.warn(f"combined {tracker}: AssA and LocA leave out {', '.join(blank)}, where nothing matches")
-        of = {"tracker": tracker, "sequences": [record["sequence"] for record in own]}
+        of = {"tracker": tracker, **_people(own), "sequences": [record["sequence"] for record in own]}
         emit({"sequence": "combined", "average": "micro", **of, **combine(own)})
         if len(own) > 1:
             emit({"sequence": "mean", "average": "macro", **of, "summary": mean(own)})
     for sensor in dict.fromkeys(record["sensor"] for record in single if "sensor" in record):
         own = [record for record in single if record.get("sensor") == sensor]
-        of = {"sensor": sensor, "sequences": [record["sequence"] for record in own]}
+        of = {"sensor": sensor, **_people(own), "sequences": [record["sequence"] for record in own]}
         scores = detections.combine([record["Detections"] for record in own])
         emit({"sequence": "combined", "average": "micro", **of, "Detections": scores})
+
+
+def _people(records: list[dict]) -> dict:
+    return {"people": records[0]["people"]} if "people" in records[0] else {}
 
 
 # --- pictures and other files -----------------------------------------------------------------------------------------

@@ -53,6 +53,12 @@ class Points:
             raise ValueError(f"identity {label[i]} stands twice in frame {t}")
         return cls(start, identity, position, label)
 
+    def keep(self, mask: np.ndarray) -> Points:
+        """The points of a mask (n,) alone; identities without any are forgotten."""
+        count = np.bincount(self.frame[mask], minlength=self.start.size - 1)
+        present, identity = np.unique(self.identity[mask], return_inverse=True)
+        return Points(np.concatenate([[0], np.cumsum(count)]), identity, self.position[mask], self.label[present])
+
     @property
     def count(self) -> np.ndarray:
         """Points of each frame, int (T,)."""

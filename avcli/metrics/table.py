@@ -90,7 +90,8 @@ def _sensor_rows(record: dict) -> list[tuple[str, str, str, list[str]]]:
 
 
 def _labelled(record: dict) -> str:
-    return record["sequence"] + (f" ({record['average']})" if "average" in record else "")
+    notes = [record[name] for name in ("average", "people") if name in record]
+    return record["sequence"] + (f" ({', '.join(notes)})" if notes else "")
 
 
 def _table(rows: list, columns: Sequence[str], width: int | None) -> str:
