@@ -36,7 +36,8 @@ THESIS = {
 def board():
     """The board's panels: a white sheet, and the black squares a tenth of a millimetre above it."""
     sheet = [(COLUMNS + 2) * SQUARE, (ROWS + 2) * SQUARE, 0.01]
-    panels = [{"kind": "panel", "position_m": (MIDDLE - [0, 0, 0.01]).tolist(), "size_m": sheet, "color": [0.9] * 3}]
+    below = (MIDDLE - np.array([0, 0, 0.01])).tolist()
+    panels = [{"kind": "panel", "position_m": below, "size_m": sheet, "color": [0.9] * 3}]
     for row in range(ROWS):
         for column in range(COLUMNS):
             if (row + column) % 2 == 0:
@@ -44,7 +45,7 @@ def board():
                 panels.append(
                     {
                         "kind": "panel",
-                        "position_m": (MIDDLE + [x, y, -0.0049]).tolist(),
+                        "position_m": (MIDDLE + np.array([x, y, -0.0049])).tolist(),
                         "size_m": [SQUARE, SQUARE, 0.01],
                         "color": [0.05] * 3,
                     }
