@@ -67,7 +67,7 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
     Args:
         grey: (height, width) uint8.
         board: a checkerboard must be whole in the picture; of a ChArUco board six corners are enough.
-        thorough: also search in the slower ways when the fastest finds nothing.
+        thorough: also search without the check that is quick to give a picture up (half a second on mere noise).
     """
     if min(grey.shape) < 32:
         return None
@@ -98,10 +98,10 @@ def _find_checkerboard(grey: np.ndarray, inner: tuple[int, int], thorough: bool)
     small, scale = shrunk(grey)
     base = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(small, inner, flags=base | cv2.CALIB_CB_FAST_CHECK)
-    if not found and thorough:  # the fast check misses dim and oblique boards; the sector search finds yet others
+    if not found and thorough:  # the quick check gives dim and oblique boards up
         found, corners = cv2.findChessboardCorners(small, inner, flags=base)
-        if not found:
-            found, corners = cv2.findChessboardCornersSB(small, inner, flags=0)
+    if not found:
+        found, corners = cv2.findChessboardCornersSB(small, inner, flags=0)
     if not found:
         return None
     corners = corners.reshape(-1, 2).astype(np.float64)

@@ -23,6 +23,9 @@ for _command in (avcalib_room.undistort_command, avcalib_room.pose_command, avca
     main.add_command(_command)
 
 
+_FEW = 100
+"""Up to so many pictures each is searched thoroughly; a film has boards enough."""
+
 # --- boards and pictures ----------------------------------------------------------------------------------------------
 
 
@@ -154,18 +157,18 @@ class _Seen:
         return bool(self.records) and self.count("no board") > 0.7 * len(self.records)
 
 
-def _look(picture, board):
+def _look(picture, board, thorough):
     """Find the board in one picture: (picture, grey, view or None). Runs in a thread."""
     from avcli.calibration import corners
 
     grey = corners.to_grey(picture.image)
-    view = corners.find(grey, board)
+    view = corners.find(grey, board, thorough=thorough)
     if view is not None and not board.markers and not corners.is_whole(grey, view.pixels, board.inner):
         view = None
     return picture, grey, view
 
 
-def _looked(pictures, searched, filming):
+def _looked(pictures, searched, filming, thorough):
     """Yield what `_look` finds of searched[0], in order; OpenCV lets go of Python's lock, so that threads help."""
     from collections import deque
     from concurrent.futures import ThreadPoolExecutor
@@ -174,7 +177,7 @@ def _looked(pictures, searched, filming):
         waiting = deque()
         try:
             for picture in pictures:
-                waiting.append(pool.submit(_look, picture, searched[0]))
+                waiting.append(pool.submit(_look, picture, searched[0], thorough))
                 if filming.active or len(waiting) >= 4:  # a hint must not wait for pictures to come
                     yield waiting.popleft().result()
                 if filming.stopped:
@@ -205,7 +208,7 @@ def _collect(session, sources, board, rate, size=None, after=None):
         with _Filming(endless or after is not None) as filming:
             pictures = session.progress(_pictures(session, sources, rate, size), total, "looking for boards")
             try:
-                for picture, grey, view in _looked(pictures, searched, filming):
+                for picture, grey, view in _looked(pictures, searched, filming, total is not None and total <= _FEW):
                     seen.take(session, picture, grey, view)
                     if not guessed and len(seen.records) in (4, 12) and seen.few:
                         guessed = len(seen.records) == 12
