@@ -1,5 +1,6 @@
 """avfuse: fuse localizations of several sensors into tracks."""
 
+import contextlib
 import math
 from pathlib import Path
 
@@ -13,6 +14,7 @@ _THESIS = {
     "birth": "adaptive",
     "adapt": False,
     "stay": 10.0,
+    "doors": "anywhere",
     "sigma": ["video=0.2,0.2,0", "audio=0.25,0.25,0"],
     "detection": ["video=0.5", "audio=0.25"],
     "clutter": ["video=0.01", "audio=0.01"],
@@ -129,10 +131,17 @@ def _count(text):
 @click.option(
     "--stay",
     type=click.FloatRange(min=0, min_open=True),
-    default=30.0,
+    default=100.0,
     show_default=True,
     metavar="S",
-    help="Mean time in s for which a person stays.",
+    help="Mean time in s for which a person stays; with --doors walls, a tenth of that while within 0.7 m of a wall.",
+)
+@click.option(
+    "--doors",
+    type=click.Choice(["walls", "anywhere"]),
+    default="walls",
+    show_default=True,
+    help="Where people come and go: through the walls, mostly, or anywhere alike.",
 )
 @click.option(
     "--adapt/--no-adapt",
@@ -166,7 +175,7 @@ def _count(text):
     multiple=True,
     type=_ForSensor(_count, "NAME=N"),
     metavar="NAME=N",
-    help="False detections expected in one record of a sensor.  [default: audio 0.1, others 0.05]",
+    help="False detections expected in one record of a sensor.  [default: audio 0.2, others 0.05]",
 )
 @click.option(
     "--room-margin",
@@ -190,16 +199,22 @@ def _count(text):
     metavar="S",
     help="Leave a sensor behind that lags more than this, in s of data, behind another of its stream; inf: never.",
 )
+@click.option(
+    "--explain",
+    type=click.Path(dir_okay=False, writable=True),
+    metavar="FILE",
+    help="Also write to FILE what each record meant: hypotheses, existence, who took which detection, came, went.",
+)
 @common(skip_invalid=True, presets={"thesis": _THESIS})
-def main(session, files, named, rate, max_wait, room_margin, lag, tracker, **options):
+def main(session, files, named, rate, max_wait, room_margin, lag, tracker, explain, **options):
     """Fuse localizations of any sensors, merged in one stream or a file a sensor, into labelled tracks.
 
     Reads one record for each look of a sensor and writes one record of tracks for each step of a regular clock, as
     soon as every sensor has passed it. Tracks are points on the floor, with velocity, covariance, probability of
     existence and, where there are microphones, the probability that the person is speaking.
     """
-    if tracker == "gnn" and lag:
-        session.usage("--tracker gnn has no smoothing: --lag must be 0")
+    if tracker == "gnn" and (lag or explain):
+        session.usage(f"--tracker gnn has no {'smoothing: --lag must be 0' if lag else 'hypotheses to --explain'}")
     from avcli.tracking.fusion import Fusion
     from avcli.tracking.merging import Merger
 
@@ -214,14 +229,19 @@ def main(session, files, named, rate, max_wait, room_margin, lag, tracker, **opt
                 ready = fusion.step(*due)
             yield from ready
 
-    with session.output() as write:
+    with session.output() as write, _accounts(explain) as account:
         for source, name, found in _in_turn(readers):
             if merger is None:
                 config = session.config if session.has_config else None
                 rate = rate or (config and config.frame_rate_hz)
                 merger = Merger(len(sources), rate, max_wait, one_sensor=len(files) < len(sources))
                 fusion = Fusion(
-                    _settings(config, options), tracker, lag, _sensors(options), room_margin if config else None
+                    _settings(config, options),
+                    tracker,
+                    lag,
+                    _sensors(options),
+                    room_margin if config else None,
+                    bool(explain),
                 )
             if found is None:
                 merger.end(source)
@@ -230,6 +250,8 @@ def main(session, files, named, rate, max_wait, room_margin, lag, tracker, **opt
             _tell_laggards(session, merger, max_wait)
             for time, tracks in steps():
                 write(_record(time, tracks, fusion.tracker.column))
+            if explain:
+                account(fusion.accounts())
         if fusion is not None:
             for time, tracks in fusion.finish():
                 write(_record(time, tracks, fusion.tracker.column))
@@ -239,6 +261,19 @@ def main(session, files, named, rate, max_wait, room_margin, lag, tracker, **opt
                 )
             if fusion.outside:
                 session.note(f"{fusion.outside} detections outside the room were dropped (--room-margin)")
+
+
+@contextlib.contextmanager
+def _accounts(path):
+    """A function that writes what the tracker accounts for, to a file that appears whole."""
+    if not path:
+        yield None
+        return
+    from avcli.atomic import replacing
+    from avcli.records import encode
+
+    with replacing(path) as whole, open(whole, "wb") as stream:
+        yield lambda accounts: stream.writelines(map(encode, accounts))
 
 
 def _sensor_name(path):
@@ -285,7 +320,9 @@ def _settings(config, options):
     if config is not None:
         x, y, _ = config.room.dimensions.tolist()
         area = {"area": ((0.0, 0.0), (x, y))}
-    return Settings(motion=motion, birth=options["birth"], adapt=options["adapt"], stay=options["stay"], **area)
+    stay = options["stay"]
+    anywhere = {"pass_by": stay, "appear": 1.0} if options["doors"] == "anywhere" else {"pass_by": stay / 10}
+    return Settings(motion=motion, birth=options["birth"], adapt=options["adapt"], stay=stay, **anywhere, **area)
 
 
 def _sensors(options):

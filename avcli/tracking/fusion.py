@@ -15,10 +15,10 @@ FLOOR, CEILING = 1e-6, 1e8  # m^2; a person's place is not defined to better tha
 class Fusion:
     """A tracker with its sensors, its output delay and its numbering of people."""
 
-    def __init__(self, settings, tracker="ms-glmb", lag=0, sensors=None, margin=None):
+    def __init__(self, settings, tracker="ms-glmb", lag=0, sensors=None, margin=None, explain=False):
         """settings: Settings. tracker: "ms-glmb", "lmb" or "gnn". lag: steps of delay, math.inf: all at the end.
         sensors: name -> what is known of it (see `model.sensor`). margin: m beyond the area where detections are still
-        taken, None: everywhere.
+        taken, None: everywhere. explain: keep an account of every record, see `accounts`.
         """
         self.settings, self.known, self.margin = settings, sensors or {}, margin
         if tracker == "gnn":
@@ -27,6 +27,8 @@ class Fusion:
             self.tracker = GNN(settings)
         else:
             self.tracker = GLMB(settings, factorise=tracker == "lmb", record=lag > 0)
+        if explain:
+            self.tracker.journal = []
         self.delayed = Delayed(self.tracker, lag) if lag else None
         self.origin, self.numbers, self.outside = None, {}, 0
 
@@ -52,6 +54,15 @@ class Fusion:
     def finish(self):
         """The steps that are left at the end, as `step` returns them."""
         return [self._numbered(*due) for due in self.delayed.finish()] if self.delayed else []
+
+    def accounts(self):
+        """What each record since the last call meant to the tracker; labels get the tracks' numbers as `object_id`."""
+        journal, self.tracker.journal = self.tracker.journal, []
+        for account in journal:
+            account["timestamp"] += self.origin
+            for entry in (*account["people"], *account["born"], *account["died"]):
+                entry["object_id"] = self.numbers.get(entry["label"])
+        return journal
 
     def _column(self, name):
         if name not in self.tracker.column:

@@ -95,6 +95,7 @@ class GLMB:
         self.unseen, self.unseen_found = np.array([settings.present, 0.0]), np.zeros(0)  # anywhere, near the walls
         self.sensors, self.column, self.rates = [], {}, []
         self.next_label, self.scans, self.retired = 0, 0, {}
+        self.journal, self.born, self.died = None, [], []  # a list as journal: `scan` accounts for each record in it
         self.stationary = settings.motion.stationary()
         for one in sensors:
             self.add(one)
@@ -152,10 +153,13 @@ class GLMB:
 
         kappa = max(rates.clutter, 1e-9) / surface * rates.doubt(score)
         strangers = rates.detection * self.unseen_found[column] * (self.settings.whereabouts(z) @ self.unseen)
-        from_tentative = (people.exist * chance)[self.tentative, None] * gain[self.tentative]
-        rho = from_tentative.sum(0) + (strangers if self.settings.birth == "poisson" else 0.0)
-        if len(z):
-            rho = rho * self._elbow_room(z, noise)
+        if self.settings.birth != "poisson":
+            strangers = strangers * 0.0
+        strangers = strangers * self._elbow_room(z, (noise[:, 0, 0] + noise[:, 1, 1]) / 2)
+        at = self.tentative
+        room = self._elbow_room(people.mean[at, 0, :2], (people.cov[at, 0, 0, 0] + people.cov[at, 0, 1, 1]) / 2)
+        from_tentative = (people.exist[at] * chance[at] * room)[:, None] * gain[at]
+        rho = from_tentative.sum(0) + strangers
         background = kappa + rho
         free = np.ones(len(z))  # probability that no labelled person caused the detection
         options = self._options(people.exist, chance, gain, background)
@@ -170,19 +174,24 @@ class GLMB:
             from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
         )
         births = self._births(free, existence, source)
+        self.born, self.died = [], []
+        if self.journal is not None:
+            account = self._account(name, z, groups, free, existence, kappa, rho)
         self._rebuild(column, z, noise, groups, births)
+        if self.journal is not None:
+            self.journal.append({**account, "born": self.born, "died": self.died})
         missed = self.unseen_found[column] * sensor.detection
         self.unseen *= 1 - missed
         self.unseen_found[column] *= (1 - sensor.detection) / max(1 - missed, 1e-12)
 
-    def _elbow_room(self, z, noise):
-        """Share of each detection's surroundings that no known person's body occupies, (J,)."""
+    def _elbow_room(self, places, spread):
+        """Probability (n,) that someone new at places (n, 2), known to variances (n,), is not inside a known person."""
         leaves = [leaf for c in self.clusters for leaf in c.rows[0] if leaf >= 0]
-        if not leaves:
-            return 1.0
-        away = z - (self.people.mode[leaves, None] @ self.people.mean[leaves, :, :2])
+        if not leaves or not len(places):
+            return np.ones(len(places))
+        away = places - (self.people.mode[leaves, None] @ self.people.mean[leaves, :, :2])
         body = self.settings.body**2
-        width = body + (noise[:, 0, 0] + noise[:, 1, 1]) / 2
+        width = body + spread
         taken = body / width * np.exp(-(away * away).sum(-1) / (2 * width)) * self.people.exist[leaves, None]
         return (1 - taken).prod(0)
 
@@ -218,7 +227,7 @@ class GLMB:
 
         Returns (labels, [[log weight, ((density, detection), ...), used bits]]), normalised, best first.
         """
-        settings, past = self.settings, self.people.past
+        settings, people = self.settings, self.people
         priors = [(0.0, ())]
         for cluster in members:
             pairs = list(zip(cluster.weights, cluster.rows, strict=True))
@@ -226,15 +235,20 @@ class GLMB:
             if len(priors) > settings.hypotheses:
                 priors.sort(key=lambda prior: -prior[0])
                 del priors[settings.hypotheses :]
+        numbers, same = {}, {-1: -1}  # densities of a label with the same recent past count as one
+        for leaf in sorted({leaf for _, row in priors for leaf in row if leaf >= 0}):
+            same[leaf] = numbers.setdefault(
+                (people.label[leaf], people.past[leaf][1 - settings.memory :]), len(numbers)
+            )
         merged = {}
         for weight, number, taken, used in ranked(priors, options, BUDGET * settings.hypotheses, -LOG_PRUNE):
-            pairs = tuple(zip(priors[number][1], taken, strict=True))
-            key = tuple([None if leaf < 0 else (past[leaf][1 - settings.memory :], j) for leaf, j in pairs])
-            if key in merged:
-                best = merged[key]
+            row = priors[number][1]
+            key = tuple([same[leaf] for leaf in row]) + taken
+            best = merged.get(key)
+            if best:
                 best[0] += math.log1p(math.exp(weight - best[0]))
             else:
-                merged[key] = [weight, pairs, used]
+                merged[key] = [weight, tuple(zip(row, taken, strict=True)), used]
         kept = sorted(merged.values(), key=lambda h: -h[0])[: settings.hypotheses]
         top = kept[0][0]
         kept = [h for h in kept if h[0] - top > LOG_PRUNE]
@@ -363,6 +377,7 @@ class GLMB:
                     people.label[other] = -1
         taken.add(label)
         people.label[row] = label
+        self.born.append({"label": label, "detection": j, "existence": float(people.exist[row])})
         self.retired.pop(label, None)
         place[row, "new"] = row
         for labels, hypotheses in groups:
@@ -417,6 +432,9 @@ class GLMB:
         """Make a label that hardly exists tentative again: its best density, the number of people its existence."""
         people = self.people
         leaves = [leaf for leaf in shares if leaf >= 0]
+        explained = math.fsum(shares[leaf] for leaf in leaves) < 0.5
+        because = "its detections are somebody else's" if explained else "nobody finds it any more"
+        self.died.append({"label": label, "existence": exists, "because": because})
         if not leaves:
             return
         best = max(leaves, key=lambda leaf: (shares[leaf] * people.exist[leaf], -leaf))
@@ -428,12 +446,57 @@ class GLMB:
             people.exist[best] = exists
             self.tentative.append(best)
 
+    def _account(self, name, z, groups, free, existence, kappa, rho):
+        """What one record meant, as a record of its own: before the people who were born or died are known."""
+        found, hypotheses = {}, []
+        for labels, kept in groups:
+            for at, label in enumerate(labels):
+                shares = {}
+                for weight, pairs, _ in kept:
+                    leaf, j = pairs[at]
+                    what = "absent" if leaf < 0 else "missed" if j < 0 else j
+                    shares[what] = shares.get(what, 0.0) + math.exp(weight)
+                what = max(shares, key=lambda key: (shares[key], str(key)))
+                found[label] = {"label": label, "most_likely": what, "probability": min(shares[what], 1.0)}
+            best = [
+                {"weight": math.exp(weight), "detections": [None if j < 0 else j for _, j in pairs]}
+                for weight, pairs, _ in kept[:5]
+            ]
+            hypotheses.append({"labels": list(labels), "count": len(kept), "best": best})
+        rates = self.rates[self.column[name]]
+        return {
+            "timestamp": self.time,
+            "sensor": name,
+            "expected_clutter": float(rates.clutter),
+            "detection_probability": float(rates.detection),
+            "detections": [
+                {
+                    "position": place,
+                    "unclaimed": f,
+                    "person_if_unclaimed": r,
+                    "clutter_density": k,
+                    "stranger_density": s,
+                }
+                for place, f, r, k, s in zip(
+                    z.tolist(),
+                    free.tolist(),
+                    existence.tolist(),
+                    np.broadcast_to(kappa, free.shape).tolist(),
+                    rho.tolist(),
+                    strict=True,
+                )
+            ],
+            "people": [found[label] for label in sorted(found)],
+            "clusters": hypotheses,
+            "existence_before": {str(label): exists for label, _, exists, _ in self.labelled()},
+        }
+
     # --- what is known now --------------------------------------------------------------------------------------------
 
     def labelled(self):
-        """All labelled people: [(label, density index, probability of existence, probability of being meant)] by label.
+        """All labelled people by label: [(label, density index, probability of existence, of being meant)].
 
-        A label is meant in the hypotheses in which its first detection was a person at all; there it may have left since.
+        A label is meant in the hypotheses in which its first detection was a person at all, who may have left since.
         Densities are those of the likeliest joint hypothesis, so that two people are never taken for one.
         """
         found = []

@@ -23,7 +23,7 @@ class Stream:
         self.latest = max(self.latest, time)
         if time <= self.complete:
             return
-        self.waiting = sorted([*self.waiting, time])
+        self.waiting = sorted({*self.waiting, time})
         if len(self.waiting) > PATIENCE:
             steps = [b - a for a, b in zip([self.complete, *self.waiting[:-1]], self.waiting, strict=True)]
             self.step = max(min((s for s in steps if s > SAME), default=self.step), SAME)

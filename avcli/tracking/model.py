@@ -84,7 +84,7 @@ class Settings:
     birth: str = "poisson"
     newborn: float = 0.05
     adapt: bool = True
-    hypotheses: int = 20
+    hypotheses: int = 40
     memory: int = 10
 
     def leaving(self, places):

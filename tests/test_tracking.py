@@ -1,0 +1,480 @@
+"""The tracker over arrays: known answers, properties, and what must not break it."""
+
+import itertools
+import math
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.records import Detections
+from avcli.tracking import gaussian
+from avcli.tracking.assignment import cheapest, ranked
+from avcli.tracking.fusion import Fusion, noise_of
+from avcli.tracking.glmb import GLMB
+from avcli.tracking.merging import Merger
+from avcli.tracking.model import Sensor, Settings, sensor
+from avcli.tracking.motion import WALKING, Model, Motion
+from avcli.tracking.smoothing import Delayed, backwards
+
+sys.path.insert(0, str(Path(__file__).parent / "bench"))
+import tracking_scenes as scenes
+
+SURE = Sensor("video", detection=0.9, clutter=0.01, sigma=(0.15, 0.15), hide=0.0)
+CV = Motion((Model(0.5),))
+
+
+def look(rng, places, sigma=0.12):
+    """Detections of people at places (n, 2), as the tracker takes them."""
+    z = np.reshape(places, (-1, 2)) + sigma * rng.standard_normal((len(places), 2))
+    return z, np.tile(sigma**2 * np.eye(2), (len(z), 1, 1))
+
+
+def detections(time, z, sigma=0.12):
+    """Detections as records give them."""
+    n = len(z)
+    positions = np.column_stack([np.reshape(z, (n, 2)), np.full(n, np.nan)])
+    return Detections(time, "video", positions, np.tile(sigma**2 * np.eye(3), (n, 1, 1)), np.full(n, np.nan))
+
+
+def walkers(t, n):
+    """Places of n people abreast, walking along x at 1 m/s."""
+    return np.column_stack([np.full(n, 0.4 + t), 0.8 + 1.2 * np.arange(n)])
+
+
+def follow(tracker, n=1, frames=40, seed=0, name="video", detection=1.0, shift=0.0, turn=None):
+    """Feed a tracker with n walkers; the tracks of every frame."""
+    rng, out = np.random.default_rng(seed), []
+    for k in range(frames):
+        z, noise = look(rng, walkers(k / 10, n))
+        seen = rng.random(n) < detection
+        z = z + shift if turn is None else z @ turn.T + shift
+        tracker.scan(k / 10, name, z[seen], noise[seen])
+        out.append(tracker.tracks(k / 10))
+    return out
+
+
+# --- Gaussians --------------------------------------------------------------------------------------------------------
+
+
+def test_one_track_and_one_sensor_are_the_textbook_filter():
+    rng = np.random.default_rng(0)
+    f, q = (np.array(a)[0] for a in CV.step(0.1)[:2])
+    h, r = np.eye(2, 4), 0.12**2 * np.eye(2)
+    x, p = np.array([1.0, 2.0, 0.0, 0.0]), np.diag([0.1, 0.1, 0.5, 0.5])
+    mean, cov, mode = x[None, None].copy(), p[None, None].copy(), np.ones((1, 1))
+    for _ in range(50):
+        z = rng.normal([1.0, 2.0], 0.12)
+        x, p = f @ x, f @ p @ f.T + q
+        s = h @ p @ h.T + r
+        gain = p @ h.T @ np.linalg.inv(s)
+        x, p = x + gain @ (z - h @ x), (np.eye(4) - gain @ h) @ p
+        mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, CV, 0.1)
+        log, _ = gaussian.loglikelihood(mean, cov, z[None], r[None])
+        d = z - mean[0, 0, :2]
+        expected = -0.5 * (d @ np.linalg.inv(s) @ d + np.log(np.linalg.det(2 * np.pi * s)))
+        assert log[0, 0, 0] == pytest.approx(expected, abs=1e-10)
+        mean, cov, mode = gaussian.update(mean, cov, mode, z[None], r[None])
+        np.testing.assert_allclose(mean[0, 0], x, atol=1e-12)
+        np.testing.assert_allclose(cov[0, 0], p, atol=1e-12)
+
+
+def test_after_many_frames_the_covariance_is_the_riccati_solution():
+    tracker = GLMB(Settings(motion=CV, adapt=False), [SURE])
+    noise = 0.12**2 * np.eye(2)[None]
+    for k in range(3000):
+        tracker.scan(k / 10, "video", np.array([[2.0, 2.0]]), noise)
+    cov = tracker.people.cov[tracker.labelled()[0][1], 0]
+    f, q = (np.array(a)[0] for a in CV.step(0.1)[:2])
+    h, p = np.eye(2, 4), np.eye(4)
+    for _ in range(3000):
+        p = f @ p @ f.T + q
+        p = p - p @ h.T @ np.linalg.inv(h @ p @ h.T + noise[0]) @ h @ p
+    np.testing.assert_allclose(cov, p, atol=1e-9)
+    assert np.abs(cov - cov.T).max() < 1e-12
+    assert np.linalg.eigvalsh(cov).min() > 0
+
+
+def test_a_hundred_thousand_steps_keep_the_covariance_sound():
+    mean, cov, mode = np.zeros((1, 1, 4)), np.eye(4)[None, None], np.ones((1, 1))
+    for _ in range(100_000):
+        mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, CV, 0.1)
+        mean, cov, mode = gaussian.update(mean, cov, mode, np.zeros((1, 2)), 0.01 * np.eye(2)[None])
+    assert np.abs(cov - cov.swapaxes(-1, -2)).max() < 1e-12
+    assert np.linalg.eigvalsh(cov[0, 0]).min() > 0
+
+
+@given(st.floats(1e-4, 100), st.floats(1e-3, 100), st.floats(0.05, 5))
+@settings(max_examples=60, deadline=None)
+def test_two_steps_are_one_of_their_sum(dt, memory, noise):
+    f, q = Model(noise, memory).step(dt)
+    ff, qq = Model(noise, memory).step(2 * dt)
+    np.testing.assert_allclose(f @ f, ff, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(f @ q @ f.T + q, qq, rtol=2e-5, atol=1e-9 * np.abs(qq).max())
+
+
+@pytest.mark.parametrize("dt", [1e-6, 0.04, 0.1, 10.0, 1e4])
+def test_switching_probabilities_are_probabilities(dt):
+    _, _, switch = WALKING.step(dt)
+    np.testing.assert_allclose(switch.sum(1), 1)
+    assert (switch > 0).all()
+    np.testing.assert_allclose(WALKING.stationary() @ switch, WALKING.stationary(), atol=1e-9)
+
+
+def test_innovations_are_as_large_as_the_filter_says():
+    rng, squares = np.random.default_rng(1), []
+    for _ in range(60):
+        x = np.array([2.0, 2.0, *rng.normal(0, 0.7, 2)])
+        mean, mode = np.zeros((1, 1, 4)), np.ones((1, 1))
+        mean[..., :2] = x[:2] + rng.normal(0, 0.12, 2)
+        cov = np.diag([0.12**2, 0.12**2, 0.49, 0.49])[None, None]
+        f, q = (np.array(a)[0] for a in CV.step(0.1)[:2])
+        for _ in range(30):
+            x = f @ x + rng.multivariate_normal(np.zeros(4), q)
+            z = x[:2] + rng.normal(0, 0.12, 2)
+            mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, CV, 0.1)
+            squares.append(gaussian.loglikelihood(mean, cov, z[None], 0.12**2 * np.eye(2)[None])[1][0, 0, 0])
+            mean, cov, mode = gaussian.update(mean, cov, mode, z[None], 0.12**2 * np.eye(2)[None])
+    assert np.mean(squares) == pytest.approx(2.0, abs=4 * 2 / math.sqrt(len(squares)))
+
+
+# --- assignment -------------------------------------------------------------------------------------------------------
+
+
+def brute_force(priors, options):
+    """All feasible joint associations."""
+    found = []
+    for number, (weight, row) in enumerate(priors):
+        for picks in itertools.product(*(options[leaf] if leaf >= 0 else [(0.0, -1)] for leaf in row)):
+            used = [j for _, j in picks if j >= 0]
+            if len(used) == len(set(used)):
+                found.append((weight + sum(gain for gain, _ in picks), number, tuple(j for _, j in picks)))
+    return sorted(found, reverse=True)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=80, deadline=None)
+def test_ranked_associations_are_those_of_brute_force(seed):
+    rng = np.random.default_rng(seed)
+    options = {
+        leaf: sorted([(-rng.exponential(2), -1), *((rng.normal(0, 3), j) for j in range(3) if rng.random() < 0.7)])[
+            ::-1
+        ]
+        for leaf in range(6)
+    }
+    priors = [(-rng.exponential(), tuple(rng.integers(-1, 6, 3).tolist())) for _ in range(3)]
+    expected = brute_force(priors, options)
+    got = [(weight, number, taken) for weight, number, taken, _ in ranked(priors, options, 10_000, 7.0)]
+    inside = [e for e in expected if e[0] > expected[0][0] - 7.0]
+    kept = [g for g in got if g[0] > expected[0][0] - 7.0]
+    assert len(kept) == len(inside)
+    for a, b in zip(sorted(kept, reverse=True), inside, strict=True):
+        assert a[0] == pytest.approx(b[0], abs=1e-9)
+    few = ranked(priors, options, 1, 7.0)
+    assert few
+    assert few[0][0] <= expected[0][0] + 1e-9
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(0, 3))
+@settings(max_examples=60, deadline=None)
+def test_the_cheapest_assignment_is_that_of_scipy(seed, n, more):
+    from scipy.optimize import linear_sum_assignment
+
+    cost = np.random.default_rng(seed).normal(size=(n, n + more))
+    columns = cheapest(cost.tolist())
+    assert len(set(columns)) == n
+    rows, best = linear_sum_assignment(cost)
+    assert cost[range(n), columns].sum() == pytest.approx(cost[rows, best].sum())
+
+
+# --- the filter -------------------------------------------------------------------------------------------------------
+
+
+def test_three_walkers_have_three_labels_from_the_first_frame():
+    frames = follow(GLMB(Settings(), [sensor("video")]), 3)
+    assert [[t.label for t in tracks] for tracks in frames] == [[0, 1, 2]] * 40
+    for t, place in zip(sorted(frames[-1], key=lambda t: t.state[1]), walkers(3.9, 3), strict=True):
+        assert np.abs(t.state[:2] - place).max() < 0.3
+        assert np.abs(t.state[2:] - [1, 0]).max() < 0.4
+        assert np.linalg.eigvalsh(t.cov).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [
+        (np.eye(2), [3.0, -2.0]),
+        (np.array([[0.0, -1.0], [1.0, 0.0]]), [6.0, 0.0]),
+        (np.array([[1.0, 0.0], [0.0, -1.0]]), [0.0, 6.0]),
+        (np.eye(2), [1e6, 1e6]),
+    ],
+    ids=["shifted", "turned", "mirrored", "far away"],
+)
+def test_tracks_move_with_the_room(turn, shift):
+    corners = np.array([[0.0, 0.0], [6.0, 6.0]]) @ turn.T + shift
+    area = (tuple(corners.min(0)), tuple(corners.max(0)))
+    one = follow(GLMB(Settings(area=((0.0, 0.0), (6.0, 6.0))), [SURE]), 3)
+    two = follow(GLMB(Settings(area=area), [SURE]), 3, turn=turn, shift=np.array(shift))
+    for tracks, moved in zip(one, two, strict=True):
+        places = np.array([t.state[:2] for t in tracks]) @ turn.T + shift
+        others = np.array([t.state[:2] for t in moved])
+        assert places.shape == others.shape
+        np.testing.assert_allclose(np.sort(places, 0), np.sort(others, 0), atol=1e-6)
+
+
+def test_a_sensor_that_finds_nothing_changes_nothing():
+    rng = np.random.default_rng(3)
+    blind = Sensor("blind", detection=0.0, clutter=0.0)
+    one, two = GLMB(Settings(adapt=False), [SURE]), GLMB(Settings(adapt=False), [SURE, blind])
+    for k in range(20):
+        z, noise = look(rng, walkers(k / 10, 2))
+        for tracker in (one, two):
+            tracker.scan(k / 10, "video", z, noise)
+        two.scan(k / 10, "blind", np.zeros((0, 2)), np.zeros((0, 2, 2)))
+        for a, b in zip(one.tracks(k / 10), two.tracks(k / 10), strict=True):
+            np.testing.assert_allclose(a.state, b.state, atol=1e-9)
+            assert a.existence == pytest.approx(b.existence, abs=1e-9)
+
+
+def test_silence_costs_no_existence_and_is_told():
+    tracker, rng = GLMB(Settings(), [sensor("video"), sensor("audio")]), np.random.default_rng(4)
+    for k in range(60):
+        z, noise = look(rng, [[2.3, 2.3]])
+        tracker.scan(k / 10, "video", z, noise)
+        heard = k < 30
+        tracker.scan(k / 10, "audio", z[: int(heard)], noise[: int(heard)])
+        (track,) = tracker.tracks(k / 10)
+        assert track.existence > 0.9 or k < 2
+        if k in (29, 59):
+            assert (track.found["audio"] > 0.5) == heard
+
+
+def test_who_is_hidden_amid_the_room_is_kept_and_who_left_is_not():
+    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(5)
+    for k in range(130):
+        z, noise = look(rng, [[1.0 + 0.05 * k, 2.3]] if k < 20 or 35 <= k < 60 else [])
+        tracker.scan(k / 10, "video", z, noise)
+        tracks = tracker.tracks(k / 10)
+        if k < 60:
+            assert [t.label for t in tracks] == [0]
+    assert not tracks
+
+
+def test_doubled_detections_make_no_second_person():
+    rng, tracker = np.random.default_rng(6), GLMB(Settings(), [sensor("video")])
+    for k in range(40):
+        z, noise = look(rng, walkers(k / 10, 3))
+        tracker.scan(k / 10, "video", np.vstack([z, z]), np.concatenate([noise, noise]))
+        assert len(tracker.tracks(k / 10)) == 3
+
+
+@pytest.mark.parametrize("detection", [0.0, 1.0])
+@pytest.mark.parametrize("clutter", [0.0, 100.0])
+@pytest.mark.parametrize("sigma", [1e-6, 1e6])
+@pytest.mark.parametrize("adapt", [False, True])
+def test_extreme_parameters_give_finite_answers(detection, clutter, sigma, adapt):
+    extreme = Sensor("video", detection=detection, clutter=clutter, sigma=(sigma, sigma))
+    tracker, rng = GLMB(Settings(adapt=adapt, stay=math.inf, pass_by=math.inf), [extreme]), np.random.default_rng(7)
+    for k in range(15):
+        z = walkers(k / 10, 3) + 0.1 * rng.standard_normal((3, 2))
+        noise = noise_of(np.full((3, 2, 2), np.nan), (sigma, sigma), 0.05, tracker.settings.area)
+        tracker.scan(k / 10, "video", z, noise)
+        for track in tracker.tracks(k / 10):
+            assert np.isfinite(track.state).all()
+            assert np.isfinite(track.cov).all()
+            assert 0 <= track.existence <= 1
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e4])
+def test_any_scale_of_the_covariances_keeps_one_track(scale):
+    fusion, rng, labels = Fusion(Settings()), np.random.default_rng(8), set()
+    for k in range(30):
+        z = walkers(k / 10, 1) + 0.1 * rng.standard_normal((1, 2))
+        found = detections(k / 10, z)
+        found = Detections(found.timestamp, "video", found.positions, found.covariances * scale, found.scores)
+        for _, tracks in fusion.step(k / 10, [(k / 10, "video", found)]):
+            labels |= {number for number, _ in tracks}
+            assert all(np.isfinite(track.state).all() for _, track in tracks)
+    assert labels == {0}
+
+
+def test_a_burst_of_detections_takes_bounded_time():
+    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(9)
+    begin = time.process_time()
+    for k in range(6):
+        z = rng.uniform(0, 4.66, (200, 2)) if k % 2 else walkers(k / 10, 3)
+        tracker.scan(k / 10, "video", z, np.tile(0.02 * np.eye(2), (len(z), 1, 1)))
+        tracker.tracks(k / 10)
+    assert time.process_time() - begin < 5.0
+
+
+def test_a_dense_crowd_takes_bounded_time():
+    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(10)
+    crowd = 2.0 + 0.25 * np.array(list(itertools.product(range(4), range(3))))
+    begin = time.process_time()
+    for k in range(15):
+        z, noise = look(rng, crowd)
+        tracker.scan(k / 10, "video", z, noise)
+    assert 8 <= len(tracker.tracks(1.5)) <= 16
+    assert time.process_time() - begin < 5.0
+
+
+def test_irregular_and_huge_time_steps():
+    tracker, rng, t = GLMB(Settings(), [sensor("video")]), np.random.default_rng(11), 0.0
+    for dt in (0.1, 0.0, 1e-9, 0.04, 0.3, -0.2, 0.1, 10.0, 0.1, 1e5, 0.1):
+        t += dt
+        z, noise = look(rng, [[2.0, 2.0]])
+        tracker.scan(t, "video", z, noise)
+        for track in tracker.tracks(t):
+            assert np.isfinite(track.state).all()
+            assert np.linalg.eigvalsh(track.cov).min() > 0
+
+
+def test_memory_does_not_grow_online():
+    def size(tracker):
+        reach, node_count = [n for n in tracker.people.node if n is not None], 0
+        while reach:
+            node_count += 1
+            reach = [n.prev for n in reach if n.prev is not None]
+        return len(tracker.people), node_count, len(tracker.retired), len(tracker.died)
+
+    for lag in (0, 5):
+        tracker, rng, sizes = GLMB(Settings(), [sensor("video")], record=lag > 0), np.random.default_rng(12), []
+        delayed = Delayed(tracker, lag)
+        for k in range(600):
+            z = np.vstack([look(rng, [[2.0 + math.sin(k / 30), 2.0]])[0], rng.uniform(0, 4.66, (rng.poisson(0.5), 2))])
+            tracker.scan(k / 10, "video", z, np.tile(0.02 * np.eye(2), (len(z), 1, 1)))
+            delayed.push(k / 10) if lag else tracker.tracks(k / 10)
+            sizes.append(size(tracker))
+        assert np.max(sizes[300:], 0).max() <= 2 * max(np.max(sizes[50:300], 0).max(), 20)
+
+
+# --- smoothing --------------------------------------------------------------------------------------------------------
+
+
+def test_smoothed_covariances_are_no_larger_and_the_newest_state_is_the_filtered_one():
+    tracker = GLMB(Settings(motion=CV), [SURE], record=True)
+    follow(tracker, 1)
+    ((_, leaf, *_),) = tracker.labelled()
+    people = tracker.people
+    mean, cov = gaussian.moments(people.mean[[leaf]], people.cov[[leaf]], people.mode[[leaf]])
+    history = list(backwards(people.node[leaf], mean[0], cov[0], 1.0))
+    assert len(history) == 40
+    np.testing.assert_array_equal(history[0][1], mean[0])
+    for node, _, smoothed, exist in history[1:]:
+        assert np.linalg.eigvalsh(node.cov - smoothed).min() > -1e-9
+        assert exist > 0.99
+
+
+def test_lag_zero_is_the_filter_and_all_lags_end_alike():
+    scene = scenes.s2(np.random.default_rng(1))
+    runs = {lag: track(scene, lag=lag) for lag in (0, 3, math.inf)}
+    assert len(runs[0]) == len(runs[3]) == len(runs[math.inf]) == 41
+    for number, one in runs[0][-1][1]:
+        other = dict(runs[math.inf][-1][1])[number]
+        np.testing.assert_allclose(one.state, other.state, atol=1e-9)
+
+
+def track(scene, lag=0, tracker="ms-glmb", **how):
+    """Run a scene through Fusion: [(time, [(number, Track), ...])]."""
+    fusion, out, queue = Fusion(Settings(**how), tracker, lag), [], list(scene.records)
+    for t, _, _ in scene.truth:
+        due = []
+        while queue and queue[0][0] <= t + 1e-9:
+            at, name, z, sigma, _ = queue.pop(0)
+            due.append((at, name, detections(at, z, math.sqrt(max(sigma**2 - sensor(name).floor ** 2, 1e-6)))))
+        out += fusion.step(t, due)
+    return out + fusion.finish()
+
+
+def error(scene, out):
+    """Mean distance of tracks to the nearest person and of people to the nearest track (5 m: none), m."""
+    away = []
+    for (_, _, xy), (_, tracks) in zip(scene.truth, out, strict=True):
+        places = np.array([t.state[:2] for _, t in tracks]).reshape(-1, 2)
+        distance = np.linalg.norm(xy[:, None] - places, axis=-1) if len(tracks) else np.full((len(xy), 1), 5.0)
+        away += [distance.min(0).mean(), distance.min(1).mean()]
+    return float(np.mean(away))
+
+
+@pytest.mark.parametrize("name", ["s1", "s2", "s3", "s4", "asynchronous", "damaged"])
+def test_scenes_are_followed_and_smoothing_helps(name):
+    make = {**scenes.EASY, **scenes.HARD}[name]
+    scene = make(np.random.default_rng(2))
+    online, offline = error(scene, track(scene)), error(scene, track(scene, math.inf))
+    assert online < 0.15
+    assert offline < online
+
+
+@pytest.mark.parametrize("tracker", ["lmb", "gnn"])
+def test_baselines_follow_people_who_keep_apart(tracker):
+    scene = scenes.s3(np.random.default_rng(2))
+    assert error(scene, track(scene, tracker=tracker)) < 0.3
+
+
+def test_crossing_paths_keep_their_labels():
+    kept = 0
+    for seed in range(4):
+        scene = scenes.crossing(np.random.default_rng(seed))
+        out = track(scene)
+
+        def nearest(k, out=out, scene=scene):
+            return [min(out[k][1], key=lambda one: np.linalg.norm(one[1].state[:2] - p))[0] for p in scene.truth[k][2]]
+
+        kept += nearest(10) == nearest(-1)
+    assert kept >= 3
+
+
+# --- merging ----------------------------------------------------------------------------------------------------------
+
+
+def merged(times, **how):
+    """Merge one sensor's times; [(step, times in it)]."""
+    merger, out = Merger(1, one_sensor=True, **how), []
+    for t in times:
+        merger.push(0, "video", t, None)
+        out += merger.closed()
+    merger.end(0)
+    out += merger.closed()
+    return [(round(step, 9), [t for t, *_ in inside]) for step, inside in out], merger
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_neighbours_out_of_order_and_repetitions_are_put_right(seed):
+    rng = np.random.default_rng(seed)
+    times = [k / 10 for k in range(25)]
+    keys = [k + (rng.uniform(-1.4, 1.4) if k > 1 else 0) for k in range(25)]
+    shuffled = [t for _, t in sorted(zip(keys, times, strict=True))]
+    doubled = [t for t in shuffled for _ in range(rng.integers(1, 3))]
+    steps, merger = merged(doubled, rate=10.0)
+    assert [step for step, _ in steps] == [round(t, 9) for t in times]
+    assert {t for _, inside in steps for t in inside} == set(times)
+    assert sum(merger.late.values()) <= len(doubled) - len(times)  # second copies only
+
+
+@given(st.lists(st.floats(0, 50), min_size=1, max_size=40), st.sampled_from([None, 5.0, 10.0]))
+@settings(max_examples=60, deadline=None)
+def test_steps_are_regular_whatever_the_times(times, rate):
+    steps, merger = merged(times, rate=rate)
+    assert np.allclose(np.diff([step for step, _ in steps]), 1 / merger.rate if merger.rate else 0)
+    taken = sum(len(inside) for _, inside in steps)
+    assert taken + sum(merger.late.values()) <= len(times)
+    assert all(t <= step + 1e-6 for step, inside in steps for t in inside)
+
+
+def test_a_step_closes_when_all_sensors_have_passed_it():
+    merger = Merger(2, rate=10.0)
+    merger.push(0, "video", 0.0, None)
+    merger.push(0, "video", 0.1, None)
+    assert not list(merger.closed())
+    merger.push(1, "audio", 0.0, None)
+    assert not list(merger.closed())
+    merger.push(1, "audio", 0.1, None)
+    assert [step for step, _ in merger.closed()] == [0.0]
+    merger.end(1)
+    merger.push(0, "video", 0.2, None)
+    assert [step for step, _ in merger.closed()] == [0.1]
