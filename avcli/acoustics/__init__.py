@@ -6,6 +6,8 @@ from avcli.acoustics.noise import Noise
 from avcli.acoustics.responses import Surroundings, impulse_responses
 from avcli.acoustics.room import (
     eyring_absorption,
+    image_absorption,
+    image_rt60,
     minimum_rt60,
     sabine_absorption,
     sabine_rt60,
@@ -25,8 +27,10 @@ __all__ = [
     "Switching",
     "at_level",
     "eyring_absorption",
+    "image_absorption",
     "image_count",
     "image_microphones",
+    "image_rt60",
     "impulse_responses",
     "interpolation",
     "minimum_rt60",

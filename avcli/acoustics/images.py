@@ -5,6 +5,7 @@ while the source walks. Image (n, q) of an axis of length L lies at (1 − 2q) m
 times and the wall at L |n| times (J. B. Allen and D. A. Berkley, 1979, eq. 10).
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -222,6 +223,11 @@ class DelaySpectrum:
             np.add.at(grid[k + 1 :], first, spread)
 
 
+@functools.lru_cache(maxsize=2)
+def _plan(length: int) -> DelaySpectrum:
+    return DelaySpectrum(length)
+
+
 def shoebox_rir(
     room_dimensions_m: ArrayLike,
     source_m: ArrayLike,
@@ -278,7 +284,7 @@ def shoebox_rir(
     samples_per_m = sample_rate_hz / speed_of_sound_m_s
     _refuse_too_many(room, reflection, (num_samples - 1) / samples_per_m)
     # The FFT's kernel is periodic; over four lengths it differs from the sinc by less than -70 dB.
-    spectrum = DelaySpectrum(fast_length(max(4 * num_samples, 1 << 15)))
+    spectrum = _plan(fast_length(max(4 * num_samples, 1 << 15)))
     impulses = []
     for microphone in microphones:
         images = image_microphones(room, microphone, sign * reflection, source, (num_samples - 1) / samples_per_m)

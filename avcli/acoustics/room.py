@@ -46,9 +46,7 @@ def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Arra
     """
     least = minimum_rt60(room_dimensions_m, weights)
     if not rt60_s >= least:
-        raise ValueError(
-            f"T60 of {rt60_s:g} s: this room has at least {least:.4f} s, with walls that absorb everything"
-        )
+        raise ValueError(f"T60 {rt60_s:g} s: this room has at least {least:.4f} s")
     areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
     return np.minimum(1.0, SABINE * np.prod(room_dimensions_m) / (rt60_s * (weights @ areas)) * weights)
 
@@ -68,13 +66,67 @@ def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Arra
         ValueError: a wall would have to absorb more than all, or rt60_s is not above 0.
     """
     if not rt60_s > 0:
-        raise ValueError(f"T60 of {rt60_s:g} s: expected a time above 0")
+        raise ValueError(f"T60 {rt60_s:g} s: expected a time above 0")
     areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
     mean = -np.expm1(-SABINE * np.prod(room_dimensions_m) / (rt60_s * areas.sum()))
     absorption = weights * mean * areas.sum() / (weights @ areas)
     if absorption.max() > 1:
-        raise ValueError(f"T60 of {rt60_s:g} s: a wall would have to absorb {absorption.max():.2f} of what meets it")
+        raise ValueError(f"T60 {rt60_s:g} s: a wall would have to absorb {absorption.max():.2f} of what meets it")
     return absorption
+
+
+def image_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
+    """Return the absorption coefficients with which image sources themselves decay in a reverberation time, (6,).
+
+    Image sources decay faster across the room than along its walls, so that neither Sabine's nor Eyring's equation
+    holds for them. Sound in the direction u meets the walls of axis i c |uᵢ| / Lᵢ times a second; its energy is
+    integrated over all directions (E. A. Lehmann and A. M. Johansson, 2008), and the absorption is found whose decay
+    from −5 to −35 dB (T30) is the one that is wanted.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: reverberation time, s.
+        weights: (6,) or a number, relative absorption of the walls.
+
+    Raises:
+        ValueError: walls that absorb everything still reverberate longer, or rt60_s is not above 0.
+    """
+    if not rt60_s > 0:
+        raise ValueError(f"T60 {rt60_s:g} s: expected a time above 0")
+    weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
+    low, high = 0.0, 0.999 / weights.max()
+    if image_rt60(room_dimensions_m, high * weights) > rt60_s:
+        raise ValueError(f"T60 {rt60_s:g} s: walls that absorb everything reverberate longer in this room")
+    for _ in range(30):
+        middle = (low + high) / 2
+        if image_rt60(room_dimensions_m, middle * weights) > rt60_s:
+            low = middle
+        else:
+            high = middle
+    return high * weights
+
+
+def image_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sound_m_s: float = 343.0) -> float:
+    """Return the reverberation time (T30) of image sources, s: see `image_absorption`.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        absorption: (6,) or a number, of energy, above 0 and below 1.
+        speed_of_sound_m_s: m/s.
+    """
+    lost = -np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6)).reshape(3, 2).mean(axis=1)
+    nodes, node_weights = np.polynomial.legendre.leggauss(16)
+    nodes, node_weights = (nodes + 1) / 2, node_weights / 2  # an octant: cos θ and φ from 0 to π / 2
+    z, phi = np.meshgrid(nodes, nodes * np.pi / 2, indexing="ij")
+    level = np.sqrt(1 - z**2)
+    directions = np.stack([level * np.cos(phi), level * np.sin(phi), z])
+    rates = speed_of_sound_m_s * np.tensordot(lost / np.asarray(room_dimensions_m, dtype=float), directions, 1).ravel()
+    shares = np.outer(node_weights, node_weights).ravel() / rates
+    times = np.linspace(0, 15 * shares.sum() / (shares * rates).sum(), 200)
+    energy = (np.exp(-np.outer(times, rates)) * shares).sum(axis=1)
+    decibels = 10 * np.log10(energy / energy[0])
+    inside = (decibels <= -5) & (decibels >= -35)
+    return float(-60 / np.polyfit(times[inside], decibels[inside], 1)[0])
 
 
 def sabine_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike) -> float:

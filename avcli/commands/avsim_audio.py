@@ -97,7 +97,14 @@ def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
     help="Energy that the walls absorb, from 0 to 1, instead of a reverberation time: one number, or six for "
     "x0,x1,y0,y1,z0,z1.",
 )
-@click.option("--eyring", is_flag=True, help="Find the absorption by Eyring's equation instead of Sabine's.")
+@click.option(
+    "--absorption-model",
+    type=click.Choice(["sabine", "eyring", "image"]),
+    default="sabine",
+    show_default=True,
+    help="How the absorption follows from the reverberation time: by Sabine's or Eyring's equation, or such that the "
+    "image sources decay in it (T30).",
+)
 @click.option("--strict", is_flag=True, help="Refuse a reverberation time that the room cannot have.")
 @click.option(
     "--reflection-sign",
@@ -336,17 +343,16 @@ def _absorption_of(session: Session, room, options):
         if not math.isfinite(rt60):
             session.fail("walls that absorb nothing: the sound of this room would never end")
         return (rt60 if (absorption < 1).any() else 0.0), absorption
-    if rt60 > 0 and options["eyring"]:
-        return rt60, acoustics.eyring_absorption(room.dimensions, rt60)
-    shortest = acoustics.minimum_rt60(room.dimensions)
-    if rt60 >= shortest:
-        return rt60, acoustics.sabine_absorption(room.dimensions, rt60)
-    if rt60 > 0:
-        text = f"T60 {rt60:g} s: this room has at least {shortest:.4f} s"
+    if rt60 == 0:
+        return 0.0, np.ones(6)
+    model = getattr(acoustics, f"{options['absorption_model']}_absorption")
+    try:
+        return rt60, model(room.dimensions, rt60)
+    except ValueError as error:
         if options["strict"]:
-            session.fail(text)
-        session.warn(f"{text}; simulated without echo")
-    return 0.0, np.ones(6)
+            raise
+        session.warn(f"{error}; simulated without echo")
+        return 0.0, np.ones(6)
 
 
 def _speakers(session: Session, surroundings, recordings, options):
