@@ -100,12 +100,16 @@ def main() -> None:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--judge", type=int, default=200, help="pictures that the score is calibrated on")
+    parser.add_argument("--weights", type=Path, help="save the weights alone, in half precision, for train.py --start")
     parser.add_argument("--seed", type=int, default=900_000, help="of those pictures")
     options = parser.parse_args()
     torch.set_num_threads(1)
     state = torch.load(options.checkpoint)
     detector = Detector().eval()
     detector.load_state_dict(state["average"])
+    if options.weights:
+        half = {k: v.half() if v.dtype.is_floating_point else v for k, v in state["average"].items()}
+        torch.save(half, options.weights)
     metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": "16",
                 "imgsz": f"[{HEIGHT}, {WIDTH}]"}  # fmt: skip
     samples = pictures_to_judge(options.seed, options.judge)

@@ -17,7 +17,7 @@ from avcli.detection.network import Network
 
 @dataclass
 class Verdict:
-    """Detections (n,) of all pictures: scores, whether right, errors of the torso in px; and how many people there were.
+    """Detections (n,) of all pictures: scores, whether right, errors of the torso in px; and the number of people.
 
     `empty` counts detections in pictures without people, `pictures` those pictures.
     """
@@ -97,8 +97,9 @@ def main() -> None:
     working = verdict.scores >= 0.5
     print(f"{verdict.people} people in {options.pictures} pictures; AP50 {average_precision(verdict):.3f}")
     print(f"recall at precision 0.95: {recall[good].max(initial=0.0):.3f}")
-    print(f"at score 0.5: precision {verdict.right[working].mean():.3f}, recall "
-          f"{verdict.right[working].sum() / verdict.people:.3f}, torso median {np.nanmedian(verdict.torso[working]):.1f} px")  # fmt: skip
+    found = verdict.right[working]
+    print(f"at score 0.5: precision {found.mean():.3f}, recall {found.sum() / verdict.people:.3f}")
+    print(f"torso: median error {np.nanmedian(verdict.torso[working]):.1f} px")
     print(f"{verdict.empty} detections in {verdict.empty_pictures} empty pictures")
 
 

@@ -67,10 +67,10 @@ def random_scenario(rng: np.random.Generator, width: int, height: int, people: i
         if rng.random() < 0.15:
             walk[0] |= {"pose": "sit", "stay_s": 10.0}
         elif rng.random() < 0.8:
-            for _ in range(rng.integers(1, 4)):
-                walk.append({"position_m": place(), "speed_m_s": rng.uniform(0.5, 1.6)})
-        walkers.append({"object_id": index, "waypoints": walk, "height_m": float(np.clip(rng.normal(1.71, 0.11), 1.3, 2.0)),
-                        "speech_s": [[0, 5]] if rng.random() < 0.4 else []})  # fmt: skip
+            walk += [{"position_m": place(), "speed_m_s": rng.uniform(0.5, 1.6)} for _ in range(rng.integers(1, 4))]
+        height_m = float(np.clip(rng.normal(1.71, 0.11), 1.3, 2.0))
+        speech_s = [[0, 5]] if rng.random() < 0.4 else []
+        walkers.append({"object_id": index, "waypoints": walk, "height_m": height_m, "speech_s": speech_s})
     return {
         "name": "random", "duration_s": 10.0, "camera_config": camera,
         "room_config": {"room_dimensions_m": room}, "furniture": furniture, "people": walkers,
@@ -116,7 +116,7 @@ def shots(rng: np.random.Generator, width: int, height: int, count: int, context
             continue  # walks are random: bodies would pass through each other
         frame = artist.draw(drawn, k)
         rows = []
-        for index, actor in enumerate(actors):
+        for index in range(len(actors)):
             mask = frame.ids == index + 1
             v, u = np.nonzero(mask)
             if len(v) < 8:

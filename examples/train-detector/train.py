@@ -60,6 +60,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=3e-3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--start", type=Path, help="weights to begin with (export.py --weights)")
     parser.add_argument("--restart-schedule", action="store_true", help="with --resume: a new schedule from here")
     parser.add_argument(
         "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
@@ -74,6 +75,10 @@ def main() -> None:
     average = copy.deepcopy(model)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.rate, weight_decay=0.02)
     step, spent, begun = 0, 0.0, 0.0
+    if options.start:
+        weights = torch.load(options.start)
+        for network in (model, average):
+            network.load_state_dict({name: value.float() for name, value in weights.items()})
     checkpoint = options.out / "checkpoint.pt"
     if options.resume:
         state = torch.load(checkpoint)
@@ -130,8 +135,8 @@ def main() -> None:
                               "loss": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
             sums[:] = 0
         if time.time() - saved > 120 or (spent - begun) / (options.hours * 3600) >= 1:
-            torch.save({"model": model.state_dict(), "average": average.state_dict(), "begun": begun,
-                        "optimizer": optimizer.state_dict(), "step": step, "spent": spent}, f"{checkpoint}.new")  # fmt: skip
+            state = {"model": model.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
+            torch.save(state | {"step": step, "spent": spent, "begun": begun}, f"{checkpoint}.new")
             os.replace(f"{checkpoint}.new", checkpoint)
             saved = time.time()
     worker.terminate()
