@@ -70,7 +70,7 @@ class Exported(nn.Module):
 
 
 def targets(boxes, parts, visible, height: int, width: int) -> tuple:
-    """Maps to learn for one picture: heat, weights of the negatives, regression (10, h, w), and its weight; (h, w) each.
+    """Maps to learn for one picture: heat, weights of the negatives, regression (10, h, w), its weight; (h, w) each.
 
     A person of whom less than a fifth is seen is neither learnt nor held against the network.
     """
