@@ -1,0 +1,214 @@
+"""Trackers on S1 to S4 and on hard cases: HOTA and its parts, OSPA(2), birth delay, time. `make bench-tracking` runs it.
+
+Every tracker has one set of parameters, its defaults, which were decided on seeds from 100 on; the seeds from 0 on are
+reported. "ceiling" is the Kalman filter (IMM) that is told which detection belongs to whom. Times are processor time of
+the tracker alone, the least of all seeds; another load on the machine still shows in them.
+"""
+
+import argparse
+import functools
+import json
+import math
+import os
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from tracking_scenes import EASY, HARD
+
+from avcli.metrics.score import score
+from avcli.metrics.sequence import Sequence
+from avcli.records import Detections
+from avcli.tracking import gaussian
+from avcli.tracking.fusion import Fusion
+from avcli.tracking.model import Settings, sensor
+from avcli.tracking.motion import WALKING
+
+COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
+TRACKERS = {
+    "ms-glmb": {},
+    "ms-glmb, 1 hypothesis": {"hypotheses": 1},
+    "ms-glmb, 10 hypotheses": {"hypotheses": 10},
+    "ms-glmb, 100 hypotheses": {"hypotheses": 100},
+    "ms-glmb, lag 5": {"lag": 5},
+    "ms-glmb, lag inf": {"lag": math.inf},
+    "lmb": {"tracker": "lmb"},
+    "gnn": {"tracker": "gnn"},
+    "jpda": {"tracker": "jpda"},
+}
+
+
+def ceiling(scene):
+    """Tracks of the filter that knows the truth's associations: [(ids, xy)] a frame."""
+    states, out, queue = {}, [], list(scene.records)
+    start = WALKING.stationary()
+    m = len(start)
+
+    def moved(state, t):
+        last, mean, cov, mode = state
+        if t - last > 1e-9:
+            mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, WALKING, round(t - last, 9))
+        return max(t, last), mean, cov, mode
+
+    for now, present, _ in scene.truth:
+        while queue and queue[0][0] <= now + 1e-9:
+            t, name, z, sigma, owners = queue.pop(0)
+            noise = sigma**2 * np.eye(2)[None]
+            for place, owner in zip(z, owners.tolist(), strict=True):
+                if owner in states:
+                    last, *state = moved(states[owner], t)
+                    states[owner] = (last, *gaussian.update(*state, place[None], noise, sensor(name).lead))
+                elif owner >= 0:
+                    mean, cov = np.zeros((1, m, 4)), np.zeros((1, m, 4, 4))
+                    mean[..., :2], cov[..., :2, :2] = place, noise
+                    cov[..., 2:, 2:] = Settings().speed ** 2 * np.eye(2)
+                    states[owner] = (t, mean, cov, start[None])
+        known = [i for i in present.tolist() if i in states]
+        places = [gaussian.moments(*moved(states[i], now)[1:])[0][0, :2] for i in known]
+        out.append((known, np.reshape(places, (-1, 2))))
+    return out
+
+
+def track(scene, tracker="ms-glmb", lag=0, hypotheses=None):
+    """Tracks of a scene, [(ids, xy)] a frame, and milliseconds a frame."""
+    settings = Settings() if hypotheses is None else Settings(hypotheses=hypotheses)
+    fusion = Fusion(settings, tracker, lag)
+    queue, steps = [], []
+    for t, name, z, sigma, _ in scene.records:
+        n = len(z)
+        told = np.full((n, 3, 3), np.nan)
+        told[:, :2, :2] = max(sigma**2 - sensor(name).floor ** 2, 1e-6) * np.eye(2)
+        found = Detections(t, name, np.column_stack([z, np.full(n, np.nan)]), told, np.full(n, np.nan))
+        queue.append((t, name, found))
+    for now, *_ in scene.truth:
+        due = [record for record in queue if record[0] <= now + 1e-9]
+        del queue[: len(due)]
+        steps.append((now, due))
+    begin = time.process_time()
+    out = [one for now, due in steps for one in fusion.step(now, due)] + fusion.finish()
+    spent = time.process_time() - begin
+    return [
+        ([number for number, _ in tracks], np.reshape([t.state[:2] for _, t in tracks], (-1, 2))) for _, tracks in out
+    ], 1e3 * spent / len(steps)
+
+
+def measure(truth, tracks):
+    """The columns of the table, percent where they are fractions."""
+    sequence = Sequence.of([(ids, xy) for _, ids, xy in truth], tracks)
+    summary = score(sequence)["summary"]
+    frames = {"BirthDelay": 1.0}
+    return [(math.nan if summary[c] is None else summary[c]) * (1 if c in ("OSPA2", *frames) else 100) for c in COLUMNS]
+
+
+@functools.lru_cache(maxsize=1)
+def scene_of(case, seed):
+    return {**EASY, **HARD}[case](np.random.default_rng(seed))
+
+
+def job(task):
+    case, name, sensors, seed = task
+    scene = scene_of(case, seed)
+    scene = scene.only(*sensors) if sensors else scene
+    tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else track(scene, **TRACKERS[name])
+    return [*measure(scene.truth, tracks), spent]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("bench-out"), help="directory of the figures")
+    parser.add_argument("--seeds", type=int, default=5, help="scenes of each case")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--cases", nargs="*", default=[*EASY, *HARD], choices=[*EASY, *HARD])
+    parser.add_argument("--trackers", nargs="*", default=None, choices=list(TRACKERS))
+    parser.add_argument("--jobs", type=int, default=1, help="processes; more than one blurs the times")
+    options = parser.parse_args()
+    names = options.trackers
+    if names is None:
+        import importlib.util
+
+        names = [n for n in TRACKERS if n != "jpda" or importlib.util.find_spec("stonesoup")]
+    seeds = range(options.first, options.first + options.seeds)
+    rows = [(case, name, ()) for case in options.cases for name in (*names, "ceiling")]
+    if "ms-glmb" in names:
+        rows += [(case, "ms-glmb", (eye,)) for case in options.cases if case in EASY for eye in ("audio", "video")]
+    tasks = [(*row, seed) for row in rows for seed in seeds]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        results = list(pool.map(job, tasks, chunksize=len(seeds)))
+    table = []
+    for k, (case, name, sensors) in enumerate(rows):
+        block = np.array(results[k * len(seeds) : (k + 1) * len(seeds)])
+        mean = np.nanmean(block, 0) if np.isfinite(block[:, :-1]).any(0).all() else block.mean(0)
+        table.append(
+            {
+                "case": case,
+                "tracker": name + (f" ({sensors[0]} only)" if sensors else ""),
+                **dict(zip(COLUMNS, mean.tolist(), strict=False)),
+                "HOTA_min": float(block[:, 0].min()),
+                "HOTA_all": block[:, 0].tolist(),
+                "ms": float(block[:, -1].min()),
+            }
+        )
+    show(table)
+    gains = against_best_sensor(table)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "tracking.json").write_text(json.dumps({"seeds": [*seeds], "rows": table, "gains": gains}))
+    plot(table, options.out / "tracking.svg")
+
+
+def show(table):
+    print(f"{'case':15s} {'tracker':26s}" + "".join(f"{c:>11s}" for c in (*COLUMNS, "worst HOTA", "ms/frame")))
+    for row in sorted(table, key=lambda r: list({**EASY, **HARD}).index(r["case"])):
+        values = [row[c] for c in COLUMNS] + [row["HOTA_min"], row["ms"]]
+        print(f"{row['case']:15s} {row['tracker']:26s}" + "".join(f"{v:11.2f}" for v in values))
+
+
+def against_best_sensor(table):
+    """Difference of fused HOTA to the better single sensor's, each seed: prints and returns mean and least by case."""
+    found = {(row["case"], row["tracker"]): np.array(row["HOTA_all"]) for row in table}
+    gains = {}
+    for case in EASY:
+        if (case, "ms-glmb (audio only)") in found:
+            best = np.maximum(found[case, "ms-glmb (audio only)"], found[case, "ms-glmb (video only)"])
+            gain = found[case, "ms-glmb"] - best
+            gains[case] = {"mean": float(gain.mean()), "least": float(gain.min())}
+            print(f"{case}: both less the better sensor: mean {gain.mean():+.2f}, least {gain.min():+.2f}")
+    return gains
+
+
+def plot(table, path):
+    """Run time against error, a point a tracker and case."""
+    try:
+        import matplotlib
+    except ModuleNotFoundError:
+        print("no plot: matplotlib is not installed (avcli[plot])", file=sys.stderr)
+        return
+    matplotlib.use("svg")
+    import matplotlib.pyplot as plt
+
+    cases = [c for c in {**EASY, **HARD} if any(row["case"] == c for row in table)]
+    figure, axes = plt.subplots(3, math.ceil(len(cases) / 3), figsize=(18, 10), squeeze=False)
+    for axis, case in zip(axes.flat, cases, strict=False):
+        for row in table:
+            if row["case"] != case or "only" in row["tracker"]:
+                continue
+            if row["tracker"] == "ceiling":
+                axis.axhline(100 - row["HOTA"], color="0.6", linestyle=":")
+            else:
+                axis.plot(row["ms"], 100 - row["HOTA"], "o", label=row["tracker"])
+        axis.set(title=case, xscale="log", xlabel="ms a frame", ylabel="100 - HOTA", ylim=(0, None))
+    axes.flat[0].legend(fontsize=6)
+    for axis in axes.flat[len(cases) :]:
+        axis.remove()
+    figure.tight_layout()
+    figure.savefig(path)
+
+
+if __name__ == "__main__":
+    main()
