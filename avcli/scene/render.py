@@ -14,7 +14,7 @@ from avcli.scene import furniture, shaders
 _MOST_TERMS = 40  # of the series by which the shaders turn pixels into rays
 _TILE = 32  # px, the grain in which a frame is redrawn
 _COARSE = 4  # px, the grid on which the room's light and people's shadows are computed
-_SHADOW_REACH = 0.8  # m around a person, where their shadow has faded
+_SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
 _CONE_NAMES = ("origin", "edges", "ball_a", "ball_b", "bulge", "middle")
 _SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
 
@@ -89,7 +89,7 @@ class Renderer:
         self._room_pass()
         self._people_buffers()
         self._find(np.zeros((0, 22)))
-        self._paint(np.zeros((0, 9, 4)), np.zeros((0, 4)), np.zeros((0, 6)), self._stale)
+        self._paint(np.zeros((0, 9, 4)), np.zeros((0, 4)), np.zeros((0, 6)), *self._stale)
         self.room_depth = self._read_depth()
 
     # The room
@@ -189,7 +189,8 @@ class Renderer:
         self._colour, self._depth = ctx.texture(size, 4), ctx.texture(size, 1, dtype="u2")
         self._ids = ctx.texture(size, 1)
         self._final = ctx.framebuffer([self._colour, self._depth, self._ids])
-        self._painted = ctx.framebuffer([self._colour], marks)
+        self._paint_of_people = ctx.texture(size, 4)
+        self._painted = ctx.framebuffer([self._paint_of_people], marks)
         edges = ctx.depth_renderbuffer(size)
         self._marked, self._smoothed = ctx.framebuffer(depth_attachment=edges), ctx.framebuffer([self._colour], edges)
         self._painted.depth_mask = self._smoothed.depth_mask = False
@@ -201,13 +202,25 @@ class Renderer:
             shaders.SHADOW_VERTEX, shaders.SHADOW_FRAGMENT, **uniforms, seen=0, surface=1, balls=2
         )
         _set(self._shadows, size=self._shadow.size)
-        units = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "size": size}
+        units = {
+            "seen": 0,
+            "room_seen": 1,
+            "room_colour": 2,
+            "cones": 3,
+            "shadow": 4,
+            "balls": 5,
+            "painted": 6,
+            "size": size,
+        }
         vertex, step = shaders.FLAT_VERTEX, 1.0 / self.depth_step
         self._base = self._program(vertex, shaders.BASE, **units, per_step=step)
+        self._dim = self._program(vertex, shaders.DIM, **units)
+        self._dimmed = ctx.framebuffer([self._colour])
         self._shade = self._program(vertex, shaders.SHADE, **uniforms, **units, level=0.9999)
         self._edges = self._program(vertex, shaders.EDGES, **units)
         self._smooth = self._program(vertex, shaders.SMOOTH, **uniforms, **units, level=0.5)
-        self._stale = np.ones((-(-self.height // _TILE), -(-self.width // _TILE)), bool)
+        everywhere = np.ones((-(-self.height // _TILE), -(-self.width // _TILE)), bool)
+        self._stale = everywhere, everywhere
 
     def prepare(self, bodies):
         """Everything about bodies (people.Bodies) at n times that the card needs; frames are then drawn by index."""
@@ -215,10 +228,11 @@ class Renderer:
 
     def draw(self, drawn, index):
         """Draw the frame of one time; returns Frame."""
-        now = drawn.tiles(index)
+        bodies, shadows = drawn.tiles(index)
         self._find(drawn.instances(index))
-        self._paint(drawn.rows(index), drawn.balls(index), drawn.shadow_rectangles(index), now | self._stale)
-        self._stale = now
+        redrawn = bodies | self._stale[0], (shadows | self._stale[1]) & ~(bodies | self._stale[0])
+        self._paint(drawn.rows(index), drawn.balls(index), drawn.shadow_rectangles(index), *redrawn)
+        self._stale = bodies, shadows
         rgb = np.frombuffer(self._final.read(components=3, attachment=0), np.uint8).reshape(self.height, self.width, 3)
         ids = np.frombuffer(self._ids.read(), np.uint8).reshape(self.height, self.width)
         return Frame(rgb, self._read_depth(), ids, self._silhouettes(drawn, index), self.depth_step)
@@ -245,8 +259,8 @@ class Renderer:
             self.room_seen.use(0)
             self._render(self._cones, instances, "2f 4f 4f 4f 4f 4f/i", _CONE_NAMES)
 
-    def _paint(self, rows, balls, shadow_rectangles, tiles):
-        """Colour the tiles of the picture in which people are or were."""
+    def _paint(self, rows, balls, shadow_rectangles, tiles, dimmed):
+        """Colour the tiles of the picture in which people are or were, and those on which their shadow falls."""
         ctx, size = self.ctx, (self.width, self.height)
         balls = self._table(balls[None] if len(balls) else np.zeros((1, 1, 4)))
         self._shade_target.use()
@@ -260,27 +274,31 @@ class Renderer:
             self._render(self._shadows, shadow_rectangles, "4f 2f/i", ("rectangle", "balls"))
             ctx.disable(ctx.BLEND)
         table = self._table(rows if len(rows) else np.zeros((1, 9, 4)))
-        y, x = np.nonzero(tiles)
-        corners = np.minimum(np.stack([x, y, x + 1, y + 1], -1) * _TILE, [*size, *size])
+        corners, aside = _tile_corners(tiles, size), _tile_corners(dimmed, size)
         inputs = (self.people_seen, self.room_seen, self._room_colour, table, self._shadow, balls)
         for unit, texture in enumerate(inputs):
             texture.use(unit)
-        self._final.use()
-        self._render(self._base, corners, "4f/i", ("rectangle",))
         if len(rows):
             ctx.enable(ctx.DEPTH_TEST)
-            self._painted.use()
             ctx.depth_func = ">"
+            self._painted.use()
             self._render(self._shade, corners, "4f/i", ("rectangle",))
-            if self.samples > 1:
-                self._marked.use()
-                self._marked.clear(depth=1.0)
-                ctx.depth_func = "1"
-                self._render(self._edges, corners, "4f/i", ("rectangle",))
-                self._smoothed.use()
-                ctx.depth_func = ">"
-                self._render(self._smooth, corners, "4f/i", ("rectangle",))
-            ctx.depth_func = "<"
+            ctx.disable(ctx.DEPTH_TEST)
+        self._paint_of_people.use(6)
+        self._final.use()
+        self._render(self._base, corners, "4f/i", ("rectangle",))
+        self._dimmed.use()
+        self._render(self._dim, aside, "4f/i", ("rectangle",))
+        if len(rows) and self.samples > 1:
+            ctx.enable(ctx.DEPTH_TEST)
+            self._marked.use()
+            self._marked.clear(depth=1.0)
+            ctx.depth_func = "1"
+            self._render(self._edges, corners, "4f/i", ("rectangle",))
+            self._smoothed.use()
+            ctx.depth_func = ">"
+            self._render(self._smooth, corners, "4f/i", ("rectangle",))
+        ctx.depth_func = "<"
         table.release()
         balls.release()
 
@@ -429,14 +447,16 @@ class _Drawn:
         return rows[np.isfinite(rows).all(1)]
 
     def tiles(self, index):
-        """Which tiles of the picture this frame's people touch, (rows, columns) bool."""
+        """Which tiles of the picture this frame's people touch, and which their shadows, (rows, columns) bool each."""
         r = self.renderer
-        tiles = np.zeros((-(-r.height // _TILE), -(-r.width // _TILE)), bool)
         rectangles, inside = self._inside(index)
-        shaded = _clip(self.shadows[index], r.width, r.height)
-        for x0, y0, x1, y1 in (np.concatenate([rectangles[inside], shaded]) / _TILE).tolist():
-            tiles[int(y0) : int(np.ceil(y1)), int(x0) : int(np.ceil(x1))] = True
-        return tiles
+        marked = []
+        for group in (rectangles[inside], _clip(self.shadows[index], r.width, r.height)):
+            tiles = np.zeros((-(-r.height // _TILE), -(-r.width // _TILE)), bool)
+            for x0, y0, x1, y1 in (group / _TILE).tolist():
+                tiles[int(y0) : int(np.ceil(y1)), int(x0) : int(np.ceil(x1))] = True
+            marked.append(tiles)
+        return marked
 
     def shape_instances(self, index):
         """Cones in tiles, one tile a person: (instances, [((x0, y0, x1, y1) in the picture, place)], picture size)."""
@@ -538,6 +558,11 @@ def _bounds(pixels, margin):
     """Rectangles (..., 4) in pixel edges around pixels (..., m, 2); NaN where a pixel is."""
     low, high = pixels.min(-2) + 0.5 - margin, pixels.max(-2) + 0.5 + margin
     return np.concatenate([low, high], -1)
+
+
+def _tile_corners(tiles, size):
+    y, x = np.nonzero(tiles)
+    return np.minimum(np.stack([x, y, x + 1, y + 1], -1) * _TILE, [*size, *size])
 
 
 def _clip(rectangles, width, height):

@@ -560,7 +560,7 @@ void main() {
         }
     }
     vec4 foot = texelFetch(balls, ivec2(mine.x + 3, 0), 0);
-    float fade = smoothstep(0.8, 0.45, distance(foot.xy, p.xy));
+    float fade = smoothstep(0.65, 0.4, distance(foot.xy, p.xy));
     float all = sky(n) + lamp(p, n, 0) + lamp(p, n, 1);
     float left = open * sky(n) + clear.x * lamp(p, n, 0) + clear.y * lamp(p, n, 1);
     factor = mix(1.0, sqrt(left / all), fade);
@@ -569,7 +569,7 @@ void main() {
 )
 
 BASE = """#version 330
-uniform sampler2D seen, room_seen, room_colour, shadow, cones;
+uniform sampler2D seen, room_seen, room_colour, shadow, cones, painted;
 uniform float per_step;
 layout(location = 0) out vec4 colour;
 layout(location = 1) out uint depth;
@@ -577,12 +577,24 @@ layout(location = 2) out float id;
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec2 hit = texelFetch(seen, at, 0).rg;
-    float t = hit.y > 0.5 ? hit.x : texelFetch(room_seen, at, 0).r;
+    bool person = hit.y > 0.5;
+    float t = person ? hit.x : texelFetch(room_seen, at, 0).r;
     float steps = floor(t * per_step + 0.5);
     depth = steps < 65535.5 ? uint(steps) : 0u;
-    id = hit.y > 0.5 ? texelFetch(cones, ivec2(3, int(hit.y - 0.5)), 0).w / 255.0 : 0.0;
+    id = person ? texelFetch(cones, ivec2(3, int(hit.y - 0.5)), 0).w / 255.0 : 0.0;
     float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
-    colour = vec4(texelFetch(room_colour, at, 0).rgb * dark, 1.0);
+    vec3 room = texelFetch(room_colour, at, 0).rgb * dark;
+    colour = vec4(person ? texelFetch(painted, at, 0).rgb : room, 1.0);
+}
+"""
+
+# Where nobody is or was, only the shadow on the room may have changed.
+DIM = """#version 330
+uniform sampler2D seen, room_colour, shadow;
+out vec4 colour;
+void main() {
+    float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
+    colour = vec4(texelFetch(room_colour, ivec2(gl_FragCoord.xy), 0).rgb * dark, 1.0);
 }
 """
 
@@ -705,11 +717,15 @@ void main() {
 }
 """
 
+# An outline's pixel: how much of it each neighbour's cone covers, in the colour that the neighbour has.
 SMOOTH = (
-    _PAINT
+    LENS
+    + CONE
     + """
-uniform sampler2D room_seen, room_colour, shadow;
+uniform sampler2D seen, cones, room_seen, room_colour, shadow, painted;
 uniform int samples;
+out vec4 colour;
+vec4 cone_texel(int index, int part) { return texelFetch(cones, ivec2(part, index), 0); }
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
     float room = texelFetch(room_seen, at, 0).r;
@@ -718,16 +734,15 @@ void main() {
     for (int s = 0; s < samples; ++s) {
         vec3 d = ray_through(gl_FragCoord.xy - 1.0 + fract(vec2(0.7548776662, 0.5698402910) * float(s + 1)));
         float nearest = room > 0.0 ? room : 1e9;
-        int which = -1;
+        ivec2 source = ivec2(-1);
         for (int k = 0; k < 5; ++k) {
             ivec2 other = clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
             int index = int(texelFetch(seen, other, 0).g + 0.5) - 1, safe = max(index, 0);
             vec3 middle = cone_texel(safe, 3).xyz;
             float reach = hit_cone(d, cone_texel(safe, 0), cone_texel(safe, 1), cone_texel(safe, 2), middle);
-            if (index >= 0 && reach > 0.0 && reach < nearest) { nearest = reach; which = index; }
+            if (index >= 0 && reach > 0.0 && reach < nearest) { nearest = reach; source = other; }
         }
-        vec3 body = shade(d, nearest, max(which, 0));
-        total += which >= 0 ? body : behind;
+        total += source.x >= 0 ? texelFetch(painted, max(source, 0), 0).rgb : behind;
     }
     colour = vec4(room > 0.0 ? total / float(samples) : vec3(0.0), 1.0);
 }
