@@ -22,6 +22,10 @@ def read(path: Path, parse) -> list:
     return [parse(records.decode(line)) for line in path.read_bytes().splitlines()]
 
 
+def boxes(record: dict) -> tuple[float, list]:
+    return record["timestamp"], [found["bbox_px"] for found in record["objects"]]
+
+
 def draw(directory: Path, time: float) -> np.ndarray:
     camera = experiment.read_config(directory / "config.json").camera
     T_camera_room = pose.inverse(camera.T_room_camera)
@@ -39,6 +43,10 @@ def draw(directory: Path, time: float) -> np.ndarray:
                 for x, y in pixels(points)[np.isfinite(pixels(points)).all(axis=1)]:
                     marker = cv2.MARKER_CROSS if sensor == "video" else cv2.MARKER_DIAMOND
                     cv2.drawMarker(image, (round(x), round(y)), colour, marker, 34, 3, cv2.LINE_AA)
+    for timestamp, found in read(directory / "localization/video_localizations.jsonl", boxes):
+        if abs(timestamp - time) < 1e-6:
+            for x0, y0, x1, y1 in np.rint(found).astype(int).tolist():
+                cv2.rectangle(image, (x0, y0), (x1, y1), VIDEO, 2, cv2.LINE_AA)
     trails: dict[int, list] = {}
     for tracks in read(directory / "tracking/audio_video_tracking.jsonl", records.identified):
         if tracks.timestamp <= time + 1e-6:
