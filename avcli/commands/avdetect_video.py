@@ -158,10 +158,14 @@ class _Watcher:
             if self.network is None:
                 if depth is None:
                     raise MediaError(f"t = {shot.timestamp:.4f} s: the record names no depth picture")
-                return self.detector.detect(self._metres(depth.result(), shot))
+                with self.session.timing("wait for pictures"):
+                    picture = depth.result()
+                with self.session.timing("depth and positions"):
+                    return self.detector.detect(self._metres(picture, shot))
             if rgb is None:
                 raise MediaError(f"t = {shot.timestamp:.4f} s: the record names no colour picture")
-            picture = rgb.result()
+            with self.session.timing("wait for pictures"):
+                picture = rgb.result()
             self._check_size(picture, shot, "colour")
             if self.gate.changed(picture):
                 self.last = self._look(picture, shot)
