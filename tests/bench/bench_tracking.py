@@ -1,4 +1,4 @@
-"""Trackers on S1 to S4 and on hard cases: HOTA and its parts, OSPA(2), birth delay, time. `make bench-tracking` runs it.
+"""Trackers on S1 to S4 and on hard cases: HOTA and its parts, OSPA(2), birth delay, time (`make bench-tracking`).
 
 Every tracker has one set of parameters, its defaults, which were decided on seeds from 100 on; the seeds from 0 on are
 reported. "ceiling" is the Kalman filter (IMM) that is told which detection belongs to whom. Times are processor time of
@@ -100,11 +100,11 @@ def track(scene, tracker="ms-glmb", lag=0, hypotheses=None):
 
 
 def measure(truth, tracks):
-    """The columns of the table, percent where they are fractions."""
+    """The columns of the table: percent, OSPA(2) in m, the birth delay in frames."""
     sequence = Sequence.of([(ids, xy) for _, ids, xy in truth], tracks)
     summary = score(sequence)["summary"]
-    frames = {"BirthDelay": 1.0}
-    return [(math.nan if summary[c] is None else summary[c]) * (1 if c in ("OSPA2", *frames) else 100) for c in COLUMNS]
+    values = [math.nan if summary[c] is None else summary[c] for c in COLUMNS]
+    return [v * (1 if c in ("OSPA2", "BirthDelay") else 100) for c, v in zip(COLUMNS, values, strict=True)]
 
 
 @functools.lru_cache(maxsize=1)
@@ -144,12 +144,12 @@ def main():
     table = []
     for k, (case, name, sensors) in enumerate(rows):
         block = np.array(results[k * len(seeds) : (k + 1) * len(seeds)])
-        mean = np.nanmean(block, 0) if np.isfinite(block[:, :-1]).any(0).all() else block.mean(0)
+        mean = block[:, :-1].mean(0)
         table.append(
             {
                 "case": case,
                 "tracker": name + (f" ({sensors[0]} only)" if sensors else ""),
-                **dict(zip(COLUMNS, mean.tolist(), strict=False)),
+                **dict(zip(COLUMNS, mean.tolist(), strict=True)),
                 "HOTA_min": float(block[:, 0].min()),
                 "HOTA_all": block[:, 0].tolist(),
                 "ms": float(block[:, -1].min()),
