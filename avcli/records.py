@@ -318,7 +318,11 @@ class Frame:
 
 @dataclass(frozen=True)
 class AudioChunk:
-    """Where a piece of sound lies: its file, the place of its first sample on the scene's clock, and its length."""
+    """Where a piece of sound lies: its file, the place of its first sample on the scene's clock, and its length.
+
+    `tail_samples` says how many of its samples come after the scene's end, where nothing but reverberation is left;
+    None where the record does not say it.
+    """
 
     timestamp: float
     path: str
@@ -326,6 +330,7 @@ class AudioChunk:
     num_samples: int
     sample_rate_hz: int
     num_channels: int
+    tail_samples: int | None = None
 
 
 def frame(record: Mapping) -> Frame | None:
@@ -361,4 +366,7 @@ def audio(record: Mapping) -> AudioChunk | None:
         if not isinstance(count, int) or isinstance(count, bool) or (least is not None and count < least):
             raise RecordError(f'"audio": "{key}" is no {"integer" if least is None else "count"}: {_shown(count)}')
         counts.append(count)
-    return AudioChunk(record["timestamp"], value["path"], *counts)
+    tail = value.get("tail_samples")
+    if tail is not None and (not isinstance(tail, int) or isinstance(tail, bool) or not 0 <= tail <= counts[1]):
+        raise RecordError(f'"audio": "tail_samples" is no count up to "num_samples": {_shown(tail)}')
+    return AudioChunk(record["timestamp"], value["path"], *counts, tail)

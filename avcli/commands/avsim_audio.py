@@ -221,6 +221,7 @@ def main(session: Session, files, **options):
             return
         with session.timing("simulation"):
             speakers.finish()
+        tape.scene_end = math.ceil(last * rate - 1e-4)
         tape.roll(math.ceil((last + tail_s) * rate - 1e-4))
         if speakers.moved_inside:
             session.warn(f"{speakers.moved_inside} times a mouth on a wall or outside the room was moved inside")
@@ -404,6 +405,7 @@ class _Tape:
         if self._extension == "flac":
             self._bit_depth = min(self._bit_depth, 24)
         self._begin = self._now = begin
+        self.scene_end = math.inf
         self._file = None
 
     def __enter__(self) -> "_Tape":
@@ -445,6 +447,7 @@ class _Tape:
             "path": self._path,
             "start_sample": self._begin,
             "num_samples": self._now - self._begin,
+            "tail_samples": max(0, self._now - max(self.scene_end, self._begin)),
             "sample_rate_hz": self._rate,
             "num_channels": self._file.channels,
         }
