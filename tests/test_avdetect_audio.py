@@ -48,6 +48,23 @@ def record(path=WAV, start=0, count=20000, **more):
     return orjson.dumps({"timestamp": f"{start / FS:.10f}", "audio": audio, **more}) + b"\n"
 
 
+def test_the_record_says_where_its_scene_ends(tmp_path, sound):
+    write(tmp_path, sound)
+    for tail, steps in ((0, 13), (2000, 12), (8000, 8)):
+        stdin = record().replace(b'"num_channels"', b'"tail_samples":%d,"num_channels"' % tail)
+        assert len(lines(run("avdetect-audio", "-C", tmp_path, stdin=stdin))) == steps
+    halves = b""
+    for start in (0, 10000):
+        path = f"audio/wav/{start}.wav"
+        soundfile.write(tmp_path / path, sound[start : start + 10000], FS, subtype="FLOAT")
+        halves += record(path, start, 10000).replace(
+            b'"num_channels"', b'"tail_samples":%d,"num_channels"' % (8000 if start else 0)
+        )
+    assert len(lines(run("avdetect-audio", "-C", tmp_path, stdin=halves))) == 8
+    bad = record().replace(b'"num_channels"', b'"tail_samples":-1,"num_channels"')
+    assert "tail_samples" in one_line(run("avdetect-audio", "-C", tmp_path, stdin=bad))
+
+
 def lines(result):
     assert (result.returncode, result.stderr) == (0, "")
     return [orjson.loads(line) for line in result.stdout.splitlines()]

@@ -15,7 +15,7 @@ def localize(samples, *, microphones=MICROPHONES, fs=FS, block=4000, begin=0, ta
     array = Array(np.asarray(microphones), fs, ROOM, speed)
     localizer = SteeredLocalizer(array, Settings(**options), np.random.default_rng(0))
     blocks = (samples[i : i + block] for i in range(0, len(samples), block))
-    return list(localizer.localize(blocks, begin, tail))
+    return list(localizer.localize(blocks, begin, lambda: tail))
 
 
 def errors(decisions, place=PLACE):
@@ -277,3 +277,7 @@ def test_extreme_places_give_finite_answers_inside_the_room(speech, place):
         assert np.isfinite(d.positions).all()
         assert np.isfinite(d.covariances).all()
         assert ((d.positions >= 0) & (d.positions <= ROOM)).all()
+    if place[0] > ROOM[0]:
+        assert any("outside" in notice for notice in noticed(decisions))
+        clear = [d for d in decisions if len(d.scores) and d.scores[0] > 0.9]
+        assert np.median([d.covariances[0][0, 0] for d in clear]) > 0.1, "it may be behind the wall"

@@ -250,17 +250,25 @@ def _decisions(session, method: str, array, sound: "_Sound", blocks: Iterator, o
 
         given.setdefault("min_gap", (session.config.room.reverberation_time_s or 0.35) * given.get("window", 0.042))
         samples = np.concatenate(list(blocks))
-        yield from ssl3d.localize(samples, array, settings_of(ssl3d.Settings), sound.begin, sound.tail)
+        yield from ssl3d.localize(samples, array, settings_of(ssl3d.Settings), sound.begin, sound.tail())
 
 
 class _Sound:
     """The samples that the files hold, or the records in them point at, as one stream on one clock."""
 
     def __init__(self, session, files, start: float):
-        self.session, self.start, self.tail = session, start, 0.0
+        self.session, self.start = session, start
         self.streams = [(path, session.open(path)) for path in (files or ("-",))]
         self.begin: int | None = None
         self.next = 0
+        self.scene_end: int | None = None
+        self.held_back = 0.0
+
+    def tail(self) -> float:
+        """How much of what was received, in s, comes after the scene's end or may do so."""
+        if self.scene_end is None:
+            return self.held_back
+        return max(0, self.next - self.scene_end) / self.session.config.microphones.sample_rate_hz
 
     def blocks(self) -> Iterator:
         """Yield (n, channels) samples."""
@@ -310,7 +318,10 @@ class _Sound:
         from avcli import media
 
         path = self.session.media_root / chunk.path
-        self.tail = self.session.config.room.reverberation_time_s or 0.0
+        if chunk.tail_samples is None:
+            self.held_back = self.session.config.room.reverberation_time_s or 0.0
+        elif chunk.tail_samples and self.scene_end is None:
+            self.scene_end = chunk.start_sample + chunk.num_samples - chunk.tail_samples
         if self.begin is None:
             self.begin = self.next = chunk.start_sample
         if chunk.start_sample > self.next:

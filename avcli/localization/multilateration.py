@@ -98,7 +98,7 @@ def refine(position, microphones, first, second, differences, weights, *, scale=
             position = position + step
             jacobian, residual, robust = candidate
             damping *= 0.1
-            if np.abs(step).max() < 1e-7:
+            if np.abs(step).max() < 1e-6:
                 break
         else:
             damping = max(damping * 100.0, 1e-6)

@@ -158,22 +158,17 @@ class SteeredResponse:
         lag += size * np.arange(len(self.first))
         # The lattice is wider than a peak: each lag stands for its neighbours within 3 steps too.
         maps = [_dilate(gcc, 3).ravel()[lag].mean(axis=1).reshape(len(axis), len(axis)) for gcc in gccs]
-        best, found = -np.inf, (start, np.zeros(3))
-        for vy in speeds:
-            for vx in speeds:
-                total = 0.0
-                for values, offset in zip(maps, offsets, strict=True):
-                    row, column = (furthest + round(v * offset / step) for v in (vy, vx))
-                    total = total + values[row : row + 2 * reach + 1, column : column + 2 * reach + 1]
-                # Of nearly equal velocities the slower: noise must not make a still talker walk.
-                total = total / len(gccs) - 1e-4 * np.hypot(vx, vy)
-                place = int(np.argmax(total))
-                if total.flat[place] > best:
-                    best = total.flat[place]
-                    y, x = divmod(place, 2 * reach + 1)
-                    moved = start + step * np.array([x - reach, y - reach, 0.0])
-                    found = (np.clip(moved, self.low, self.high), np.array([vx, vy, 0.0]))
-        return found
+        side = np.arange(2 * reach + 1)
+        total = 0.0  # (vy, vx, y, x)
+        for values, offset in zip(maps, offsets, strict=True):
+            shifts = furthest + np.rint(speeds * (offset / step)).astype(np.int64)
+            row, column = shifts[:, None, None, None] + side[:, None], shifts[None, :, None, None] + side
+            total = total + values[row, column]
+        # Of nearly equal velocities the slower: noise must not make a still talker walk.
+        slow = 1e-4 * np.hypot(speeds[:, None], speeds)[:, :, None, None]
+        vy, vx, y, x = np.unravel_index(np.argmax(total / len(gccs) - slow), total.shape)
+        moved = start + step * np.array([x - reach, y - reach, 0.0])
+        return np.clip(moved, self.low, self.high), np.array([speeds[vx], speeds[vy], 0.0])
 
     def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""

@@ -5,8 +5,8 @@ the steps before and after are added to it, so that one transform a step serves 
 and one of 0.39 s for rooms that echo; the search over place and velocity lets the three agree on a walker.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,10 +58,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class _Window:
-    """One window: its GCC (pairs, lags), None where nothing sounds, and which channels (m,) are good."""
+    """One window: its GCC (pairs, lags), None where nothing sounds; the whitened spectra (m, bins) that it is of; which
+    channels (m,) are good; and which part of a whole window the stream held of it."""
 
     gcc: np.ndarray | None
+    whitened: np.ndarray | None = None
     good: np.ndarray | None = None
+    part: float = 1.0
     energy: float = 0.0
     occupancy: float = 0.0
     notices: tuple[str, ...] = ()
@@ -82,14 +85,17 @@ class _Noise:
 
 @dataclass(frozen=True)
 class _Peak:
-    """A place (3,) m that is answered, its response, the share of pairs that agree (0 to 1), its speed (m/s), and the
-    normal matrix (3, 3) of its range differences."""
+    """A place (3,) m that is answered; one that is not worth a fit has but a response.
+
+    Attributes as in uncertainty.Features; `normal` (3, 3) is the normal matrix of its range differences.
+    """
 
     position: np.ndarray
     response: float
-    support: float
-    speed: float
-    normal: np.ndarray
+    support: float = 0.0
+    own: float = 1.0
+    speed: float = 0.0
+    normal: np.ndarray | None = None
 
 
 class SteeredLocalizer:
@@ -185,25 +191,29 @@ class SteeredLocalizer:
             good[first[pair]] = good[second[pair]] = False
         energy = float(np.median(level[~dead])) * float(scale) ** 2 if not dead.all() else 0.0
         use = occupancy(power[~dead].mean(axis=0)) if not dead.all() else 0.0
-        return _Window(gcc, good, energy, use, tuple(notices))
+        part = float(np.count_nonzero(taper)) / self.size
+        return _Window(gcc, whitened, good, part, energy, use, tuple(notices))
 
-    def masked(self, window: _Window) -> np.ndarray | None:
-        """Return a window's GCC with the pairs of channels that are left out at 0 and the others scaled up for them."""
+    def heard(self, window: _Window) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """Return a window's GCC without the channels that are left out, its good channels, and how much it counts.
+
+        The other pairs are scaled up for those that are missing.
+        """
         good = window.good & ~self.outvoted
         if good.sum() < 4:
             return None
-        if good.all():
-            return window.gcc
         kept = good[self.response.first] & good[self.response.second]
-        return window.gcc * (kept * (len(kept) / kept.sum())).astype(np.float32)[:, None]
+        share = kept.sum() / len(kept)
+        gcc = window.gcc if good.all() else window.gcc * (kept / share).astype(np.float32)[:, None]
+        return gcc, good, share * window.part
 
     # --- one decision -------------------------------------------------------------------------------------------------
 
-    def noise(self, count: int) -> _Noise:
-        """Return what `count` windows of white noise, independent in each channel, do to the response.
+    def noise(self, count: float) -> _Noise:
+        """Return what so many windows of white noise, independent in each channel, do to the response.
 
-        The law is fitted by its moments to 32 draws of all windows; of fewer it falls as the square root of their
-        number.
+        The law is fitted by its moments to 32 draws of all windows; of fewer windows, or parts of them, it rises as
+        one over the square root of their number.
         """
         if self.null is None:
             hop, draws, all_windows = round(self.hop * self.array.sample_rate), 32, len(self.offsets)
@@ -229,37 +239,38 @@ class SteeredLocalizer:
         Returns:
             (position (3,) m, covariance (3, 3) m², score) of each, the clearest first.
         """
-        kept = [(self.masked(window), offset) for window, offset in zip(windows, offsets, strict=True)]
-        gccs = [gcc for gcc, _ in kept if gcc is not None]
-        offsets = np.array([offset for gcc, offset in kept if gcc is not None])
-        if not gccs:
+        heard = [(self.heard(window), window, offset) for window, offset in zip(windows, offsets, strict=True)]
+        heard = [item for item in heard if item[0] is not None]
+        if not heard:
             self.before = []
             return []
-        noise = self.noise(len(gccs))
-        peaks = self.peaks(gccs, offsets, noise)
+        weights = np.array([weight for (_, _, weight), _, _ in heard])
+        scales = (weights / weights.mean()).astype(np.float32)
+        gccs = [gcc * scale for ((gcc, _, _), _, _), scale in zip(heard, scales, strict=True)]
+        spectra = [window.whitened * good[:, None] for (_, good, _), window, _ in heard]
+        noise = self.noise(weights.sum())
+        peaks = self.peaks(gccs, spectra, np.array([offset for _, _, offset in heard]), noise)
         judged = []
         for rank, peak in enumerate(peaks):
-            response = peak.response / noise.location
-            features = uncertainty.Features(
-                response=response,
-                support=peak.support,
-                evidence=uncertainty.accumulate(response, self.nearby(peak.position)),
-                share=peak.response / peaks[0].response,
-                speed=peak.speed,
-            )
+            features = self.features(peak, peaks[0].response, noise)
             judged.append((uncertainty.probability(features), rank, features))
         judged.sort(key=lambda item: (-item[0], item[1]))
         self.before = [(peaks[rank].position, features.evidence) for _, rank, features in judged]
         found = []
+        low, high = self.response.low, self.response.high
         for score, rank, features in judged[: self.settings.max_speakers]:
             if score >= self.settings.min_score:
-                low, high = self.response.low, self.response.high
-                found.append(
-                    (peaks[rank].position, uncertainty.covariance(peaks[rank].normal, features, low, high), score)
-                )
+                covariance = uncertainty.covariance(peaks[rank].normal, features, low, high)
+                covariance += uncertainty.beyond(self.on_the_edge(peaks[rank].position))
+                found.append((peaks[rank].position, covariance, score))
         return found
 
-    def peaks(self, gccs: list[np.ndarray], offsets: np.ndarray, noise: _Noise) -> list[_Peak]:
+    def on_the_edge(self, position: np.ndarray) -> np.ndarray:
+        """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
+        margin = 0.5 * self.settings.resolution
+        return (position - self.response.low < margin) | (self.response.high - position < margin)
+
+    def peaks(self, gccs, spectra, offsets: np.ndarray, noise: _Noise) -> list[_Peak]:
         """Return the places that are answered better than noise would, each without those before it.
 
         They are sought in GCCs that are cut off well above their noise, so that many pairs must agree: two talkers
@@ -267,15 +278,22 @@ class SteeredLocalizer:
         talkers, since a ghost may still come before the second talker.
         """
         found: list[_Peak] = []
-        steered, gccs = self.response, list(gccs)
+        explained = 0.0  # coherence, (windows, bins), that the peaks so far have
+        steered = self.response
         threshold = noise.threshold(self.settings.false_alarm)
         for _ in range(self.settings.max_speakers + 1):
-            limited = np.minimum(sum(gccs) / len(gccs), 7.0 * noise.deviation)
-            centres, _ = steered.search(limited)
-            position, velocity, response = steered.follow(gccs, offsets, centres[0], self.settings.max_speed)
-            if response < threshold:
+            mean = sum(gccs) / len(gccs)
+            centres, _ = steered.search(np.minimum(mean, 7.0 * noise.deviation))
+            peak = _Peak(centres[0], float(steered.response(mean, centres[:1])[0]))
+            velocity = np.zeros(3)
+            if self.promising(peak, found, noise):
+                position, velocity, response = steered.follow(gccs, offsets, peak.position, self.settings.max_speed)
+                peak = self.refined(gccs, offsets, position, velocity, response, noise)
+                coherence = self.coherence(spectra, offsets, peak.position, velocity)
+                peak = replace(peak, own=float((coherence * (coherence > explained)).sum() / coherence.sum()))
+                explained = np.maximum(explained, coherence)
+            if peak.response < threshold:
                 break
-            peak = self.refined(gccs, offsets, position, velocity, response, noise)
             if all(np.hypot(*(peak.position - other.position)[:2]) > self.settings.separation for other in found):
                 found.append(peak)
             gccs = [
@@ -283,6 +301,41 @@ class SteeredLocalizer:
                 for gcc, offset in zip(gccs, offsets, strict=True)
             ]
         return found
+
+    def coherence(self, spectra, offsets, position, velocity) -> np.ndarray:
+        """Return how far the channels agree, bin by bin, on sound from a place that moves, (windows, bins).
+
+        0 is what chance gives; neighbouring bins are averaged.
+        """
+        frequency = np.arange(self.bins.start, self.bins.stop) * (self.array.sample_rate / self.size)
+        result = []
+        for whitened, offset in zip(spectra, offsets, strict=True):
+            ranges = np.linalg.norm(position + velocity * offset - self.array.microphones, axis=1)
+            delays = (ranges - ranges.mean()) / self.array.speed_of_sound
+            steered = (whitened * np.exp(2j * np.pi * delays[:, None] * frequency).astype(np.complex64)).sum(axis=0)
+            power = (np.abs(whitened) ** 2).sum(axis=0)
+            excess = np.abs(steered) ** 2 - power
+            smooth = np.convolve(excess, np.ones(5), "same") / np.maximum(np.convolve(power, np.ones(5), "same"), 1e-12)
+            result.append(np.maximum(smooth, 0.0))
+        return self.weight * np.array(result)
+
+    def features(self, peak: _Peak, first: float, noise: _Noise) -> uncertainty.Features:
+        """Return what tells a right peak from a wrong one; `first` is the response at the decision's first peak."""
+        response = peak.response / noise.location
+        return uncertainty.Features(
+            response=response,
+            support=peak.support,
+            evidence=uncertainty.accumulate(response, self.nearby(peak.position)),
+            share=peak.response / first,
+            own=peak.own,
+            speed=peak.speed,
+        )
+
+    def promising(self, peak: _Peak, found: list[_Peak], noise: _Noise) -> bool:
+        """Return whether a peak of the grid could be reported, if the fit made half as much again of it."""
+        best = replace(peak, response=1.5 * peak.response, support=1.0, own=1.0)
+        features = self.features(best, found[0].response if found else best.response, noise)
+        return uncertainty.probability(features) >= self.settings.min_score
 
     def refined(self, gccs, offsets, position, velocity, response: float, noise: _Noise) -> _Peak:
         """Fit a position to the peaks of each pair's GCC nearby; keep the fit where it is answered better."""
@@ -300,7 +353,8 @@ class SteeredLocalizer:
                 position, response = fitted, response + gain
         support = float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean())
         scale = max(np.maximum(height, 0.0).mean(), 1e-9)
-        return _Peak(position, response, support, float(np.hypot(*velocity[:2])), normal / scale)
+        speed = float(np.hypot(*velocity[:2]))
+        return _Peak(position, response, support=support, speed=speed, normal=normal / scale)
 
     def nearby(self, position: np.ndarray) -> float:
         """Return the evidence of the peak near a place (3,) m one decision ago, 0 where there was none."""
@@ -339,13 +393,15 @@ class SteeredLocalizer:
 
     # --- the stream ---------------------------------------------------------------------------------------------------
 
-    def localize(self, blocks: Iterable[np.ndarray], begin: int = 0, tail: float = 0.0) -> Iterator[Decision]:
+    def localize(
+        self, blocks: Iterable[np.ndarray], begin: int = 0, tail: Callable[[], float] = lambda: 0.0
+    ) -> Iterator[Decision]:
         """Yield a decision for every time step of a stream, as soon as its last window is complete.
 
         Args:
             blocks: (n, m) samples each, one after another.
             begin: the first sample's place on the clock, in samples.
-            tail: s at the end in which nobody speaks any more, such as the reverberation after a scene.
+            tail: tells how much of the blocks so far, in s at their end, comes after a scene and is not decided about.
         """
         fs, each, reach = self.array.sample_rate, self.windows_a_step, self.reach
         stream = _Stream(begin, len(self.array.microphones))
@@ -358,7 +414,7 @@ class SteeredLocalizer:
 
         def decided(ended: bool) -> Iterator[Decision]:
             nonlocal step, index
-            while step < time_steps(begin, stream.end - begin, fs, self.settings.rate, tail).stop:
+            while step < time_steps(begin, stream.end - begin, fs, self.settings.rate, tail()).stop:
                 while index <= step * each + reach:
                     if place(index) + self.size > stream.end and not ended:
                         return
@@ -393,6 +449,8 @@ class SteeredLocalizer:
             found = self.decide([around[i] for i in heard], self.offsets[heard])
             if found and found[0][2] > 0.9:
                 notices += self.poll(around[self.reach].gcc, found[0][0])
+                if self.on_the_edge(found[0][0])[:2].any():
+                    notices.append("a source on the edge of the room, or outside it")
         return Decision.of(step / self.settings.rate, found, notices)
 
 

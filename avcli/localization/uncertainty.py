@@ -11,7 +11,7 @@ import numpy as np
 FLOOR = 0.003
 """m: the standard deviation that no localization undercuts (where the microphones are, how warm the air is)."""
 
-RIGHT = {"one": 1.22, "response": 1.94, "support": 4.12, "evidence": 1.58, "share": 3.80}
+RIGHT = {"one": 1.22, "response": 1.94, "support": 4.12, "evidence": 1.58, "share": 3.80, "own": 0.0}
 """Logit of the probability that a peak is within half a metre (x, y) of a talker, on the logarithms of its features."""
 
 SPREAD = {"one": -0.92, "response": -1.32, "support": -1.98}
@@ -30,6 +30,8 @@ class Features:
         support: share of the pairs of microphones that agree, from 0 to 1.
         evidence: logarithm of the response, with what was nearby in the decisions before (see `accumulate`).
         share: the peak over the decision's first.
+        own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
+            echo of the first talker has little.
         speed: m/s.
     """
 
@@ -37,6 +39,7 @@ class Features:
     support: float
     evidence: float
     share: float
+    own: float
     speed: float
 
 
@@ -58,6 +61,7 @@ def probability(features: Features) -> float:
         + RIGHT["support"] * np.log(max(features.support, 1e-3))
         + RIGHT["evidence"] * features.evidence
         + RIGHT["share"] * min(np.log(max(features.share, 1e-3)), 0.0)
+        + RIGHT["own"] * np.log(max(features.own, 1e-3))
     )
     return float(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))))
 
@@ -79,6 +83,15 @@ def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:
     spread = np.linalg.inv(normal / sigma**2 + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
     spread[[0, 1], [0, 1]] += (MOTION * features.speed) ** 2
     return 0.5 * (spread + spread.T)
+
+
+def beyond(edge: np.ndarray) -> np.ndarray:
+    """Return what is added to a covariance, (3, 3) m², where the search ended on the edge of its volume.
+
+    Args:
+        edge: (3,) bool, on which axes; there the source may be outside.
+    """
+    return np.diag(np.where(edge, [0.5, 0.5, 0.3], 0.0) ** 2)
 
 
 def closed_form_probability(spread: float, residual: float) -> float:

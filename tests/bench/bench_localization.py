@@ -1,0 +1,463 @@
+"""How well, how often and how fast avdetect-audio's methods localize, beside the Cramér-Rao bound.
+
+    make bench-localization                        # table, records and plot in bench-out/
+    make bench-localization BENCH_FLAGS=--fit      # fit the score and the covariance on the scenes that decide
+
+The rooms are simulated by pyroomacoustics, not by us, with real speech (CMU ARCTIC) where ../shared/data or
+AVCLI_SHARED_DATA has it and espeak-ng's otherwise. The scenes that decide settings (--fit) and those that are reported
+share no place, no path and no voice. A detection is right within 0.5 m in x and y of a talker who is not taken yet.
+"""
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parents[2]
+if importlib.util.find_spec("pyroomacoustics") is None:
+    bench = ROOT / ".venv-bench" / "bin" / "python"
+    if not bench.exists():
+        sys.exit("bench-localization: needs pyroomacoustics; make setup-bench installs it")
+    os.execv(bench, [str(bench), *sys.argv])
+
+import numpy as np  # noqa: E402
+import pyroomacoustics  # noqa: E402
+
+from avcli.localization import ssl3d, uncertainty  # noqa: E402
+from avcli.localization.array import Array  # noqa: E402
+from avcli.localization.steered import Settings, SteeredLocalizer  # noqa: E402
+
+FS, SPEED = 44100, 343.0
+ROOM = np.array([4.66, 4.66, 3.0])
+MICROPHONES = np.array(
+    [
+        [0.115, 4.545, 2.493],
+        [2.401, 4.498, 2.385],
+        [4.545, 4.545, 2.484],
+        [4.498, 2.342, 2.380],
+        [4.545, 0.115, 2.489],
+        [2.395, 0.162, 2.378],
+        [0.115, 0.115, 2.489],
+        [2.386, 2.253, 2.489],
+    ]
+)
+ARRAY = Array(MICROPHONES, FS, ROOM, SPEED)
+SPLITS = {
+    "fit": (11, "aew", (("en-us", "Could you open the window please, it is getting warm in this room."),
+                        ("en-gb+f2", "Seven people walked along the corridor and talked about the weather."))),
+    "report": (97, "axb", (("en-gb-scotland", "The meeting starts at nine and everybody should bring a notebook."),
+                           ("en-us+f4", "My brother keeps his old bicycle behind the garden shed."))),
+}  # fmt: skip
+CONDITIONS = [
+    ("still", 0.1, 30), ("still", 0.1, 10), ("still", 0.35, 30), ("still", 0.35, 10), ("still", 0.6, 30),
+    ("still", 0.6, 10), ("still", 0.8, 30), ("walking", 0.35, 30), ("walking", 0.35, 10), ("two", 0.1, 30),
+    ("two", 0.35, 30), ("two", 0.6, 30),
+]  # fmt: skip
+
+
+# --- scenes -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Talker:
+    """Where a talker was (times, places), when the voice was sounding (per sample), and the direct sound (n, 8)."""
+
+    times: np.ndarray
+    places: np.ndarray
+    sounding: np.ndarray
+    direct: np.ndarray
+
+    def at(self, time_s):
+        return np.array([np.interp(time_s, self.times, column) for column in self.places.T])
+
+
+@dataclass
+class Scene:
+    samples: np.ndarray
+    talkers: list[Talker]
+    noise: float
+
+
+def voices(split):
+    import soundfile
+    from scipy.signal import resample_poly
+
+    _, speaker, spoken = SPLITS[split]
+    folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
+    recordings = [soundfile.read(path) for path in sorted(folder.glob(f"*_{speaker}_*.wav"))]
+    if not recordings:
+        print("bench-localization: no real speech here; espeak-ng's alone", file=sys.stderr)
+    with tempfile.TemporaryDirectory() as directory:
+        for number, (voice, text) in enumerate(spoken):
+            path = Path(directory) / f"{number}.wav"
+            subprocess.run(["espeak-ng", "-v", voice, "-w", path, text], check=True)
+            recordings.append(soundfile.read(path))
+    resampled = [resample_poly(x, FS // np.gcd(FS, rate), rate // np.gcd(FS, rate)) for x, rate in recordings]
+    return [0.05 * x / np.sqrt(np.mean(x**2)) for x in resampled]
+
+
+def responses(t60, places, order):
+    """Room impulse responses, (places, 8, n), by Eyring's absorption; without pyroomacoustics' 40 samples of delay."""
+    volume, surface = ROOM.prod(), 2 * (ROOM[0] * ROOM[1] + ROOM[0] * ROOM[2] + ROOM[1] * ROOM[2])
+    absorption = 1 - np.exp(-24 * np.log(10) * volume / (SPEED * surface * t60))
+    room = pyroomacoustics.ShoeBox(ROOM, fs=FS, materials=pyroomacoustics.Material(absorption), max_order=order)
+    room.set_sound_speed(SPEED)
+    for place in places:
+        room.add_source(list(place))
+    room.add_microphone_array(MICROPHONES.T)
+    room.compute_rir()
+    length = max(len(one) for row in room.rir for one in row)
+    result = np.zeros((len(places), len(MICROPHONES), length))
+    for m, row in enumerate(room.rir):
+        for s, one in enumerate(row):
+            result[s, m, : len(one)] = one
+    return result[:, :, 40:]
+
+
+def sounding(dry, decibels=-25.0):
+    """Whether the voice is on, per sample: the energy of 100 ms within so many dB of the utterance's largest."""
+    total = np.concatenate([[0.0], np.cumsum(dry**2)])
+    half = FS // 20
+    index = np.arange(len(dry))
+    energy = total[np.minimum(index + half, len(dry))] - total[np.maximum(index - half, 0)]
+    return energy > energy.max() * 10 ** (decibels / 10)
+
+
+def still(voice, t60, place):
+    from scipy.signal import fftconvolve
+
+    dry = np.concatenate([np.zeros(FS // 2), voice, np.zeros(FS // 2)])
+    order = min(int(np.ceil(SPEED * t60 / ROOM.min())), 60)
+    wet, direct = (
+        np.column_stack([fftconvolve(dry, h)[: len(dry)] for h in responses(t60, [place], o)[0]]) for o in (order, 0)
+    )
+    return wet, Talker(np.array([0.0]), place[None], sounding(dry), direct)
+
+
+def walking(voice, t60, start, end, step=0.01):
+    """A talker who walks from start to end at 1 m/s: each 10 ms of voice from its own place."""
+    from scipy.signal import fftconvolve
+
+    duration = np.linalg.norm(end - start)
+    count, hop = int(duration / step) + 1, int(step * FS)
+    dry = np.tile(np.concatenate([voice, np.zeros(FS // 3)]), 6)[: int(duration * FS)]
+    places = start + (end - start) * np.linspace(0.0, 1.0, count)[:, None]
+    padded = np.concatenate([np.zeros(hop), dry, np.zeros(2 * hop)])
+    rise = np.arange(hop) / hop
+    fade = np.concatenate([rise, 1.0 - rise])
+    sums = []
+    for order in (24, 0):
+        wet = np.zeros((len(dry) + 2 * FS, len(MICROPHONES)))
+        for k, place in enumerate(places):
+            piece = padded[k * hop : (k + 2) * hop] * fade
+            for m, h in enumerate(responses(t60, [place], order)[0]):
+                heard = fftconvolve(piece, h)[: len(wet) - k * hop]
+                wet[k * hop : k * hop + len(heard), m] += heard
+        sums.append(wet[hop : hop + len(dry) + FS // 2])
+    dry = np.concatenate([dry, np.zeros(FS // 2)])
+    return sums[0], Talker(np.arange(count) * step, places, sounding(dry), sums[1])
+
+
+def scenes(split, condition, count):
+    """Yield the scenes of one condition, with noise: (kind, T60 in s, SNR in dB)."""
+    kind, t60, snr = condition
+    rng = np.random.default_rng([SPLITS[split][0], CONDITIONS.index((kind, t60, 30)) if snr != 30 else
+                                 CONDITIONS.index(condition)])  # fmt: skip
+    spoken = voices(split)
+
+    def somewhere():
+        return np.append(rng.uniform(0.5, 4.16, 2), rng.uniform(1.2, 1.8))
+
+    for number in range(count if kind != "walking" else max(1, count // 3)):
+        voice = spoken[number % len(spoken)]
+        if kind == "walking":
+            start, end = np.array([0.33, rng.uniform(0.6, 4.06), 1.6]), np.array([4.33, rng.uniform(0.6, 4.06), 1.6])
+            end = start + (end - start) * 4.0 / np.linalg.norm(end - start)
+            parts = [walking(voice, t60, *((start, end) if number % 2 else (end, start)))]
+        else:
+            parts = [still(voice, t60, somewhere())]
+        if kind == "two":
+            place = somewhere()
+            while np.hypot(*(place - parts[0][1].places[0])[:2]) < 1.0:
+                place = somewhere()
+            parts.append(still(spoken[(number + 1 + number // len(spoken)) % len(spoken)], t60, place))
+        length = max(len(wet) for wet, _ in parts)
+        samples, talkers = np.zeros((length, len(MICROPHONES))), []
+        for wet, talker in parts:
+            gain = 0.02 / np.sqrt(np.mean(wet**2))  # equal power
+            samples[: len(wet)] += gain * wet
+            on = np.pad(talker.sounding, (0, length - len(wet)))
+            direct = np.pad(gain * talker.direct, ((0, length - len(wet)), (0, 0)))
+            talkers.append(replace(talker, sounding=on, direct=direct))
+        anyone = np.any([talker.sounding for talker in talkers], axis=0)
+        noise = np.sqrt(np.mean(samples[anyone] ** 2)) * 10 ** (-snr / 20)
+        yield Scene(samples + noise * rng.standard_normal(samples.shape), talkers, noise)
+
+
+# --- the bound --------------------------------------------------------------------------------------------------------
+
+
+def cramer_rao(scene, talker, time_s, window=0.186):
+    """Standard deviations (x and y, all three; m) that no unbiased estimator undercuts from one window.
+
+    The talker is a Gaussian signal of the spectrum that the direct sound has, and everything else, echoes included, is
+    noise that differs in each channel: the delays' Fisher information (Weinstein & Weiss 1984, for many sensors).
+    """
+    size = int(window * FS)
+    begin = int((time_s + 0.008) * FS) - size // 2
+    if begin < 0 or begin + size > len(scene.samples):
+        return np.nan, np.nan
+    taper = np.hanning(size)[:, None]
+    direct = np.fft.rfft(talker.direct[begin : begin + size] * taper, axis=0)
+    rest = np.fft.rfft((scene.samples - talker.direct)[begin : begin + size] * taper, axis=0)
+    frequency = np.fft.rfftfreq(size, 1.0 / FS)
+    bins = np.flatnonzero((frequency > 80) & (frequency < 8000))
+    kernel = np.ones(9) / 9
+
+    def smooth(power):
+        return np.column_stack([np.convolve(column, kernel, "same") for column in power.T])[bins]
+
+    ratio = smooth(np.abs(direct) ** 2) / np.maximum(smooth(np.abs(rest) ** 2), 1e-30)
+    total = ratio.sum(axis=1)
+    # Neighbouring bins of a Hann window are not independent: 1.5 of them count as one.
+    omega = 2.0 * (2.0 * np.pi * frequency[bins]) ** 2 / (1.0 + total) / 1.5
+    information = np.diag((omega * total) @ ratio) - (ratio * omega[:, None]).T @ ratio
+    offset = talker.at(time_s) - MICROPHONES
+    slope = offset / np.linalg.norm(offset, axis=1, keepdims=True) / SPEED
+    bound = np.linalg.inv(slope.T @ information @ slope)
+    return np.sqrt(bound[0, 0] + bound[1, 1]), np.sqrt(np.trace(bound))
+
+
+# --- methods ----------------------------------------------------------------------------------------------------------
+
+METHODS = {
+    "3d-ssl": ssl3d.Settings(),
+    "3d-ssl --refine": ssl3d.Settings(refine=True),
+    "srp": Settings(),
+    "srp --max-speakers 1": Settings(max_speakers=1),
+    "srp --context 0": Settings(context=0.0),
+    "srp --context 0 --window 0.372": Settings(context=0.0, window=0.372),
+    "srp --beta 0.7": Settings(beta=0.7),
+    "srp --keep 8": Settings(keep=8),
+    "srp --keep 64": Settings(keep=64),
+}
+
+
+def run(settings, scene):
+    """Decisions, and CPU seconds a decision without the start."""
+    if isinstance(settings, ssl3d.Settings):
+        begin = time.process_time()
+        decisions = list(ssl3d.localize(scene.samples, ARRAY, settings))
+    else:
+        localizer = SteeredLocalizer(ARRAY, settings, np.random.default_rng(0))
+        localizer.noise(1)
+        begin = time.process_time()
+        blocks = (scene.samples[i : i + 4096] for i in range(0, len(scene.samples), 4096))
+        decisions = list(localizer.localize(blocks))
+    return decisions, (time.process_time() - begin) / max(len(decisions), 1)
+
+
+def matched(decisions, scene):
+    """One row a detection: right, error (3,), score, covariance (3, 3); and active talkers, and how many were found."""
+    rows, active, hit = [], 0, 0
+    for decision in decisions:
+        sample = min(int(decision.time * FS), len(scene.samples) - 1)
+        places = np.array([talker.at(decision.time) for talker in scene.talkers])
+        taken = set()
+        for position, covariance, score in zip(decision.positions, decision.covariances, decision.scores, strict=True):
+            error = position - places
+            nearest = int(np.argmin(np.hypot(error[:, 0], error[:, 1])))
+            right = np.hypot(*error[nearest, :2]) < 0.5 and nearest not in taken
+            if right:
+                taken.add(nearest)
+            rows.append((right, error[nearest], score, covariance))
+        on = [bool(talker.sounding[sample]) for talker in scene.talkers]
+        active += sum(on)
+        hit += sum(found and nearest in taken for nearest, found in enumerate(on))
+    return rows, active, hit
+
+
+def summary(method, condition, prepared):
+    rows, active, hit, cost = [], 0, 0, []
+    for scene in prepared:
+        decisions, seconds = run(METHODS[method], scene)
+        more, on, found = matched(decisions, scene)
+        rows, active, hit = rows + more, active + on, hit + found
+        cost.append(seconds)
+    right = np.array([row[0] for row in rows], bool)
+    errors = np.array([row[1] for row in rows]).reshape(-1, 3)[right]
+    covariances = np.array([row[3] for row in rows]).reshape(-1, 3, 3)[right]
+    squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors) if len(errors) else np.zeros(0)
+    level = np.linalg.inv(covariances[:, :2, :2]) if len(errors) else np.zeros((0, 2, 2))
+    squared_level = np.einsum("ni,nij,nj->n", errors[:, :2], level, errors[:, :2])
+    scores = np.array([row[2] for row in rows])
+
+    def median(values):
+        return float(np.median(values)) if len(values) else None
+
+    return {
+        "method": method,
+        "scene": condition[0],
+        "rt60_s": condition[1],
+        "snr_db": condition[2],
+        "active": active,
+        "recall": hit / max(active, 1),
+        "precision": float(right.mean()) if len(right) else None,
+        "mean_score": float(scores.mean()) if len(scores) else None,
+        "error_2d_m": median(np.hypot(*errors[:, :2].T)),
+        "error_2d_p90_m": float(np.quantile(np.hypot(*errors[:, :2].T), 0.9)) if len(errors) else None,
+        "error_3d_m": median(np.linalg.norm(errors, axis=1)),
+        "nees_3d": float(squared.mean()) if len(squared) else None,
+        "coverage95_3d": float((squared < 7.815).mean()) if len(squared) else None,
+        "coverage95_2d": float((squared_level < 5.991).mean()) if len(squared) else None,
+        "ms": 1e3 * float(np.min(cost)),
+    }
+
+
+def bounds(prepared):
+    found = []
+    for scene in prepared:
+        for talker in scene.talkers:
+            moments = np.arange(0.0, len(scene.samples) / FS, 0.1)
+            found += [cramer_rao(scene, talker, t) for t in moments if talker.sounding[int(t * FS)]]
+    return np.nanmedian(found, axis=0)
+
+
+# --- the fit ----------------------------------------------------------------------------------------------------------
+
+
+def fit(count):
+    """Fit RIGHT and SPREAD of avcli.localization.uncertainty on the scenes that decide, and print them."""
+    seen = []
+
+    def note(normal, features, _low, _high):
+        seen.append((features, normal))
+        return np.eye(3)
+
+    rows = []
+    probability, covariance = uncertainty.probability, uncertainty.covariance
+    uncertainty.probability, uncertainty.covariance = (lambda features: features.share * 0.5 + 0.5), note
+    try:
+        for condition in CONDITIONS:
+            for scene in scenes("fit", condition, count):
+                seen.clear()
+                decisions, _ = run(Settings(min_score=0.0, false_alarm=0.9, max_speakers=3), scene)
+                found = matched(decisions, scene)[0]
+                rows += [(right, error, *what) for (right, error, _, _), what in zip(found, seen, strict=True)]
+            print(condition, len(rows), flush=True)
+    finally:
+        uncertainty.probability, uncertainty.covariance = probability, covariance
+    right = np.array([row[0] for row in rows], float)
+    terms = np.array(
+        [
+            (
+                1.0,
+                np.log(f.response),
+                np.log(max(f.support, 1e-3)),
+                f.evidence,
+                min(np.log(f.share), 0.0),
+                np.log(max(f.own, 1e-3)),
+            )
+            for _, _, f, _ in rows
+        ]
+    )
+    weights = np.zeros(6)
+    for _ in range(50):  # Newton's method on the logistic likelihood
+        p = 1.0 / (1.0 + np.exp(-np.clip(terms @ weights, -30, 30)))
+        hessian = (terms * (p * (1 - p))[:, None]).T @ terms + 1e-3 * np.eye(6)
+        weights += np.linalg.solve(hessian, terms.T @ (right - p) - 1e-3 * weights)
+    names = ("one", "response", "support", "evidence", "share", "own")
+    loss_right = -np.mean(right * np.log(p + 1e-12) + (1 - right) * np.log(1 - p + 1e-12))
+    print(f"{len(rows)} peaks, {right.mean():.3f} of them right, log loss {loss_right:.4f}")
+    print("RIGHT =", dict(zip(names, weights.round(2).tolist(), strict=True)))
+    from scipy.optimize import minimize
+
+    sure = (right > 0) & (p > 0.5)
+    errors = np.array([row[1] for row in rows])[sure]
+    normals = np.array([row[3] for row in rows])[sure]
+    speed = np.array([row[2].speed for row in rows])[sure]
+    extent = np.diag(12.0 / np.array([ROOM[0], ROOM[1], 1.2]) ** 2)
+
+    def loss(parameters):
+        sigma = np.exp(terms[sure][:, :3] @ parameters[:3])
+        spread = np.linalg.inv(normals / sigma[:, None, None] ** 2 + extent) + uncertainty.FLOOR**2 * np.eye(3)
+        spread[:, [0, 1], [0, 1]] += (parameters[3] * speed[:, None]) ** 2
+        squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(spread), errors)
+        return float(np.mean(0.5 * np.linalg.slogdet(spread)[1] + 0.5 * squared))
+
+    best = minimize(loss, [-0.9, -1.3, -2.0, 0.05], method="Nelder-Mead", options={"maxiter": 3000}).x
+    print("SPREAD =", dict(zip(names, best[:3].round(2).tolist(), strict=False)), "MOTION =", round(abs(best[3]), 3))
+
+
+# --- the report -------------------------------------------------------------------------------------------------------
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("bench-out"), help="folder for the records and the plot")
+    parser.add_argument("--scenes", type=int, default=12, help="scenes of each condition (walkers: a third)")
+    parser.add_argument("--split", choices=list(SPLITS), default="report", help="which scenes")
+    parser.add_argument("--methods", nargs="*", default=list(METHODS)[:3], choices=list(METHODS))
+    parser.add_argument("--all-methods", action="store_true", help="window, grid and beta too")
+    parser.add_argument("--fit", action="store_true", help="fit score and covariance instead")
+    options = parser.parse_args()
+    if options.fit:
+        fit(options.scenes)
+        return
+    methods = list(METHODS) if options.all_methods else options.methods
+    options.out.mkdir(parents=True, exist_ok=True)
+    records = []
+    print(f"{'scene':8} {'T60':>5} {'SNR':>4} {'method':32} {'recall':>7} {'precis.':>7} {'score':>6} {'2D m':>7} "
+          f"{'p90':>6} {'3D m':>7} {'NEES':>6} {'c95':>5} {'c95xy':>5} {'ms':>6}")  # fmt: skip
+    for condition in CONDITIONS:
+        prepared = list(scenes(options.split, condition, options.scenes))
+        level, space = bounds(prepared)
+        kind, t60, snr = condition
+        print(f"{kind:8} {t60:5g} {snr:4} {'Cramér-Rao bound, one window':32} {level:31.4f} {space:14.4f}")
+        for method in methods:
+            record = {**summary(method, condition, prepared), "bound_2d_m": level, "bound_3d_m": space}
+            records.append(record)
+            shown = [
+                "-" if record[key] is None else f"{record[key]:.{digits}f}"
+                for key, digits in (("recall", 3), ("precision", 3), ("mean_score", 3), ("error_2d_m", 4),
+                                    ("error_2d_p90_m", 3), ("error_3d_m", 4), ("nees_3d", 2), ("coverage95_3d", 2),
+                                    ("coverage95_2d", 2), ("ms", 1))
+            ]  # fmt: skip
+            columns = " ".join(f"{text:>{w}}" for text, w in zip(shown, (7, 7, 6, 7, 6, 7, 6, 5, 5, 6), strict=True))
+            print(f"{kind:8} {t60:5g} {snr:4} {method:32} {columns}", flush=True)
+    import json
+
+    (options.out / "localization.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+    if importlib.util.find_spec("matplotlib"):
+        plot(records, options.out / "localization.svg")
+
+
+def plot(records, path):
+    """Recall against run time, and error against the bound."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    from matplotlib import pyplot
+
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
+    for method in dict.fromkeys(record["method"] for record in records):
+        mine = [record for record in records if record["method"] == method]
+        left.scatter([r["ms"] for r in mine], [r["recall"] for r in mine], label=method, s=18)
+        found = [r for r in mine if r["error_2d_m"] is not None]
+        right.scatter([r["bound_2d_m"] for r in found], [r["error_2d_m"] for r in found], label=method, s=18)
+    left.set(xlabel="CPU ms a decision", ylabel="recall", xscale="log")
+    right.set(xlabel="Cramér-Rao bound, x and y (m)", ylabel="median error, x and y (m)", xscale="log", yscale="log")
+    limits = right.get_xlim()
+    right.plot(limits, limits, color="grey", linewidth=0.8)
+    left.legend(fontsize=7)
+    figure.savefig(path, metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main()
