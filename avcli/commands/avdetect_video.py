@@ -57,9 +57,8 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
 @click.option(
     "--iou",
     type=click.FloatRange(0.0, 1.0),
-    default=0.7,
-    show_default=True,
-    help="Two of the network's boxes that share more than this fraction of their union are one person.",
+    help="Two of the network's boxes that share more than this fraction of their union are one person. "
+    "[default: the model's, else 0.7]",
 )
 @click.option(
     "--imgsz",
@@ -99,7 +98,7 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
     "1: it looks at each.",
 )
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw what was found into a video, or into PNG files in DIR.")
-@filter.common(skip_invalid=True, presets={"thesis": {"position": "centre"}})
+@filter.common(skip_invalid=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
 def main(session, files, detector, model, rate, overlay, position, **options):
     """Find the people in a ceiling camera's pictures and write where they stand.
 

@@ -81,7 +81,7 @@ class Network:
         size: (width, height) px of the input where the model leaves it open; None takes what the model's metadata
             says, else 640 × 384.
         confidence: least score of a person.
-        iou: two boxes that overlap more than this are one person.
+        iou: two boxes that overlap more than this are one person; None takes what the metadata say, else 0.7.
         threads: threads of the inference; more than one pays only on an idle machine.
 
     Raises:
@@ -93,11 +93,11 @@ class Network:
         model: bytes,
         size: tuple[int, int] | None = None,
         confidence: float = 0.5,
-        iou: float = 0.7,
+        iou: float | None = None,
         threads: int = 1,
     ):
         self._session = _open(model, threads)
-        self.confidence, self.iou = confidence, iou
+        self.confidence = confidence
         source = self._session.get_inputs()
         if len(source) != 1 or len(source[0].shape) != 4 or source[0].type not in ("tensor(float)", "tensor(float16)"):
             raise ModelError(
@@ -110,6 +110,7 @@ class Network:
         task = self.metadata.get("task", "detect")
         if task != "detect":
             raise ModelError(f"a model for the task {task!r}; expected 'detect'")
+        self.iou = float(self.metadata.get("iou", 0.7)) if iou is None else iou
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size)
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)

@@ -36,7 +36,7 @@ def pictures_to_judge(seed: int, count: int) -> list:
     return [library() for _ in range(count)]
 
 
-def judge(content: bytes, samples: list, confidence: float = 0.02, iou: float = 0.6) -> Verdict:
+def judge(content: bytes, samples: list, confidence: float = 0.02, iou: float | None = None) -> Verdict:
     """Run a model over the pictures and match what it finds, best first, at an IoU of 0.5."""
     network = Network(content, (WIDTH, HEIGHT), confidence, iou)
     scores, right, torso, people, empty, empty_pictures = [], [], [], 0, 0, 0
