@@ -184,6 +184,7 @@ def test_bad_input_is_located_or_skipped():
         ("--sensor", "video="),
         ("missing.jsonl",),
         ("--tracker", "gnn", "--lag", "3"),
+        ("--tracker", "jpda", "--explain", "x"),
         ("--rate", "0"),
     ],
 )
@@ -219,3 +220,26 @@ def test_every_tracker_follows_three_people(tracker):
     records = fuse(walk(people=3, steps=30), "--tracker", tracker)
     assert {p["object_id"] for r in records for p in r["objects"]} == {0, 1, 2}
     assert len(records[-1]["objects"]) == 3
+
+
+def test_every_record_is_accounted_for(tmp_path):
+    lines, path = walk(people=2), tmp_path / "why.jsonl"
+    assert fuse(lines, "--explain", path) == fuse(lines)
+    accounts = [json.loads(text) for text in path.read_text().splitlines()]
+    assert len(accounts) == len(lines)
+    assert [b["object_id"] for b in accounts[0]["born"]] == [0, 1]
+    last = accounts[-1]
+    assert {p["object_id"] for p in last["people"]} == {0, 1}
+    assert {p["most_likely"] for p in last["people"]} <= {0, 1, "missed"}
+    assert all(abs(sum(h["weight"] for h in c["best"]) - 1) < 0.2 for c in last["clusters"])
+    assert all(0 <= d["unclaimed"] <= 1 for d in last["detections"])
+    assert run("avfuse", "--explain", tmp_path / "no" / "x", stdin=lines[0]).returncode != 0
+
+
+def test_stone_soup_is_asked_for_by_name():
+    result = run("avfuse", "--tracker", "jpda", stdin="".join(walk()))
+    if result.returncode:
+        assert result.returncode == 1
+        assert result.stderr == "avfuse: --tracker jpda needs Stone Soup: pip install stonesoup\n"
+    else:
+        assert len(json.loads(result.stdout.splitlines()[-1])["objects"]) == 1

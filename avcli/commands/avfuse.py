@@ -93,10 +93,10 @@ def _count(text):
 )
 @click.option(
     "--tracker",
-    type=click.Choice(["ms-glmb", "lmb", "gnn"]),
+    type=click.Choice(["ms-glmb", "lmb", "gnn", "jpda"]),
     default="ms-glmb",
     show_default=True,
-    help="ms-glmb: joint hypotheses; lmb: each person's marginal alone; gnn: Kalman filters, one assignment.",
+    help="ms-glmb: joint hypotheses; lmb: each one's marginals; gnn: best assignment; jpda: Stone Soup's.",
 )
 @click.option(
     "--lag",
@@ -213,8 +213,10 @@ def main(session, files, named, rate, max_wait, room_margin, lag, tracker, expla
     soon as every sensor has passed it. Tracks are points on the floor, with velocity, covariance, probability of
     existence and, where there are microphones, the probability that the person is speaking.
     """
-    if tracker == "gnn" and (lag or explain):
-        session.usage(f"--tracker gnn has no {'smoothing: --lag must be 0' if lag else 'hypotheses to --explain'}")
+    if tracker in ("gnn", "jpda") and (lag or explain):
+        session.usage(
+            f"--tracker {tracker} has no {'smoothing: --lag must be 0' if lag else 'hypotheses to --explain'}"
+        )
     from avcli.tracking.fusion import Fusion
     from avcli.tracking.merging import Merger
 

@@ -16,15 +16,15 @@ class Fusion:
     """A tracker with its sensors, its output delay and its numbering of people."""
 
     def __init__(self, settings, tracker="ms-glmb", lag=0, sensors=None, margin=None, explain=False):
-        """settings: Settings. tracker: "ms-glmb", "lmb" or "gnn". lag: steps of delay, math.inf: all at the end.
-        sensors: name -> what is known of it (see `model.sensor`). margin: m beyond the area where detections are still
-        taken, None: everywhere. explain: keep an account of every record, see `accounts`.
+        """settings: Settings. tracker: "ms-glmb", "lmb", "gnn" or "jpda". lag: steps of delay, math.inf: all at the
+        end. sensors: name -> what is known of it (see `model.sensor`). margin: m beyond the area where detections are
+        still taken, None: everywhere. explain: keep an account of every record, see `accounts`.
         """
         self.settings, self.known, self.margin = settings, sensors or {}, margin
-        if tracker == "gnn":
-            if lag:
-                raise ValueError("the gnn tracker has no smoothing: --lag must be 0")
-            self.tracker = GNN(settings)
+        if tracker in ("gnn", "jpda"):
+            if lag or explain:
+                raise ValueError(f"the {tracker} tracker can neither smooth nor explain")
+            self.tracker = GNN(settings) if tracker == "gnn" else _jpda(settings)
         else:
             self.tracker = GLMB(settings, factorise=tracker == "lmb", record=lag > 0)
         if explain:
@@ -86,6 +86,12 @@ class Fusion:
             if track.label not in self.numbers:
                 self.numbers[track.label] = len(self.numbers)
         return self.origin + time, [(self.numbers[track.label], track) for track in tracks]
+
+
+def _jpda(settings):
+    from avcli.tracking.jpda import JPDA  # only who asks for it needs Stone Soup's module
+
+    return JPDA(settings)
 
 
 def noise_of(covariances, sigma, floor, area):
