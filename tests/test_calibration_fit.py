@@ -215,7 +215,7 @@ def judged(filmed, noise=0.15, board=BOARD):
     return quality.assess(some, solution, *SIZE, quality.held_out_rms(some, solution))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_degenerate_sets_are_refused_with_the_reason(seed):
     rng = np.random.default_rng(seed)
     centre = judged(film(40, rng, aim=((960, 540), 120), distance=(1.5, 2.5)))
@@ -228,7 +228,7 @@ def test_degenerate_sets_are_refused_with_the_reason(seed):
 
 @pytest.mark.parametrize("count", [20, 40])
 def test_good_sets_are_not_refused(count):
-    for seed in range(3):
+    for seed in range(2):
         assert judged(film(count, np.random.default_rng(seed)), noise=0.05).refusals == ()
 
 

@@ -17,9 +17,9 @@ BOARD = Board(6, 8, 0.095)
 
 @pytest.fixture(scope="session")
 def shots():
-    """Twelve photographs, grey, of the thesis's board."""
+    """Eight photographs, grey, of the thesis's board."""
     rng = np.random.default_rng(7)
-    filmed = film(12, rng, lens=HALF, size=HALF_SIZE)
+    filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
     return [
         photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
         for R, t in zip(filmed.rotations, filmed.translations, strict=True)
@@ -59,12 +59,12 @@ def usual(shots, tmp_path_factory):
 
 def test_a_video_and_its_rate(shots, tmp_path, usual):
     film = write_video(tmp_path / "film.avi", shots, each=5, fps=10.0)
-    assert [round(p.timestamp, 3) for p in footage.pictures([str(film)], 2.0)] == [i / 2 for i in range(12)]
-    assert footage.count_pictures([str(film)], 2.0) == 12
-    assert len(list(footage.pictures([str(film)]))) == 60
+    assert [round(p.timestamp, 3) for p in footage.pictures([str(film)], 2.0)] == [i / 2 for i in range(8)]
+    assert footage.count_pictures([str(film)], 2.0) == 8
+    assert len(list(footage.pictures([str(film)]))) == 40
     found, _ = lens_of(film)
     assert found["fx_px"] == pytest.approx(usual["fx_px"], abs=0.5)
-    assert found["calibration"]["views_given"] == 12
+    assert found["calibration"]["views_given"] == 8
 
 
 def test_a_video_with_rot_in_it(shots, tmp_path, usual):
@@ -81,7 +81,7 @@ def test_a_video_with_rot_in_it(shots, tmp_path, usual):
         assert json.loads(result.stdout)["fx_px"] == pytest.approx(usual["fx_px"], abs=2.0)
 
 
-@pytest.mark.parametrize("count", [5, 10])
+@pytest.mark.parametrize("count", [4, 5])
 def test_few_pictures_are_judged_by_what_they_know(shots, tmp_path, count):
     result = run("avcalib", "calibrate", write(tmp_path / "few", shots[:count]))
     assert result.returncode in (0, 3)
@@ -93,7 +93,7 @@ def test_few_pictures_are_judged_by_what_they_know(shots, tmp_path, count):
 
 def test_duplicates_change_nothing(shots, tmp_path, usual):
     found, said = lens_of(write(tmp_path / "twice", [*shots, *shots, shots[0]]))
-    assert "13 as another does" in said
+    assert "9 as another does" in said
     assert found == usual
 
 
@@ -106,9 +106,9 @@ def test_the_same_pose_many_times_is_one_pose(shots, tmp_path):
 
 
 def test_depths_colours_and_alpha(shots, tmp_path, usual):
-    forms = [picture.astype(np.uint16) * 257 for picture in shots[:4]]
-    forms += [np.dstack([picture] * 3) for picture in shots[4:8]]
-    forms += [np.dstack([picture] * 3 + [np.full_like(picture, 255)]) for picture in shots[8:]]
+    forms = [picture.astype(np.uint16) * 257 for picture in shots[:3]]
+    forms += [np.dstack([picture] * 3) for picture in shots[3:6]]
+    forms += [np.dstack([picture] * 3 + [np.full_like(picture, 255)]) for picture in shots[6:]]
     found, _ = lens_of(write(tmp_path / "forms", forms))
     assert found["fx_px"] == pytest.approx(usual["fx_px"], abs=0.05)
 
@@ -196,4 +196,4 @@ def test_a_tiled_floor_is_no_board(tmp_path, shots):
     tiles = (60 + 120 * ((x // 60 + y // 60) % 2)).astype(np.uint8)
     found, said = lens_of(write(tmp_path / "floor", [tiles, *shots]))
     assert "going on with that" not in said
-    assert found["calibration"]["views_used"] == 12
+    assert found["calibration"]["views_used"] == 8
