@@ -269,6 +269,11 @@ def test_wrong_usage(experiment):
         one_line(run("avdetect-audio", "-C", experiment, *options, stdin=record()), 2)
 
 
+def test_more_delays_in_a_closed_form_than_there_are(experiment):
+    result = run("avdetect-audio", "-C", experiment, "--preset", "thesis", "--combination", "8", stdin=record())
+    assert "needs 9" in one_line(result)
+
+
 def test_temperature_sets_the_speed_of_sound(experiment, found):
     warm = lines(run("avdetect-audio", "-C", experiment, "--temperature", "20", stdin=record()))
     cold = lines(run("avdetect-audio", "-C", experiment, "--temperature", "-20", stdin=record()))

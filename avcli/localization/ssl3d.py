@@ -48,14 +48,12 @@ class Event:
         position: (3,) m.
         scatter: (3, 3) m², of the valid closed-form solutions about their mean; of the fit, with `refine`.
         valid: share of the closed-form solutions that were valid.
-        residual: m, rms of the range differences about the position.
     """
 
     time: float
     position: np.ndarray
     scatter: np.ndarray
     valid: float
-    residual: float
 
 
 def localize(
@@ -73,12 +71,12 @@ def localize(
     Raises:
         ValueError: the array is too small or flat.
     """
-    array.require(count=5, dimensions=3)
+    array.require(count=settings.combination + 1, dimensions=3)
     steps: dict[int, list[Event]] = {}
     for event in localized_events(samples, array, settings):
         steps.setdefault(round((begin / array.sample_rate + event.time) * settings.rate), []).append(event)
     for step in time_steps(begin, len(samples), array.sample_rate, settings.rate, tail):
-        found = [fuse(steps[step], array)] if step in steps else []
+        found = [fuse(steps[step], settings)] if step in steps else []
         yield Decision.of(step / settings.rate, found)
 
 
@@ -130,17 +128,21 @@ def locate(window: np.ndarray, time: float, reference: int, array: Array, settin
         if not ((position >= 0.0) & (position <= array.room)).all():
             return None
         scatter = np.linalg.inv(normal / max(residual, uncertainty.FLOOR) ** 2 + np.diag(12.0 / array.room**2))
-    reach = np.linalg.norm(position - microphones, axis=1)
-    residual = float(np.sqrt(np.mean((reach[others] - reach[reference] - differences[others]) ** 2)))
-    return Event(time - reach[reference] / c, position, scatter, float(good.mean()), residual)
+    travel = np.linalg.norm(position - microphones[reference]) / c
+    return Event(time - travel, position, scatter, float(good.mean()))
 
 
-def fuse(found: list[Event], array: Array) -> tuple[np.ndarray, np.ndarray, float]:
+def fuse(found: list[Event], settings: Settings) -> tuple[np.ndarray, np.ndarray, float]:
     """Return position (3,) m, covariance (3, 3) m² and score of the events of one time step: their Euclidean mean."""
     position = np.mean([event.position for event in found], axis=0)
     between = np.mean([np.outer(d, d) for d in (event.position - position for event in found)], axis=0)
     within = np.mean([event.scatter for event in found], axis=0)
-    covariance = between + within + uncertainty.FLOOR**2 * np.eye(3)
-    spread = float(np.sqrt(np.trace(covariance[:2, :2])))
-    score = uncertainty.closed_form_probability(spread, float(np.median([event.residual for event in found])))
+    covariance = between + within
+    score = uncertainty.closed_form_probability(
+        spread=float(np.sqrt(np.trace(covariance[:2, :2]))),
+        valid=float(np.median([event.valid for event in found])),
+        events=len(found) * settings.rate / 10.0,
+        refined=settings.refine,
+    )
+    covariance = (2.0 if settings.refine else 1.0) * covariance + uncertainty.CLOSED_FORM_FLOOR**2 * np.eye(3)
     return position, 0.5 * (covariance + covariance.T), score

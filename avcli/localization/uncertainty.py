@@ -21,6 +21,13 @@ MOTION = 0.05
 """s: standard deviation of a walker's place over his speed: he is elsewhere at the window's ends."""
 
 
+CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
+"""The same for a mean of closed forms, without and with their refinement: constant, spread, valid share, events."""
+
+CLOSED_FORM_FLOOR = 0.1
+"""m: the standard deviation that a mean of closed-form solutions does not undercut, whatever their scatter says."""
+
+
 @dataclass(frozen=True)
 class Features:
     """What a steered response tells about its own peak.
@@ -94,12 +101,15 @@ def beyond(edge: np.ndarray) -> np.ndarray:
     return np.diag(np.where(edge, [0.5, 0.5, 0.3], 0.0) ** 2)
 
 
-def closed_form_probability(spread: float, residual: float) -> float:
+def closed_form_probability(spread: float, valid: float, events: float, *, refined: bool) -> float:
     """Return the probability that a mean of closed-form solutions is within half a metre (x, y) of the talker.
 
     Args:
         spread: m, standard deviation of the solutions in x and y.
-        residual: m, rms of the range differences about the mean.
+        valid: share of the closed-form solutions that were valid.
+        events: how many events were averaged, for steps of a tenth of a second.
+        refined: whether each event was fitted by maximum likelihood.
     """
-    value = -2.0 - 1.5 * np.log(max(spread, 1e-3)) - 0.5 * np.log(max(residual, 1e-3))
+    one, on_spread, on_valid, on_events = CLOSED_FORM[refined]
+    value = one + on_spread * np.log(max(spread, 1e-3)) + on_valid * np.log(valid + 0.01) + on_events * np.log(events)
     return float(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))))
