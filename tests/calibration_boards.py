@@ -85,7 +85,7 @@ def texture(board, per_square=48):
 
 
 def photograph(
-    R, t, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), shape=FLAT, blur=0.8, noise=3.0, oversample=2
+    R, t, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), shape=FLAT, blur=0.8, noise=3.0, oversample=1
 ):  # fmt: skip
     """Photograph a board: (height, width) uint8, blurred by a Gaussian of `blur` px, with noise in grey levels.
 
@@ -104,9 +104,8 @@ def photograph(
     high = np.ceil(np.nanmax(seen, 0) + 6).astype(int).clip(low + 2, [width, height])
     if not np.isfinite(seen).all():
         low, high = np.zeros(2, int), np.array(size)
-    y, x = np.mgrid[0:height, 0:width]
-    from_centre = np.hypot((x - width / 2) / width, (y - height / 2) / width)
-    picture = 90 + 25 * np.sin(x / 37.0) * np.cos(y / 51.0)
+    x, y = np.arange(width), np.arange(height)
+    picture = (90 + 25 * np.outer(np.cos(y / 51), np.sin(x / 37))).astype(np.float32)
     wide, high_px = (int(side) * oversample for side in high - low)
     u = low[0] + (np.arange(wide) + 0.5) / oversample - 0.5
     v = low[1] + (np.arange(high_px) + 0.5) / oversample - 0.5
@@ -135,7 +134,9 @@ def photograph(
     patch = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), blur * oversample)
     patch = patch.reshape(high[1] - low[1], oversample, high[0] - low[0], oversample).mean((1, 3))
     picture[low[1] : high[1], low[0] : high[0]] = patch
-    picture = picture * (1 - 0.5 * from_centre**2) + noise * rng.standard_normal(picture.shape)
+    vignette = np.add.outer(((y - height / 2) / width) ** 2, ((x - width / 2) / width) ** 2).astype(np.float32)
+    picture *= 1 - 0.5 * vignette
+    picture += noise * rng.standard_normal(picture.shape, np.float32)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 

@@ -23,7 +23,7 @@ def pictures(tmp_path_factory):
     rng = np.random.default_rng(1)
     filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
     for i, (R, t) in enumerate(zip(filmed.rotations, filmed.translations, strict=True)):
-        write_png(folder / f"board_{i:02d}.png", photograph(R, t, rng, lens=HALF, size=HALF_SIZE, oversample=2))
+        write_png(folder / f"board_{i:02d}.png", photograph(R, t, rng, lens=HALF, size=HALF_SIZE))
     return folder
 
 

@@ -112,7 +112,9 @@ def test_half_a_charuco_board_is_enough():
     )  # fmt: skip
     partial = 0
     for R, t in zip(filmed.rotations, filmed.translations, strict=True):
-        view = corners.find(photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=board, blur=0.5), board)
+        view = corners.find(
+            photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=board, blur=0.5, oversample=2), board
+        )
         if view is None:
             continue
         partial += len(view.ids) < len(board.points)

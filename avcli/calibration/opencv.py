@@ -12,6 +12,13 @@ class OpenCVRefused(ValueError):
     """OpenCV's calibration gave up, or its result leaves no picture."""
 
 
+def version() -> str:
+    """OpenCV's version, such as "5.0.0"."""
+    import cv2
+
+    return cv2.__version__
+
+
 def flag(name: str) -> int:
     """Value of a fisheye calibration flag by name: OpenCV 5 moved them from cv2.fisheye to cv2 and gave new numbers."""
     import cv2

@@ -343,6 +343,8 @@ def _finish(session, seen, *, procedure, max_rms, board_shape, details, plot, ht
     try:
         with session.timing("fit"):
             if procedure == "thesis":
+                if not opencv.version().startswith("5."):
+                    session.warn(f"this is OpenCV {opencv.version()}; the thesis's procedure was tried with 5.0")
                 result = calibrate.calibrate_as_thesis(seen.board, seen.views, max_rms)
             else:
                 shape = {"auto": None, "yes": True, "no": False}[board_shape]
