@@ -1,6 +1,6 @@
 """Room acoustics: image sources, moving speakers, and what microphones hear of them."""
 
-from avcli.acoustics.images import image_count, image_microphones, shoebox_rir
+from avcli.acoustics.images import MOST_IMAGES, image_count, image_microphones, shoebox_rir
 from avcli.acoustics.moving import MovingSource
 from avcli.acoustics.noise import Noise
 from avcli.acoustics.responses import Surroundings, impulse_responses
@@ -20,6 +20,7 @@ from avcli.acoustics.signals import at_level, pascal, resample
 from avcli.acoustics.speakers import Speakers
 
 __all__ = [
+    "MOST_IMAGES",
     "MovingSource",
     "Noise",
     "Speakers",

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 NEAREST_M = 0.05
 """m; a source nearer to a microphone than this is not louder than at this distance."""
-MOST_IMAGES = 20_000_000
+MOST_IMAGES = 10_000_000
 """images of one microphone; beyond them a response would take gigabytes and seconds."""
 
 
@@ -106,7 +106,7 @@ def _axis(length: float, microphone: float, coefficients: np.ndarray, source: fl
     positions = (1 - 2 * q) * microphone + 2 * n * length
     gains = coefficients[0] ** np.abs(n - q) * coefficients[1] ** np.abs(n)
     kept = (gains != 0) & (np.abs(positions - source) <= reach)
-    return positions[kept], gains[kept], (1.0 - 2 * q)[kept]
+    return positions[kept], gains[kept], (1 - 2 * q).astype(np.int8)[kept]
 
 
 def audible(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> np.ndarray:

@@ -14,6 +14,8 @@ LONGEST_SILENCE_S = 3600.0
 """s; a scene whose first record is later begins there."""
 MANY_IMAGES = 1_000_000
 """images of a microphone from which on it is said that they take long."""
+BYTES_AN_IMAGE = 100
+"""that choosing among the images of a microphone takes, roughly."""
 PATTERNS = ("omni", "subcardioid", "cardioid", "hypercardioid", "bidirectional")
 PRESETS = {"thesis": {"switch": 0.01, "ism_decay": 15.0}}
 
@@ -224,12 +226,16 @@ def main(session: Session, files, **options):
         tape.scene_end = math.ceil(last * rate - 1e-4)
         tape.roll(math.ceil((last + tail_s) * rate - 1e-4))
         if speakers.moved_inside:
-            session.warn(f"{speakers.moved_inside} times a mouth on a wall or outside the room was moved inside")
+            session.warn(f"a mouth on a wall or outside the room was moved inside ({_times(speakers.moved_inside)})")
         if speakers.jumps:
-            session.warn(f"{speakers.jumps} times someone jumped; the voice breaks off there")
+            session.warn(f"someone jumped ({_times(speakers.jumps)}); the voice breaks off there")
         if options["rir"]:
             with session.timing("responses"):
                 _write_responses(session, options["rir"], surroundings, places)
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _check(session: Session, options) -> None:
@@ -300,10 +306,11 @@ def _surroundings(session: Session, options):
     reach_m = max(followed_s * speed, direct_m)
     images = acoustics.image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1
     if images > MANY_IMAGES:
-        session.warn(
-            f"sound reaches {images:.2g} images of each microphone, which takes long; "
-            "--ism-decay 15 follows the strong ones and lets noise go on"
-        )
+        text = f"T60 {rt60:g} s: sound reaches {images:.2g} images of each microphone"
+        advice = "--ism-decay 15 follows the strong ones and lets noise go on"
+        if images > acoustics.MOST_IMAGES:
+            session.fail(f"{text}, some {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {advice}")
+        session.warn(f"{text}, which takes long; {advice}")
     session.note(
         f"T60 {rt60:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a microphone, "
         f"Schroeder frequency {acoustics.schroeder_frequency(room.dimensions, rt60):.1f} Hz, {speed:.1f} m/s"
@@ -495,11 +502,20 @@ def _write_sofa(path, content) -> None:
     sofa.RoomCornerA, sofa.RoomCornerB = [0.0, 0.0, 0.0], content["room_dimensions_m"]
     sofa.Data_IR, sofa.Data_SamplingRate = content["rir"].astype(float), float(content["sample_rate_hz"])
     sofa.Data_Delay = [[0.0] * len(content["microphone_positions_m"])]
-    sofa.SourcePosition, sofa.SourcePosition_Type = content["source_position_m"], "cartesian"
-    sofa.SourcePosition_Units = "metre"
-    sofa.ListenerPosition, sofa.ListenerPosition_Type = [0.0, 0.0, 0.0], "cartesian"
-    sofa.ListenerPosition_Units = "metre"
-    sofa.ReceiverPosition, sofa.ReceiverPosition_Type = content["microphone_positions_m"][:, :, None], "cartesian"
-    sofa.ReceiverPosition_Units = "metre"
+    places, receivers = content["source_position_m"], content["microphone_positions_m"]
+    sofa.SourcePosition, sofa.ListenerPosition = places, 0 * places
+    sofa.ReceiverPosition = receivers[:, :, None]
+    for name in ("SourcePosition", "ListenerPosition", "ReceiverPosition"):
+        setattr(sofa, f"{name}_Type", "cartesian")
+        setattr(sofa, f"{name}_Units", "metre")
+    count = len(receivers)
+    for name in ("ReceiverDescriptions", "EmitterDescriptions"):  # sofar 1.3 cannot write them with netCDF4 1.7.5
+        sofa.delete(name)
+    sofa.ReceiverView, sofa.ReceiverUp = [[[1.0], [0.0], [0.0]]] * count, [[[0.0], [0.0], [1.0]]] * count
     sofa.MeasurementDate = content["timestamp"]
-    sofar.write_sofa(str(path), sofa)
+    named = Path(f"{path}.sofa")  # the ending that sofar insists on
+    try:
+        sofar.write_sofa(str(named), sofa)
+        named.replace(path)
+    finally:
+        named.unlink(missing_ok=True)
