@@ -11,13 +11,13 @@ import numpy as np
 FLOOR = 0.003
 """m: the standard deviation that no localization undercuts (where the microphones are, how warm the air is)."""
 
-RIGHT = {"one": 1.22, "response": 1.94, "support": 4.12, "evidence": 1.58, "share": 3.80, "own": 0.0}
+RIGHT = {"one": 0.81, "response": -0.25, "support": 3.36, "evidence": 2.38, "share": 1.72, "own": 4.90}
 """Logit of the probability that a peak is within half a metre (x, y) of a talker, on the logarithms of its features."""
 
-SPREAD = {"one": -0.92, "response": -1.32, "support": -1.98}
+SPREAD = {"one": -2.67, "response": -0.80, "support": -4.77}
 """Logarithm of the standard deviation (m) of a range difference, on the logarithms of the features."""
 
-MOTION = 0.05
+MOTION = 0.044
 """s: standard deviation of a walker's place over his speed: he is elsewhere at the window's ends."""
 
 

@@ -174,7 +174,7 @@ def scenes(split, condition, count):
     def somewhere():
         return np.append(rng.uniform(0.5, 4.16, 2), rng.uniform(1.2, 1.8))
 
-    for number in range(count if kind != "walking" else max(1, count // 3)):
+    for number in range(count if kind != "walking" else max(1, count // 2)):
         voice = spoken[number % len(spoken)]
         if kind == "walking":
             start, end = np.array([0.33, rng.uniform(0.6, 4.06), 1.6]), np.array([4.33, rng.uniform(0.6, 4.06), 1.6])
@@ -401,7 +401,7 @@ def fit(count):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="folder for the records and the plot")
-    parser.add_argument("--scenes", type=int, default=12, help="scenes of each condition (walkers: a third)")
+    parser.add_argument("--scenes", type=int, default=12, help="scenes of each condition (walkers: half as many)")
     parser.add_argument("--split", choices=list(SPLITS), default="report", help="which scenes")
     parser.add_argument("--methods", nargs="*", default=list(METHODS)[:3], choices=list(METHODS))
     parser.add_argument("--all-methods", action="store_true", help="window, grid and beta too")
