@@ -210,6 +210,10 @@ def test_where_the_camera_hangs(camera, tmp_path):
     again = pose.camera_pose(placed["camera_position_m"], placed["camera_rotation_deg"])
     assert np.abs(again - T).max() < 0.01
     assert placed["fx_px"] == json.loads(camera.read_text())["fx_px"]
+    line = tmp_path / "line.json"
+    line.write_text(camera.read_text())
+    assert run("avcalib", "pose", "--points", table, "-c", line).returncode == 0
+    assert json.loads(line.read_text()) == placed
     table.write_text("u,v,x\n1,2,3\n")
     assert run("avcalib", "pose", "--points", table, "-c", camera).returncode == 1
     assert run("avcalib", "pose", "-c", camera).returncode == 2

@@ -412,18 +412,21 @@ def _write_details(session, path, seen, result):
 
 
 def _write_camera(session, found: dict) -> None:
-    """Write keys of camera_config into config.json (-C, -c), or as one line to the output."""
-    if not session.has_config:
+    """Write keys of camera_config into config.json (-C, -c), and as one line to -o; without either to stdout."""
+    if session.has_config:
+        from avcli import experiment
+
+        path = session.config_path
+        raw = dict(experiment.read_config(path).raw) if path.exists() else {}
+        if "fx_px" in raw:  # a line that calibrate wrote: a camera_config by itself
+            raw |= found
+        else:
+            raw["camera_config"] = {**raw.get("camera_config", {}), **found}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        experiment.write_config(path, raw)
+    if not session.has_config or session.output_path != "-":
         with session.output() as write:
             write(found)
-        return
-    from avcli import experiment
-
-    path = session.config_path
-    raw = dict(experiment.read_config(path).raw) if path.exists() else {}
-    raw["camera_config"] = {**raw.get("camera_config", {}), **found}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    experiment.write_config(path, raw)
 
 
 # --- check ------------------------------------------------------------------------------------------------------------
