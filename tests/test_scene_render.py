@@ -75,8 +75,8 @@ def test_depth_equals_a_ray_caster_on_the_same_bodies(camera, context):
     frame = renderer.draw(renderer.prepare(bodies), 0)
     depth = renderer.depth_m().ravel()
     room = mesh.room_triangles(scene.config.room.dimensions)
-    solids, _ = mesh.solids_triangles(scene.solids, 256)
-    persons, owner = mesh.bodies_triangles(bodies, 0, 96)
+    solids, _ = mesh.solids_triangles(scene.solids, 192)
+    persons, owner = mesh.bodies_triangles(bodies, 0, 48)
     triangles = np.concatenate([room, solids, persons])
     label = np.concatenate([np.zeros(len(room) + len(solids), int), bodies.person[owner] + 1])
     caster = RayMeshIntersector(trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles), process=False))
@@ -278,3 +278,43 @@ def test_camera_pose_is_used(context):
         x0, y0, x1, y1 = annotations.visibility(frame, number)["bbox_full_px"]
         assert x0 - 2 <= x <= x1 + 2
         assert y0 - 2 <= y <= y1 + 2
+
+
+def test_a_rendered_checkerboard_is_straight_through_the_inverse_lens(context):
+    """What the thesis's first shader could not do: corners found in the picture lie on straight lines of rays."""
+    import cv2
+
+    columns, rows, square = 9, 7, 0.12
+    board = [{"kind": "panel", "position_m": [2.33, 2.33, 1.0], "size_m": [1.5, 1.2, 0.02], "color": [1, 1, 1]}]
+    for i in range(columns):
+        for j in range(rows):
+            if (i + j) % 2 == 0:
+                x, y = 2.33 + (i - (columns - 1) / 2) * square, 2.33 + (j - (rows - 1) / 2) * square
+                piece = {"kind": "panel", "position_m": [x, y, 1.0101], "size_m": [square, square, 1e-4]}
+                board.append({**piece, "color": [0, 0, 0]})
+    camera = {**scenario.CAMERAS["real"], "camera_position_m": [2.33, 2.0, 1.75], "camera_rotation_deg": [75, 0, 10]}
+    scene = scene_of(camera, [], board)
+    renderer = renderer_of(scene, context, samples=32)
+    rgb = renderer.draw(renderer.prepare(people.pose([], TIMES)), 0).rgb
+    grey = np.ascontiguousarray(rgb[..., 1])
+    lens, T_camera_room = scene.config.camera.lens, pose.inverse(scene.config.camera.T_room_camera)
+    grid = np.array(
+        [
+            [2.33 + (i - columns / 2) * square, 2.33 + (j - rows / 2) * square, 1.01015]
+            for j in range(1, rows)
+            for i in range(1, columns)
+        ]
+    )
+    truth = lens.project(pose.apply(T_camera_room, grid))
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    start = np.array(truth + 0.7, np.float32, order="C").reshape(-1, 1, 2)
+    found = cv2.cornerSubPix(grey.copy(), start, (6, 6), (-1, -1), criteria)[:, 0].astype(float)
+    assert np.abs(found - truth).max() < 0.25
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.05
+    rays = lens.unproject(found).reshape(rows - 1, columns - 1, 3)
+    flat = 862.5 * rays[..., :2] / rays[..., 2:]
+    offsets = []
+    for line in [*flat, *flat.transpose(1, 0, 2)]:
+        centred = line - line.mean(0)
+        offsets.append(centred @ np.linalg.svd(centred)[2][1])
+    assert np.sqrt(np.mean(np.concatenate(offsets) ** 2)) < 0.05

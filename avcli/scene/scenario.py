@@ -269,7 +269,8 @@ def _warn_of_collisions(name, people, solids, duration, warnings):
     t = np.arange(0.0, duration + 1e-9, 0.1)[:6000]
     tracks = [person.motion.position(t) for person in people]
     for index, (person, track) in enumerate(zip(people, tracks, strict=True)):
-        standing = person.motion.sitting(t) < 0.01
+        seats = person.motion.places[person.motion.seated]
+        standing = (np.linalg.norm(track[:, None] - seats, axis=-1) > 0.7).all(1)  # one's own chair is no obstacle
         inside = furniture.blocks(solids, track, 0.05, person.height) & standing
         if inside.any():
             warnings.append(f"{name}: people[{index}] walks through furniture at {t[inside.argmax()]:.1f} s")
