@@ -578,7 +578,8 @@ def distinct(z, noise, score):
     """Detections in a defined order, without exact repetitions: the same arguments, (J, 2), (J, 2, 2), (J,) or None."""
     if len(z) < 2:
         return z, noise, score
-    order = np.lexsort((*noise.reshape(-1, 4).T, z[:, 1], z[:, 0]))
-    z = z[order]
-    keep = np.r_[True, (z[1:] != z[:-1]).any(1)]
-    return z[keep], noise[order][keep], None if score is None else score[order][keep]
+    order = np.lexsort((z[:, 1], z[:, 0]))
+    same = (z[order[1:]] == z[order[:-1]]).all(1)
+    if same.any():
+        order = np.lexsort((*noise.reshape(-1, 4).T, z[:, 1], z[:, 0]))[np.r_[True, ~same]]
+    return z[order], noise[order], None if score is None else score[order]

@@ -1,6 +1,7 @@
 """What a tracker is told (sensors, settings) and what it tells (tracks)."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -87,15 +88,20 @@ class Settings:
     hypotheses: int = 40
     memory: int = 10
 
+    @cached_property
+    def corners(self):
+        """The area's corners, (2, 2) m."""
+        return np.array(self.area, float)
+
     def leaving(self, places):
         """Rate per second at which people at these places, (n, 2) m, leave the room: (n,)."""
-        low, high = np.array(self.area)
+        low, high = self.corners
         inside = np.minimum(places - low, high - places).min(1)
         return np.where(inside < self.edge, 1.0 / self.pass_by, 1.0 / self.stay)
 
     def whereabouts(self, places):
         """Densities per m^2, at places (n, 2) m, of someone anywhere and of someone near the walls: (n, 2)."""
-        low, high = np.array(self.area)
+        low, high = self.corners
         near = np.minimum(places - low, high - places).min(1) < self.edge
         inner = (high - low - 2 * self.edge).clip(0.0).prod()
         return np.column_stack([np.full(len(places), 1 / self.surface()), near / max(self.surface() - inner, 1e-6)])

@@ -84,6 +84,6 @@ class Motion:
 
 CONSTANT_VELOCITY = Motion((Model(0.5),))
 WALKING = Motion(
-    (Model(0.1), Model(1.2, 1.5), Model(0.3, 0.15)),  # straight on, turning or speeding, stopping
-    ((0.0, 1.0, 0.4), (2.0, 0.0, 1.0), (1.0, 2.0, 0.0)),
+    (Model(0.1), Model(1.2, 4.0), Model(0.3, 0.15)),  # straight on, turning or speeding, stopping
+    ((0.0, 0.5, 0.1), (1.5, 0.0, 0.4), (0.5, 1.0, 0.0)),
 )
