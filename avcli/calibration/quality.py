@@ -12,6 +12,8 @@ FIELD_SD_LIMIT_PX = 1.0
 FOCAL_SD_LIMIT = 0.01
 """Standard deviation of the focal length, as a fraction of it, beyond which a lens counts as not observed."""
 LEAST_VIEWS = 4
+LEAST_SEEN = 0.5
+"""Fraction of the angle that the picture shows to which corners must reach: no lens follows a polynomial further."""
 
 
 def held_out_rms(observations: fit.Observations, solution: fit.Solution, folds: int = 5) -> float:
@@ -189,15 +191,14 @@ def _refusals(q: Quality, observations: fit.Observations, solution: fit.Solution
             "tilt the board by 30 to 50° in all directions"
         )
     mean = float(np.nanmean(q.field_sd_px))
+    seen, shown = np.rad2deg(q.theta_max_observed), np.rad2deg(q.theta_max_picture)
+    unseen = f"nothing was seen beyond {seen:.0f}°, of {shown:.0f}° that the picture shows"
     if not mean <= FIELD_SD_LIMIT_PX:
         size = f"{mean:.1f} px" if mean < 1000 else "more than 1000 px"
-        where = (
-            f"nothing was seen beyond {np.rad2deg(q.theta_max_observed):.0f}°, of "
-            f"{np.rad2deg(q.theta_max_picture):.0f}° that the picture shows"
-            if q.theta_max_observed < 0.8 * q.theta_max_picture
-            else "the boards say too little"
-        )
+        where = unseen if seen < 0.8 * shown else "the boards say too little"
         reasons.append(f"the expected error over the picture is {size}: {where}; film the board {_places(q)}")
+    elif seen < LEAST_SEEN * shown:
+        reasons.append(f"{unseen}; film the board {_places(q)}")
     if not q.rms_px <= 0.005 * np.hypot(*solution.parameters[2:4]) + 2.0:
         reasons.append(f"the corners lie {q.rms_px:.1f} px (RMS) from where this lens would put them: no fit")
     return tuple(reasons)

@@ -160,14 +160,16 @@ def _ruler(length: float, start: float, place: float, *, along_x: bool):
     """Ticks every 10 mm over the whole centimetres in `length`, and their labels every 50 mm."""
     ticks = np.arange(0, length + 1e-9, 10.0)
     long = np.where(ticks % 50 == 0, 4.0, 2.0)
-    thin = 0.2
+    thin = 0.3
     boxes = np.stack([start + ticks - thin / 2, np.full(len(ticks), place), np.full(len(ticks), thin), long], -1)
     boxes = np.concatenate([boxes, [[start, place, ticks[-1], thin]]])
     marks = [(start + t, place + 7.0, 2.5, f"{t:.0f} mm" if t else "0") for t in ticks[ticks % 50 == 0]]
     if not along_x:
         boxes = boxes[:, [1, 0, 3, 2]]
         boxes[:, 0] -= np.append(long, 0)  # ticks point away from the board
-        marks = [(y - 9.0, x + 1.0, size, text) for x, y, size, text in marks]
+        marks = [
+            (place + 1.0, x + 1.0, size, text.removesuffix(" mm")) for x, _, size, text in marks
+        ]  # towards the board
     return boxes, marks
 
 
