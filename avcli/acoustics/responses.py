@@ -90,6 +90,7 @@ class Responses:
         self._images: list[Images] = []
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
+        self._levels = np.zeros(len(surroundings.microphones_m))
         self._noise: np.ndarray | None = None
 
     def at(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
@@ -104,7 +105,7 @@ class Responses:
             delays += MARGIN
         spectra = self._spectrum(impulses)
         if self._tail_end > self._tail_begin:
-            spectra += self._tail(impulses)
+            spectra += self._tail()
         spectra *= self._lowpass
         return spectra
 
@@ -121,27 +122,28 @@ class Responses:
             self._images = [self._choose(microphone, position, heading) for microphone in microphones]
         return [self._reckon(microphone, images, position, heading) for microphone, images in enumerate(self._images)]
 
-    def _tail(self, impulses: list) -> np.ndarray:
+    def _tail(self) -> np.ndarray:
         """Return the spectra of noise that goes on where the images end, at their level, (m, bins)."""
-        rate, decay = self._surroundings.sample_rate_hz, 3 * np.log(10) / self._surroundings.rt60_s
-        count, reference = self._tail_end - self._tail_begin, int(np.ceil(TAIL_REFERENCE_S * rate))
         if self._noise is None or self._fresh:
+            rate, decay = self._surroundings.sample_rate_hz, 3 * np.log(10) / self._surroundings.rt60_s
+            count = self._tail_end - self._tail_begin
             envelope = np.exp(-decay * (np.arange(count) / rate + TAIL_REFERENCE_S / 2))
-            self._noise = self._rng.logistic(scale=np.sqrt(3) / np.pi, size=(len(impulses), count)) * envelope
-        levels = []
-        for delays, amplitudes in impulses:
-            last = delays > self._tail_begin + MARGIN - reference
-            levels.append(np.sqrt(np.sum(amplitudes[last] ** 2) / reference))
-        tail = np.zeros((len(impulses), self._length))
-        tail[:, self._tail_begin + MARGIN :][:, :count] = self._noise * np.array(levels)[:, None]
-        return np.fft.rfft(tail)[:, : self.bins]
+            tail = np.zeros((len(self._levels), self._length))
+            tail[:, self._tail_begin + MARGIN :][:, :count] = envelope * self._rng.logistic(
+                scale=np.sqrt(3) / np.pi, size=(len(self._levels), count)
+            )
+            self._noise = np.fft.rfft(tail)[:, : self.bins]
+        return self._noise * self._levels[:, None]
 
-    def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray):
+    def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray) -> Images:
+        """Choose the images that a microphone hears, and note how loud the last of all images are."""
         s = self._surroundings
         images = image_microphones(s.room_dimensions_m, s.microphones_m[microphone], s.reflection, position, s.reach_m)
-        if s.error_db is None:
-            return images
-        return images[audible(*self._reckon(microphone, images, position, heading), s.error_db)]
+        delays, amplitudes = self._reckon(microphone, images, position, heading)
+        reference = TAIL_REFERENCE_S * s.sample_rate_hz
+        last = amplitudes[delays > self._tail_begin - reference]
+        self._levels[microphone] = np.sqrt(np.sum(last**2) / reference)
+        return images if s.error_db is None else images[audible(delays, amplitudes, s.error_db)]
 
     def _reckon(self, microphone: int, images, position: np.ndarray, heading: np.ndarray):
         s = self._surroundings
