@@ -70,6 +70,12 @@ def test_pruning_keeps_the_error_that_was_asked_for(error_db, sign):
         assert error_db - 6 < decibels(one, other) <= error_db
 
 
+def test_walls_that_reflect_everything_are_never_cut_short():
+    full = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 1.0, 8000, 800)
+    pruned = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 1.0, 8000, 800, error_db=-40)
+    assert decibels(pruned, full) <= -40
+
+
 def test_the_direct_path_alone_without_reflection():
     distance = np.linalg.norm(SOURCE - MICROPHONES[0])
     assert distance == pytest.approx(2.88304, abs=1e-5)

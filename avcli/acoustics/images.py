@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.acoustics.room import audible_time
+
 NEAREST_M = 0.05
 """m; a source nearer to a microphone than this is not louder than at this distance."""
 MOST_IMAGES = 10_000_000
@@ -224,8 +226,8 @@ class DelaySpectrum:
 
 
 @functools.lru_cache(maxsize=2)
-def _plan(length: int) -> DelaySpectrum:
-    return DelaySpectrum(length)
+def _plan(length: int, error_db: float) -> DelaySpectrum:
+    return DelaySpectrum(length, error_db=error_db)
 
 
 def shoebox_rir(
@@ -282,16 +284,22 @@ def shoebox_rir(
         raise ValueError(f"an error of {error_db} dB: expected a number below 0")
 
     samples_per_m = sample_rate_hz / speed_of_sound_m_s
-    _refuse_too_many(room, reflection, (num_samples - 1) / samples_per_m)
-    # The FFT's kernel is periodic; over four lengths it differs from the sinc by less than -70 dB.
-    spectrum = _plan(fast_length(max(4 * num_samples, 1 << 15)))
+    reach_m = (num_samples - 1) / samples_per_m
+    if error_db is not None:  # what comes later than this may be lost beside what is left out for being faint
+        margin_db = 12 if sign < 0 else 25  # reflections of one sign add up at low frequencies
+        later_s = audible_time(room, reflection, error_db - margin_db, speed_of_sound_m_s)
+        reach_m = min(reach_m, later_s * speed_of_sound_m_s + float(np.linalg.norm(room)))
+    _refuse_too_many(room, reflection, reach_m)
+    # The FFT's kernel is periodic: over four lengths it differs from the sinc by less than -70 dB, over two by -60.
+    coarse = error_db is not None and error_db > -45
+    spectrum = _plan(fast_length(max((2 if coarse else 4) * num_samples, 1 << 15)), -60.0 if coarse else -80.0)
     impulses = []
     for microphone in microphones:
-        images = image_microphones(room, microphone, sign * reflection, source, (num_samples - 1) / samples_per_m)
+        images = image_microphones(room, microphone, sign * reflection, source, reach_m)
         distances = images.distances(source)
         delays, amplitudes = distances * samples_per_m, images.amplitudes(distances)
         if error_db is not None:
-            kept = audible(delays, amplitudes, error_db - 0.5)
+            kept = audible(delays, amplitudes, error_db - 0.8)
             delays, amplitudes = delays[kept], amplitudes[kept]
         impulses.append((delays, amplitudes))
     return np.fft.irfft(spectrum(impulses), spectrum.length)[:, :num_samples].copy()

@@ -114,19 +114,58 @@ def image_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sou
         absorption: (6,) or a number, of energy, above 0 and below 1.
         speed_of_sound_m_s: m/s.
     """
-    lost = -np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6)).reshape(3, 2).mean(axis=1)
-    nodes, node_weights = np.polynomial.legendre.leggauss(16)
-    nodes, node_weights = (nodes + 1) / 2, node_weights / 2  # an octant: cos θ and φ from 0 to π / 2
-    z, phi = np.meshgrid(nodes, nodes * np.pi / 2, indexing="ij")
-    level = np.sqrt(1 - z**2)
-    directions = np.stack([level * np.cos(phi), level * np.sin(phi), z])
-    rates = speed_of_sound_m_s * np.tensordot(lost / np.asarray(room_dimensions_m, dtype=float), directions, 1).ravel()
-    shares = np.outer(node_weights, node_weights).ravel() / rates
+    reflection = np.sqrt(1 - np.broadcast_to(np.asarray(absorption, dtype=float), 6))
+    rates, shares = decay_rates(room_dimensions_m, reflection, speed_of_sound_m_s)
     times = np.linspace(0, 15 * shares.sum() / (shares * rates).sum(), 200)
     energy = (np.exp(-np.outer(times, rates)) * shares).sum(axis=1)
     decibels = 10 * np.log10(energy / energy[0])
     inside = (decibels <= -5) & (decibels >= -35)
     return float(-60 / np.polyfit(times[inside], decibels[inside], 1)[0])
+
+
+def decay_rates(
+    room_dimensions_m: ArrayLike, reflection: ArrayLike, speed_of_sound_m_s: float = 343.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how the energy of image sources decays: the part after t is about Σ sharesᵢ exp(−ratesᵢ t).
+
+    Args:
+        room_dimensions_m: (3,) m.
+        reflection: (6,) pressure coefficients above 0 and below 1, of any sign.
+        speed_of_sound_m_s: m/s.
+
+    Returns:
+        rates, (n,) 1/s, of n directions, and shares, (n,), in no unit.
+    """
+    lost = -2 * np.log(np.abs(reflection)).reshape(3, 2).mean(axis=1)
+    nodes, node_weights = np.polynomial.legendre.leggauss(16)
+    nodes, node_weights = (nodes + 1) / 2, node_weights / 2  # an octant: cos θ, and φ from 0 to π / 2
+    z, phi = np.meshgrid(nodes, nodes * np.pi / 2, indexing="ij")
+    level = np.sqrt(1 - z**2)
+    directions = np.stack([level * np.cos(phi), level * np.sin(phi), z])
+    met = (lost / np.asarray(room_dimensions_m, dtype=float))[:, None, None] * directions
+    rates = speed_of_sound_m_s * met.sum(axis=0).ravel()
+    return rates, np.outer(node_weights, node_weights).ravel() / rates
+
+
+def audible_time(
+    room_dimensions_m: ArrayLike, reflection: ArrayLike, error_db: float, speed_of_sound_m_s: float = 343.0
+) -> float:
+    """Return the time, s, after which the energy of image sources is below an error (dB) relative to all of it.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        reflection: (6,) pressure coefficients of any sign; infinite where one of a pair of walls reflects all.
+        error_db: dB, below 0.
+        speed_of_sound_m_s: m/s.
+    """
+    magnitude = np.abs(np.asarray(reflection, dtype=float))
+    if np.any(magnitude.reshape(3, 2).prod(axis=1) >= 1):
+        return np.inf
+    rates, shares = decay_rates(room_dimensions_m, np.maximum(magnitude, 1e-3), speed_of_sound_m_s)
+    allowed, time = 10 ** (error_db / 10) * shares.sum(), 1 / rates.max()
+    while np.sum(shares * np.exp(-rates * time)) > allowed:
+        time *= 1.05
+    return float(time)
 
 
 def sabine_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike) -> float:
