@@ -3,6 +3,7 @@
 import json
 import signal
 import subprocess
+import urllib.request
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from test_calibration_corners import HALF, HALF_SIZE
 from avcli import pose
 from avcli.calibration import corners, place
 from avcli.calibration.target import Board
+from avcli.commands import mjpeg
 from avcli.media import write_png
 
 
@@ -233,6 +235,23 @@ def test_filming_with_hints(pictures, tmp_path):
     early = run("avcalib", "live", "-", "--rate", "30", "--port", "0", "--enough", "1", stdin=stream)
     assert early.returncode == 0, early.stderr
     assert json.loads(early.stdout)["calibration"]["views_given"] < 8
+
+
+def test_the_page_shows_the_newest_picture():
+    import cv2
+
+    with mjpeg.serving(0) as show:
+        page = urllib.request.urlopen(f"http://127.0.0.1:{show.port}/", timeout=10).read()
+        assert b'src="/stream"' in page
+        show(np.full((40, 60, 3), (250, 0, 0), np.uint8))
+        with urllib.request.urlopen(f"http://127.0.0.1:{show.port}/stream", timeout=10) as stream:
+            assert stream.headers["Content-Type"].startswith("multipart/x-mixed-replace")
+            part = b""
+            while not part.endswith(b"\xff\xd9\r\n"):
+                part += stream.read1(4096)
+    picture = cv2.imdecode(np.frombuffer(part[part.index(b"\xff\xd8") :], np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (40, 60, 3)
+    assert picture[20, 30, 2] > 240  # red, as it was given
 
 
 def test_ctrl_c_while_filming_keeps_what_was_collected(pictures):
