@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from conftest import run
+from conftest import ROOT, run
 
 from avcli import experiment, media, records
 
@@ -133,3 +133,87 @@ def test_a_printed_scenario_is_the_scenario(tmp_path):
     assert printed.returncode == 0
     again = run("avsim-scene", "-", "--print-scenario", stdin=printed.stdout)
     assert again.stdout == printed.stdout
+
+
+def test_masks_coco_and_sheet_agree_with_the_truth(tmp_path):
+    coco, sheet = tmp_path / "coco.json", tmp_path / "sheet.png"
+    lines = simulate(tmp_path, SMALL, "--masks", "--coco", coco, "--sheet", sheet)
+    data = json.loads(coco.read_bytes())
+    assert [image["file_name"] for image in data["images"]] == [r["frame"]["rgb"] for r in lines]
+    assert len(data["categories"][0]["keypoints"]) == 17
+    for record, entry in zip(lines, data["annotations"], strict=True):
+        mask = cv2.imread(str(tmp_path / "exp" / record["frame"]["mask"]), cv2.IMREAD_UNCHANGED)
+        assert set(np.unique(mask)) == {0, 1}
+        counts = entry["segmentation"]["counts"]
+        assert sum(counts) == mask.size
+        decoded = np.repeat(np.arange(len(counts)) % 2, counts).reshape(mask.shape[::-1]).T
+        np.testing.assert_array_equal(decoded, mask)
+        x0, y0, x1, y1 = record["objects"][0]["bbox_px"]
+        assert entry["bbox"] == [x0, y0, x1 - x0, y1 - y0]
+        assert entry["area"] == mask.sum()
+        assert len(entry["keypoints"]) == 51
+    assert cv2.imread(str(sheet)).shape[1] == 4 * 480
+
+
+def test_the_preset_is_the_thesis(tmp_path):
+    result = run("avsim-scene", "s1", "-C", tmp_path, "--preset", "thesis", "--duration", "0")
+    assert result.returncode == 0, result.stderr
+    config = experiment.read_config(tmp_path / "config.json")
+    assert (type(config.camera.lens).__name__, config.camera.lens.k1, config.camera.lens.fx) == (
+        "Division",
+        -0.2,
+        596.43,
+    )
+    frame = records.frame(records.decode(result.stdout))
+    depth, rgb = media.read_depth(tmp_path / frame.depth), media.read_rgb(tmp_path / frame.rgb)
+    assert depth.dtype == np.uint8
+    black = (rgb == 0).all(-1)
+    assert black.mean() == pytest.approx(0.323, abs=0.003)
+    assert (depth[black] == 0).all()
+    ray = config.camera.lens.unproject([[960.0, 200.0]])[0]
+    assert depth[200, 960] * config.camera.depth_step_m == pytest.approx(2.5 / ray[2], abs=0.011)
+
+
+def test_sensor_effects_are_seeded_and_leave_depth_alone(tmp_path):
+    effects = ("--full-well", "9000", "--read-noise", "1.5", "--vignetting", "0.3", "--aberration", "1", "--jpeg", "80")
+    plain = simulate(tmp_path / "plain", SMALL)
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        simulate(tmp_path / name, SMALL, *effects, "--shutter", "0.03", "--seed", seed)
+    for record in plain[:2]:
+        read = {n: media.read_rgb(tmp_path / n / "exp" / record["frame"]["rgb"]) for n in ("plain", "a", "b", "c")}
+        assert (read["a"] == read["b"]).all()
+        assert (read["a"] != read["c"]).any()
+        assert (read["a"] != read["plain"]).any()
+        depth = [media.read_depth(tmp_path / n / "exp" / record["frame"]["depth"]) for n in ("plain", "a")]
+        assert (depth[0] == depth[1]).all()
+
+
+def test_what_cannot_go_together_is_said(tmp_path):
+    for options in (["--no-video", "--masks"], ["--no-video", "--coco", "x.json"]):
+        result = run("avsim-scene", "s1", "-C", tmp_path / "exp", *options)
+        assert result.returncode == 2
+        assert "--no-video" in result.stderr
+    assert run("avsim-scene", "s1").returncode == 2
+    assert run("avsim-scene", "s9", "-C", tmp_path / "exp").returncode == 2
+    broken = run("avsim-scene", "-", "-C", tmp_path / "exp", stdin='{"people": [')
+    assert broken.returncode == 1
+    assert "<stdin>:1:13: no JSON" in broken.stderr
+    assert not (tmp_path / "exp").exists()
+
+
+def test_another_camera_is_a_twin(tmp_path):
+    lens = {"lens_model": "kannala_brandt", "fx_px": 50, "fy_px": 50, "cx_px": 39.5, "cy_px": 29.5}
+    (tmp_path / "lens.json").write_text(
+        json.dumps({"camera_config": {**lens, "image_width_px": 80, "image_height_px": 60}})
+    )
+    options = ("--camera-config", tmp_path / "lens.json", "--camera-height", "2.8")
+    lines = simulate(tmp_path, SMALL, *options)
+    config = experiment.read_config(tmp_path / "exp" / "config.json")
+    assert config.camera.T_room_camera[:3, 3].tolist() == [2.33, 2.33, 2.8]
+    assert media.read_rgb(tmp_path / "exp" / lines[0]["frame"]["rgb"]).shape == (60, 80, 3)
+
+
+@pytest.mark.parametrize("name", ["meeting", "wide-lens"])
+def test_the_examples_are_scenarios(name):
+    result = run("avsim-scene", ROOT / "examples" / "scenarios" / f"{name}.json", "--print-scenario")
+    assert result.returncode == 0, result.stderr
