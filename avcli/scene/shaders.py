@@ -655,9 +655,9 @@ vec3 shade(vec3 d, float t, int index) {
     axis = extent > 1e-6 ? axis / extent : vec3(0.0, -1.0, 0.0);
     vec3 ahead = normalize(front.xyz - axis * dot(front.xyz, axis) + 1e-6), side = cross(axis, ahead);
     vec3 local = vec3(dot(place, ahead), dot(place, side), along * extent);
-    bool bare = along > beyond.w;
-    vec3 albedo = bare ? beyond.rgb : base.rgb;
-    int material = bare ? 0 : int(base.w + 0.5);
+    float hem = 0.7 * t * per_px.x / max(extent, 1e-3), bare = smoothstep(-hem, hem, along - beyond.w);
+    vec3 albedo = mix(base.rgb, beyond.rgb, bare);
+    int material = bare > 0.5 ? 0 : int(base.w + 0.5);
     vec4 grain = GRAIN[material];
     float large = noise((local + front.w) * COARSE[material]) - 0.5;
     float small = noise((local + front.w) * FINE[material]) - 0.5;
