@@ -147,28 +147,48 @@ class SteeredResponse:
         return best(position + 0.0075 * _CUBE, velocity[None])
 
     def _rough(self, gccs, offsets, start: np.ndarray, max_speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Find place and velocity on a lattice, so that each window's response is taken once for all velocities."""
+        """Find place and velocity on a lattice, so that each window's response is taken once for all velocities.
+
+        A walker's windows add up at a wrong height too, so that those which the middle window answers are tried.
+        """
         step, reach, speeds = 0.04, 3, max_speed * np.linspace(-1.0, 1.0, 5)
         furthest = int(np.ceil(max_speed * np.abs(offsets).max() / step))
-        axis = step * np.arange(-reach - furthest, reach + furthest + 1)
-        points = start + np.array([[x, y, 0.0] for y in axis for x in axis])
-        points = np.clip(points, self.low, self.high)
-        size = 2 * self.half_lags + 1
-        lag = np.clip(np.rint(self.lags(points)).astype(np.int64) + self.half_lags, 0, size - 1)
-        lag += size * np.arange(len(self.first))
         # The lattice is wider than a peak: each lag stands for its neighbours within 3 steps too.
-        maps = [_dilate(gcc, 3).ravel()[lag].mean(axis=1).reshape(len(axis), len(axis)) for gcc in gccs]
+        pooled = [_dilate(gcc, 3) for gcc in gccs]
+        around = step * np.array([[x, y] for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
+        heights = np.linspace(self.low[2], self.high[2], max(2, round((self.high[2] - self.low[2]) / 0.1)))
+        columns = np.column_stack([np.tile(start[:2] + around, (len(heights), 1)), np.repeat(heights, len(around))])
+        middle = pooled[int(np.argmin(np.abs(offsets)))]
+        order = np.argsort(-self._nearest(middle, columns).reshape(len(heights), -1).max(axis=1), kind="stable")
         side = np.arange(2 * reach + 1)
-        total = 0.0  # (vy, vx, y, x)
-        for values, offset in zip(maps, offsets, strict=True):
-            shifts = furthest + np.rint(speeds * (offset / step)).astype(np.int64)
-            row, column = shifts[:, None, None, None] + side[:, None], shifts[None, :, None, None] + side
-            total = total + values[row, column]
+        axis = step * np.arange(-reach - furthest, reach + furthest + 1)
+        level = np.array([[x, y] for y in axis for x in axis])
         # Of nearly equal velocities the slower: noise must not make a still talker walk.
         slow = 1e-4 * np.hypot(speeds[:, None], speeds)[:, :, None, None]
-        vy, vx, y, x = np.unravel_index(np.argmax(total / len(gccs) - slow), total.shape)
-        moved = start + step * np.array([x - reach, y - reach, 0.0])
-        return np.clip(moved, self.low, self.high), np.array([speeds[vx], speeds[vy], 0.0])
+        best, found = -np.inf, (start, np.zeros(3))
+        for height in (start[2], *heights[order[:3]]):
+            points = np.column_stack([start[:2] + level, np.full(len(level), height)])
+            total = 0.0  # (vy, vx, y, x)
+            for gcc, offset in zip(pooled, offsets, strict=True):
+                values = self._nearest(gcc, points).reshape(len(axis), len(axis))
+                shifts = furthest + np.rint(speeds * (offset / step)).astype(np.int64)
+                row, column = shifts[:, None, None, None] + side[:, None], shifts[None, :, None, None] + side
+                total = total + values[row, column]
+            total = total / len(gccs) - slow
+            place = int(np.argmax(total))
+            if total.flat[place] > best:
+                best = total.flat[place]
+                vy, vx, y, x = np.unravel_index(place, total.shape)
+                moved = np.array([start[0] + step * (x - reach), start[1] + step * (y - reach), height])
+                found = (np.clip(moved, self.low, self.high), np.array([speeds[vx], speeds[vy], 0.0]))
+        return found
+
+    def _nearest(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return the response at points (n, 3) m inside the volume, (n,), without interpolation."""
+        size = 2 * self.half_lags + 1
+        lag = np.rint(self.lags(np.clip(points, self.low, self.high))).astype(np.int64) + self.half_lags
+        lag = np.clip(lag, 0, size - 1) + size * np.arange(len(self.first))
+        return gcc.ravel()[lag].mean(axis=1)
 
     def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""

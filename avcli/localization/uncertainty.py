@@ -17,8 +17,9 @@ RIGHT = {"one": 0.81, "response": -0.25, "support": 3.36, "evidence": 2.38, "sha
 SPREAD = {"one": -2.67, "response": -0.80, "support": -4.77}
 """Logarithm of the standard deviation (m) of a range difference, on the logarithms of the features."""
 
-MOTION = 0.044
-"""s: standard deviation of a walker's place over his speed: he is elsewhere at the window's ends."""
+MOTION = np.array([0.044, 0.044, 0.15])
+"""s: standard deviation (x, y, z) of a walker's place over his speed: he is elsewhere at the windows' ends, and what
+they share may be a wrong height."""
 
 
 CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
@@ -88,7 +89,7 @@ def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:
     )
     extent = np.maximum((np.asarray(high) - np.asarray(low)) / np.sqrt(12.0), FLOOR)
     spread = np.linalg.inv(normal / sigma**2 + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
-    spread[[0, 1], [0, 1]] += (MOTION * features.speed) ** 2
+    spread += np.diag((MOTION * features.speed) ** 2)
     return 0.5 * (spread + spread.T)
 
 

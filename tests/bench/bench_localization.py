@@ -387,7 +387,8 @@ def fit(count):
     def loss(parameters):
         sigma = np.exp(terms[sure][:, :3] @ parameters[:3])
         spread = np.linalg.inv(normals / sigma[:, None, None] ** 2 + extent) + uncertainty.FLOOR**2 * np.eye(3)
-        spread[:, [0, 1], [0, 1]] += (parameters[3] * speed[:, None]) ** 2
+        for axis, share in enumerate(uncertainty.MOTION / uncertainty.MOTION[0]):
+            spread[:, axis, axis] += (share * parameters[3] * speed) ** 2
         squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(spread), errors)
         return float(np.mean(0.5 * np.linalg.slogdet(spread)[1] + 0.5 * squared))
 
@@ -404,6 +405,7 @@ def main():
     parser.add_argument("--scenes", type=int, default=12, help="scenes of each condition (walkers: half as many)")
     parser.add_argument("--split", choices=list(SPLITS), default="report", help="which scenes")
     parser.add_argument("--methods", nargs="*", default=list(METHODS)[:3], choices=list(METHODS))
+    parser.add_argument("--kinds", nargs="*", default=["still", "walking", "two"], help="which kinds of scenes")
     parser.add_argument("--all-methods", action="store_true", help="window, grid and beta too")
     parser.add_argument("--fit", action="store_true", help="fit score and covariance instead")
     options = parser.parse_args()
@@ -415,7 +417,7 @@ def main():
     records = []
     print(f"{'scene':8} {'T60':>5} {'SNR':>4} {'method':32} {'recall':>7} {'precis.':>7} {'score':>6} {'2D m':>7} "
           f"{'p90':>6} {'3D m':>7} {'NEES':>6} {'c95':>5} {'c95xy':>5} {'ms':>6}")  # fmt: skip
-    for condition in CONDITIONS:
+    for condition in (condition for condition in CONDITIONS if condition[0] in options.kinds):
         prepared = list(scenes(options.split, condition, options.scenes))
         level, space = bounds(prepared)
         kind, t60, snr = condition
