@@ -79,7 +79,7 @@ class Settings:
     edge: float = 0.7
     arrivals: float = 0.05
     appear: float = 0.3
-    present: float = 1.0
+    present: float = 2.0
     speed: float = 0.7
     body: float = 0.3
     birth: str = "poisson"
