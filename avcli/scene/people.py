@@ -409,7 +409,7 @@ class _Body:
         u = up * np.cos(nod)[:, None] + level * np.sin(nod)[:, None]
         base = self.neck + 0.055 * unit * _unit(self.cu + u)
         centre = base + 0.098 * unit * u + 0.018 * unit * f
-        size = 1.0 * unit
+        size = unit
 
         def at(forward, side, rise):
             return centre + size * (forward * f + side * left + rise * u)
@@ -422,71 +422,36 @@ class _Body:
         self._add(at(0.03, 0, 0.0), at(0.052, 0, -0.083), 0.066 * size, 0.034 * size, left, 0.95, group="head", **skin)
         self._add(at(0.02, 0, -0.045), at(0.045, 0, -0.085), 0.058 * size, 0.036 * size, group="head", **skin)
         self._add(at(0.098, 0, 0.012), at(0.113, 0, -0.028), 0.008 * size, 0.0145 * size, group="head", **skin)
-        for sign in (-1.0, 1.0):
-            self._add(
-                at(-0.002, sign * 0.077, 0.006),
-                at(0.0, sign * 0.074, -0.03),
-                0.021 * size,
-                0.013 * size,
-                left,
-                0.5,
-                group=f"ear{sign}",
-                **skin,
-            )
-            eye = at(0.079, sign * 0.033, 0.01)
-            self._add(
-                eye,
-                eye,
-                0.0135 * size,
-                0.0135 * size,
-                group=f"eye{sign}",
-                material=EYES,
-                colour=(0.93, 0.92, 0.9),
-                front=f,
-            )
-            self._add(
-                at(0.0955, sign * 0.017, 0.036),
-                at(0.0840, sign * 0.047, 0.035),
-                0.0058 * size,
-                0.0045 * size,
-                u,
-                0.7,
-                group=f"brow{sign}",
-                material=HAIR,
-                colour=look.hair if look.cut not in ("bald", "scarf") else _rgb("5a4636"),
-                front=f,
-            )
-        self._add(
-            at(0.0985, 0.021, -0.058),
-            at(0.0985, -0.021, -0.058),
-            0.0085 * size,
-            0.0085 * size,
-            u,
-            0.7,
-            group="lips",
-            material=SKIN,
-            colour=tuple(0.78 * c + d for c, d in zip(look.skin, (0.08, -0.01, 0.0), strict=True)),
-            front=f,
-        )
+        self._face(at, f, u, left, size)
         self._hair(at, f, u, left, size)
         self.mouth = at(0.105, 0, -0.058)
-        keypoints = {
-            "nose": at(0.125, 0, -0.022),
-            "left_eye": at(0.092, 0.033, 0.01),
-            "right_eye": at(0.092, -0.033, 0.01),
-            "left_ear": at(0.0, 0.08, -0.005),
-            "right_ear": at(0.0, -0.08, -0.005),
-        }
-        for name, joint in (
-            ("shoulder", self.shoulder),
-            ("elbow", self.elbow),
-            ("wrist", self.wrist),
-            ("hip", self.hip),
-            ("knee", self.knee),
-            ("ankle", self.ankle),
-        ):
-            keypoints[f"right_{name}"], keypoints[f"left_{name}"] = joint[:, 0], joint[:, 1]
-        self.keypoints = np.stack([keypoints[name] for name in KEYPOINTS], 1)
+        face = {"nose": (0.125, 0, -0.022)}
+        for side, sign in (("left", 1), ("right", -1)):
+            face |= {f"{side}_eye": (0.092, sign * 0.033, 0.01), f"{side}_ear": (0.0, sign * 0.08, -0.005)}
+        points = {name: at(*place) for name, place in face.items()}
+        for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
+            joint = getattr(self, name)
+            points[f"right_{name}"], points[f"left_{name}"] = joint[:, 0], joint[:, 1]
+        self.keypoints = np.stack([points[name] for name in KEYPOINTS], 1)
+
+    def _face(self, at, f, u, left, size):
+        look = self.look
+        skin = {"material": SKIN, "colour": look.skin, "front": f}
+        white = {"material": EYES, "colour": (0.93, 0.92, 0.9), "front": f}
+        bald = look.cut in ("bald", "scarf")
+        brow = {"material": HAIR, "colour": _rgb("5a4636") if bald else look.hair, "front": f}
+        red = tuple(0.78 * c + d for c, d in zip(look.skin, (0.08, -0.01, 0.0), strict=True))
+
+        def line(start, end, ra, rb, axis, flat, **kind):
+            self._add(at(*start), at(*end), ra * size, rb * size, axis, flat, **kind)
+
+        for s in (-1, 1):
+            line((-0.002, s * 0.077, 0.006), (0, s * 0.074, -0.03), 0.021, 0.013, left, 0.5, group=f"ear{s}", **skin)
+            line((0.079, s * 0.033, 0.01), (0.079, s * 0.033, 0.01), 0.0135, 0.0135, u, 1, group=f"eye{s}", **white)
+            inner, outer = (0.0955, s * 0.017, 0.036), (0.0840, s * 0.047, 0.035)
+            line(inner, outer, 0.0058, 0.0045, u, 0.7, group=f"brow{s}", **brow)
+        corner = (0.0985, 0.021, -0.058), (0.0985, -0.021, -0.058)
+        line(*corner, 0.0085, 0.0085, u, 0.7, group="lips", material=SKIN, colour=red, front=f)
 
     def _hair(self, at, f, u, left, size):
         look = self.look

@@ -1,7 +1,8 @@
 """The renderer: any lens, ray cast on the graphics card or on llvmpipe, headless.
 
-The room is drawn once. A frame draws only people: every rounded cone as a rectangle of pixels in which each pixel's ray
-is intersected exactly, then one pass that shades what was seen and leaves the rest of the room as it is.
+The room is drawn once. A frame draws only people: every rounded cone as a quadrangle of pixels in which each pixel's
+ray is intersected exactly, then passes over the tiles where people are or were: shade what is seen, put it before the
+room, smooth the outlines.
 """
 
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.lens import Division
-from avcli.scene import furniture, shaders
+from avcli.scene import furniture, room_shaders, shaders
 
 _MOST_TERMS = 40  # of the series by which the shaders turn pixels into rays
 _TILE = 32  # px, the grain in which a frame is redrawn
@@ -123,7 +124,7 @@ class Renderer:
         rectangles = np.concatenate([[[0, 0, *size]], self._solid_rectangles()])
         index = np.arange(-1, len(self.solids))[:, None]
         buffer = ctx.buffer(np.hstack([rectangles, index]).astype("f4").tobytes())
-        program = self._program(shaders.ROOM_VERTEX, shaders.ROOM_FRAGMENT, **uniforms, solids=0)
+        program = self._program(room_shaders.ROOM_VERTEX, room_shaders.ROOM_FRAGMENT, **uniforms, solids=0)
         _set(program, size=size)
         self.room_seen, self._room_surface = ctx.texture(size, 2, dtype="f4"), ctx.texture(size, 4, dtype="f2")
         target = ctx.framebuffer([self.room_seen, self._room_surface], ctx.depth_renderbuffer(size))
@@ -137,25 +138,25 @@ class Renderer:
         coarse = [ctx.texture((-(-self.width // _COARSE), -(-self.height // _COARSE)), 1, dtype="f2") for _ in range(2)]
         blockers = self._table(_solid_rows(furniture.blockers(self.solids)))
         light = self._program(
-            shaders.FLAT_VERTEX, shaders.ROOM_LIGHT, **uniforms, blockers=len(furniture.blockers(self.solids))
+            shaders.FLAT_VERTEX, room_shaders.ROOM_LIGHT, **uniforms, blockers=len(furniture.blockers(self.solids))
         )
         self._fill(light, ctx.framebuffer([coarse[0]]), **seen, solids=blockers)
-        blur = self._program(shaders.FLAT_VERTEX, shaders.ROOM_BLUR, coarse=_COARSE)
+        blur = self._program(shaders.FLAT_VERTEX, room_shaders.ROOM_BLUR, coarse=_COARSE)
         self._fill(blur, ctx.framebuffer([coarse[1]]), **seen, light=coarse[0])
         self._room_colour = ctx.texture(size, 4)
         inputs = {**seen, "light": coarse[1], "solids": solids}
-        shade = self._program(shaders.FLAT_VERTEX, shaders.ROOM_SHADE, **uniforms)
+        shade = self._program(shaders.FLAT_VERTEX, room_shaders.ROOM_SHADE, **uniforms)
         self._fill(shade, ctx.framebuffer([self._room_colour]), **inputs)
         if self.samples > 1:
             marks = ctx.depth_renderbuffer(size)
             target = ctx.framebuffer(depth_attachment=marks)
             target.clear(depth=1.0)
             ctx.depth_func = "1"
-            self._fill(self._program(shaders.FLAT_VERTEX, shaders.ROOM_EDGES), target, depth=True, **seen)
+            self._fill(self._program(shaders.FLAT_VERTEX, room_shaders.ROOM_EDGES), target, depth=True, **seen)
             target = ctx.framebuffer([self._room_colour], marks)
             target.depth_mask = False
             ctx.depth_func = ">"
-            smooth = self._program(shaders.FLAT_VERTEX, shaders.ROOM_SMOOTH, **uniforms, level=0.5)
+            smooth = self._program(shaders.FLAT_VERTEX, room_shaders.ROOM_SMOOTH, **uniforms, level=0.5)
             self._fill(smooth, target, depth=True, **inputs)
             ctx.depth_func = "<"
 
