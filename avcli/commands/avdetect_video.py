@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 import click
@@ -46,7 +47,11 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
     help="How people are found: net, a network in the colour picture; depth, what stands before the empty room's "
     "depth. [default: depth; net with --model]",
 )
-@click.option("--model", metavar="FILE", help="ONNX file of a YOLO export to find people with.")
+@click.option(
+    "--model",
+    metavar="FILE",
+    help="ONNX file of a YOLO export to find people with. [default: the package's own small network]",
+)
 @click.option(
     "--confidence",
     type=click.FloatRange(0.0, 1.0),
@@ -111,7 +116,7 @@ def main(session, files, detector, model, rate, overlay, position, **options):
         session.usage("--model is for --detector net")
     network = (detector or ("net" if model else "depth")) == "net"
     if options["monocular"] and not network:
-        session.usage("--monocular places what a network has found: it needs --model")
+        session.usage("--monocular places what a network has found: it needs --detector net or --model")
     with session.output() as write, contextlib.ExitStack() as stack:
         shots = _shots(session, files, rate, pictures_are_depth=not network)
         pool = stack.enter_context(ThreadPoolExecutor(2))
@@ -200,10 +205,11 @@ class _Watcher:
         from avcli import media
         from avcli.detection.network import ModelError, Network
 
-        if model is None:
-            self.session.usage("--detector net needs --model FILE.onnx")
         try:
-            content = media.read_bytes(model)
+            if model is None:
+                content = (resources.files("avcli.detection") / "people.onnx").read_bytes()
+            else:
+                content = media.read_bytes(model)
         except media.MediaError as error:
             self.session.usage(str(error))
         try:

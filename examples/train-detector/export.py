@@ -111,7 +111,7 @@ def main() -> None:
         half = {k: v.half() if v.dtype.is_floating_point else v for k, v in state["average"].items()}
         torch.save(half, options.weights)
     metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": "16", "iou": "0.5",
-                "imgsz": f"[{HEIGHT}, {WIDTH}]"}  # fmt: skip
+                "imgsz": "[368, 640]"}  # fmt: skip
     samples = pictures_to_judge(options.seed, options.judge)
     raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
     slope, shift = platt(raw.scores, raw.right)
