@@ -56,4 +56,4 @@ def test_people_of_another_seed_are_found(network):
         found += (hits.max(axis=0, initial=0.0) >= 0.5)[must].sum()
         false += (hits.max(axis=1, initial=0.0) < 0.3).sum()
     assert found >= 0.45 * people  # these are harder than renders: a guard against a broken file, not its measure
-    assert false <= 0.15 * people
+    assert false <= 0.25 * people
