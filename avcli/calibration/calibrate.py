@@ -9,7 +9,7 @@ from avcli.calibration.corners import View
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
-BOARD_GAIN = 0.01
+BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
 
 
@@ -105,7 +105,7 @@ def calibrate(board: Board, views: list[View], *, board_shape: bool | None = Non
         board: what was filmed.
         views: at least one, all of one size, none a duplicate of another.
         board_shape: fit the board's bow and stretch; None lets held-out views decide.
-        polish: refine the corners once more with the lens known.
+        polish: refine the corners once more with the lens known, where held-out views become better by it.
 
     Raises:
         fit.NoFit: there are fewer equations than unknowns.
@@ -113,22 +113,25 @@ def calibrate(board: Board, views: list[View], *, board_shape: bool | None = Non
     width, height = views[0].width, views[0].height
     everything = observe(board, views)
     solution, kept = fit.fit_robustly(everything, width, height)
+    flat = quality.held_out_rms(everything.of_views(kept), solution)
     if polish:
-        everything = polished(everything, solution, kept, board, views)
-        some = everything.of_views(kept)
-        solution = fit.fit(some, solution)
-        solution, kept = fit.refit_robustly(everything, solution, kept)
-    some = everything.of_views(kept)
-    flat = quality.held_out_rms(some, solution)
+        finer = polished(everything, solution, kept, board, views)
+        better = fit.fit(finer.of_views(kept), solution)
+        better, finer_kept = fit.refit_robustly(finer, better, kept)
+        finer_flat = quality.held_out_rms(finer.of_views(finer_kept), better)
+        if not finer_flat >= flat:  # a coarse or compressed picture may have no finer corners to give
+            everything, solution, kept, flat = finer, better, finer_kept, finer_flat
     shaped = float("nan")
-    if board_shape or (board_shape is None and len(some.pixels) >= 100 and some.views >= 6):
-        bent, bent_kept = fit.refit_robustly(
-            everything, fit.fit(some, solution, board_shape=True), kept, board_shape=True
-        )
-        if np.array_equal(bent_kept, kept):
-            shaped = quality.held_out_rms(some, bent)
-            if board_shape or shaped < (1 - BOARD_GAIN) * flat:
-                solution = bent
+    if board_shape or (board_shape is None and kept.sum() >= 6):
+        # From all views again: a flat board may have made good ones of a bowed board look bad.
+        start = fit.fit(everything, _all_poses(everything, solution, kept), board_shape=True)
+        bent, bent_kept = fit.refit_robustly(everything, start, np.ones(len(views), bool), board_shape=True)
+        common = kept & bent_kept
+        some = everything.of_views(common)
+        flat = quality.held_out_rms(some, solution.of_views(common[kept]))
+        shaped = quality.held_out_rms(some, bent.of_views(common[bent_kept]))
+        if board_shape or shaped < (1 - BOARD_GAIN) * flat:
+            solution, kept = bent, bent_kept
     held_out = shaped if solution.free[fit.LENS :].any() else flat
     return replace(judged(board, everything, solution, kept, width, height, held_out), flat_px=flat, shaped_px=shaped)
 

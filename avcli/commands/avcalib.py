@@ -300,7 +300,7 @@ def _fit_options(function):
             type=click.Choice(["auto", "yes", "no"]),
             default="auto",
             show_default=True,
-            help="Fit the board's bow and stretch too; auto does where held-out pictures improve by 1 %.",
+            help="Fit the board's bow and stretch too; auto does where held-out pictures improve by 2 %.",
         ),
         click.option("--details", metavar="FILE", help="Write a record a picture: corners, residual, kept or why not."),
         click.option("--plot", metavar="FILE", help="Draw residuals, coverage and expected error: .png, .svg or .pdf."),
