@@ -82,7 +82,6 @@ class Motion:
         return np.array([f for f, _ in steps]), np.array([q for _, q in steps]), switch
 
 
-CONSTANT_VELOCITY = Motion((Model(0.5),))
 WALKING = Motion(
     (Model(0.1), Model(1.2, 4.0), Model(0.3, 0.15)),  # straight on, turning or speeding, stopping
     ((0.0, 0.5, 0.1), (1.5, 0.0, 0.4), (0.5, 1.0, 0.0)),
