@@ -14,7 +14,7 @@ import numpy as np
 
 _KNOTS = 1024
 _FARTHEST_SLOPE = 1e8  # of a ray that a perspective lens images: 1e-8 rad short of 90 degrees
-_CHUNK = 1 << 15  # samples of an inversion that stay in the cache together
+_CHUNK = 1 << 14  # samples of an inversion that stay in the cache together
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,9 @@ class KannalaBrandt:
 
     def unproject(self, pixels):
         """Turn pixels (n, 2) into unit rays (n, 3) of the camera frame; NaN where the lens images nothing."""
-        u, v = _columns(pixels, 2)
+        return _piecewise(self._rays, pixels)
+
+    def _rays(self, u, v):
         mx, my = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         m = np.sqrt(mx * mx + my * my)
         theta = self._radial.inverse(m)
@@ -135,7 +137,9 @@ class BrownConrady:
 
     def unproject(self, pixels):
         """Turn pixels (n, 2) into unit rays (n, 3) of the camera frame; NaN where the lens images nothing."""
-        u, v = _columns(pixels, 2)
+        return _piecewise(self._rays, pixels)
+
+    def _rays(self, u, v):
         mx, my = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         m = np.sqrt(mx * mx + my * my)
         r = self._radial.inverse(m)
@@ -225,7 +229,9 @@ class Division:
 
     def unproject(self, pixels):
         """Turn pixels (n, 2) into unit rays (n, 3) of the camera frame; NaN where the lens images nothing."""
-        u, v = _columns(pixels, 2)
+        return _piecewise(self._rays, pixels)
+
+    def _rays(self, u, v):
         x, y = (u - self.cx) / (0.5 * self.width), (v - self.cy) / (0.5 * self.height)
         r = np.hypot(x, y)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -327,13 +333,6 @@ class _Radial:
         y = np.asarray(y, float)
         if y.size < _KNOTS:  # too few to pay for a table
             return self._bracketed_newton(y)
-        out = np.empty(y.shape)
-        flat_y, flat_out = y.reshape(-1), out.reshape(-1)
-        for start in range(0, flat_y.size, _CHUNK):
-            flat_out[start : start + _CHUNK] = self._inverse_chunk(flat_y[start : start + _CHUNK])
-        return out
-
-    def _inverse_chunk(self, y):
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             w = y / (1 + y) if self._long else np.sqrt(1 - y / self.y_max)
             w = np.where(np.isfinite(w), w, 0.0) * _KNOTS
@@ -405,6 +404,17 @@ def _horner(polynomial, t):
     for c in polynomial[::-1]:
         value, slope = value * t + c, slope * t + value
     return value, slope
+
+
+def _piecewise(rays, pixels):
+    """Rays (..., 3) of pixels (..., 2), computed in pieces that stay in the cache."""
+    u, v = _columns(pixels, 2)
+    out = np.empty((u.size, 3))
+    flat_u, flat_v = u.reshape(-1), v.reshape(-1)
+    for start in range(0, u.size, _CHUNK):
+        piece = slice(start, start + _CHUNK)
+        out[piece] = rays(flat_u[piece], flat_v[piece])
+    return out.reshape(*u.shape, 3)
 
 
 def _columns(array, width):
