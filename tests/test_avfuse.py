@@ -136,6 +136,12 @@ def test_a_lagging_sensor_is_left_behind_and_that_is_said(experiment):
     assert result.stdout.count(b"\n") == 40
 
 
+def test_one_sensor_after_the_other_in_one_stream(experiment):
+    video, audio = walk(steps=40), walk("audio", steps=40, seed=1)
+    woven = [one for pair in zip(video, audio, strict=True) for one in pair]
+    assert fuse(audio + video, "-C", experiment, "--max-wait", "inf") == fuse(woven, "-C", experiment)
+
+
 def test_the_thesis_listing_loads_as_it_stands(experiment):
     (experiment / "video_localizations.jsonl").write_text(LISTING)
     for options in ((), ("--preset", "thesis")):

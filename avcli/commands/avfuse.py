@@ -236,7 +236,7 @@ def main(session, files, named, rate, max_wait, room_margin, lag, tracker, expla
             if merger is None:
                 config = session.config if session.has_config else None
                 rate = rate or (config and config.frame_rate_hz)
-                merger = Merger(len(sources), rate, max_wait, one_sensor=len(files) < len(sources))
+                merger = Merger(len(sources), rate, max_wait, one_sensor=not files and bool(named))
                 fusion = Fusion(
                     _settings(config, options),
                     tracker,
