@@ -317,6 +317,7 @@ class _Sound:
 
         from avcli import media
 
+        _ = self.session.config.microphones  # a config that is missing or wrong is named before the sound is
         path = self.session.media_root / chunk.path
         if chunk.tail_samples is None:
             self.held_back = self.session.config.room.reverberation_time_s or 0.0
