@@ -1,5 +1,6 @@
-"""Pictures in order of time from whatever a user names: files, a folder, a video, a camera, or JPEGs on a stream."""
+"""Pictures in order of time from whatever a user names (files, folders, videos, a camera, JPEGs), and out again."""
 
+import contextlib
 import os
 import time
 from collections.abc import Iterator
@@ -9,10 +10,13 @@ from typing import BinaryIO
 
 import numpy as np
 
+from avcli.atomic import replacing, write_bytes
 from avcli.media import MediaError, read_bytes
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2", ".npy"}
 """Extensions of single pictures."""
+VIDEOS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
+"""Extensions of videos that can be written, and their codecs (FourCC)."""
 _STREAM_RATE = 30.0
 """Hz; a stream of JPEGs carries no times."""
 
@@ -99,6 +103,19 @@ def count_pictures(sources: list[str], rate_hz: float | None = None) -> int | No
     return total
 
 
+def frame_rate(source: str) -> float | None:
+    """Frames a second of a video, Hz; None of pictures, folders, and where the video does not say."""
+    path = Path(source)
+    if source == "-" or is_camera(source) or path.is_dir() or path.suffix.lower() in PICTURES:
+        return None
+    import cv2
+
+    capture = _open_video(source)
+    fps = capture.get(cv2.CAP_PROP_FPS)
+    capture.release()
+    return fps if 0 < fps < 1000 else None
+
+
 def read_picture(path: str | os.PathLike) -> np.ndarray:
     """Read a picture file as it is, (height, width[, 3 or 4]), colours in the order red, green, blue.
 
@@ -127,8 +144,13 @@ def _decode(content: bytes) -> np.ndarray | None:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
-    if image is not None and image.ndim == 3 and image.shape[2] in (3, 4):
-        image = image[:, :, [2, 1, 0, 3][: image.shape[2]]]
+    return None if image is None else _swapped(image)
+
+
+def _swapped(image: np.ndarray) -> np.ndarray:
+    """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        return np.ascontiguousarray(image[:, :, [2, 1, 0, 3][: image.shape[2]]])
     return image
 
 
@@ -231,3 +253,82 @@ def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Pictur
                 yield Picture(f"<stdin> picture {number}", now, image)
     if number == 0:
         raise MediaError("<stdin>: no JPEG in this stream")
+
+
+class Sink:
+    """Where new pictures go: a folder, one picture file, or a video, whole or not at all; a context manager."""
+
+    def __init__(self, target: str | os.PathLike, size: tuple[int, int], rate_hz: float, *, single: bool):
+        """Choose by the extension of `target`.
+
+        Args:
+            target: path.
+            size: width and height in px.
+            rate_hz: of a video.
+            single: whether the sources are one picture or one video, and not several.
+
+        Raises:
+            ValueError: `target` is one picture, and the sources are not.
+        """
+        self.path, self.size, self.rate_hz = Path(target), size, rate_hz
+        suffix = self.path.suffix.lower()
+        self._is_video = suffix in VIDEOS
+        self._is_picture = bool(suffix) and not self._is_video
+        self._count = 0
+        if self._is_picture and not single:
+            raise ValueError(f"{target} is one picture; several need a folder or a video")
+
+    def __enter__(self) -> "Sink":
+        self._stack = contextlib.ExitStack()
+        if self._is_video:
+            import cv2
+
+            self._whole = self._stack.enter_context(replacing(self.path))
+            self._temporary = self._whole.with_suffix(self.path.suffix)  # OpenCV looks at the extension
+            self._stack.callback(self._temporary.unlink, missing_ok=True)
+            codec = cv2.VideoWriter_fourcc(*VIDEOS[self.path.suffix.lower()])
+            self._writer = cv2.VideoWriter(str(self._temporary), codec, self.rate_hz, self.size)
+            if not self._writer.isOpened():
+                error = MediaError(f"{self.path}: this OpenCV cannot write such a video")
+                self._stack.__exit__(MediaError, error, None)
+                raise error
+        elif not self._is_picture:
+            self.path.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def write(self, picture: Picture, image: np.ndarray) -> None:
+        """Write what became of a picture: (height, width[, 3 or 4]) uint8 or uint16.
+
+        Raises:
+            ValueError: it is the second one of a single picture, or of no kind of picture that can be written.
+        """
+        import cv2
+
+        self._count += 1
+        image = _swapped(image)
+        if self._is_video:
+            if image.dtype == np.uint16:
+                image = (image >> 8).astype(np.uint8)
+            colour = image[:, :, :3] if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+            self._writer.write(np.ascontiguousarray(colour))
+            return
+        path = self.path
+        if not self._is_picture:
+            stem = Path(picture.name).stem if os.path.exists(picture.name) else f"frame_{picture.timestamp:.10f}"
+            path = self.path / f"{stem}.png"
+        elif self._count > 1:
+            raise MediaError(f"{self.path} is one picture; this source has several")
+        try:
+            coded, content = cv2.imencode(path.suffix, image)
+        except cv2.error:
+            coded = False
+        if not coded:
+            raise MediaError(f"{path}: no kind of picture that can be written")
+        write_bytes(path, content.tobytes())
+
+    def __exit__(self, kind, error, trace):
+        if self._is_video:
+            self._writer.release()
+            if kind is None:
+                os.replace(self._temporary, self._whole)
+        return self._stack.__exit__(kind, error, trace)

@@ -8,6 +8,10 @@ POSITION_SD_M = 0.05
 """How far a microphone may be expected to hang from where it was measured, m, before anything was heard."""
 SOURCE_SD_M = 0.1
 """The same for the mouth against where the track puts it; one offset for the whole recording."""
+MOUTH_AHEAD_M = 0.1
+"""How far a walker's mouth is ahead of the body's axis."""
+_SURE = 16.3
+"""Chi-square with three degrees of freedom that chance exceeds once in a thousand."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,72 @@ class Aligned:
     def improves(self) -> bool:
         """Whether the found positions explain windows that took no part better than the given ones do."""
         return bool(self.held_out_s < 0.95 * self.held_out_given_s)
+
+    def record(self) -> dict:
+        """What was found, as avcalib writes it."""
+        return {
+            "clock_offset_s": self.clock_offset,
+            "clock_offset_sd_s": self.clock_offset_sd,
+            "delay_residual_s": self.residual_s,
+            "held_out_given_s": self.held_out_given_s,
+            "held_out_found_s": self.held_out_s,
+            "microphones": [
+                {"position": p.tolist(), "shift_m": s.tolist(), "sd_m": np.sqrt(np.diag(c)).tolist()}
+                for p, s, c in zip(self.positions, self.shifts, self.covariances, strict=True)
+            ],
+        }
+
+
+def mouths(track: list, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Put a walker's mouth where the records say, or ahead of the body at a height where they say only where that is.
+
+    Args:
+        track: (timestamp s, body (2 or 3,) m, mouth (3,) m or None) of each record, in any order.
+        height: m.
+
+    Returns:
+        times (k,) s, ascending, and mouths (k, 3) m.
+    """
+    track = sorted(track, key=lambda one: one[0])
+    times = np.array([time for time, _, _ in track])
+    path = np.array([mouth or [*body[:2], np.nan] for _, body, mouth in track], float).reshape(-1, 3)
+    bare = ~np.isfinite(path[:, 2])
+    if bare.any() and len(path) > 1:
+        step = np.gradient(path[:, :2], times, axis=0)
+        speed = np.linalg.norm(step, axis=1, keepdims=True)
+        ahead = np.where(speed > 0.2, MOUTH_AHEAD_M * step / np.maximum(speed, 1e-9), 0.0)
+        path[bare, :2] += ahead[bare]
+    path[bare, 2] = height
+    return times, path
+
+
+def joined(parts: list[tuple[np.ndarray, np.ndarray]], microphones: int) -> Heard:
+    """Join (times (n,), delays (n, pairs)) of stretches of sound; pairs in the order of the upper triangle."""
+    first, second = np.triu_indices(microphones, 1)
+    times, delays = [np.zeros(0)], [np.zeros((0, len(first)))]
+    for some, found in parts:
+        times.append(some)
+        delays.append(found)
+    return Heard(np.concatenate(times), np.concatenate(delays), first, second)
+
+
+def words(result: Aligned) -> list[str]:
+    """Say what the sound tells of clock and microphones, in sentences without a full stop."""
+    lines = [
+        f"clock: picture time = sound time {result.clock_offset:+.4f} s ± {result.clock_offset_sd:.4f} s; "
+        f"{result.windows} windows, delays within {1e6 * result.residual_s:.0f} µs, {100 * result.used:.0f} % fit"
+    ]
+    for number, (shift, covariance) in enumerate(zip(result.shifts, result.covariances, strict=True), 1):
+        size, sd = float(np.linalg.norm(shift)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+        elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
+        say = "hangs elsewhere" if elsewhere else "as measured"
+        lines.append(f"microphone {number}: {say}, shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm at worst")
+    better = "explain" if result.improves else "do not explain"
+    found, given = 1e6 * result.held_out_s, 1e6 * result.held_out_given_s
+    lines.append(
+        f"the found positions {better} better what took no part: {found:.0f} µs, the given ones {given:.0f} µs"
+    )
+    return lines
 
 
 def align(

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli import pose
+from avcli.calibration.corners import View
 from avcli.calibration.fit import _cross, rotation_from_vector
+from avcli.calibration.target import Board
 
 _STARTS = 400
 _TRIED = 12
@@ -28,6 +30,15 @@ class Place:
     rms_px: float
     residuals: np.ndarray
     sigma_px: float
+
+    def camera_config(self) -> dict:
+        """The pose as keys of config.json's camera_config."""
+        return {
+            "camera_position_m": self.T_room_camera[:3, 3].tolist(),
+            "camera_rotation_deg": pose.camera_rotation_deg(self.T_room_camera).tolist(),
+            "pose_covariance": self.covariance.tolist(),
+            "pose_rms_px": self.rms_px,
+        }
 
 
 def locate(lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None = None) -> Place:
@@ -158,3 +169,69 @@ def board_on_floor(corners: np.ndarray, position: np.ndarray, yaw: float) -> np.
     c, s = np.cos(yaw), np.sin(yaw)
     across, down = np.array([c, s, 0.0]), np.array([s, -c, 0.0])
     return np.asarray(position) + corners[:, :1] * across + corners[:, 1:] * down
+
+
+def board_choices(
+    board: Board, views: list[View], position: np.ndarray, yaw: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pixels (n, 2) and room points (n, 3) m of all corners in all views of a board that lies face up (board_on_floor).
+
+    Returns:
+        one such pair; two where the board looks the same upside down, the second with all of its corners turned.
+    """
+    room = board_on_floor(board.points, position, yaw)
+    pixels = np.concatenate([view.pixels for view in views])
+    turns = (room,) if board.markers or board.columns % 2 != board.rows % 2 else (room, room[::-1])
+    return [(pixels, np.concatenate([turned[view.ids] for view in views])) for turned in turns]
+
+
+def nearest(found: list[Place], position: np.ndarray, rotation_deg: np.ndarray) -> Place:
+    """Choose the place that is nearest to a rough one, in `camera_position_m` and `camera_rotation_deg`."""
+    T = pose.camera_pose(position, rotation_deg)
+    return min(found, key=lambda one: float(np.abs(one.T_room_camera - T).sum()))
+
+
+def parse_points(content: bytes, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read a CSV with a header u,v,x,y,z: pixels (n, 2) and room points (n, 3) m.
+
+    Raises:
+        ValueError: a column is missing, or something is no finite number; the message begins with `name`.
+    """
+    import csv
+    import io
+
+    rows = csv.DictReader(io.StringIO(content.decode("utf-8-sig", "replace")))
+    try:
+        table = np.array([[float(row[key]) for key in ("u", "v", "x", "y", "z")] for row in rows]).reshape(-1, 5)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected a header u,v,x,y,z and numbers below it ({error})") from None
+    if not np.isfinite(table).all():
+        raise ValueError(f"{name}: a number is not finite")
+    return table[:, :2], table[:, 2:]
+
+
+def words(place: Place, others: list[Place]) -> list[str]:
+    """Say where the camera hangs and how sure that is, in sentences without a full stop.
+
+    Args:
+        place: what was found.
+        others: what it may as well be.
+    """
+    error = np.linalg.norm(place.residuals, axis=1)
+    sd_mm = 1000 * float(np.sqrt(np.trace(place.covariance[3:, 3:])))
+    lines = [
+        f"the camera hangs at {_shown(place)} m ± {sd_mm:.1f} mm, residual {place.rms_px:.2f} px of {len(error)} points"
+    ]
+    lines += [
+        f"this board looks the same upside down, so that the camera may also hang at {_shown(other)} m: state "
+        "camera_position_m roughly, or use a board with one odd and one even count"
+        for other in others
+    ]
+    bad = np.flatnonzero(error > max(5.0, 4 * float(np.median(error))))
+    if len(bad):
+        lines.append(f"points that do not fit, counted from 1: {', '.join(map(str, bad + 1))}")
+    return lines
+
+
+def _shown(place: Place) -> str:
+    return f"[{', '.join(f'{value:.4f}' for value in place.T_room_camera[:3, 3])}]"

@@ -22,6 +22,26 @@ class Straightened:
     fov: float
     focal_px: float
 
+    def camera_config(self, projection: str) -> dict:
+        """Describe the straightened pictures; a perspective one as a camera_config of config.json."""
+        height, width = self.sources.shape[:2]
+        found = {
+            "projection": projection,
+            "fov_deg": float(np.rad2deg(self.fov)),
+            "image_width_px": width,
+            "image_height_px": height,
+        }
+        if projection != "perspective":
+            return {**found, "px_per_rad": self.focal_px}
+        return {
+            **found,
+            "lens_model": "brown_conrady",
+            "fx_px": self.focal_px,
+            "fy_px": self.focal_px,
+            "cx_px": (width - 1) / 2,
+            "cy_px": (height - 1) / 2,
+        }
+
 
 def straighten(
     lens,
