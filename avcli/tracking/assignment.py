@@ -26,21 +26,19 @@ def ranked(priors, options, budget=1000, span=11.5):
             greedy = max(greedy, _greedy(weight, number, row, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
-        grown = []
+        grown, moves = [], {-1: (0.0, [(0.0, (-1,), 0)])}
         for bound, number, taken, used in beam:
             leaf = priors[number][1][depth]
-            if leaf < 0:
-                grown.append((bound, number, (*taken, -1), used))
-                continue
-            best = options[leaf][0][0]
-            for gain, j in options[leaf]:
+            if leaf not in moves:
+                choice = options[leaf]
+                moves[leaf] = choice[0][0], [(gain, (j,), 0 if j < 0 else 1 << j) for gain, j in choice]
+            best, choice = moves[leaf]
+            for gain, step, bit in choice:
                 reached = bound + gain - best
                 if reached < floor:
                     break
-                if j < 0:
-                    grown.append((reached, number, (*taken, -1), used))
-                elif not used >> j & 1:
-                    grown.append((reached, number, (*taken, j), used | 1 << j))
+                if not used & bit:
+                    grown.append((reached, number, taken + step, used | bit))
         if len(grown) > budget:
             grown.sort(key=FIRST, reverse=True)
             del grown[budget:]
@@ -53,11 +51,14 @@ def _greedy(weight, number, row, options):
     """One feasible association: each target in turn takes its best detection that is left."""
     taken, used = [], 0
     for leaf in row:
-        gain, j = 0.0, -1
+        j = -1
         if leaf >= 0:
-            gain, j = next((g, j) for g, j in options[leaf] if j < 0 or not used >> j & 1)
-        weight += gain
-        used |= 0 if j < 0 else 1 << j
+            for option in options[leaf]:
+                gain, j = option
+                if j < 0 or not used >> j & 1:
+                    break
+            weight += gain
+            used |= 0 if j < 0 else 1 << j
         taken.append(j)
     return weight, number, tuple(taken), used
 

@@ -102,13 +102,19 @@ def noise_of(covariances, sigma, floor, area):
     distribution over the area.
     Returns (J, 2, 2) m^2, positive definite.
     """
-    given = covariances + np.where(covariances > 0, floor * floor, 0.0) * np.eye(2)
-    noise = np.where(np.isnan(covariances).any((1, 2), keepdims=True), np.diag(np.square(sigma)), given)
-    for k in (0, 1):
-        unseen = noise[:, k, k] == 0
-        noise[unseen, k, :] = noise[unseen, :, k] = 0.0
-        noise[unseen, k, k] = (area[1][k] - area[0][k]) ** 2 / (2 * math.pi)
-        noise[:, k, k] = noise[:, k, k].clip(FLOOR, CEILING)
-    most = 0.999 * np.sqrt(noise[:, 0, 0] * noise[:, 1, 1])
-    noise[:, 0, 1] = noise[:, 1, 0] = ((noise[:, 0, 1] + noise[:, 1, 0]) / 2).clip(-most, most)
+    noise = covariances.copy()
+    axes = np.einsum("jkk->jk", noise)  # a view of the variances
+    axes += floor * floor * (axes > 0)
+    silent = np.isnan(noise).any((1, 2))
+    if silent.any():
+        noise[silent] = np.diag(np.square(sigma))
+    if not axes.all():
+        for k in (0, 1):
+            unseen = axes[:, k] == 0
+            noise[unseen, k, :] = noise[unseen, :, k] = 0.0
+            noise[unseen, k, k] = (area[1][k] - area[0][k]) ** 2 / (2 * math.pi)
+    axes[:] = np.minimum(np.maximum(axes, FLOOR), CEILING)
+    most = 0.999 * np.sqrt(axes[:, 0] * axes[:, 1])
+    cross = np.minimum(np.maximum((noise[:, 0, 1] + noise[:, 1, 0]) / 2, -most), most)
+    noise[:, 0, 1] = noise[:, 1, 0] = cross
     return noise

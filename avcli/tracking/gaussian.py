@@ -5,7 +5,8 @@ Shapes: n densities of M motion models each: mean (n, M, 4), cov (n, M, 4, 4), m
 
 import numpy as np
 
-FLOOR = 1e-6  # m^2; a person's place is not defined to better than a millimetre
+EYE2, EYE4 = np.eye(2), np.eye(4)
+COFACTOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
 def predict(mean, cov, mode, motion, dt):
@@ -79,16 +80,13 @@ def update(mean, cov, mode, z, noise, lead=0.0):
         ahead = heading(mean, cov)
         place = place + lead * ahead
         unknown = lead * lead / 2 * (1 - (ahead * ahead).sum(-1))
-        noise = noise[:, None] + unknown[..., None, None] * np.eye(2)
+        noise = noise[:, None] + unknown[..., None, None] * EYE2
     else:
         noise = noise[:, None]
     d = z[:, None] - place
     s = cov[..., :2, :2] + noise
     det = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] * s[..., 1, 0]
-    inverse = np.empty_like(s)
-    inverse[..., 0, 0], inverse[..., 1, 1] = s[..., 1, 1], s[..., 0, 0]
-    inverse[..., 0, 1], inverse[..., 1, 0] = -s[..., 0, 1], -s[..., 1, 0]
-    inverse /= det[..., None, None]
+    inverse = s[..., ::-1, ::-1] * COFACTOR / det[..., None, None]
     gain = cov[..., :, :2] @ inverse  # (n, M, 4, 2)
     if mode.shape[1] > 1:
         distance = (d[..., None, :] @ inverse @ d[..., None])[..., 0, 0]
@@ -96,9 +94,9 @@ def update(mean, cov, mode, z, noise, lead=0.0):
         mode = mode * np.exp(log - log.max(1, keepdims=True)) + 1e-12
         mode /= mode.sum(1, keepdims=True)
     mean = mean + (gain @ d[..., None])[..., 0]
-    keep = np.zeros_like(cov)
-    keep[...] = np.eye(4)
-    keep[..., :, :2] -= gain
+    keep = np.empty_like(cov)
+    keep[...] = EYE4
+    keep[..., :2] -= gain
     cov = keep @ cov @ keep.swapaxes(-1, -2) + gain @ noise @ gain.swapaxes(-1, -2)
     return mean, (cov + cov.swapaxes(-1, -2)) / 2, mode
 

@@ -147,29 +147,33 @@ class GLMB:
         z, noise, score = distinct(z, noise, score)
         column = self.column[name]
         sensor, rates = self.sensors[column], self.rates[column]
-        people, surface = self.people, self.settings.surface()
+        people, surface = self.people, self.settings.surface
         chance = people.found[:, column] * rates.detection
         gain = gains(people, z, noise, sensor.lead)
 
-        kappa = max(rates.clutter, 1e-9) / surface * rates.doubt(score)
+        odds = None if score is None or np.isnan(score).all() else logit(score)
+        kappa = max(rates.clutter, 1e-9) / surface * rates.doubt(odds)
         strangers = rates.detection * self.unseen_found[column] * (self.settings.whereabouts(z) @ self.unseen)
         if self.settings.birth != "poisson":
             strangers = strangers * 0.0
-        strangers = strangers * self._elbow_room(z, (noise[:, 0, 0] + noise[:, 1, 1]) / 2)
         at = self.tentative
-        room = self._elbow_room(people.mean[at, 0, :2], (people.cov[at, 0, 0, 0] + people.cov[at, 0, 1, 1]) / 2)
-        from_tentative = (people.exist[at] * chance[at] * room)[:, None] * gain[at]
+        room = self._elbow_room(
+            np.concatenate([z, people.mean[at, 0, :2]]),
+            np.concatenate([noise[:, 0, 0] + noise[:, 1, 1], people.cov[at, 0, 0, 0] + people.cov[at, 0, 1, 1]]) / 2,
+        )
+        strangers = strangers * room[: len(z)]
+        from_tentative = (people.exist[at] * chance[at] * room[len(z) :])[:, None] * gain[at]
         rho = from_tentative.sum(0) + strangers
         background = kappa + rho
         free = np.ones(len(z))  # probability that no labelled person caused the detection
         options = self._options(people.exist, chance, gain, background)
         groups = [self._associate(members, options, free) for members in self._groups(options)]
-        free = free.clip(0.0, 1.0)
+        free = np.minimum(np.maximum(free, 0.0), 1.0)
         existence = rho / background
 
         if self.settings.adapt:
             rates.learn(float((free * (1 - existence)).sum()), *self._hits_and_misses(groups, chance, rates.detection))
-        rates.learn_score(score, 1 - free * (1 - existence))
+        rates.learn_score(odds, 1 - free * (1 - existence))
         source = np.where(
             from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
         )
@@ -312,12 +316,13 @@ class GLMB:
         parts = [people.take(miss + stay)]
         old, parents = parts[0], miss + stay
         seen = old.found[:, column]
-        labelled = np.arange(len(parents)) < len(miss)
-        old.exist = old.exist * (1 - seen * detection)
-        old.exist = np.where(
-            labelled, old.exist / (1 - people.exist[parents] * seen * detection).clip(1e-12), old.exist
-        )
-        old.found[:, column] = seen * (1 - detection) / (1 - seen * detection).clip(1e-12)
+        overlooked = 1 - seen * detection
+        n = len(miss)
+        present = old.exist[:n]
+        explained = np.maximum(1 - present * seen[:n] * detection, 1e-12)
+        old.exist = old.exist * overlooked
+        old.exist[:n] /= explained
+        old.found[:, column] = seen * (1 - detection) / np.maximum(overlooked, 1e-12)
         old.past = [(*past[1 - self.settings.memory :], 0) for past in old.past]
         stamp = self.scans << 16
         if hit or renewed:
@@ -540,29 +545,28 @@ class Rates:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
         self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
 
-    def learn_score(self, score, real):
-        """Take in the scores (J,) of one record, if it has any, each as far as it probably was a person: real (J,)."""
-        if score is None:
+    def learn_score(self, odds, real):
+        """Take in the scores' log odds (J,) of one record, each as far as it probably was a person: real (J,)."""
+        if odds is None:
             return
-        known = ~np.isnan(score)
+        known = ~np.isnan(odds)
         weight = float(real[known].sum())
         if weight > 1e-3:
             share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
-            now = float(logit(score[known]) @ real[known]) / weight
+            now = float(odds[known] @ real[known]) / weight
             self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
 
-    def doubt(self, score):
-        """How much more clutter than usual each detection stands for, by its score against people's: (J,)."""
-        if score is None or not len(score) or np.isnan(score).all():
-            return np.ones(1)
-        odds = logit(score)
-        typical = float(np.nanmax(odds)) if self.typical is None else self.typical
-        return np.exp(np.clip(np.where(np.isnan(odds), 0.0, typical - odds), -1.0, 4.0))
+    def doubt(self, odds):
+        """How much more clutter than usual each detection stands for, by its log odds (J,) against people's: (J,)."""
+        if odds is None:
+            return 1.0
+        typical = float(odds[~np.isnan(odds)].max()) if self.typical is None else self.typical
+        return np.exp(np.minimum(np.maximum(np.where(np.isnan(odds), 0.0, typical - odds), -1.0), 4.0))
 
 
 def logit(score):
     """Log odds of probabilities, held within 0.01 % and 99.99 %."""
-    score = np.clip(score, 1e-4, 1 - 1e-4)
+    score = np.minimum(np.maximum(score, 1e-4), 1 - 1e-4)
     return np.log(score / (1 - score))
 
 

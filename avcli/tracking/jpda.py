@@ -53,7 +53,7 @@ class JPDA:
         ]
         updater = KalmanUpdater(LinearGaussian(4, (0, 2), np.eye(2)))
         chance = sensor.detection * sensor.findable()
-        density = max(sensor.clutter, 1e-6) / self.settings.surface()
+        density = max(sensor.clutter, 1e-6) / self.settings.surface
         hypothesiser = PDAHypothesiser(self.predictor, updater, density, prob_detect=chance, prob_gate=GATE)
         explained = np.zeros(len(found))
         if self.lives and found:

@@ -102,14 +102,22 @@ class Settings:
     def whereabouts(self, places):
         """Densities per m^2, at places (n, 2) m, of someone anywhere and of someone near the walls: (n, 2)."""
         low, high = self.corners
-        near = np.minimum(places - low, high - places).min(1) < self.edge
-        inner = (high - low - 2 * self.edge).clip(0.0).prod()
-        return np.column_stack([np.full(len(places), 1 / self.surface()), near / max(self.surface() - inner, 1e-6)])
+        density = np.empty((len(places), 2))
+        density[:, 0] = 1 / self.surface
+        density[:, 1] = (np.minimum(places - low, high - places).min(1) < self.edge) / self.strip
+        return density
 
+    @cached_property
     def surface(self):
         """Size of the area, m^2."""
         (x0, y0), (x1, y1) = self.area
         return max((x1 - x0) * (y1 - y0), 1e-6)
+
+    @cached_property
+    def strip(self):
+        """Size of the part of the area that is near the walls, m^2."""
+        low, high = self.corners
+        return max(self.surface - (high - low - 2 * self.edge).clip(0.0).prod(), 1e-6)
 
 
 @dataclass(frozen=True)
