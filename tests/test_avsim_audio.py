@@ -313,6 +313,69 @@ def test_microphones_at_one_place_hear_the_same(experiment):
     assert np.sum(sound[7] ** 2) > 0
 
 
+def path_of(times, **channels):
+    """Records of microphones given as functions of time."""
+    lines = []
+    for time in times:
+        objects = [{"object_id": int(name[1:]), "position": place(time)} for name, place in channels.items()]
+        lines.append(json.dumps({"timestamp": f"{time:.10f}", "objects": objects}))
+    return "\n".join(lines) + "\n"
+
+
+def test_a_microphone_that_moves(experiment, tmp_path):
+    """A microphone that is carried before a speaker hears no Doppler shift and no change of level."""
+    path = tmp_path / "microphones.jsonl"
+    times = np.arange(-2, 15) / 10
+    path.write_text(path_of(times, m2=lambda t: (0.5 + t + 0.1, 2.33, 1.6), m5=lambda t: (3.0, 3, 2)))
+    _, sound, messages = simulate(experiment, truth(TIMES, walk), "--rt60", "0", "--microphone-path", path)
+    assert messages == ""
+    _, fixed, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
+    for channel in (0, 1, 3, 4, 6, 7):
+        assert np.array_equal(sound[channel], fixed[channel]), "who does not move is not touched"
+    config = json.loads((experiment / "config.json").read_text())
+    config["microphone_config"]["mic_positions_m"][2:6:3] = [[0.6, 2.33, 1.6], [3.0, 3.0, 2.0]]
+    (experiment / "config.json").write_text(json.dumps(config))
+    _, beside, _ = simulate(experiment, truth(TIMES, lambda t: ((0.5, 2.33, 1.6), True)), "--rt60", "0")
+    # It flees from the sound, which takes 0.1 m / (c − v), not 0.1 m / c.
+    whole = slice(0, int(0.9 * RATE))
+    frequencies = np.fft.rfftfreq(beside.shape[1])
+    later = 0.1 * (1 / (343 - 1) - 1 / 343) * RATE
+    expected = np.fft.irfft(np.fft.rfft(beside[2]) * np.exp(-2j * np.pi * frequencies * later), beside.shape[1])
+    assert 10 * np.log10(np.sum((sound[2] - expected)[whole] ** 2) / np.sum(expected[whole] ** 2)) < -60
+    _, standing, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
+    assert 10 * np.log10(np.sum((sound[5] - standing[5]) ** 2) / np.sum(standing[5] ** 2)) < -80
+
+
+def test_pieces_are_the_whole_where_microphones_move(experiment, tmp_path):
+    path = tmp_path / "microphones.jsonl"
+    path.write_text(path_of(TIMES, m0=lambda t: (0.2 + t, 4.4, 2.4), m3=lambda t: (4.4, 2 - t, 2.4)))
+    _, whole, _ = simulate(experiment, truth(TIMES, walk), "--microphone-path", path)
+    _, pieces, _ = simulate(experiment, truth(TIMES, walk), "--microphone-path", path, "--chunk", "0.3")
+    assert np.array_equal(pieces, whole)
+    assert whole.any(axis=1).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "message"),
+    [
+        (None, 2, "no such file"),
+        (path_of([0.0], m1=lambda t: (9.0, 1, 1)), 1, "microphone 1 at [9.0, 1.0, 1.0] is outside the room"),
+        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "channel 1: 30 m/s from 0 s on; at most 20"),
+        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "channel 1: the times of a trajectory increase"),
+        ('{"timestamp":0,"objects":[{"object_id":8,"position":[1,1,1]}]}', 1, "channel 8: "),
+        ('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1]}]}', 1, "microphones.jsonl:1: "),
+    ],
+)
+def test_microphone_paths_that_are_wrong(experiment, tmp_path, text, code, message):
+    path = tmp_path / "microphones.jsonl"
+    if text is not None:
+        path.write_text(text)
+    result = run("avsim-audio", "-C", experiment, "--microphone-path", path, stdin=truth(TIMES, walk))
+    assert result.returncode == code
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
 def test_impulse_responses_for_others(experiment, tmp_path):
     simulate(experiment, truth(TIMES, walk), "--rir", tmp_path / "rir.npz", "--error-db", "-60")
     content = np.load(tmp_path / "rir.npz")

@@ -18,6 +18,7 @@ from avcli.acoustics.room import (
 from avcli.acoustics.sampling import Switching, interpolation
 from avcli.acoustics.signals import at_level, pascal, resample
 from avcli.acoustics.speakers import Speakers
+from avcli.acoustics.trajectory import Trajectory
 
 __all__ = [
     "MOST_IMAGES",
@@ -26,6 +27,7 @@ __all__ = [
     "Speakers",
     "Surroundings",
     "Switching",
+    "Trajectory",
     "at_level",
     "eyring_absorption",
     "image_absorption",

@@ -50,6 +50,46 @@ class Images:
             squares += difference
         return np.sqrt(squares, out=squares)
 
+    def moved(self, by_m: np.ndarray) -> "Images":
+        """Return the images when the microphone has moved: each moves as it is mirrored.
+
+        Args:
+            by_m: (3,) m.
+        """
+        return Images(self.positions + self.mirrored * by_m[:, None], self.gains, self.mirrored)
+
+    def caught_up(
+        self, source_m: np.ndarray, path_m: np.ndarray, step_m: float
+    ) -> tuple["Images", np.ndarray, np.ndarray]:
+        """Return where the images are when a sound that is emitted now reaches them, of a microphone that moves.
+
+        The way of the sound r is solved from |image(r) − source| = r by Newton's method, to 1e-8 m.
+
+        Args:
+            source_m: (3,) m, at the emission.
+            path_m: (k, 3) m, how far the microphone has moved from where these images belong to it, each time that
+                the sound has gone step_m further; linear in between.
+            step_m: m.
+
+        Returns:
+            the images, the ways, (n,) m, and how fast each flees from the sound, (n,) in speeds of sound.
+        """
+        steps = np.diff(path_m, axis=0).T
+        ways = self.distances(source_m)
+        for _ in range(20):
+            places = ways / step_m
+            cells = np.minimum(places.astype(np.intp), steps.shape[1] - 1)
+            velocities = self.mirrored * (steps[:, cells] / step_m)
+            positions = self.positions + self.mirrored * path_m.T[:, cells] + velocities * (ways - cells * step_m)
+            away = positions - source_m[:, None]
+            distances = np.sqrt((away**2).sum(axis=0))
+            fleeing = (away * velocities).sum(axis=0) / np.maximum(distances, 1e-9)
+            change = (distances - ways) / (1 - fleeing)
+            ways += change
+            if np.abs(change).max(initial=0.0) < 1e-8:
+                break
+        return Images(positions, self.gains, self.mirrored), ways, fleeing
+
     def amplitudes(self, distances: np.ndarray) -> np.ndarray:
         """Return the amplitudes at these distances, (n,): gain / (4π d), with d at least NEAREST_M."""
         if len(distances) and distances.min() < NEAREST_M:

@@ -1,9 +1,13 @@
-"""Moving sources in a shoebox room.
+"""Moving sources and microphones in a shoebox room.
 
 What a microphone hears of a moving source is y(t) = ∫ x(s) h(p(s), t − s) ds: each bit of sound travels by the response
 of the place where it was emitted, which is right for Doppler by construction. h(p, ·) is known at nodes along the way
 and interpolated between them; since the interpolation is linear in h, it is done by windows on the source signal,
 y = Σ_k (x w_k) * h(p_k), which need one response a node whatever their shape.
+
+Where microphones move, a sound that is emitted at s meets each image where the microphone will be when it arrives,
+t = s + |image(t) − p(s)| / c. This is solved at every node for every image, so that one response a node is enough and
+places of source and microphone need not be paired. Delays change by at most v_source + v_microphone then.
 """
 
 from dataclasses import dataclass
@@ -50,7 +54,7 @@ class MovingSource:
         self._knots: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, position, dry signal since the last knot
         self._begin = 0  # the sample that the arrays below begin with
         self._dry, self._path = np.zeros(0), np.zeros(0)  # signal and way so far, in nodes
-        self._places: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # node -> position, heading
+        self._places: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}  # node -> position, heading, time
         self._node = 1 - nodes.half_width  # the next that is to be rendered
         self._last = np.inf  # the last node
         self._heading = np.asarray(heading, dtype=float)
@@ -140,7 +144,11 @@ class MovingSource:
         times = np.arange(first_sample(t0, rate), first_sample(t1, rate)) / rate
         if len(times) == 0:
             return
-        steps = nodes.nodes_a_second(np.sqrt((cubic.velocity(times) ** 2).sum(axis=1))) / rate
+        speeds = np.sqrt((cubic.velocity(times) ** 2).sum(axis=1))
+        surroundings = self._surroundings
+        fleeing = surroundings.fastest_microphone(t0, t1 + surroundings.longest_delay / rate)
+        speeds = (speeds + fleeing) / (1 - fleeing / surroundings.speed_of_sound_m_s)
+        steps = nodes.nodes_a_second(speeds) / rate
         start = self._way if self._places else 0.0
         way = start + np.concatenate([[0.0], np.cumsum(steps)])
         crossed = np.arange(np.ceil(start), np.ceil(way[-1]), dtype=int)
@@ -152,11 +160,11 @@ class MovingSource:
             beyond = np.arange(np.ceil(way[-1]), np.ceil(way[-1]) + nodes.half_width + 1, dtype=int)
             crossed = np.concatenate([crossed, beyond])
             at = np.concatenate([at, times[-1] + (beyond - way[-2]) / (steps[-1] * rate)])
-        for node, position, moving in zip(crossed, cubic.position(at), cubic.velocity(at), strict=True):
+        for node, time, position, moving in zip(crossed, at, cubic.position(at), cubic.velocity(at), strict=True):
             level = moving * (1.0, 1.0, 0.0)
             if (length := np.linalg.norm(level)) > 0.05:
                 self._heading = level / length
-            self._places[int(node)] = (position, self._heading)
+            self._places[int(node)] = (position, self._heading, time)
         self._way = way[-1]
         self._dry, self._path = np.append(self._dry, dry), np.append(self._path, way[:-1])
 
@@ -169,7 +177,8 @@ class MovingSource:
         ):
             first = int(np.searchsorted(self._path, self._node - nodes.half_width, side="right"))
             last = int(np.searchsorted(self._path, self._node + nodes.half_width, side="left"))
-            place = self._places.pop(self._node)
+            position, heading, time = self._places.pop(self._node)
+            place = position, heading, self._surroundings.microphones_from(time)
             if self._pending_place is None or not all(map(np.array_equal, place, self._pending_place)):
                 self._convolve(len(self._pending))
                 self._pending_begin = self._begin + first

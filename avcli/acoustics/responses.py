@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, fast_length, image_microphones
+from avcli.acoustics.trajectory import Trajectory
 
 STRIDE_M = 0.5
-"""m; the images that are audible are chosen anew when the source has gone so far."""
+"""m; the images that are audible are chosen anew when source and microphones have gone so far."""
+MOTION_STEP_S = 0.001
+"""s; a microphone moves in a straight line for so long: at 10 m/s² it is wrong by no more than 1.3 µm."""
 MARGIN = 48
 """samples before and after an impulse that its band-limited form may spread to."""
 TAIL_REFERENCE_S = 0.01
@@ -31,6 +34,7 @@ class Surroundings:
         source_directivity: a of the source's pattern, 1 for all round.
         rt60_s: reverberation time of the noise that goes on after reach_m, s.
         end_s: when that noise ends, s; without it, before.
+        trajectories: (m,) the ways of the microphones that move, None for one that stands at microphones_m.
     """
 
     room_dimensions_m: np.ndarray
@@ -45,6 +49,7 @@ class Surroundings:
     source_directivity: float = 1.0
     rt60_s: float = 0.0
     end_s: float = 0.0
+    trajectories: tuple[Trajectory | None, ...] = ()
 
     @property
     def samples_per_m(self) -> float:
@@ -52,9 +57,31 @@ class Surroundings:
 
     @property
     def longest_delay(self) -> int:
-        """Samples that a response lasts, with the source up to STRIDE_M away from where its images were chosen."""
-        longest_way = int(np.ceil((self.reach_m + STRIDE_M) * self.samples_per_m)) + 1
+        """Samples that a response lasts, with the source up to STRIDE_M away from where its images were chosen.
+
+        A microphone that flees is reached later.
+        """
+        fleeing = self.fastest_microphone(-np.inf, np.inf) / self.speed_of_sound_m_s
+        longest_way = int(np.ceil((self.reach_m + STRIDE_M) / (1 - fleeing) * self.samples_per_m)) + 1
         return max(longest_way, int(np.ceil(self.end_s * self.sample_rate_hz)) + 1)
+
+    def fastest_microphone(self, begin_s: float, end_s: float) -> float:
+        """Return a speed that no microphone exceeds from one time to another, m/s."""
+        return max((way.fastest(begin_s, end_s) for way in self.trajectories if way is not None), default=0.0)
+
+    def microphones_from(self, time_s: float) -> np.ndarray:
+        """Return where the microphones are while a sound that is emitted at a time is heard, (k, m, 3) m.
+
+        One place every MOTION_STEP_S; k is 1 where none of them ever moves.
+        """
+        if not any(self.trajectories):
+            return self.microphones_m[None]
+        count = int(np.ceil(self.longest_delay / self.sample_rate_hz / MOTION_STEP_S)) + 2
+        places = np.repeat(self.microphones_m[None], count, axis=0)
+        for microphone, way in enumerate(self.trajectories):
+            if way is not None:
+                places[:, microphone] = way.at(time_s + MOTION_STEP_S * np.arange(count))
+        return places
 
 
 class Responses:
@@ -86,21 +113,22 @@ class Responses:
         self._spectrum = DelaySpectrum(length, edge, error_db)
         self.bins = self._spectrum.bins
         self._lowpass = lowpass[: self.bins]
-        self._chosen_at: np.ndarray | None = None
+        self._chosen_at: tuple[np.ndarray, np.ndarray] | None = None  # source, microphones
         self._images: list[Images] = []
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
         self._levels = np.zeros(len(surroundings.microphones_m))
         self._noise: np.ndarray | None = None
 
-    def at(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    def at(self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> np.ndarray:
         """Return the spectra of the responses, delayed by MARGIN, (m, bins) complex128.
 
         Args:
             position: (3,) m.
             heading: (3,) unit vector in which the source looks.
+            microphones: (k, m, 3) m, where they are from now on: see `Surroundings.microphones_from`.
         """
-        impulses = self.impulses(position, heading)
+        impulses = self.impulses(position, heading, microphones)
         for delays, _ in impulses:
             delays += MARGIN
         spectra = self._spectrum(impulses)
@@ -109,18 +137,25 @@ class Responses:
         spectra *= self._lowpass
         return spectra
 
-    def impulses(self, position: np.ndarray, heading: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def impulses(
+        self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return for each microphone the delays, (n,) samples, and amplitudes, (n,), of the images it hears.
 
         Args:
             position: (3,) m.
             heading: (3,) unit vector in which the source looks.
+            microphones: (k, m, 3) m, where they are from now on.
         """
-        if self._chosen_at is None or np.linalg.norm(position - self._chosen_at) > STRIDE_M:
-            self._chosen_at = position
-            microphones = range(len(self._surroundings.microphones_m))
-            self._images = [self._choose(microphone, position, heading) for microphone in microphones]
-        return [self._reckon(microphone, images, position, heading) for microphone, images in enumerate(self._images)]
+        now = microphones[0]
+        if self._chosen_at is None or _apart(position, self._chosen_at[0]) + _apart(now, self._chosen_at[1]) > STRIDE_M:
+            self._chosen_at = position, now
+            self._images = [self._choose(microphone, position, heading, now) for microphone in range(len(now))]
+        moved = microphones - self._chosen_at[1]
+        return [
+            self._reckon(microphone, images, position, heading, moved[:, microphone])
+            for microphone, images in enumerate(self._images)
+        ]
 
     def _tail(self) -> np.ndarray:
         """Return the spectra of noise that goes on where the images end, at their level, (m, bins)."""
@@ -135,19 +170,25 @@ class Responses:
             self._noise = np.fft.rfft(tail)[:, : self.bins]
         return self._noise * self._levels[:, None]
 
-    def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray) -> Images:
+    def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> Images:
         """Choose the images that a microphone hears, and note how loud the last of all images are."""
         s = self._surroundings
-        images = image_microphones(s.room_dimensions_m, s.microphones_m[microphone], s.reflection, position, s.reach_m)
-        delays, amplitudes = self._reckon(microphone, images, position, heading)
+        images = image_microphones(s.room_dimensions_m, microphones[microphone], s.reflection, position, s.reach_m)
+        delays, amplitudes = self._reckon(microphone, images, position, heading, np.zeros((1, 3)))
         reference = TAIL_REFERENCE_S * s.sample_rate_hz
         last = amplitudes[delays > self._tail_begin - reference]
         self._levels[microphone] = np.sqrt(np.sum(last**2) / reference)
         return images if s.error_db is None else images[audible(delays, amplitudes, s.error_db)]
 
-    def _reckon(self, microphone: int, images, position: np.ndarray, heading: np.ndarray):
+    def _reckon(self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray):
+        """Return delays and amplitudes of images whose microphone has moved, (k, 3) m, since they were chosen."""
         s = self._surroundings
-        distances = images.distances(position)
+        fleeing: np.ndarray | float = 0.0
+        if (moved != moved[0]).any():
+            images, distances, fleeing = images.caught_up(position, moved, MOTION_STEP_S * s.speed_of_sound_m_s)
+        else:
+            images = images.moved(moved[0]) if moved[0].any() else images
+            distances = images.distances(position)
         amplitudes = images.amplitudes(distances)
         a = 1.0 if s.directivities is None else s.directivities[microphone]
         if a != 1 or s.source_directivity != 1:
@@ -156,8 +197,15 @@ class Responses:
                 amplitudes *= a + (1 - a) * (s.orientations[microphone][:, None] * images.mirrored * away).sum(axis=0)
             if s.source_directivity != 1:
                 amplitudes *= s.source_directivity - (1 - s.source_directivity) * (heading[:, None] * away).sum(axis=0)
+        # Sound that is emitted in ds is heard in (1 − n·v_source/c) / (1 − n·v_microphone/c) ds, and louder as that is
+        # less; but how a microphone moves does not change the pressure where it is.
+        amplitudes /= 1 - fleeing
         distances *= s.samples_per_m
         return distances, amplitudes
+
+
+def _apart(here: np.ndarray, there: np.ndarray) -> float:
+    return float(np.linalg.norm(here - there, axis=-1).max())
 
 
 def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np.ndarray:
@@ -175,7 +223,7 @@ def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np
     responses = np.empty((len(places), len(surroundings.microphones_m), samples))
     images = Responses(surroundings, fast_length(samples + 2 * MARGIN), 0.5, -60.0)
     for response, place in zip(responses, places, strict=True):
-        impulses = images.impulses(place, np.array([1.0, 0.0, 0.0]))
+        impulses = images.impulses(place, np.array([1.0, 0.0, 0.0]), surroundings.microphones_m[None])
         response[:] = np.fft.irfft(spectrum(impulses), spectrum.length)[:, :samples]
     return responses[copies.ravel()]
 

@@ -18,10 +18,9 @@ from avcli.acoustics.signals import (
     frame_levels,
     power_spectrum,
 )
+from avcli.acoustics.trajectory import FASTEST_M_S
 from avcli.records import Sources
 
-FASTEST_M_S = 20.0
-"""m/s; who would have to be faster has jumped: the sound fades out there and in again here."""
 WALL_M = 0.05
 """m; a mouth is kept this far from walls, floor and ceiling, and inside the room."""
 ANECHOIC_ERROR_DB = -80.0
@@ -36,7 +35,7 @@ class _Person:
     sampling: Interpolation | Switching
     band: float
     quiet: float
-    source: MovingSource | None = None
+    sources: list[MovingSource] = field(default_factory=list)  # what each group of microphones hears; none: silent
     time: float = 0.0
     mouth: np.ndarray = field(default_factory=lambda: np.zeros(3))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -61,7 +60,7 @@ class Speakers:
 
     Attributes:
         moved_inside: how often a mouth on a wall or outside the room was moved inside.
-        jumps: how often someone was faster than FASTEST_M_S.
+        jumps: how often someone was faster than FASTEST_M_S; the sound fades out there and in again here.
     """
 
     def __init__(
@@ -79,12 +78,13 @@ class Speakers:
             error_db = min(error_db, ANECHOIC_ERROR_DB)
         # Three errors add up: images left out, interpolation between nodes (which is reckoned for the worst direction
         # and is some 10 dB better over all), and what lies above the band.
-        self._surroundings, self._copies = _distinct(replace(surroundings, error_db=error_db - 3.5))
+        self._surroundings = replace(surroundings, error_db=error_db - 3.5)
+        self._groups = _groups(self._surroundings)
         self._voices, self._error_db, self._pause_s = voices, error_db, pause_s
         self._switch_s, self._seed = switch_s, seed
         self._mouth_height_m = mouth_height_m
         self._people: dict[int, _Person] = {}
-        self._sources: list[MovingSource] = []
+        self._sources: list[tuple[_Group, MovingSource]] = []
         self._finished = False
         self.time: float | None = None
         self.moved_inside = self.jumps = 0
@@ -109,20 +109,11 @@ class Speakers:
             if person is None:
                 person = self._people[identity] = self._meet(identity)
             elapsed = people.timestamp - person.time
-            if person.source is not None and np.linalg.norm(mouth - person.mouth) > FASTEST_M_S * elapsed:
+            if person.sources and np.linalg.norm(mouth - person.mouth) > FASTEST_M_S * elapsed:
                 self.jumps += 1
                 self._leave(person)
-            if person.source is None:
-                person.source = MovingSource(
-                    self._surroundings,
-                    person.sampling,
-                    person.band,
-                    self._error_db - 15,
-                    rng=np.random.default_rng([self._seed, identity % 2**63]),
-                )
-                person.source.move(people.timestamp, mouth)
-                person.velocity = np.zeros(3)
-                self._sources.append(person.source)
+            if not person.sources:
+                self._begin(person, identity, people.timestamp, mouth)
             else:
                 person.velocity = (mouth - person.mouth) / elapsed
                 self._speak(person, people.timestamp, mouth, person.speaking)
@@ -141,15 +132,15 @@ class Speakers:
         if self._finished:
             return np.inf
         now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz) - MARGIN
-        return min([now, *(source.settled for source in self._sources)])
+        return min([now, *(source.settled for _, source in self._sources)])
 
     def take(self, begin: int, end: int) -> np.ndarray:
         """Return and forget what the microphones hear from sample `begin` to before `end`, (m, n) Pa."""
         heard = np.zeros((len(self._surroundings.microphones_m), end - begin))
-        for source in self._sources:
-            heard += source.take(begin, end)
-        self._sources = [source for source in self._sources if not source.exhausted]
-        return heard[self._copies]
+        for group, source in self._sources:
+            heard[group.channels] += source.take(begin, end)[group.copies]
+        self._sources = [(group, source) for group, source in self._sources if not source.exhausted]
+        return heard
 
     def activity(self, begin_s: float, end_s: float) -> dict[int, list[list[float]]]:
         """Return when each voice sounds from one time to another: object id -> [start, end] s."""
@@ -186,12 +177,27 @@ class Speakers:
             quiet=active_level(voice, rate) * 10 ** (QUIET_DB / 20),
         )
 
+    def _begin(self, person: _Person, identity: int, time: float, mouth: np.ndarray) -> None:
+        for number, group in enumerate(self._groups):
+            source = MovingSource(
+                group.surroundings,
+                person.sampling,
+                person.band,
+                self._error_db - 15,
+                rng=np.random.default_rng([self._seed, identity % 2**63, *[number] * (number > 0)]),
+            )
+            source.move(time, mouth)
+            person.sources.append(source)
+            self._sources.append((group, source))
+        person.velocity = np.zeros(3)
+
     def _speak(self, person: _Person, time: float, mouth: np.ndarray, speaking: bool) -> None:
         """Go on to a place, sounding on the way there."""
         rate = self._surroundings.sample_rate_hz
         first = first_sample(person.time, rate)
         dry = person.voice.emit(first_sample(time, rate) - first, speaking)
-        person.source.move(time, mouth, dry)
+        for source in person.sources:
+            source.move(time, mouth, dry)
         for frame in np.flatnonzero(frame_levels(dry, rate) > person.quiet):
             start = first / rate + frame * FRAME_S
             end = min(start + FRAME_S, (first + len(dry)) / rate)
@@ -202,26 +208,56 @@ class Speakers:
 
     def _leave(self, person: _Person) -> None:
         """Fade out where the way ends."""
-        if person.source is None:
+        if not person.sources:
             return
         self._speak(person, person.time + FADE_S, person.mouth + person.velocity * FADE_S, False)
-        person.source.finish()
-        person.source, person.speaking = None, False
+        for source in person.sources:
+            source.finish()
+        person.sources, person.speaking = [], False
 
 
-def _distinct(surroundings: Surroundings) -> tuple[Surroundings, np.ndarray]:
-    """Return the surroundings with each microphone once, and for every microphone which of those it is, (m,)."""
-    columns = [surroundings.microphones_m]
-    if surroundings.directivities is not None:
-        columns += [surroundings.directivities[:, None], surroundings.orientations]
-    _, first, copies = np.unique(np.column_stack(columns), axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)  # as they came
-    kept, places = first[order], np.argsort(order)
+@dataclass(frozen=True)
+class _Group:
+    """Microphones that are rendered together, each place of them once.
+
+    Attributes:
+        surroundings: the room with these microphones alone.
+        channels: (m,) which they are of all microphones.
+        copies: (m,) for each, which of the group's it is.
+    """
+
+    surroundings: Surroundings
+    channels: np.ndarray
+    copies: np.ndarray
+
+
+def _groups(surroundings: Surroundings) -> list[_Group]:
+    """Part the microphones that stand from those that move, which need more responses."""
+    count = len(surroundings.microphones_m)
+    ways: list[bytes] = [
+        b"" if way is None else way.times_s.tobytes() + way.positions_m.tobytes() for way in surroundings.trajectories
+    ] or [b""] * count
+    moving = np.array([way != b"" for way in ways])
+    return [_distinct(surroundings, np.flatnonzero(chosen), ways) for chosen in (~moving, moving) if chosen.any()]
+
+
+def _distinct(surroundings: Surroundings, channels: np.ndarray, ways: list[bytes]) -> _Group:
+    """Take some of the microphones, and those that are at one place and look in one direction once."""
     directional = surroundings.directivities is not None
+    kept: dict[bytes, int] = {}
+    copies = []
+    for channel in channels.tolist():
+        place = ways[channel] or surroundings.microphones_m[channel].tobytes()
+        if directional and surroundings.directivities[channel] != 1:
+            place += surroundings.directivities[channel].tobytes() + surroundings.orientations[channel].tobytes()
+        copies.append(list(kept).index(place) if place in kept else len(kept))
+        kept.setdefault(place, channel)
+    first = list(kept.values())
     distinct = replace(
         surroundings,
-        microphones_m=surroundings.microphones_m[kept],
-        directivities=surroundings.directivities[kept] if directional else None,
-        orientations=surroundings.orientations[kept] if directional else None,
+        microphones_m=surroundings.microphones_m[first],
+        directivities=surroundings.directivities[first] if directional else None,
+        orientations=surroundings.orientations[first] if directional else None,
+        trajectories=tuple(surroundings.trajectories[channel] for channel in first if ways[channel]),
     )
-    return distinct, places[copies.ravel()]
+    return _Group(distinct, channels, np.array(copies))

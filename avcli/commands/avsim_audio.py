@@ -86,6 +86,12 @@ def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
     help="Pattern of a talking head, which looks where it walks.",
 )
 @click.option(
+    "--microphone-path",
+    metavar="FILE",
+    help="Where microphones move: records whose object_id is a channel and whose position is that of its microphone. "
+    "Channels that it does not name stay where the configuration has them.",
+)
+@click.option(
     "--rt60",
     type=click.FloatRange(0),
     metavar="S",
@@ -189,6 +195,7 @@ def main(session: Session, files, **options):
     microphone to DIR/audio/wav, and a record for each file.
     """
     _check(session, options)
+    paths = _microphone_paths(session, options["microphone_path"])
     recordings = _recordings(session, options["speech"])
     last = -math.inf
 
@@ -207,7 +214,7 @@ def main(session: Session, files, **options):
         places = []
         for people in session.records(files, people_at):
             if tape is None:
-                surroundings, tail_s = _surroundings(session, options)
+                surroundings, tail_s = _surroundings(session, paths, options)
                 rate = surroundings.sample_rate_hz
                 speakers = _speakers(session, surroundings, recordings, options)
                 # A clock that does not start with the scene (Unix time) is not waited for from its zero on.
@@ -252,6 +259,8 @@ def _check(session: Session, options) -> None:
         session.usage("--bit-depth 32: FLAC takes 16 or 24")
     if options["rir"] and options["source_directivity"] != "omni":
         session.usage("--rir writes the responses to a source that sounds all round; not with --source-directivity")
+    if options["rir"] and options["microphone_path"]:
+        session.usage("--rir writes the responses of microphones that stand; not with --microphone-path")
     if options["rir"] and Path(options["rir"]).suffix not in (".npz", ".sofa"):
         session.usage(f"--rir {options['rir']}: expected a name that ends in .npz or .sofa")
     if options["rir"] and Path(options["rir"]).suffix == ".sofa":
@@ -282,16 +291,60 @@ def _recordings(session: Session, paths):
     return recordings
 
 
-def _surroundings(session: Session, options):
+def _microphone_paths(session: Session, path: str | None):
+    """Read where microphones go: {channel: (times, positions)}."""
+    from avcli import records
+
+    paths: dict[int, tuple[list[float], list]] = {}
+
+    def extend(record, bad):
+        moment = records.identified(record, bad)
+        for channel, position in zip(moment.ids.tolist(), moment.positions, strict=True):
+            if math.isnan(position[2]):
+                bad(f"object_id {channel}: a microphone needs three coordinates")
+                continue
+            times, positions = paths.setdefault(channel, ([], []))
+            times.append(moment.timestamp)
+            positions.append(position)
+
+    for _ in session.records([path], extend) if path else ():
+        pass
+    return paths
+
+
+def _microphones(session: Session, paths):
+    """Return the places of the microphones, (m, 3) m, and the trajectories of those that move."""
+    import numpy as np
+
+    from avcli import acoustics
+
+    room, fixed = session.config.room, session.config.microphones.positions
+    places, trajectories = fixed.copy(), [None] * len(fixed)
+    for channel, (times, positions) in sorted(paths.items()):
+        if not 0 <= channel < len(fixed):
+            session.fail(f"--microphone-path: channel {channel}: {session.config.name} has {len(fixed)} microphones")
+        try:
+            trajectories[channel] = acoustics.Trajectory(np.array(times), np.array(positions))
+        except ValueError as error:
+            session.fail(f"--microphone-path: channel {channel}: {error}")
+        places[channel] = positions[0]
+    for channel in range(len(fixed)):
+        on_the_way = np.array(paths[channel][1]) if channel in paths else fixed[[channel]]
+        outside = on_the_way[((on_the_way < 0) | (on_the_way > room.dimensions)).any(axis=1)]
+        if len(outside):
+            source = "--microphone-path" if channel in paths else session.config.name
+            session.fail(f"{source}: microphone {channel} at {outside[0].tolist()} is outside the room")
+    return places, tuple(trajectories) if paths else ()
+
+
+def _surroundings(session: Session, paths, options):
     """Return the room with its microphones, and how long its reverberation lasts, s."""
     import numpy as np
 
     from avcli import acoustics, experiment
 
     room, microphones = session.config.room, session.config.microphones
-    for i, position in enumerate(microphones.positions):
-        if ((position < 0) | (position > room.dimensions)).any():
-            session.fail(f"{session.config.name}: microphone {i} at {position.tolist()} is outside the room")
+    places, trajectories = _microphones(session, paths)
     speed = options["speed_of_sound"] or room.speed_of_sound_m_s
     if options["temperature"] is not None:
         speed = acoustics.speed_of_sound(options["temperature"])
@@ -319,7 +372,7 @@ def _surroundings(session: Session, options):
     surroundings = acoustics.Surroundings(
         room_dimensions_m=room.dimensions,
         reflection=sign * np.sqrt(1 - absorption),
-        microphones_m=microphones.positions,
+        microphones_m=places,
         sample_rate_hz=options["sample_rate"] or microphones.sample_rate_hz,
         reach_m=reach_m,
         speed_of_sound_m_s=speed,
@@ -328,6 +381,7 @@ def _surroundings(session: Session, options):
         source_directivity=experiment.DIRECTIVITIES[options["source_directivity"]],
         rt60_s=rt60,
         end_s=tail_s if options["ism_decay"] is not None and rt60 > 0 else 0.0,
+        trajectories=trajectories,
     )
     return surroundings, tail_s
 
