@@ -14,9 +14,11 @@ from avcli.scene import furniture, room_shaders, shaders
 
 _MOST_TERMS = 40  # of the series by which the shaders turn pixels into rays
 _TILE = 32  # px, the grain in which a frame is redrawn
-_COARSE = 4  # px, the grid on which the room's light and people's shadows are computed
+_COARSE = 4  # px, the grid on which the room's light is computed
+_SHADOW_PITCH = 8  # px, the grid on which people's shadows are computed
 _SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
 _CONE_NAMES = ("origin", "edges", "ball_a", "ball_b", "bulge", "middle")
+_RAYS_UNIT = 7  # where the shaders find the pixels' rays
 _SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
 
 
@@ -60,6 +62,15 @@ def open_context():
         ) from None
 
 
+def _finish():
+    """glFinish, called so that other threads run Python meanwhile; moderngl's calls keep them waiting."""
+    import ctypes
+
+    egl = ctypes.CDLL("libEGL.so.1")
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    return ctypes.CFUNCTYPE(None)(egl.eglGetProcAddress(b"glFinish"))
+
+
 class Renderer:
     """Draws one scene through one camera.
 
@@ -77,7 +88,7 @@ class Renderer:
     def __init__(self, camera, room, solids, depth_step=1e-4, samples=4, context=None):
         self.camera, self.room, self.solids = camera, np.asarray(room, float), solids
         self.depth_step, self.samples = depth_step, samples
-        self.ctx = context or open_context()
+        self.ctx, self._wait = context or open_context(), _finish()
         self.ctx.enable(self.ctx.DEPTH_TEST)
         self.width, self.height = camera.width_px, camera.height_px
         limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
@@ -98,7 +109,7 @@ class Renderer:
     def _program(self, vertex, fragment, **uniforms):
         fragment = fragment.replace("TERMS", str(len(self._lens["series"])))
         program = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
-        _set(program, **self._lens, **uniforms)
+        _set(program, **self._lens, **uniforms, rays=_RAYS_UNIT)
         return program
 
     def _room_uniforms(self):
@@ -120,6 +131,9 @@ class Renderer:
     def _room_pass(self):
         """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet."""
         ctx, size, uniforms = self.ctx, (self.width, self.height), self._room_uniforms()
+        self._rays = ctx.texture(size, 2, dtype="f4")
+        self._fill(self._program(shaders.FLAT_VERTEX, shaders.RAYS), ctx.framebuffer([self._rays]))
+        self._rays.use(_RAYS_UNIT)
         solids = self._table(_solid_rows(self.solids))
         rectangles = np.concatenate([[[0, 0, *size]], self._solid_rectangles()])
         index = np.arange(-1, len(self.solids))[:, None]
@@ -135,7 +149,8 @@ class Renderer:
         array = ctx.vertex_array(program, [(buffer, "4f 1f/i", "rectangle", "solid")])
         array.render(ctx.TRIANGLE_STRIP, 4, instances=len(rectangles))
         seen = {"seen": self.room_seen, "surface": self._room_surface}
-        coarse = [ctx.texture((-(-self.width // _COARSE), -(-self.height // _COARSE)), 1, dtype="f2") for _ in range(2)]
+        grid = -(-self.width // _COARSE), -(-self.height // _COARSE)
+        coarse = [ctx.texture(grid, 1, dtype="f2"), ctx.texture(grid, 4, dtype="f4")]
         blockers = self._table(_solid_rows(furniture.blockers(self.solids)))
         light = self._program(
             shaders.FLAT_VERTEX, room_shaders.ROOM_LIGHT, **uniforms, blockers=len(furniture.blockers(self.solids))
@@ -189,18 +204,23 @@ class Renderer:
         self._geometry = ctx.framebuffer([self.people_seen], marks)
         self._colour, self._depth = ctx.texture(size, 4), ctx.texture(size, 1, dtype="u2")
         self._ids = ctx.texture(size, 1)
-        self._final = ctx.framebuffer([self._colour, self._depth, self._ids])
+        edges = ctx.depth_renderbuffer(size)
+        self._final = ctx.framebuffer([self._colour, self._depth, self._ids], edges)
+        self._smoothed = ctx.framebuffer([self._colour], edges)
         self._paint_of_people = ctx.texture(size, 4)
         self._painted = ctx.framebuffer([self._paint_of_people], marks)
-        edges = ctx.depth_renderbuffer(size)
-        self._marked, self._smoothed = ctx.framebuffer(depth_attachment=edges), ctx.framebuffer([self._colour], edges)
         self._painted.depth_mask = self._smoothed.depth_mask = False
-        self._shadow = ctx.texture((-(-self.width // _COARSE), -(-self.height // _COARSE)), 1)
+        self._shadow = ctx.texture((-(-self.width // _SHADOW_PITCH), -(-self.height // _SHADOW_PITCH)), 1)
         self._shade_target = ctx.framebuffer([self._shadow])
         self._cones = self._program(shaders.PEOPLE_VERTEX, shaders.PEOPLE_FRAGMENT, room_depth=0, size=size)
         self._shapes = self._program(shaders.SHAPE_VERTEX, shaders.SHAPE_FRAGMENT, pitch=float(_SHAPE_PITCH))
         self._shadows = self._program(
-            shaders.SHADOW_VERTEX, shaders.SHADOW_FRAGMENT, **uniforms, seen=0, surface=1, balls=2
+            shaders.SHADOW_VERTEX,
+            shaders.SHADOW_FRAGMENT,
+            **{**uniforms, "coarse": _SHADOW_PITCH},
+            seen=0,
+            surface=1,
+            balls=2,
         )
         _set(self._shadows, size=self._shadow.size)
         units = {
@@ -214,12 +234,13 @@ class Renderer:
             "size": size,
         }
         vertex, step = shaders.FLAT_VERTEX, 1.0 / self.depth_step
-        self._base = self._program(vertex, shaders.BASE, **units, per_step=step)
+        base = shaders.BASE.replace("MARK", shaders.MARK if self.samples > 1 else "")
+        self._base = self._program(vertex, base, **units, per_step=step)
         self._dim = self._program(vertex, shaders.DIM, **units)
         self._dimmed = ctx.framebuffer([self._colour])
         self._shade = self._program(vertex, shaders.SHADE, **uniforms, **units, level=0.9999)
-        self._edges = self._program(vertex, shaders.EDGES, **units)
-        self._smooth = self._program(vertex, shaders.SMOOTH, **uniforms, **units, level=0.5)
+        smooth = shaders.SMOOTH.replace("SAMPLES", str(self.samples))
+        self._smooth = self._program(vertex, smooth, **units, level=0.5)
         everywhere = np.ones((-(-self.height // _TILE), -(-self.width // _TILE)), bool)
         self._stale = everywhere, everywhere
 
@@ -234,6 +255,7 @@ class Renderer:
         redrawn = bodies | self._stale[0], (shadows | self._stale[1]) & ~(bodies | self._stale[0])
         self._paint(drawn.rows(index), drawn.balls(index), drawn.shadow_rectangles(index), *redrawn)
         self._stale = bodies, shadows
+        self._wait()
         rgb = np.frombuffer(self._final.read(components=3, attachment=0), np.uint8).reshape(self.height, self.width, 3)
         ids = np.frombuffer(self._ids.read(), np.uint8).reshape(self.height, self.width)
         return Frame(rgb, self._read_depth(), ids, self._silhouettes(drawn, index), self.depth_step)
@@ -253,6 +275,7 @@ class Renderer:
 
     def _find(self, instances):
         """Find which cone each pixel sees."""
+        self._rays.use(_RAYS_UNIT)
         self._geometry.use()
         self._geometry.clear(0, 0, 0, 0, depth=1.0)
         self.ctx.enable(self.ctx.DEPTH_TEST)
@@ -284,18 +307,16 @@ class Renderer:
             ctx.depth_func = ">"
             self._painted.use()
             self._render(self._shade, corners, "4f/i", ("rectangle",))
-            ctx.disable(ctx.DEPTH_TEST)
         self._paint_of_people.use(6)
         self._final.use()
+        ctx.enable(ctx.DEPTH_TEST)
+        ctx.depth_func = "1"
         self._render(self._base, corners, "4f/i", ("rectangle",))
+        ctx.disable(ctx.DEPTH_TEST)
         self._dimmed.use()
         self._render(self._dim, aside, "4f/i", ("rectangle",))
         if len(rows) and self.samples > 1:
             ctx.enable(ctx.DEPTH_TEST)
-            self._marked.use()
-            self._marked.clear(depth=1.0)
-            ctx.depth_func = "1"
-            self._render(self._edges, corners, "4f/i", ("rectangle",))
             self._smoothed.use()
             ctx.depth_func = ">"
             self._render(self._smooth, corners, "4f/i", ("rectangle",))
@@ -443,7 +464,7 @@ class _Drawn:
         """Where each person darkens the room, in coarse pixels, and which balls are theirs: (people, 6)."""
         count, each = self.bodies.balls.shape[1:3]
         first = np.arange(count)[:, None] * each
-        rectangles = self.shadows[index] / _COARSE + [-1, -1, 1, 1]
+        rectangles = self.shadows[index] / _SHADOW_PITCH + [-1, -1, 1, 1]
         rows = np.hstack([rectangles, first, first + each])
         return rows[np.isfinite(rows).all(1)]
 

@@ -93,7 +93,7 @@ flat in int index;
 layout(location = 0) out vec2 seen;
 layout(location = 1) out vec4 surface;
 void main() {
-    vec3 ray = ray_through(gl_FragCoord.xy - 0.5);
+    vec3 ray = ray_of(ivec2(gl_FragCoord.xy));
     if (ray == vec3(0.0)) discard;
     vec3 d = to_room * ray, normal;
     float t;
@@ -152,24 +152,24 @@ void main() {
     light = 0.0;
     if (hit.y < 0.5) return;
     vec3 n = texelFetch(surface, at, 0).xyz;
-    vec3 p = eye + hit.x * (to_room * ray_through(vec2(at))) + 2e-3 * n;
+    vec3 p = eye + hit.x * (to_room * ray_of(at)) + 2e-3 * n;
     float turn = 6.2832 * hash(vec3(gl_FragCoord.xy, 1.0)), ring = hash(vec3(gl_FragCoord.yx, 2.0));
     for (int k = 0; k < 2; ++k) {
         float open = 0.0;
-        for (int s = 0; s < 5; ++s) {
-            float r = LAMP_RADIUS * sqrt((float(s) + ring) / 5.0), a = turn + 2.39996 * float(s);
+        for (int s = 0; s < 3; ++s) {
+            float r = LAMP_RADIUS * sqrt((float(s) + ring) / 3.0), a = turn + 2.39996 * float(s);
             vec3 way = lamps[k] + r * vec3(cos(a), sin(a), 0.0) - p;
             float far = length(way);
-            open += blocked(p, way / far, far) ? 0.0 : 0.2;
+            open += blocked(p, way / far, far) ? 0.0 : 1.0 / 3.0;
         }
         light += open * lamp(p, n, k);
     }
     vec3 u = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0, 0, 1) : vec3(1, 0, 0))), v = cross(n, u);
     float open = 0.0;
-    for (int s = 0; s < 8; ++s) {
-        float r = sqrt((float(s) + ring) / 8.0), a = turn + 2.39996 * float(s);
+    for (int s = 0; s < 5; ++s) {
+        float r = sqrt((float(s) + ring) / 5.0), a = turn + 2.39996 * float(s);
         vec3 d = r * cos(a) * u + r * sin(a) * v + sqrt(1.0 - r * r) * n;
-        open += blocked(p, d, 0.9) ? 0.0 : 0.125;
+        open += blocked(p, d, 0.9) ? 0.0 : 0.2;
     }
     // Corners of the room see less of it.
     vec3 gap = min(p, room - p) + abs(n) * 9.0;
@@ -179,11 +179,11 @@ void main() {
 """
 )
 
-# Averages the coarse light over neighbours on the same surface.
+# Averages the coarse light over neighbours on the same surface, and says which surface: light, id, normal's x and y.
 ROOM_BLUR = """#version 330
 uniform sampler2D seen, surface, light;
 uniform int coarse;
-out float smoothed;
+out vec4 smoothed;
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(light, 0) - 1;
     vec2 hit = texelFetch(seen, at * coarse + coarse / 2, 0).rg;
@@ -197,7 +197,7 @@ void main() {
         sum += w * texelFetch(light, other, 0).r;
         weights += w;
     }
-    smoothed = sum / max(weights, 1.0);
+    smoothed = vec4(sum / max(weights, 1.0), hit.y, n.xy);
 }
 """
 
@@ -217,13 +217,13 @@ float light_at(vec2 px, int id, vec3 n) {
     float sum = 0.0, weights = 0.0, any_sum = 0.0;
     for (int y = -1; y <= 2; ++y) for (int x = -1; x <= 2; ++x) {
         ivec2 other = clamp(base + ivec2(x, y), ivec2(0), most);
-        ivec2 there = other * coarse + coarse / 2;
         vec2 near2 = max(1.0 - 0.6 * abs(vec2(x, y) - f), 0.02);
-        float w = near2.x * near2.y, l = texelFetch(light, other, 0).r;
-        any_sum += l / 16.0;
-        int there_id = int(texelFetch(seen, there, 0).g + 0.5);
-        w *= there_id == id && dot(texelFetch(surface, there, 0).xyz, n) > 0.9 ? 1.0 : 0.0;
-        sum += w * l;
+        vec4 there = texelFetch(light, other, 0);
+        float w = near2.x * near2.y, up = sqrt(max(1.0 - dot(there.zw, there.zw), 0.0));
+        any_sum += there.x / 16.0;
+        // One surface's normals that differ in nothing but the sign of z are never seen side by side.
+        w *= int(there.y + 0.5) == id && dot(vec3(there.zw, up), vec3(n.xy, abs(n.z))) > 0.9 ? 1.0 : 0.0;
+        sum += w * there.x;
         weights += w;
     }
     return weights > 1e-4 ? sum / weights : any_sum;
@@ -286,7 +286,7 @@ void main() {
     vec2 hit = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).rg, px = gl_FragCoord.xy - 0.5;
     vec3 n = texelFetch(surface, ivec2(gl_FragCoord.xy), 0).xyz;
     float lit = hit.y > 0.5 ? 1.0 : 0.0;
-    colour = vec4(lit * shade(px, to_room * ray_through(px), hit.x, int(hit.y + 0.5), n), 1.0);
+    colour = vec4(lit * shade(px, to_room * ray_of(ivec2(gl_FragCoord.xy)), hit.x, int(hit.y + 0.5), n), 1.0);
 }
 """
 )

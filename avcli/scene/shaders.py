@@ -5,8 +5,11 @@ uniform vec2 centre, per_px, stretch;   // principal point, px to the lens's pla
 uniform vec4 domain;                    // 1 / m_top^2, whether the variable is sqrt(1 - .), m_max^2, source bound
 uniform vec2 series[TERMS];             // Chebyshev coefficients of the lateral and the axial part of the ray
 
-// The unit ray through image point px, or (0, 0, 0) where the lens images nothing.
-vec3 ray_through(vec2 px) {
+uniform sampler2D rays;                 // ray_parts of each pixel's centre
+
+// The two parts of the unit ray through image point px, which times its place in the lens's plane, and its z; 0, 0
+// where the lens images nothing.
+vec2 ray_parts(vec2 px) {
     vec2 m = (px - centre) * per_px;
     float square = dot(m, m);
     float w = square * domain.x;
@@ -21,10 +24,21 @@ vec3 ray_through(vec2 px) {
     vec2 ab = w * one - two + series[0];
     float a = ab.x, b = ab.y;
     vec2 lateral = m * a;
-    if (square > domain.z || (domain.w > 0.5 && max(abs(lateral.x), abs(lateral.y)) > 1.0)) return vec3(0.0);
-    return normalize(vec3(lateral * stretch, b));
+    if (square > domain.z || (domain.w > 0.5 && max(abs(lateral.x), abs(lateral.y)) > 1.0)) return vec2(0.0);
+    return vec2(a, b) / length(vec3(lateral * stretch, b));
 }
+vec3 ray_from(vec2 px, vec2 parts) { return vec3((px - centre) * per_px * stretch * parts.x, parts.y); }
+vec3 ray_through(vec2 px) { return ray_from(px, ray_parts(px)); }
+vec3 ray_of(ivec2 at) { return ray_from(vec2(at), texelFetch(rays, at, 0).rg); }
 """
+
+RAYS = (
+    LENS
+    + """
+out vec2 parts;
+void main() { parts = ray_parts(gl_FragCoord.xy - 0.5); }
+"""
+)
 
 CONE = """
 // Distance along the unit ray d from the origin to a rounded cone, negative where it is missed. (a, ra) and (b, rb) are
@@ -98,7 +112,7 @@ flat in vec4 fa, fb, fbulge, fmiddle;
 uniform sampler2D room_depth;
 out vec2 seen;
 void main() {
-    vec3 d = ray_through(gl_FragCoord.xy - 0.5);
+    vec3 d = ray_of(ivec2(gl_FragCoord.xy));
     if (d == vec3(0.0)) discard;
     float t = hit_cone(d, fa, fb, fbulge, fmiddle.xyz);
     if (t <= 0.0) discard;
@@ -203,7 +217,7 @@ void main() {
     ivec2 at = min(ivec2(gl_FragCoord.xy) * coarse + coarse / 2, textureSize(seen, 0) - 1);
     vec2 hit = texelFetch(seen, at, 0).rg;
     if (hit.y < 0.5) discard;
-    vec3 p = eye + hit.x * (to_room * ray_through(vec2(at))), n = texelFetch(surface, at, 0).xyz;
+    vec3 p = eye + hit.x * (to_room * ray_of(at)), n = texelFetch(surface, at, 0).xyz;
     float open = 1.0;
     vec2 clear = vec2(1.0);
     vec3 ways[2];
@@ -252,7 +266,18 @@ void main() {
     float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
     vec3 room = texelFetch(room_colour, at, 0).rgb * dark;
     colour = vec4(person ? texelFetch(painted, at, 0).rgb : room, 1.0);
+    MARK
 }
+"""
+
+# Marks outlines in the depth buffer for SMOOTH; put in place of MARK where outlines are antialiased.
+MARK = """
+    ivec2 most = textureSize(seen, 0) - 1;
+    bool edge = texelFetch(seen, min(at + ivec2(1, 0), most), 0).g != hit.y;
+    edge = edge || texelFetch(seen, max(at - ivec2(1, 0), 0), 0).g != hit.y;
+    edge = edge || texelFetch(seen, min(at + ivec2(0, 1), most), 0).g != hit.y;
+    edge = edge || texelFetch(seen, max(at - ivec2(0, 1), 0), 0).g != hit.y;
+    gl_FragDepth = edge ? 0.0 : 1.0;
 """
 
 # Where nobody is or was, only the shadow on the room may have changed.
@@ -365,24 +390,10 @@ SHADE = (
     + """
 void main() {
     vec2 hit = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).rg;
-    colour = vec4(shade(ray_through(gl_FragCoord.xy - 0.5), hit.x, int(max(hit.y, 1.0) - 0.5)), 1.0);
+    colour = vec4(shade(ray_of(ivec2(gl_FragCoord.xy)), hit.x, int(max(hit.y, 1.0) - 0.5)), 1.0);
 }
 """
 )
-
-EDGES = """#version 330
-uniform sampler2D seen;
-void main() {
-    ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
-    float me = texelFetch(seen, at, 0).g;
-    bool edge = texelFetch(seen, min(at + ivec2(1, 0), most), 0).g != me;
-    edge = edge || texelFetch(seen, max(at - ivec2(1, 0), 0), 0).g != me;
-    edge = edge || texelFetch(seen, min(at + ivec2(0, 1), most), 0).g != me;
-    edge = edge || texelFetch(seen, max(at - ivec2(0, 1), 0), 0).g != me;
-    if (!edge) discard;
-    gl_FragDepth = 0.0;
-}
-"""
 
 # An outline's pixel: how much of it each neighbour's cone covers, in the colour that the neighbour has.
 SMOOTH = (
@@ -390,28 +401,32 @@ SMOOTH = (
     + CONE
     + """
 uniform sampler2D seen, cones, room_seen, room_colour, shadow, painted;
-uniform int samples;
 out vec4 colour;
 vec4 cone_texel(int index, int part) { return texelFetch(cones, ivec2(part, index), 0); }
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
     float room = texelFetch(room_seen, at, 0).r;
     float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
-    vec3 behind = texelFetch(room_colour, at, 0).rgb * dark, total = vec3(0.0);
-    for (int s = 0; s < samples; ++s) {
-        vec3 d = ray_through(gl_FragCoord.xy - 1.0 + fract(vec2(0.7548776662, 0.5698402910) * float(s + 1)));
-        float nearest = room > 0.0 ? room : 1e9;
-        ivec2 source = ivec2(-1);
-        for (int k = 0; k < 5; ++k) {
-            ivec2 other = clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
-            int index = int(texelFetch(seen, other, 0).g + 0.5) - 1, safe = max(index, 0);
-            vec3 middle = cone_texel(safe, 3).xyz;
-            float reach = hit_cone(d, cone_texel(safe, 0), cone_texel(safe, 1), cone_texel(safe, 2), middle);
-            if (index >= 0 && reach > 0.0 && reach < nearest) { nearest = reach; source = other; }
-        }
-        total += source.x >= 0 ? texelFetch(painted, max(source, 0), 0).rgb : behind;
+    vec3 rays[SAMPLES], colours[SAMPLES];
+    float nearest[SAMPLES];
+    for (int s = 0; s < SAMPLES; ++s) {
+        rays[s] = ray_through(gl_FragCoord.xy - 1.0 + fract(vec2(0.7548776662, 0.5698402910) * float(s + 1)));
+        colours[s] = texelFetch(room_colour, at, 0).rgb * dark;
+        nearest[s] = room > 0.0 ? room : 1e9;
     }
-    colour = vec4(room > 0.0 ? total / float(samples) : vec3(0.0), 1.0);
+    for (int k = 0; k < 5; ++k) {
+        ivec2 other = clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
+        int index = int(texelFetch(seen, other, 0).g + 0.5) - 1, safe = max(index, 0);
+        vec4 a = cone_texel(safe, 0), b = cone_texel(safe, 1), bulge = cone_texel(safe, 2);
+        vec3 middle = cone_texel(safe, 3).xyz, paint = texelFetch(painted, other, 0).rgb;
+        for (int s = 0; s < SAMPLES; ++s) {
+            float reach = hit_cone(rays[s], a, b, bulge, middle);
+            if (index >= 0 && reach > 0.0 && reach < nearest[s]) { nearest[s] = reach; colours[s] = paint; }
+        }
+    }
+    vec3 total = vec3(0.0);
+    for (int s = 0; s < SAMPLES; ++s) total += colours[s];
+    colour = vec4(room > 0.0 ? total / float(SAMPLES) : vec3(0.0), 1.0);
 }
 """
 )
