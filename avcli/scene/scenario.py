@@ -1,7 +1,7 @@
 """Scenarios: who walks where and says what, in which room, seen by which camera. One JSON format, checked in full.
 
 A scenario has the config.json sections `camera_config`, `microphone_config` and `room_config` (each may be left out:
-the thesis's laboratory), and `furniture` and `people`. man/avsim-scene.1 lists every key.
+the thesis's laboratory), and `furniture` and `people`. man/avcli-formats.5 lists every key.
 """
 
 import math
