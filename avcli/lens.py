@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 
 _KNOTS = 1024
+_FINE_KNOTS = 8192  # of a table that no Newton step follows
+_FOLD_KNOTS = 8  # of it next to a fold, where slopes are known less well
 _FARTHEST_SLOPE = 1e8  # of a ray that a perspective lens images: 1e-8 rad short of 90 degrees
 _CHUNK = 1 << 14  # samples of an inversion that stay in the cache together
 
@@ -63,10 +65,48 @@ class KannalaBrandt:
     def _rays(self, u, v):
         mx, my = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         m = np.sqrt(mx * mx + my * my)
-        theta = self._radial.inverse(m)
+        if m.size < _KNOTS or self._half_sines is None:
+            theta = self._radial.inverse(m)
+            sine, cosine = np.sin(theta), np.cos(theta)
+        else:
+            square = self._half_sine(m) ** 2
+            sine, cosine = 2 * np.sqrt(square - square * square), 1 - 2 * square
         with np.errstate(invalid="ignore", divide="ignore"):
-            scale = np.where(m == 0, 1.0, np.sin(theta) / m)
-        return np.stack([mx * scale, my * scale, np.cos(theta)], -1)
+            scale = sine / m
+        scale[m < 1e-12] = 1.0
+        rays = np.empty((*m.shape, 3))
+        np.multiply(mx, scale, out=rays[..., 0])
+        np.multiply(my, scale, out=rays[..., 1])
+        rays[..., 2] = cosine
+        return rays
+
+    @cached_property
+    def _half_sines(self):
+        """Cubics (knots, 4) of sin(theta / 2) in the variable of the inverse's table; None where they are no good.
+
+        Towards 180 degrees the cosine cannot be had from the sine.
+        """
+        if self._radial.goes_far or self.theta_max > 3.0:
+            return None
+        theta, slope = self._radial.knots(_FINE_KNOTS)
+        return _cubics(np.sin(0.5 * theta), 0.5 * np.cos(0.5 * theta) * slope)
+
+    def _half_sine(self, m):
+        """sin(theta / 2) of radii m (n,) in the image plane: no Newton step and no cosine, 1e-13 from exact."""
+        with np.errstate(invalid="ignore"):
+            w = np.sqrt(1 - m / self._radial.y_max)
+        w *= _FINE_KNOTS
+        outside = ~(w >= 0)
+        w[outside] = 0.0
+        index = np.minimum(w.astype(np.intp), _FINE_KNOTS - 1)
+        w -= index
+        c = np.take(self._half_sines, index, axis=0)
+        half = ((c[:, 3] * w + c[:, 2]) * w + c[:, 1]) * w + c[:, 0]
+        half[outside] = np.nan
+        near_fold = (index < _FOLD_KNOTS) & ~outside
+        if near_fold.any():
+            half[near_fold] = np.sin(0.5 * self._radial.inverse(m[near_fold]))
+        return half
 
     def project_jacobian(self, points):
         """Project points (n, 3) and differentiate; NaN where not imaged.
@@ -304,29 +344,31 @@ class _Radial:
     def __init__(self, g, s_max, y_max=None):
         self.g, self.s_max = g, s_max
         self.y_max = float(g(np.float64(s_max))[0]) if y_max is None else y_max
-        self._long = self.y_max > 50
+        self.goes_far = self.y_max > 50
 
-    @cached_property
-    def _cubics(self):
-        """Coefficients (knots, 4) of the cubic in each interval of a variable w in which the inverse is smooth.
+    def knots(self, count):
+        """s and its slope at count + 1 even knots of w, a variable from 0 to 1 in which the inverse is smooth.
 
         Up to a fold, s goes as a square root there, so w = sqrt(1 - y / y_max); where y goes far, w = y / (1 + y) and
-        s / (1 + s) is tabulated.
+        s / (1 + s) stands in place of s.
         """
-        w = np.linspace(0.0, 1.0, _KNOTS + 1)
+        w = np.linspace(0.0, 1.0, count + 1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            y = w / (1 - w) if self._long else self.y_max * (1 - w) * (1 + w)
+            y = w / (1 - w) if self.goes_far else self.y_max * (1 - w) * (1 + w)
             s = self._bracketed_newton(np.minimum(y, self.y_max))
-            if self._long:
+            if self.goes_far:
                 q = s / (1 + s)
                 dq = ((1 + y) / (1 + s)) ** 2 / self.g(s)[1]
-                dq[-1] = (3 * q[-1] - 4 * q[-2] + q[-3]) * _KNOTS / 2
+                dq[-1] = (3 * q[-1] - 4 * q[-2] + q[-3]) * count / 2
             else:
                 q = s
                 dq = -2 * self.y_max * w / self.g(s)[1]
-                dq[0] = (-3 * q[0] + 4 * q[1] - q[2]) * _KNOTS / 2
-        rise, d0, d1 = np.diff(q), dq[:-1] / _KNOTS, dq[1:] / _KNOTS
-        return np.stack([q[:-1], d0, 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise], -1)
+                dq[0] = (-3 * q[0] + 4 * q[1] - q[2]) * count / 2
+        return q, dq
+
+    @cached_property
+    def _table(self):
+        return _cubics(*self.knots(_KNOTS))
 
     def inverse(self, y):
         """Solve g(s) = y for y (...) >= 0; NaN beyond y_max."""
@@ -334,13 +376,13 @@ class _Radial:
         if y.size < _KNOTS:  # too few to pay for a table
             return self._bracketed_newton(y)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            w = y / (1 + y) if self._long else np.sqrt(1 - y / self.y_max)
+            w = y / (1 + y) if self.goes_far else np.sqrt(1 - y / self.y_max)
             w = np.where(np.isfinite(w), w, 0.0) * _KNOTS
             index = np.minimum(w.astype(np.intp), _KNOTS - 1)
             w -= index
-            c0, c1, c2, c3 = self._cubics.T
+            c0, c1, c2, c3 = self._table.T
             s = c0[index] + w * (c1[index] + w * (c2[index] + w * c3[index]))
-            if self._long:
+            if self.goes_far:
                 s = s / (1 - s)
             value, slope = self.g(s)
             step = (value - y) / slope
@@ -375,6 +417,12 @@ class _Radial:
         # The top of a fold is the one root that a bracket with a sign change cannot hold.
         s = np.where(target == self.y_max, self.s_max, s)
         return np.where(seen, s, np.nan)
+
+
+def _cubics(values, slopes):
+    """Coefficients (n, 4) of the cubics between n + 1 even knots of [0, 1], from values and slopes there (Hermite)."""
+    rise, d0, d1 = np.diff(values), slopes[:-1] / (len(values) - 1), slopes[1:] / (len(values) - 1)
+    return np.stack([values[:-1], d0, 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise], -1)
 
 
 def _odd_polynomial(s, k1, k2, k3, k4):
