@@ -11,7 +11,7 @@ from calibration_boards import BOARD, film, photograph
 from conftest import BIN, run
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli import pose
+from avcli import footage, pose
 from avcli.calibration import corners, place
 from avcli.calibration.target import Board
 from avcli.commands import mjpeg
@@ -56,6 +56,18 @@ def test_into_a_config_that_has_other_things(pictures, tmp_path):
     assert raw["session_id"] == "a"
     assert raw["camera_config"]["camera_position_m"] == [1, 2, 2.5]
     assert raw["camera_config"]["fx_px"] == pytest.approx(HALF.fx, abs=1.0)
+
+
+def test_into_an_experiment_that_is_new(pictures, tmp_path):
+    lab = tmp_path / "lab"
+    result = run("avcalib", "calibrate", pictures, "-C", lab)
+    assert result.returncode == 0, result.stderr
+    raw = json.loads((lab / "config.json").read_text())
+    assert list(raw) == ["camera_config"]
+    assert raw["camera_config"]["fx_px"] == pytest.approx(HALF.fx, abs=1.0)
+    assert [path.name for path in lab.iterdir()] == ["config.json"]
+    straight = tmp_path / "straight.png"
+    assert run("avcalib", "undistort", pictures / "board_00.png", "-C", lab, "--to", straight).returncode == 0
 
 
 def test_inner_corners_for_squares_are_recognised(pictures):
@@ -177,6 +189,8 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "a.avi").stat().st_size > 1000
     assert len(list(tmp_path.iterdir())) == 3
+    assert footage.frame_rate(str(tmp_path / "a.avi")) == 10.0
+    assert run("avcalib", "undistort", tmp_path / "none.avi", "-c", camera, "--to", out).returncode == 2
     assert run("avcalib", "undistort", pictures, "-c", camera, "--to", out).returncode == 2
     assert run("avcalib", "undistort", source, "-c", camera, "--to", out, "--fov", "200").returncode == 2
 

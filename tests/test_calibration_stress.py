@@ -9,7 +9,9 @@ from conftest import run
 from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli import footage
+from avcli.calibration import corners
 from avcli.calibration.target import Board
+from avcli.lens import KannalaBrandt
 from avcli.media import MediaError
 
 BOARD = Board(6, 8, 0.095)
@@ -156,6 +158,20 @@ def test_pictures_that_are_none(tmp_path, shots):
     assert result.returncode == 2
     assert run("avcalib", "calibrate", "-", stdin=b"no jpeg").returncode == 1
     assert run("avcalib", "calibrate", "-", stdin=b"").returncode == 1
+
+
+def test_a_very_large_picture():
+    """8K: corners are placed as well as in a small picture."""
+    k = 8
+    lens = KannalaBrandt(k * HALF.fx, k * HALF.fy, k * HALF.cx, k * HALF.cy, HALF.k1, HALF.k2, HALF.k3, HALF.k4)
+    size = (k * HALF_SIZE[0], k * HALF_SIZE[1])
+    rng = np.random.default_rng(0)
+    filmed = film(1, rng, lens=lens, size=size, distance=(1.4, 1.5), tilt=0.3)
+    R, t = filmed.rotations[0], filmed.translations[0]
+    view = corners.find(photograph(R, t, rng, lens=lens, size=size, blur=2.0, noise=0), BOARD)
+    true = lens.project(np.column_stack([BOARD.points, np.zeros(len(BOARD.points))]) @ R.T + t)
+    error = min(np.linalg.norm(view.pixels - one, axis=1).max() for one in (true, true[::-1]))
+    assert error < 0.3
 
 
 class VanishingCamera:
