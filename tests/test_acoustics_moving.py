@@ -5,10 +5,12 @@ import pytest
 
 from avcli.acoustics.images import image_microphones
 from avcli.acoustics.moving import MovingSource, first_sample
-from avcli.acoustics.responses import Surroundings
+from avcli.acoustics.responses import Responses, Surroundings
 from avcli.acoustics.sampling import interpolation
 from avcli.acoustics.signals import power_spectrum
+from avcli.acoustics.speakers import Speakers
 from avcli.acoustics.trajectory import Trajectory
+from avcli.records import Sources
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array([[0.115, 4.545, 2.493], [2.386, 2.253, 2.489]])
@@ -150,6 +152,41 @@ def test_trajectories():
             Trajectory(np.array(bad_times), places)
     with pytest.raises(ValueError, match="three coordinates"):
         Trajectory(times, places[:3])
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_without_reverberation_it_is_exact_to_80_db(speed):
+    duration, velocity = 0.3, speed * np.array([1.0, 0.0, 0.0])
+    start, signal = np.array([0.5, 2.0, 1.6]), tones(8000, 0.3)
+    dry = signal(np.arange(first_sample(duration, RATE)) / RATE)
+    room = surroundings(0.0, 8.0)
+    speakers = Speakers(room, [dry], pause_s=1.0)
+    for time in np.arange(5) / 10:
+        mouth = (start + velocity * time)[None]
+        speakers.step(Sources(time, np.array([0]), mouth * (1, 1, 0), mouth, np.ones(1, bool)))
+    speakers.finish()
+    for microphone, found in zip(MICROPHONES, speakers.take(0, RATE // 2), strict=True):
+        images = image_microphones(ROOM, microphone, room.reflection, start, 8.0)
+        assert decibels(found, by_retarded_time(signal, start, velocity, images, len(found))) < -80
+
+
+def test_microphones_at_one_place_are_reckoned_once(monkeypatch):
+    way = Trajectory(np.arange(2.0), np.array([[1.0, 1, 1], [1.5, 1, 1]]))
+    microphones = np.array([[1.0, 1, 2], [2.0, 2, 2], [1.0, 1, 2], [1.0, 1, 1], [1.0, 1, 1]])
+    room = Surroundings(ROOM, np.full(6, -0.3), microphones, RATE, 10.0, trajectories=(None, None, None, way, way))
+    chosen = []
+    choose = Responses._choose
+    monkeypatch.setattr(Responses, "_choose", lambda self, *which: chosen.append(which[0]) or choose(self, *which))
+    speakers = Speakers(room, [np.ones(RATE)])
+    for time in (0.0, 0.1):
+        mouth = np.array([[3.0, 3.0, 1.6]])
+        speakers.step(Sources(time, np.array([0]), mouth * (1, 1, 0), mouth, np.ones(1, bool)))
+    speakers.finish()
+    heard = speakers.take(0, 10000)
+    assert chosen == [0, 1, 0], "two that stand and one that moves"
+    assert np.array_equal(heard[0], heard[2])
+    assert np.array_equal(heard[3], heard[4])
+    assert not np.allclose(heard[0], heard[3])
 
 
 def test_the_pitch_rises_towards_a_microphone():

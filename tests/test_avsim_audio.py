@@ -284,6 +284,13 @@ def test_absorption_speed_and_temperature(experiment):
     assert np.sum(eyring**2) > np.sum(by_time**2)
 
 
+@pytest.mark.parametrize(("model", "expected"), [("sabine", 0.165), ("image", 0.2)])
+def test_the_reverberation_that_the_walls_really_give_is_said(experiment, model, expected):
+    _, _, messages = simulate(experiment, truth(TIMES[:2], walk), "-v", "--absorption-model", model)
+    line = next(line for line in messages.splitlines() if "(T30)" in line)
+    assert float(line.split(" in ")[1].split()[0]) == pytest.approx(expected, abs=0.002)
+
+
 def test_the_thesis_preset_switches_and_ends_in_noise(experiment):
     _, exact, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35")
     _, thesis, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35", "--preset", "thesis")
@@ -414,6 +421,10 @@ def test_impulse_responses_as_sofa(experiment, tmp_path):
         (("--format", "flac", "--bit-depth", "32"), "FLAC takes 16 or 24"),
         (("--rir", "rir.wav"), "ends in .npz or .sofa"),
         (("--error-db", "10"), "--error-db"),
+        (("--rt60", "nan"), "--rt60 nan: expected a finite number"),
+        (("--rt60", "1e300"), "--rt60"),
+        (("--temperature", "inf"), "--temperature inf: expected a finite number"),
+        (("--rir", "rir.npz", "--microphone-path", "path.jsonl"), "not with --microphone-path"),
     ],
 )
 def test_options_that_make_no_sense(experiment, options, message):

@@ -93,7 +93,7 @@ def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
 )
 @click.option(
     "--rt60",
-    type=click.FloatRange(0),
+    type=click.FloatRange(0, 1000),
     metavar="S",
     help="Reverberation time, s; 0 is a room without echo.  [default: the config's, else 0.35]",
 )
@@ -247,6 +247,9 @@ def _times(count: int) -> str:
 
 def _check(session: Session, options) -> None:
     """Refuse options that contradict each other or need what is missing, before any work is done."""
+    for name, value in options.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            session.usage(f"--{name.replace('_', '-')} {value:g}: expected a finite number")
     for one, other in (
         ("rt60", "absorption"),
         ("rt60", "no_reverb"),
@@ -360,10 +363,14 @@ def _surroundings(session: Session, paths, options):
     images = acoustics.image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1
     if images > MANY_IMAGES:
         text = f"T60 {rt60:g} s: sound reaches {images:.2g} images of each microphone"
-        advice = "--ism-decay 15 follows the strong ones and lets noise go on"
+        advice = f"--ism-decay {15 if options['ism_decay'] is None else 'of less'} follows the strong ones and lets "
+        advice += "noise go on"
         if images > acoustics.MOST_IMAGES:
             session.fail(f"{text}, some {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {advice}")
         session.warn(f"{text}, which takes long; {advice}")
+    if ((absorption > 0) & (absorption < 1)).all():
+        decay = acoustics.image_rt60(room.dimensions, absorption, speed)
+        session.note(f"image sources between these walls decay by 60 dB in {decay:.3f} s (T30)")
     session.note(
         f"T60 {rt60:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a microphone, "
         f"Schroeder frequency {acoustics.schroeder_frequency(room.dimensions, rt60):.1f} Hz, {speed:.1f} m/s"
