@@ -1,11 +1,14 @@
 """avsim-scene as a command: the files and records of an experiment."""
 
 import json
+import os
+import signal
+import subprocess
 
 import cv2
 import numpy as np
 import pytest
-from conftest import ROOT, run
+from conftest import BIN, ROOT, run
 
 from avcli import experiment, media, records
 
@@ -61,6 +64,63 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     assert len(files) == 11
     for path in files:
         assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes(), path
+
+
+def test_threads_leave_no_trace_in_the_bytes(tmp_path):
+    for threads in ("0", "1", "3"):
+        result = run(
+            "avsim-scene", "-", "-C", tmp_path / threads, stdin=json.dumps(SMALL), env={"LP_NUM_THREADS": threads}
+        )
+        assert result.returncode == 0, result.stderr
+    files = sorted(p.relative_to(tmp_path / "1") for p in (tmp_path / "1").rglob("*") if p.is_file())
+    assert len(files) == 11
+    for path in files:
+        assert len({(tmp_path / threads / path).read_bytes() for threads in ("0", "1", "3")}) == 1, path
+
+
+def test_a_long_scene_needs_no_more_memory_than_a_short_one(tmp_path):
+    def peak(duration):
+        command = [
+            str(BIN / "avsim-scene"),
+            "-",
+            "--frames",
+            "none",
+            "--duration",
+            duration,
+            "-C",
+            str(tmp_path / duration),
+        ]
+        with open(tmp_path / "stdin.json", "rb") as stdin:
+            child = subprocess.Popen(command, stdin=stdin, stdout=subprocess.DEVNULL)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        assert child.returncode == 0
+        return usage.ru_maxrss
+
+    (tmp_path / "stdin.json").write_text(json.dumps(SMALL))
+    short = peak("10.5")  # a chunk of bodies and a bit
+    assert peak("60") < short + 8 * 1024  # KiB
+
+
+def test_an_interrupt_leaves_whole_files(tmp_path):
+    long = {**SMALL, "duration_s": 300.0}
+    (tmp_path / "stdin.json").write_text(json.dumps(long))
+    command = [str(BIN / "avsim-scene"), "-", "-C", str(tmp_path / "exp")]
+    with open(tmp_path / "stdin.json", "rb") as stdin:
+        child = subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    lines = [child.stdout.readline() for _ in range(7)]
+    child.send_signal(signal.SIGINT)
+    rest, said = child.communicate(timeout=60)
+    assert child.returncode == -signal.SIGINT
+    assert b"Traceback" not in said
+    exp = tmp_path / "exp"
+    assert not list(exp.rglob(".*"))
+    assert not (exp / "groundtruth_sources.jsonl").exists()
+    for picture in exp.rglob("*.png"):
+        assert cv2.imread(str(picture), cv2.IMREAD_UNCHANGED) is not None, picture
+    for line in [*lines, *rest.splitlines()]:
+        frame = records.frame(records.decode(line))
+        assert media.read_rgb(exp / frame.rgb).shape == (180, 320, 3)
 
 
 def test_raw_frames_are_the_png_frames(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from conftest import ROOT, run
 
 from avcli.scene import crowd, furniture, mesh, scenario, sensor
+from avcli.scene.people import LOOKS
 
 GOOD = {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0]}]}]}
 
@@ -203,3 +204,48 @@ def test_every_look_and_built_in_scenario_is_in_the_manual():
     page = (ROOT / "man" / "avsim-scene.1").read_text()
     for look in scenario.LOOKS:
         assert look in page
+
+
+def test_the_schema_takes_what_the_parser_takes():
+    import jsonschema
+
+    schema = json.loads((ROOT / "avcli" / "schemas" / "scenario.schema.json").read_bytes())
+    check = jsonschema.Draft202012Validator(schema)
+    built_in = sorted((ROOT / "avcli" / "scene" / "scenarios").glob("*.json"))
+    examples = sorted((ROOT / "examples" / "scenarios").glob("*.json"))
+    assert len(built_in) == 4
+    for path in [*built_in, *examples]:
+        check.validate(json.loads(path.read_bytes()))
+    check.validate(crowd.random(9, 5.0, np.random.default_rng(3)))
+    check.validate(scenario.parse(GOOD).raw)
+    person = schema["properties"]["people"]["items"]["properties"]
+    assert person["look"]["enum"] == list(LOOKS)
+    assert set(person) == set(scenario._PERSON_KEYS)
+    assert set(person["waypoints"]["items"]["properties"]) == set(scenario._WAYPOINT_KEYS)
+    assert set(schema["properties"]) == set(scenario._KEYS)
+    pieces = {
+        p["properties"]["kind"]["const"]: p["properties"] for p in schema["properties"]["furniture"]["items"]["oneOf"]
+    }
+    assert {kind: {"kind", *keys} for kind, keys in furniture._KEYS.items()} == {k: set(p) for k, p in pieces.items()}
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        [],
+        {"peeple": []},
+        {"people": [{}]},
+        point(speed_m_s=0),
+        point(speed_m_s=1, t_s=2),
+        {"furniture": [{"kind": "sphere", "position_m": [1, 1, 1], "radius_m": 0.1, "rotation_deg": 3}]},
+        {"furniture": [{"kind": "table", "position_m": [1, 1, 1]}]},
+    ],
+)
+def test_the_schema_refuses_what_the_parser_refuses(raw):
+    import jsonschema
+
+    schema = json.loads((ROOT / "avcli" / "schemas" / "scenario.schema.json").read_bytes())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(raw, schema)
+    with pytest.raises(scenario.ScenarioError):
+        scenario.parse(raw)
