@@ -9,6 +9,7 @@ person. Every record updates the filter at its own time, so sensors may have any
 """
 
 import math
+from itertools import chain
 
 import numpy as np
 
@@ -60,20 +61,22 @@ class Cluster:
 
     def __init__(self, labels, rows, weights):
         self.labels, self.rows, self.weights = labels, rows, weights
+        self.shares = [math.exp(weight) for weight in weights]
 
     def marginals(self, at, exist):
         """Of the label in column `at`: {density: its probability}, and the probability that the label exists."""
         shares = {}
-        for row, weight in zip(self.rows, self.weights, strict=True):
-            shares[row[at]] = shares.get(row[at], 0.0) + math.exp(weight)
+        for row, share in zip(self.rows, self.shares, strict=True):
+            leaf = row[at]
+            shares[leaf] = shares.get(leaf, 0.0) + share
         return shares, math.fsum(share * exist[leaf] for leaf, share in shares.items() if leaf >= 0)
 
     def without(self, at):
         """The cluster of the other labels; equal rows are merged."""
         merged = {}
-        for row, weight in zip(self.rows, self.weights, strict=True):
+        for row, share in zip(self.rows, self.shares, strict=True):
             row = row[:at] + row[at + 1 :]
-            merged[row] = merged.get(row, 0.0) + math.exp(weight)
+            merged[row] = merged.get(row, 0.0) + share
         rows = sorted(merged, key=lambda row: -merged[row])
         return Cluster(self.labels[:at] + self.labels[at + 1 :], rows, [math.log(merged[row]) for row in rows])
 
@@ -217,7 +220,8 @@ class GLMB:
         """The clusters that compete for a detection, together: a list of lists of clusters."""
         groups = []
         for cluster in self.clusters:
-            wanted = {j for row in cluster.rows for leaf in row if leaf >= 0 for _, j in options[leaf] if j >= 0}
+            leaves = {leaf for row in cluster.rows for leaf in row if leaf >= 0}
+            wanted = {j for leaf in leaves for _, j in options[leaf] if j >= 0}
             members = [cluster]
             for group in [g for g in groups if not wanted.isdisjoint(g[1])]:
                 groups.remove(group)
@@ -244,18 +248,22 @@ class GLMB:
             same[leaf] = numbers.setdefault(
                 (people.label[leaf], people.past[leaf][1 - settings.memory :]), len(numbers)
             )
+        pasts = [tuple([same[leaf] for leaf in row]) for _, row in priors]
         merged = {}
         for weight, number, taken, used in ranked(priors, options, BUDGET * settings.hypotheses, -LOG_PRUNE):
-            row = priors[number][1]
-            key = tuple([same[leaf] for leaf in row]) + taken
+            key = pasts[number], taken
             best = merged.get(key)
             if best:
                 best[0] += math.log1p(math.exp(weight - best[0]))
             else:
-                merged[key] = [weight, tuple(zip(row, taken, strict=True)), used]
+                merged[key] = [weight, number, taken, used]
         kept = sorted(merged.values(), key=lambda h: -h[0])[: settings.hypotheses]
         top = kept[0][0]
-        kept = [h for h in kept if h[0] - top > LOG_PRUNE]
+        kept = [
+            [weight, tuple(zip(priors[number][1], taken, strict=True)), used]
+            for weight, number, taken, used in kept
+            if weight - top > LOG_PRUNE
+        ]
         total = top + math.log(math.fsum(math.exp(h[0] - top) for h in kept))
         for hypothesis in kept:
             hypothesis[0] -= total
@@ -299,7 +307,7 @@ class GLMB:
     def _rebuild(self, column, z, noise, groups, births):
         """Compute each density that is needed once, and make clusters and tentative people of them."""
         people, sensor, detection = self.people, self.sensors[column], self.rates[column].detection
-        pairs = dict.fromkeys(pair for _, hs in groups for h in hs for pair in h[1] if pair[0] >= 0)
+        pairs = dict.fromkeys(chain.from_iterable(h[1] for _, hs in groups for h in hs))
         hidden = people.found[:, column]
         left = people.exist * (1 - hidden * detection)
         stay = [i for i in self.tentative if left[i] > TENTATIVE]
@@ -308,7 +316,7 @@ class GLMB:
                 people.label[i] = -1
         if len(stay) > TENTATIVES:
             stay = sorted(sorted(stay, key=lambda i: -left[i])[:TENTATIVES])
-        miss = [leaf for leaf, j in pairs if j < 0]
+        miss = [leaf for leaf, j in pairs if j < 0 <= leaf]
         hit = [pair for pair in pairs if pair[1] >= 0]
         renewed = [(at, j) for j, at, _, _ in births if at >= 0]
         fresh = [j for j, at, _, _ in births if at < 0]
@@ -415,8 +423,8 @@ class GLMB:
         if len(shares) == 1:
             return True
         joint, rest = {}, {}
-        for row, weight in zip(cluster.rows, cluster.weights, strict=True):
-            others, share = row[:at] + row[at + 1 :], math.exp(weight)
+        for row, share in zip(cluster.rows, cluster.shares, strict=True):
+            others = row[:at] + row[at + 1 :]
             rest[others] = rest.get(others, 0.0) + share
             joint[others, row[at]] = share
         if len(rest) == 1:
