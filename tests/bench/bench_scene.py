@@ -2,6 +2,8 @@
 
     python tests/bench/bench_scene.py --out bench-out [--quick]
 
+examples/benchmarks holds the table and the plot of one run.
+
 Times are the median over a scene's frames (of peers the least of several calls), in CPU milliseconds (all threads
 together: on n free cores a frame takes about an n-th) and in wall milliseconds, which a busy machine makes larger.
 Errors are of radial depth against embree on the same bodies as fine triangles (96 meridians a cone, rays in float64),
@@ -203,7 +205,7 @@ def ours(scene, bodies, index, samples, ctx, reference=None):
 
 
 def main():
-    """Measure, print a table, write bench-out/scene.json and, with matplotlib, scene.svg."""
+    """Measure, print, write scene.json, the table scene.md and, with matplotlib, the plot scene.svg."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     parser.add_argument("--quick", action="store_true", help="three people at 1920 px only")
@@ -248,7 +250,30 @@ def main():
                 cpu, wall, data = least(work, 7)
                 add(f"encode {name}", **labels, cpu_ms=cpu, wall_ms=wall, megabytes=len(data) / 1e6)
     (options.out / "scene.json").write_text(json.dumps(rows, indent=1) + "\n")
+    (options.out / "scene.md").write_text(table(rows, ctx.info["GL_RENDERER"]))
     plot(rows, options.out / "scene.svg")
+
+
+def table(rows, renderer):
+    """All rows as Markdown, with what they were measured on."""
+    heads = {
+        "method": "method", "lens": "lens", "width": "width, px", "people": "people", "cpu_ms": "CPU ms a frame",
+        "wall_ms": "wall ms", "start_cpu_ms": "CPU ms to start", "median_mm": "median error, mm",
+        "p99.9_mm": "99.9 % error, mm", "wrong_percent": "wrong pixels, %", "megabytes": "MB",
+    }  # fmt: skip
+    lines = [
+        "# Run time and error of avsim-scene",
+        "",
+        f"`make bench-scene` on {os.cpu_count()} CPUs ({renderer}), load {os.getloadavg()[0]:.1f} at its end; on a "
+        "busy machine wall times say little. What is measured, and against what: tests/bench/bench_scene.py.",
+        "",
+        "| " + " | ".join(heads.values()) + " |",
+        "|---" * 2 + "|---:" * (len(heads) - 2) + "|",
+    ]
+    for row in rows:
+        shown = (row.get(key, "") for key in heads)
+        lines.append("| " + " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in shown) + " |")
+    return "\n".join([*lines, "", "![Run time against error](scene.svg)", ""])
 
 
 def plot(rows, path):
@@ -258,6 +283,7 @@ def plot(rows, path):
     except ImportError:
         return
     matplotlib.use("svg")
+    matplotlib.rcParams["svg.hashsalt"] = "scene"
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(7, 4.5))
@@ -268,7 +294,7 @@ def plot(rows, path):
     axes.set(xlabel="CPU ms a frame (1920 x 1080, three people)", ylabel="99.9 % depth error, mm")
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()
-    figure.savefig(path)
+    figure.savefig(path, metadata={"Date": None})
 
 
 if __name__ == "__main__":
