@@ -79,6 +79,49 @@ def _field_sd(lens: KannalaBrandt, covariance: np.ndarray, width: int, height: i
     return grid, out.reshape(grid.shape[:2])
 
 
+def split_half(
+    observations: fit.Observations, solution: fit.Solution, width: int, height: int, step: int = 40
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where two lenses, each from every other view, put the same rays: what the model misses shows here too.
+
+    Args:
+        observations, solution: of the views that were kept.
+        width, height: px, of the pictures.
+        step: px between the points of the grid.
+
+    Returns:
+        pixels (rows, columns, 2), and the distance there in px (rows, columns) after the turn of the camera that suits
+        best; NaN where either lens images nothing, and everywhere with fewer than six views.
+    """
+    u = np.linspace(0, width - 1, max(2, round(width / step)))
+    v = np.linspace(0, height - 1, max(2, round(height / step)))
+    grid = np.stack(np.meshgrid(u, v), -1)
+    apart = np.full(grid.shape[:2], np.nan)
+    if observations.views < 6:
+        return grid, apart
+    halves = []
+    for odd in (0, 1):
+        some = np.arange(observations.views) % 2 == odd
+        start = solution.of_views(some)
+        halves.append(fit.refine(observations.of_views(some), start, solution.free, solution.delta_px, 25).lens)
+    one, other = halves
+    rays = one.unproject(grid.reshape(-1, 2))
+    seen = np.isfinite(rays).all(1)
+    pixels, rays = grid.reshape(-1, 2)[seen], rays[seen]
+    for _ in range(4):
+        projected, by_point, _ = other.project_jacobian(rays)
+        good = np.isfinite(projected).all(1) & np.isfinite(by_point).all((1, 2))
+        by_turn = -by_point[good] @ fit._cross(rays[good])
+        # Robust (Cauchy), so that a corner of the picture that no board reached does not turn the rest.
+        off = (pixels - projected)[good]
+        weight = 1 / (1 + (off**2).sum(1) / max(float(np.median((off**2).sum(1))), 1e-12))
+        root = np.sqrt(weight)[:, None]
+        turn = np.linalg.lstsq((by_turn * root[..., None]).reshape(-1, 3), (off * root).ravel(), rcond=None)[0]
+        rays = rays @ fit.rotation_from_vector(turn[None])[0].T
+    apart[seen.reshape(apart.shape)] = np.linalg.norm(pixels - other.project(rays), axis=1)
+    return grid, apart
+
+
 def seen_angles(lens: KannalaBrandt, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
     rays = lens.unproject(pixels)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from avcli.calibration import fit, undistort
+from avcli.calibration import fit, quality, undistort
 from avcli.calibration.calibrate import Calibration
 
 
@@ -43,7 +43,7 @@ def _degrees(angle: float) -> str:
 
 
 def picture(result: Calibration, sample: np.ndarray | None = None, kind: str = "png") -> bytes:
-    """Draw residuals, coverage, expected error, residuals by picture and, with a sample, a straightened picture.
+    """Draw residuals, coverage, expected error, residuals by picture, two halves compared, and a straightened picture.
 
     Args:
         result: the calibration.
@@ -56,16 +56,17 @@ def picture(result: Calibration, sample: np.ndarray | None = None, kind: str = "
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 8.4 if sample is None else 12.4), layout="constrained")
+    figure = Figure(figsize=(13, 12.4), layout="constrained")
     FigureCanvasAgg(figure)
-    rows = 2 if sample is None else 3
-    axes = figure.subplots(rows, 2)
+    axes = figure.subplots(3, 2)
     _draw_residuals(axes[0, 0], result)
     _draw_coverage(figure, axes[0, 1], result)
-    _draw_uncertainty(figure, axes[1, 0], result)
+    q = result.quality
+    _draw_map(figure, axes[1, 0], result, "expected error of the projection", q.field_pixels, q.field_sd_px)
     _draw_views(axes[1, 1], result)
-    if sample is not None:
-        _draw_sample(axes[2], result, sample)
+    halves = quality.split_half(result.observations, result.solution, result.width, result.height)
+    _draw_map(figure, axes[2, 0], result, "how far lenses from every other picture differ", *halves)
+    _draw_sample(axes[2, 1], result, sample)
     out = io.BytesIO()
     # Neither the time nor a random salt belongs in a file that the same pictures must give again.
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
@@ -108,19 +109,18 @@ def _draw_coverage(figure, axis, result: Calibration) -> None:
     figure.colorbar(drawn, ax=axis, label="corners in a cell", shrink=0.8)
 
 
-def _draw_uncertainty(figure, axis, result: Calibration) -> None:
+def _draw_map(figure, axis, result: Calibration, title: str, pixels: np.ndarray, error: np.ndarray) -> None:
     from matplotlib.colors import LogNorm
 
-    q = result.quality
-    values = np.where(np.isfinite(q.field_sd_px), np.maximum(q.field_sd_px, 1e-6), np.nan)
-    _frame(axis, result, "expected error of the projection")
+    values = np.where(np.isfinite(error), np.maximum(error, 1e-6), np.nan)
+    _frame(axis, result, title)
     if np.isfinite(values).any():
         low, high = np.nanmin(values), np.nanmax(values)
         norm = LogNorm(low * 0.99, max(high, low * 1.1))
-        drawn = axis.pcolormesh(
-            q.field_pixels[:, :, 0], q.field_pixels[:, :, 1], values, cmap="viridis", norm=norm, shading="gouraud"
-        )
-        figure.colorbar(drawn, ax=axis, label="standard deviation, px", shrink=0.8)
+        drawn = axis.pcolormesh(pixels[:, :, 0], pixels[:, :, 1], values, cmap="viridis", norm=norm, shading="gouraud")
+        figure.colorbar(drawn, ax=axis, label="px", shrink=0.8)
+    else:
+        axis.text(0.5, 0.5, "too few pictures", transform=axis.transAxes, ha="center")
 
 
 def _draw_views(axis, result: Calibration) -> None:
@@ -135,15 +135,14 @@ def _draw_views(axis, result: Calibration) -> None:
     axis.legend()
 
 
-def _draw_sample(axes, result: Calibration, sample: np.ndarray) -> None:
+def _draw_sample(axis, result: Calibration, sample: np.ndarray | None) -> None:
+    axis.set_axis_off()
+    if sample is None:
+        return
     size = (result.width, result.height)
-    axes[0].imshow(sample, cmap="gray", vmin=0, vmax=255)
-    axes[0].set_title("a picture")
     straight = undistort.straighten(result.solution.lens, size, "perspective", size, balance=0.5)
-    axes[1].imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
-    axes[1].set_title(f"straightened, {_degrees(straight.fov)} wide")
-    for axis in axes:
-        axis.set_axis_off()
+    axis.imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
+    axis.set_title(f"a picture, straightened, {_degrees(straight.fov)} wide")
 
 
 def page(result: Calibration, names: list[str], sample: np.ndarray | None = None) -> str:
@@ -182,7 +181,7 @@ a board of {result.board} squares of {1000 * result.board.square_m:g} mm.</p>
 <ul>
 {said}
 </ul>
-<img alt="residuals, coverage, expected error, residual of each picture" src="data:image/png;base64,{drawn}">
+<img alt="residuals, coverage, errors, two halves compared" src="data:image/png;base64,{drawn}">
 <table>
 <tr><th>picture</th><th>RMS, px</th><th></th></tr>
 {rows}
