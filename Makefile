@@ -120,11 +120,14 @@ man: | $(READY)
 
 setup-bench: $(READY)
 	@test -x .venv-bench/bin/python || $(PYTHON) -m venv .venv-bench
-	.venv-bench/bin/pip install -q -e . pyroomacoustics rir-generator stonesoup norfair matplotlib
+	.venv-bench/bin/pip install -q -e '.[plot,jpda]' pyroomacoustics rir-generator sofar
+
+BENCH_PYTHON = $(BIN)/python
+bench-tracking: BENCH_PYTHON = $(if $(wildcard .venv-bench/bin/python),.venv-bench/bin/python,$(BIN)/python)
 
 $(BENCHES:%=bench-%): bench-%: $(READY)
 	@mkdir -p bench-out
-	$(BIN)/python tests/bench/bench_$*.py --out bench-out $(BENCH_FLAGS)
+	$(BENCH_PYTHON) tests/bench/bench_$*.py --out bench-out $(BENCH_FLAGS)
 
 # --- tidying ----------------------------------------------------------------------------------------------------------
 
