@@ -159,6 +159,7 @@ def main():
     gains = against_best_sensor(table)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "tracking.json").write_text(json.dumps({"seeds": [*seeds], "rows": table, "gains": gains}))
+    (options.out / "tracking.md").write_text(markdown(table, seeds, gains))
     plot(table, options.out / "tracking.svg")
 
 
@@ -167,6 +168,30 @@ def show(table):
     for row in sorted(table, key=lambda r: list({**EASY, **HARD}).index(r["case"])):
         values = [row[c] for c in COLUMNS] + [row["HOTA_min"], row["ms"]]
         print(f"{row['case']:15s} {row['tracker']:26s}" + "".join(f"{v:11.2f}" for v in values))
+
+
+def markdown(table, seeds, gains):
+    """The table of one run as Markdown."""
+    lines = [
+        f"# Trackers on synthetic detections, seeds {seeds[0]} to {seeds[-1]}",
+        "",
+        "HOTA and its parts in percent, OSPA(2) in m, birth delay in frames; times are processor time of the tracker",
+        f"alone, the least of the seeds (load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end).",
+        "The ceiling is the filter that is told which detection belongs to whom.  Made by",
+        "`tests/bench/bench_tracking.py`, which describes the cases; see tracking.svg for run time against error.",
+        "",
+        "| case | tracker | " + " | ".join((*COLUMNS, "worst HOTA", "ms a frame")) + " |",
+        "|---|---|" + "---:|" * (len(COLUMNS) + 2),
+    ]
+    for row in sorted(table, key=lambda r: list({**EASY, **HARD}).index(r["case"])):
+        values = [row[c] for c in COLUMNS] + [row["HOTA_min"], row["ms"]]
+        shown = " | ".join("" if math.isnan(v) else f"{v:.2f}" for v in values)
+        lines.append(f"| {row['case']} | {row['tracker']} | {shown} |")
+    lines += [""] + [
+        f"- {case}: fused less the better single sensor: mean {gain['mean']:+.2f}, least {gain['least']:+.2f}"
+        for case, gain in gains.items()
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def against_best_sensor(table):
