@@ -1,5 +1,6 @@
 """Scenario files: what is refused, and how it is said; random scenarios; camera twins."""
 
+import itertools
 import json
 
 import numpy as np
@@ -200,10 +201,16 @@ def test_blur_is_the_mean_of_light():
     assert (sensor.blurred([black, white]) == round(255 * np.sqrt(0.5))).all()
 
 
-def test_every_look_and_built_in_scenario_is_in_the_manual():
-    page = (ROOT / "man" / "avsim-scene.1").read_text()
-    for look in scenario.LOOKS:
-        assert look in page
+def test_every_look_and_key_is_in_the_manual():
+    page = (ROOT / "man" / "avcli-formats.5").read_text()
+    keys = {
+        *scenario._KEYS,
+        *scenario._PERSON_KEYS,
+        *scenario._WAYPOINT_KEYS,
+        *itertools.chain(*furniture._KEYS.values()),
+    }
+    for word in [*LOOKS, *keys]:
+        assert word in page
 
 
 def test_the_schema_takes_what_the_parser_takes():
