@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from avcli.acoustics.images import image_microphones
+from avcli.acoustics.images import image_microphones, shoebox_rir
 from avcli.acoustics.moving import MovingSource, first_sample
 from avcli.acoustics.responses import Responses, Surroundings
-from avcli.acoustics.sampling import interpolation
+from avcli.acoustics.sampling import Switching, interpolation
 from avcli.acoustics.signals import power_spectrum
 from avcli.acoustics.speakers import Speakers
 from avcli.acoustics.trajectory import Trajectory
@@ -187,6 +187,27 @@ def test_microphones_at_one_place_are_reckoned_once(monkeypatch):
     assert np.array_equal(heard[0], heard[2])
     assert np.array_equal(heard[3], heard[4])
     assert not np.allclose(heard[0], heard[3])
+
+
+def test_switching_is_a_convolution_for_every_step():
+    """As gpuRIR: the response of the place at t_k for the samples from t_k to before t_k + 10 ms, and no others."""
+    rng, step, count = np.random.default_rng(1), RATE // 100, 6
+    dry = np.fft.irfft(np.fft.rfft(rng.normal(size=count * step)) * (np.arange(count * step // 2 + 1) < 1000))
+    length = int(25.0 / C * RATE)
+
+    def place(t):
+        return np.array([0.5 + t, 2.0, 1.6])
+
+    expected = np.zeros((2, len(dry) + length))
+    for k in range(count):
+        responses = shoebox_rir(ROOM, place(k / 100), MICROPHONES, 0.1, RATE, length)
+        for heard, response in zip(expected, responses, strict=True):
+            part = np.convolve(dry[k * step : (k + 1) * step], response)
+            heard[k * step :][: len(part)] += part
+    source = MovingSource(surroundings(0.1, 25.0), Switching(0.01), 0.45, -80)
+    heard = render(source, np.arange(count + 1) / 100, place, dry).take(0, len(dry) + length)
+    spectra = [np.fft.rfft(sound)[:, : int(0.35 * sound.shape[1])] for sound in (heard, expected)]
+    assert 10 * np.log10(np.sum(abs(spectra[0] - spectra[1]) ** 2) / np.sum(abs(spectra[1]) ** 2)) < -60
 
 
 def test_the_pitch_rises_towards_a_microphone():
