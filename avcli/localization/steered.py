@@ -179,6 +179,9 @@ class SteeredLocalizer:
         clipped &= peak > 0.05
         notices += [f"channel {c + 1} is dead and left out" for c in np.flatnonzero(dead)]
         notices += [f"channel {c + 1} is clipped" for c in np.flatnonzero(clipped)]
+        shift = np.abs(samples.mean(axis=0))
+        shifted = (shift > samples.std(axis=0)) & (shift > 0.01)  # the band leaves a constant out: it does no harm
+        notices += [f"channel {c + 1} is shifted by a constant (DC)" for c in np.flatnonzero(shifted)]
         good = ~(dead | broken)
         if (good & ~clipped).sum() >= max(5, 0.5 * len(good)):
             good &= ~clipped
