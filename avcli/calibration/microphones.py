@@ -8,6 +8,8 @@ POSITION_SD_M = 0.05
 """How far a microphone may be expected to hang from where it was measured, m, before anything was heard."""
 SOURCE_SD_M = 0.1
 """The same for the mouth against where the track puts it; one offset for the whole recording."""
+SMOOTH_S = 0.4
+"""Width of the Gaussian over which a track is smoothed, s."""
 MOUTH_AHEAD_M = 0.1
 """How far a walker's mouth is ahead of the body's axis."""
 _SURE = 16.3
@@ -91,13 +93,29 @@ def mouths(track: list, height: float) -> tuple[np.ndarray, np.ndarray]:
     times = np.array([time for time, _, _ in track])
     path = np.array([mouth or [*body[:2], np.nan] for _, body, mouth in track], float).reshape(-1, 3)
     bare = ~np.isfinite(path[:, 2])
-    if bare.any() and len(path) > 1:
-        step = np.gradient(path[:, :2], times, axis=0)
+    if bare.any() and len(path) > 2:
+        level, step = _smooth(times, path[:, :2])
+        path[bare, :2] = level[bare]
         speed = np.linalg.norm(step, axis=1, keepdims=True)
         ahead = np.where(speed > 0.2, MOUTH_AHEAD_M * step / np.maximum(speed, 1e-9), 0.0)
         path[bare, :2] += ahead[bare]
     path[bare, 2] = height
     return times, path
+
+
+def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (k, 2) m and velocities (k, 2) m/s of a tracked walker, by lines fitted to a Gaussian's width of the track.
+
+    A track errs from step to step, and errors taken for movement would make the clock look better known than it is.
+    """
+    away = times[None] - times[:, None]
+    weight = np.exp(-0.5 * (away / SMOOTH_S) ** 2)
+    weight /= weight.sum(1, keepdims=True)
+    late = (weight * away).sum(1)
+    middle = weight @ path
+    spread = np.maximum((weight * (away - late[:, None]) ** 2).sum(1), 1e-12)
+    step = ((weight * (away - late[:, None])) @ path) / spread[:, None]
+    return middle - step * late[:, None], step
 
 
 def joined(parts: list[tuple[np.ndarray, np.ndarray]], microphones: int) -> Heard:
