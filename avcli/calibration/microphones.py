@@ -104,7 +104,7 @@ def mouths(track: list, height: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places (k, 2) m and velocities (k, 2) m/s of a tracked walker, by lines fitted to a Gaussian's width of the track.
+    """Places (k, 2) m and velocities (k, 2) m/s of a tracked walker, by lines fitted over a Gaussian of time.
 
     A track errs from step to step, and errors taken for movement would make the clock look better known than it is.
     """

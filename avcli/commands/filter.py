@@ -72,8 +72,10 @@ class _Frame:
             code = self._run(list(sys.argv[1:] if args is None else args))
         except _Killed as killed:
             _die_of(killed.number)
-        with contextlib.suppress(OSError):
-            sys.stderr.flush()
+        try:
+            sys.stdout.flush()
+        except OSError:  # what a full disk did not take must not be tried again when the interpreter ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(code)
 
     def _run(self, args: list[str]) -> int:
