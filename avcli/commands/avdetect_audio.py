@@ -11,7 +11,7 @@ from avcli.commands.filter import Filter, common
 _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 
 
-@click.command("avdetect-audio", cls=Filter)
+@click.command("avdetect-audio", cls=Filter, epilog="Example: avdetect-audio -C out/s1 audio.jsonl -o a.jsonl")
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option(
     "--method",
@@ -192,7 +192,8 @@ def main(session, files, method, start, temperature, **options):
     """Find who speaks where, by ear.
 
     FILE holds audio records, or is a WAV or FLAC file; standard input may be a WAV stream too. One record is written
-    for every time step, with the talkers' positions at which the sound was emitted, and none where nobody speaks.
+    for every time step, with the talkers' positions at which the sound was emitted; its objects are empty where nobody
+    speaks.
     """
     with session.output() as write:
         sound = _Sound(session, files, start)

@@ -39,7 +39,7 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-@click.command("avdetect-video", cls=filter.Filter)
+@click.command("avdetect-video", cls=filter.Filter, epilog="Example: avdetect-video -C out/s1 scene.jsonl -o v.jsonl")
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option(
     "--detector",

@@ -16,7 +16,7 @@ _MOST_FRAMES = 150
 """Camera frames in a report; of a longer sequence every second, third ... one."""
 
 
-@click.command("aveval", cls=Filter)
+@click.command("aveval", cls=Filter, epilog="Example: aveval out/s1/groundtruth_sources.jsonl tracks.jsonl")
 @click.argument("paths", nargs=-1, metavar="GROUNDTRUTH TRACKS...")
 @click.option(
     "--experiments",

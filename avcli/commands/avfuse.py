@@ -81,7 +81,7 @@ def _count(text):
     return number
 
 
-@click.command("avfuse", cls=Filter)
+@click.command("avfuse", cls=Filter, epilog="Example: avfuse -C out/s1 a.jsonl v.jsonl -o tracks.jsonl")
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option(
     "--sensor",

@@ -45,7 +45,9 @@ def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
     return levels
 
 
-@click.command("avsim-audio", cls=Filter)
+@click.command(
+    "avsim-audio", cls=Filter, epilog="Example: avsim-audio -C out/s1 out/s1/groundtruth_sources.jsonl -o audio.jsonl"
+)
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option(
     "--speech",

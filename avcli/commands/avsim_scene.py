@@ -17,7 +17,7 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 BUILT_IN = ("s1", "s2", "s3", "s4")
 
 
-@click.command("avsim-scene", cls=Filter)
+@click.command("avsim-scene", cls=Filter, epilog="Example: avsim-scene s1 -C out/s1 -o scene.jsonl")
 @click.argument("scenario", metavar="SCENARIO")
 @click.option("--no-video", is_flag=True, help="Draw nothing: ground truth for an audio-only run, no graphics needed.")
 @click.option(
