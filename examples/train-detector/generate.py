@@ -58,12 +58,24 @@ class Cones:
 
 @dataclass
 class Sample:
-    """A picture (HEIGHT, WIDTH, 3) uint8 RGB and its people: boxes (n, 4), parts (n, 3, 2) px, visible (n,)."""
+    """A picture (HEIGHT, WIDTH, 3) uint8 RGB and its people.
+
+    boxes (n, 4), parts (n, 3, 2): torso, head, foot, anchors (n, 2): where the score belongs, all px; visible (n,).
+    """
 
     picture: np.ndarray
     boxes: np.ndarray
     parts: np.ndarray
+    anchors: np.ndarray
     visible: np.ndarray
+
+
+def anchor(rows: np.ndarray, columns: np.ndarray, torso: np.ndarray) -> np.ndarray:
+    """The torso (2,) px where it is seen, else the pixel that is nearest to the middle of what is seen of the body."""
+    if ((columns == int(torso[0])) & (rows == int(torso[1]))).any():
+        return torso
+    pixels = np.column_stack([columns, rows]) + 0.5
+    return pixels[((pixels - pixels.mean(axis=0)) ** 2).sum(axis=1).argmin()]
 
 
 # --- bodies -----------------------------------------------------------------------------------------------------------
@@ -389,7 +401,7 @@ def _shadows(rng, picture: np.ndarray, view: View, spots: list) -> None:
 def _labelled(rng, picture, owners, whole, bodies, spots, camera: Camera) -> Sample:
     """Finish the picture as a camera would and read the labels off the map of owners."""
     view = camera.view
-    boxes, parts, visible = [], [], []
+    boxes, parts, anchors, visible = [], [], [], []
     size = np.array(view.size)
     for index, (body, spot) in enumerate(zip(bodies, spots, strict=True)):
         rows, columns = np.nonzero(owners == index + 1)
@@ -407,6 +419,7 @@ def _labelled(rng, picture, owners, whole, bodies, spots, camera: Camera) -> Sam
         cut = np.ptp(np.clip(full, 0, size), axis=0).prod() if len(full) > 2 else 1.0
         boxes.append(box)
         parts.append(points)
+        anchors.append(anchor(rows, columns, points[0]))
         visible.append(len(rows) / max(whole[index], 1) * min(cut / max(spread, 1), 1.0))
     picture = _camera_effects(rng, picture)
     out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
@@ -416,6 +429,7 @@ def _labelled(rng, picture, owners, whole, bodies, spots, camera: Camera) -> Sam
         out,
         np.array(boxes).reshape(-1, 4) + np.tile(shift, 2),
         np.array(parts).reshape(-1, 3, 2) + shift,
+        np.array(anchors).reshape(-1, 2) + shift,
         np.array(visible),
     )
 
@@ -466,11 +480,13 @@ class Generator:
 
 def _flipped(rng, sample: Sample) -> Sample:
     """Mirror the picture, or turn its colours into others, now and then."""
-    picture, boxes, parts = sample.picture, sample.boxes.copy(), sample.parts.copy()
+    picture, boxes = sample.picture, sample.boxes.copy()
+    parts, anchors = sample.parts.copy(), sample.anchors.copy()
     if rng.random() < 0.5:
         picture = picture[:, ::-1]
         boxes[:, [0, 2]] = WIDTH - boxes[:, [2, 0]]
         parts[..., 0] = WIDTH - parts[..., 0]
+        anchors[:, 0] = WIDTH - anchors[:, 0]
     if rng.random() < 0.15:
         picture = picture[..., rng.permutation(3)]
-    return Sample(np.ascontiguousarray(picture), boxes, parts, sample.visible)
+    return Sample(np.ascontiguousarray(picture), boxes, parts, anchors, sample.visible)

@@ -1,4 +1,4 @@
-"""The embedded detector: a small fully convolutional network that marks people's torsos, and its loss."""
+"""The embedded detector: a small fully convolutional network that marks people at their torsos, and its loss."""
 
 import torch
 from torch import nn
@@ -69,7 +69,7 @@ class Exported(nn.Module):
         return torch.cat([score, maps[:, 1:]], dim=1)
 
 
-def targets(boxes, parts, visible, height: int, width: int) -> tuple:
+def targets(boxes, parts, anchors, visible, height: int, width: int) -> tuple:
     """Maps to learn for one picture: heat, weights of the negatives, regression (10, h, w), its weight; (h, w) each.
 
     A person of whom less than a fifth is seen is neither learnt nor held against the network.
@@ -78,12 +78,12 @@ def targets(boxes, parts, visible, height: int, width: int) -> tuple:
     heat, negative = torch.zeros(rows, columns), torch.ones(rows, columns)
     regression, weight = torch.zeros(10, rows, columns), torch.zeros(rows, columns)
     v, u = torch.meshgrid(torch.arange(rows) + 0.5, torch.arange(columns) + 0.5, indexing="ij")
-    for box, part, seen in sorted(zip(boxes, parts, visible, strict=True), key=lambda item: item[2]):
+    for box, part, spot, seen in sorted(zip(boxes, parts, anchors, visible, strict=True), key=lambda item: item[3]):
         x0, y0, x1, y1 = (float(value) / STRIDE for value in box)
         if seen < 0.2 or (x1 - x0) * (y1 - y0) < 1.5:
             negative[(v > y0 - 1) & (v < y1 + 1) & (u > x0 - 1) & (u < x1 + 1)] = 0.0
             continue
-        x, y = float(part[0, 0]) / STRIDE, float(part[0, 1]) / STRIDE
+        x, y = float(spot[0]) / STRIDE, float(spot[1]) / STRIDE
         x, y = min(max(x, x0 + 0.5), x1 - 0.5), min(max(y, y0 + 0.5), y1 - 0.5)
         column, row = min(max(int(x), 0), columns - 1), min(max(int(y), 0), rows - 1)
         sigma = max(0.12 * ((x1 - x0) * (y1 - y0)) ** 0.5, 0.7)

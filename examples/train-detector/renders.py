@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from generate import HEIGHT, PAD, WIDTH, Sample, _camera_effects, _colour, _flipped, random_look
+from generate import HEIGHT, PAD, WIDTH, Sample, _camera_effects, _colour, _flipped, anchor, random_look
 
 from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
@@ -62,7 +62,8 @@ def random_scenario(rng: np.random.Generator, width: int, height: int, people: i
             continue
         furniture.append({key: value for key, value in item.items() if key != "color" or kind != "mesh"})
     walkers = []
-    for index in range(int(rng.integers(0, 6)) if people is None else people):
+    crowd = rng.choice([0, 1, 2, 3, 4, 5], p=[0.22, 0.16, 0.16, 0.16, 0.15, 0.15]) if people is None else people
+    for index in range(int(crowd)):
         walk = [{"t_s": 0.0, "position_m": place(), "heading_deg": rng.uniform(0, 360)}]
         if rng.random() < 0.15:
             walk[0] |= {"pose": "sit", "stay_s": 10.0}
@@ -81,7 +82,8 @@ def random_scenario(rng: np.random.Generator, width: int, height: int, people: i
 class Shot:
     """A frame of a random scene: picture, depth (m, radial), the empty room's depth, and its people.
 
-    places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px, parts (n, 3, 2) px.
+    places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px, parts (n, 3, 2) px,
+    anchors (n, 2) px.
     """
 
     picture: np.ndarray
@@ -93,6 +95,7 @@ class Shot:
     visible: np.ndarray
     boxes: np.ndarray
     parts: np.ndarray
+    anchors: np.ndarray
 
 
 def shots(rng: np.random.Generator, width: int, height: int, count: int, context=None, people=None):
@@ -133,12 +136,13 @@ def shots(rng: np.random.Generator, width: int, height: int, count: int, context
             if not np.isfinite(parts).all():
                 parts = np.tile((box[:2] + box[2:]) / 2, (3, 1))
             whole = frame.shapes[index][0].sum() * render.Frame.pitch**2
-            rows.append((place, top, min(len(v) / max(whole, 1), within), box, parts))
+            seen = min(len(v) / max(whole, 1), within)
+            rows.append((place, top, seen, box, parts, anchor(v, u, parts[0])))
         yield Shot(
             frame.rgb.copy(), frame.depth * np.float32(1e-4), background, view,
             np.array([row[0] for row in rows]).reshape(-1, 2), np.array([row[1] for row in rows]),
             np.array([row[2] for row in rows]), np.array([row[3] for row in rows]).reshape(-1, 4),
-            np.array([row[4] for row in rows]).reshape(-1, 3, 2),
+            np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),
         )  # fmt: skip
 
 
@@ -173,5 +177,6 @@ class Library:
         out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
         out[top : top + height, left : left + width] = picture
         shift = np.array([left, top])
-        sample = Sample(out, shot.boxes + np.tile(shift, 2), shot.parts + shift, shot.visible)
+        boxes = shot.boxes + np.tile(shift, 2)
+        sample = Sample(out, boxes, shot.parts + shift, shot.anchors + shift, shot.visible)
         return sample if self.plain else _flipped(self.rng, sample)

@@ -1,7 +1,8 @@
-"""Train the embedded detector: python train.py --out DIR [--hours 1] [--resume] [--renders SHARE]
+"""Train the embedded detector: python train.py --out DIR [--steps N] [--resume] [--renders SHARE]
 
-Needs torch and the package itself. Checkpoints every two minutes; --resume goes on from the last one. One process draws
-pictures, one learns from them; each uses one thread.
+Needs torch and the package itself. Checkpoints every two minutes; --resume goes on from the last one, with another
+--steps if need be. One process draws pictures, one learns from them; each uses one thread, and the same seed gives the
+same pictures in the same order.
 """
 
 import argparse
@@ -34,7 +35,7 @@ def pictures(queue, seed: int, batch: int, renders: float) -> None:
         library = Library(seed)
     while True:
         samples = [library() if library and generator.rng.random() < renders else generator() for _ in range(batch)]
-        maps = [targets(s.boxes, s.parts, s.visible, HEIGHT, WIDTH) for s in samples]
+        maps = [targets(s.boxes, s.parts, s.anchors, s.visible, HEIGHT, WIDTH) for s in samples]
         images = np.stack([s.picture for s in samples])
         queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
 
@@ -55,18 +56,17 @@ def mirrored(chance, image, maps) -> tuple:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--hours", type=float, default=1.0, help="length of the learning rate's schedule")
-    parser.add_argument("--batch", type=int, default=6)
+    parser.add_argument("--steps", type=int, default=20_000, help="length of the learning rate's schedule")
+    parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--rate", type=float, default=3e-3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="weights to begin with (export.py --weights)")
-    parser.add_argument("--restart-schedule", action="store_true", help="with --resume: a new schedule from here")
     parser.add_argument(
         "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
     )
-    parser.add_argument("--echo", type=int, default=3, help="how often a picture is learnt from")
-    parser.add_argument("--memory", type=int, default=1200, help="pictures that are kept for it")
+    parser.add_argument("--echo", type=int, default=6, help="how often a picture is learnt from")
+    parser.add_argument("--memory", type=int, default=2400, help="pictures that are kept for it")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
@@ -74,7 +74,7 @@ def main() -> None:
     model = Detector().to(memory_format=torch.channels_last)
     average = copy.deepcopy(model)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.rate, weight_decay=0.02)
-    step, spent, begun = 0, 0.0, 0.0
+    step, spent = 0, 0.0
     if options.start:
         weights = torch.load(options.start)
         for network in (model, average):
@@ -85,9 +85,7 @@ def main() -> None:
         model.load_state_dict(state["model"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
-        step, spent, begun = state["step"], state["spent"], state["begun"]
-        if options.restart_schedule:
-            begun = spent
+        step, spent = state["step"], state["spent"]
     queue = multiprocessing.Queue(4)
     worker = multiprocessing.Process(
         target=pictures, args=(queue, options.seed * 1000 + step, options.batch, options.renders), daemon=True
@@ -95,10 +93,8 @@ def main() -> None:
     worker.start()
     started, saved, sums = time.time() - spent, time.time(), np.zeros(3)
     chance, memory = np.random.default_rng([options.seed, step]), []
-    while True:
-        progress = (spent - begun) / (options.hours * 3600)
-        if progress >= 1:
-            break
+    while step < options.steps:
+        progress = step / options.steps
         warm = min(1.0, (step + 1) / 100)
         for group in optimizer.param_groups:
             group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * progress)))
@@ -121,7 +117,7 @@ def main() -> None:
         torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
         optimizer.step()
         step += 1
-        decay = min(0.998, step / (step + 20))
+        decay = min(0.999, step / (step + 20))
         with torch.no_grad():
             for mean, value in zip(average.state_dict().values(), model.state_dict().values(), strict=True):
                 if value.dtype.is_floating_point:
@@ -134,9 +130,9 @@ def main() -> None:
             print(json.dumps({"step": step, "s": round(spent), "cpu_s": round(time.process_time()),
                               "loss": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
             sums[:] = 0
-        if time.time() - saved > 120 or (spent - begun) / (options.hours * 3600) >= 1:
+        if time.time() - saved > 120 or step == options.steps:
             state = {"model": model.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
-            torch.save(state | {"step": step, "spent": spent, "begun": begun}, f"{checkpoint}.new")
+            torch.save(state | {"step": step, "spent": spent}, f"{checkpoint}.new")
             os.replace(f"{checkpoint}.new", checkpoint)
             saved = time.time()
     worker.terminate()
