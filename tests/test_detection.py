@@ -311,18 +311,46 @@ def test_the_gate_sees_five_millimetres_and_no_noise(noise):
         return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
 
     gate = Gate(refresh=100)
-    assert gate.changed(frame(900))
-    assert not any(gate.changed(frame(900)) for _ in range(5))
-    assert gate.changed(frame(904))  # 5 mm at 2.5 m is about two pixels; noise of 6 levels hides one or two of them
-    assert not gate.changed(frame(904))
+    assert gate.changes(frame(900)).tolist() == [[0, 0, 1920, 1080]]
+    assert not any(len(gate.changes(frame(900))) for _ in range(5))
+    x0, y0, x1, y1 = gate.changes(frame(904)).T  # 5 mm at 2.5 m is about two pixels; noise of 6 hides one or two
+    assert x0.min() < 938 < x1.max() or x0.min() < 866 < x1.max()
+    assert x1.max() - x0.min() < 500
+    assert y0.min() > 304
+    assert y1.max() < 696
+    assert not len(gate.changes(frame(904)))
 
 
 def test_the_gate_looks_again_now_and_then():
     gate = Gate(refresh=4)
     still = np.zeros((64, 64, 3), np.uint8)
-    assert [gate.changed(still) for _ in range(9)] == [True, False, False, False, True, False, False, False, True]
-    assert [Gate(refresh=1).changed(still) for _ in range(3)] == [True] * 3
-    assert gate.changed(np.zeros((32, 64, 3), np.uint8))
+    assert [len(gate.changes(still)) for _ in range(9)] == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+    all_of_them = Gate(refresh=1)
+    assert [len(all_of_them.changes(still)) for _ in range(3)] == [1, 1, 1]
+    assert gate.changes(np.zeros((32, 64, 3), np.uint8)).tolist() == [[0, 0, 64, 32]]
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (1900, 0), (3, 1060), (1896, 1056), (700, 500)])
+def test_the_gate_tells_where_and_forgets_nothing_elsewhere(x, y):
+    still = np.zeros((1080, 1920, 3), np.uint8)
+    gate = Gate(refresh=100)
+    gate.changes(still)
+    moved = still.copy()
+    moved[y : y + 24, x : x + 24] = 255
+    ((x0, y0, x1, y1),) = gate.changes(moved)
+    assert 0 <= x - x0 <= 96
+    assert 0 <= y - y0 <= 96
+    assert min(x + 24, 1920) <= x1 <= min(x + 120, 1920)
+    assert min(y + 24, 1080) <= y1 <= min(y + 120, 1080)
+    assert not len(gate.changes(moved))
+    slow = moved.copy()
+    for level in range(1, 9):  # a lamp that comes on by degrees elsewhere, while here something moves all the time
+        slow[300:460, 1200:1360] = 3 * level
+        slow[y : y + 24, x : x + 24] = 255 * (level % 2)
+        if any(x0 < 1280 < x1 and y0 < 380 < y1 for x0, y0, x1, y1 in gate.changes(slow)):
+            break
+    else:
+        pytest.fail("a change by degrees was never seen")
 
 
 def test_the_division_lens_places_too():

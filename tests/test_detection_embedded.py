@@ -38,7 +38,9 @@ def test_any_size_and_the_same_bytes(content, network):
     Network(content, (250, 130)).detect(picture)
 
 
-def test_people_of_another_seed_are_found(network):
+@pytest.fixture(scope="module")
+def samples():
+    """Pictures of a seed that training does not use."""
     sys.path.insert(0, str(ROOT / "examples" / "train-detector"))
     try:
         from generate import Generator
@@ -46,9 +48,30 @@ def test_people_of_another_seed_are_found(network):
     finally:
         sys.path.pop(0)
     draw = Generator(seed=123_456, bodies=60, cameras=15, textures=15)
+    return [draw() for _ in range(60)], overlaps
+
+
+def test_looking_at_what_changed_only_finds_the_same(content, samples):
+    regional, whole = Network(content, confidence=0.3), Network(content, confidence=0.3)
+    pictures, _ = samples
+    for before, after in zip(pictures[:20:2], pictures[1:20:2], strict=True):
+        x, y = 16 * (len(after.boxes) % 3) + 200, 120
+        picture = before.picture.copy()
+        picture[y : y + 130, x : x + 130] = after.picture[y : y + 130, x : x + 130]
+        regional.detect(before.picture)
+        found = regional.detect(picture, np.array([[x - 16, y - 16, x + 146, y + 146]]))
+        wanted = whole.detect(picture)
+        assert len(found) == len(wanted)
+        assert np.abs(found.scores - wanted.scores).max(initial=0.0) < 0.05
+        assert np.abs(found.boxes - wanted.boxes).max(initial=0.0) < 3.0
+    still = regional.detect(picture, np.empty((0, 4)))
+    assert np.array_equal(still.boxes, found.boxes)
+
+
+def test_people_of_another_seed_are_found(network, samples):
+    pictures, overlaps = samples
     people = found = false = 0
-    for _ in range(60):
-        sample = draw()
+    for sample in pictures:
         boxes = network.detect(sample.picture).boxes
         hits = np.array([overlaps(box, sample.boxes) for box in boxes]).reshape(len(boxes), len(sample.boxes))
         must = sample.visible >= 1 / 2

@@ -99,8 +99,8 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
     default=10,
     show_default=True,
     metavar="N",
-    help="Of pictures in which nothing changes the network looks at every N-th and says of the others the same again; "
-    "1: it looks at each.",
+    help="The network looks at the whole of every N-th picture, and of the others only at what has changed; 1: at the "
+    "whole of each.",
 )
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw what was found into a video, or into PNG files in DIR.")
 @filter.common(skip_invalid=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
@@ -171,8 +171,9 @@ class _Watcher:
             with self.session.timing("wait for pictures"):
                 picture = rgb.result()
             self._check_size(picture, shot, "colour")
-            if self.gate.changed(picture):
-                self.last = self._look(picture, shot)
+            regions = self.gate.changes(picture)
+            if len(regions):
+                self.last = self._look(picture, regions, shot)
             return self.last
         except MediaError as error:
             if not self.session.skip_invalid:
@@ -180,9 +181,9 @@ class _Watcher:
             self.session.warn(f"skipped: {error}", kind="a frame that cannot be read was skipped")
             return None
 
-    def _look(self, picture, shot: Shot) -> list:
+    def _look(self, picture, regions, shot: Shot) -> list:
         with self.session.timing("network"):
-            found = self.network.detect(picture)
+            found = self.network.detect(picture, regions)
         if not len(found):
             return []
         with self.session.timing("depth and positions"):

@@ -11,6 +11,13 @@ PAD = 114
 MOST = 300
 """Most people reported in one picture."""
 
+REACH_PX, CONTEXT_PX = 16, 96
+"""px of the network's input: how far around a changed region what is found may change; and around that, what is looked
+at with it."""
+
+WHOLE = 0.6
+"""Share of the input from which on it is cheaper to look at all of it."""
+
 PARTS = ("torso", "head", "foot")
 
 
@@ -113,20 +120,49 @@ class Network:
         self.iou = float(self.metadata.get("iou", 0.7)) if iou is None else iou
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size)
+        self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
+        self._maps, self._shape = None, None
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
         self.head = find_head([output.shape for output in outputs], self.size, self.names, self.metadata)
 
-    def detect(self, picture: np.ndarray) -> Boxes:
-        """Find the people in a picture (height, width, 3) uint8 RGB."""
+    def detect(self, picture: np.ndarray, regions: np.ndarray | None = None) -> Boxes:
+        """Find the people in a picture.
+
+        Args:
+            picture: (height, width, 3) uint8 RGB.
+            regions: (n, 4) [x0, y0, x1, y1] px that hold all that has changed since the last call, if it was of a
+                picture of this size; None: anything may have. A network of this project then looks at them and a margin
+                only, and says of the rest what it said before; a YOLO export looks at all.
+        """
         yolox = self.head.kind == "yolox"
         fit = Letterbox.fit((picture.shape[1], picture.shape[0]), self.size, centred=not yolox)
-        outputs = self._run(fit.apply(picture), bgr=yolox)
+        if self.head.kind == "points":
+            outputs = [self._maps_of(fit.apply(picture), picture.shape, fit, regions)]
+        else:
+            outputs = self._run(fit.apply(picture), bgr=yolox)
         boxes, scores, parts = decode(outputs, self.head, self.size, self.confidence)
         if self.head.kind != "end2end":
             keep = suppress(boxes, scores, self.iou)
             boxes, scores, parts = boxes[keep], scores[keep], None if parts is None else parts[keep]
         boxes = fit.to_picture(boxes.reshape(-1, 2, 2)).reshape(-1, 4)[:MOST]
         return Boxes(boxes, scores[:MOST], None if parts is None else fit.to_picture(parts[:MOST]))
+
+    def _maps_of(self, image: np.ndarray, shape: tuple, fit: Letterbox, regions: np.ndarray | None) -> np.ndarray:
+        """The maps (1, 11, h, w) of an input, of which only what the regions reach is computed anew."""
+        known = self._maps is not None and self._shape == shape and regions is not None and self._open
+        cores = [] if not known else _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size)
+        crops = [_wider(core, self.size) for core in cores]
+        if not known or sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in crops) > WHOLE * self.size[0] * self.size[1]:
+            self._maps, self._shape = self._run(image, bgr=False)[0], shape
+            return self._maps
+        stride = self.size[0] // self._maps.shape[3]
+        for core, (left, top, right, bottom) in zip(cores, crops, strict=True):
+            new = self._run(np.ascontiguousarray(image[top:bottom, left:right]), bgr=False)[0]
+            x0, y0, x1, y1 = (side // stride for side in core)
+            self._maps[:, :, y0:y1, x0:x1] = new[
+                :, :, y0 - top // stride : y1 - top // stride, x0 - left // stride : x1 - left // stride
+            ]
+        return self._maps
 
     def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
         if bgr:
@@ -157,6 +193,39 @@ class Network:
         except ValueError:
             step = 32
         return -(-wanted[0] // step) * step, -(-wanted[1] // step) * step
+
+
+def _cells(regions: np.ndarray, size: tuple[int, int]) -> list[list[int]]:
+    """Regions (n, 4) px of the input and their reach in whole steps of the coarsest layer; one where margins meet."""
+    step = 16
+    low = np.maximum(np.floor((regions[:, :2] - REACH_PX) / step) * step, 0)
+    high = np.minimum(np.ceil((regions[:, 2:] + REACH_PX) / step) * step, size)
+    cores = np.column_stack([low, high]).astype(int).tolist()
+    at = 0
+    while at < len(cores):
+        one = cores[at]
+        for other in cores[at + 1 :]:
+            both = [*np.minimum(one[:2], other[:2]).tolist(), *np.maximum(one[2:], other[2:]).tolist()]
+            if _area(_wider(both, size)) <= _area(_wider(one, size)) + _area(_wider(other, size)):
+                cores.remove(other)
+                cores[at], at = both, -1
+                break
+        at += 1
+    return cores
+
+
+def _wider(core: list[int], size: tuple[int, int]) -> list[int]:
+    x0, y0, x1, y1 = core
+    return [
+        max(x0 - CONTEXT_PX, 0),
+        max(y0 - CONTEXT_PX, 0),
+        min(x1 + CONTEXT_PX, size[0]),
+        min(y1 + CONTEXT_PX, size[1]),
+    ]
+
+
+def _area(box: list[int]) -> int:
+    return (box[2] - box[0]) * (box[3] - box[1])
 
 
 def _open(model: bytes, threads: int):

@@ -153,7 +153,7 @@ def gate_rows(networks: dict, rng) -> list[dict]:
     for name, finder in networks.items():
         for refresh in (1, 10):
             gate = Gate(refresh)
-            _, ms = timed(lambda g=gate, n=finder: [n.detect(frame) for frame in frames if g.changed(frame)])
+            _, ms = timed(lambda g=gate, n=finder: [n.detect(frame, r) for frame in frames if len(r := g.changes(frame))])
             rows.append({"detector": f"{name}, still room, --refresh {refresh}", "ms": round(ms / len(frames), 2)})
     return rows
 
