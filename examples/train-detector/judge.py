@@ -1,15 +1,17 @@
 """Judge an ONNX detector on rendered pictures that training never saw: python judge.py MODEL.onnx [--pictures 300]
 
-Scenes, looks, lenses, heights and light are random, drawn by avsim-scene's renderer with seeds that training does not
-use. A person of whom at least a third is seen has to be found; of whom less is seen may be.
+Scenes, looks, lenses and heights are random, drawn by avsim-scene's renderer with seeds that training does not use. A
+person of whom at least a third is seen has to be found; of whom less is seen may be. --effects adds what a bad camera
+does: noise, blur, gamma, JPEG, false colours. Then as many empty rooms as --rooms says.
 """
 
 import argparse
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generate import HEIGHT, WIDTH
+from generate import HEIGHT, WIDTH, Sample
 from renders import Library
 
 from avcli.detection.network import Network
@@ -19,7 +21,8 @@ from avcli.detection.network import Network
 class Verdict:
     """Detections (n,) of all pictures: scores, whether right, errors of the torso in px; and the number of people.
 
-    `empty` counts detections in pictures without people, `pictures` those pictures.
+    `empty` counts detections with a score of a half or more in pictures without people, of which there are
+    `empty_pictures`.
     """
 
     scores: np.ndarray
@@ -30,13 +33,14 @@ class Verdict:
     empty_pictures: int
 
 
-def pictures_to_judge(seed: int, count: int) -> list:
-    """`count` rendered pictures with their labels."""
-    library = Library(seed, each=2)
-    return [library() for _ in range(count)]
+def pictures_to_judge(seed: int, count: int, *, effects: bool = False, people: int | None = None) -> Iterator[Sample]:
+    """Yield `count` rendered pictures with their labels: two of each scene, one of each that has no people."""
+    library = Library(seed, each=1 if people == 0 else 2, plain=not effects, people=people)
+    for _ in range(count):
+        yield library()
 
 
-def judge(content: bytes, samples: list, confidence: float = 0.02, iou: float | None = None) -> Verdict:
+def judge(content: bytes, samples: Iterable[Sample], confidence: float = 0.02, iou: float | None = None) -> Verdict:
     """Run a model over the pictures and match what it finds, best first, at an IoU of 0.5."""
     network = Network(content, (WIDTH, HEIGHT), confidence, iou)
     scores, right, torso, people, empty, empty_pictures = [], [], [], 0, 0, 0
@@ -88,8 +92,11 @@ def main() -> None:
     parser.add_argument("model", type=Path)
     parser.add_argument("--pictures", type=int, default=300)
     parser.add_argument("--seed", type=int, default=800_000)
+    parser.add_argument("--rooms", type=int, default=100)
+    parser.add_argument("--effects", action="store_true")
     options = parser.parse_args()
-    verdict = judge(options.model.read_bytes(), pictures_to_judge(options.seed, options.pictures))
+    content = options.model.read_bytes()
+    verdict = judge(content, pictures_to_judge(options.seed, options.pictures, effects=options.effects))
     order = np.argsort(-verdict.scores, kind="stable")
     right = np.cumsum(verdict.right[order])
     precision, recall = right / np.arange(1, len(right) + 1), right / verdict.people
@@ -100,7 +107,9 @@ def main() -> None:
     found = verdict.right[working]
     print(f"at score 0.5: precision {found.mean():.3f}, recall {found.sum() / verdict.people:.3f}")
     print(f"torso: median error {np.nanmedian(verdict.torso[working]):.1f} px")
-    print(f"{verdict.empty} detections in {verdict.empty_pictures} empty pictures")
+    print(f"{verdict.empty} detections in the {verdict.empty_pictures} pictures without people")
+    rooms = judge(content, pictures_to_judge(options.seed + 1, options.rooms, effects=options.effects, people=0))
+    print(f"{rooms.empty} detections in {rooms.empty_pictures} empty rooms")
 
 
 if __name__ == "__main__":

@@ -61,6 +61,11 @@ def random_scenario(rng: np.random.Generator, width: int, height: int, people: i
         else:
             continue
         furniture.append({key: value for key, value in item.items() if key != "color" or kind != "mesh"})
+    if rng.random() < 0.18:  # something large that hangs: of those behind it only an edge is seen
+        spot = [float(value) for value in eye[:2] + rng.normal(0, 0.5, 2)]
+        item = {"kind": "panel", "rotation_deg": rng.uniform(0, 360), "color": [float(c) for c in _colour(rng)]}
+        item |= {"position_m": [*spot, rng.uniform(1.8, top - 0.2)], "size_m": [*rng.uniform(0.4, 1.8, 2), 0.02]}
+        furniture.append(item)
     walkers = []
     crowd = rng.choice([0, 1, 2, 3, 4, 5], p=[0.22, 0.16, 0.16, 0.16, 0.15, 0.15]) if people is None else people
     for index in range(int(crowd)):
@@ -153,10 +158,11 @@ class Library:
         seed: of all chance.
         each: frames of one scene.
         plain: leave out the camera's effects and the mirror (for judging).
+        people: how many there are in each scene; None draws it.
     """
 
-    def __init__(self, seed: int, each: int = 12, plain: bool = False):
-        self.rng, self.each, self.plain = np.random.default_rng([seed, 7]), each, plain
+    def __init__(self, seed: int, each: int = 12, plain: bool = False, people: int | None = None):
+        self.rng, self.each, self.plain, self.people = np.random.default_rng([seed, 7]), each, plain, people
         self.context = render.open_context()
         self._shots = iter(())
 
@@ -165,7 +171,7 @@ class Library:
         while shot is None:
             width, height = SHAPES[self.rng.integers(len(SHAPES))]
             try:
-                self._shots = shots(self.rng, width, height, self.each, self.context)
+                self._shots = shots(self.rng, width, height, self.each, self.context, self.people)
                 shot = next(self._shots, None)
             except scenario.ScenarioError:
                 continue
