@@ -164,6 +164,7 @@ class Library:
     def __init__(self, seed: int, each: int = 12, plain: bool = False, people: int | None = None):
         self.rng, self.each, self.plain, self.people = np.random.default_rng([seed, 7]), each, plain, people
         self.context = render.open_context()
+        self.context.gc_mode = "auto"  # one scene after another: what the last one drew with goes with it
         self._shots = iter(())
 
     def __call__(self) -> Sample:

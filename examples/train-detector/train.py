@@ -99,7 +99,7 @@ def main() -> None:
         for group in optimizer.param_groups:
             group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * progress)))
         # Drawing costs as much as learning: each picture is seen `echo` times, mirrored otherwise, among others.
-        if step % options.echo == 0 or len(memory) < 20 * options.batch:
+        if step % options.echo == 0 or len(memory) < 60 * options.batch:
             images, maps = queue.get()
             memory += [(image, [item[k] for item in maps]) for k, image in enumerate(images)]
             del memory[: -options.memory]
