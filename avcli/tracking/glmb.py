@@ -15,70 +15,20 @@ import numpy as np
 
 from avcli.tracking import gaussian
 from avcli.tracking.assignment import ranked
+from avcli.tracking.hypotheses import Cluster, Densities
 from avcli.tracking.model import Track
+from avcli.tracking.rates import Rates, logit
 from avcli.tracking.smoothing import Node
 
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
 LOG_PRUNE = math.log(1e-3)  # weight of a joint hypothesis relative to the best
 BUDGET = 3
-INDEPENDENT = 1e-3  # total variation at which a label's hypotheses count as independent of its cluster's others
 PROMOTE, RECYCLE = 0.1, 0.03  # existence at which a tentative person becomes labelled, and a labelled one tentative
 FORGET = 5e-3  # expected number of people below which a tentative person who was labelled loses the label
 TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentative Gaussian; how many are kept
-
-
-class Densities:
-    """Rows of single-person densities.
-
-    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M): the mixture over motion models. exist (n,): probability of existence,
-    or of a tentative person the expected number. found (n, S): probability that each sensor can find the person.
-    label (-1: none yet), past (last associations), node (for smoothing): lists of n.
-    """
-
-    def __init__(self, mean, cov, mode, exist, found, label, past, node):
-        self.mean, self.cov, self.mode, self.exist, self.found = mean, cov, mode, exist, found
-        self.label, self.past, self.node = label, past, node
-
-    def __len__(self):
-        return len(self.label)
-
-    def take(self, rows):
-        """The given rows (a list), in that order."""
-        at = np.array(rows, int)
-        lists = ([values[i] for i in rows] for values in (self.label, self.past, self.node))
-        return Densities(self.mean[at], self.cov[at], self.mode[at], self.exist[at], self.found[at], *lists)
-
-    @staticmethod
-    def join(parts):
-        """All rows of several, one after another."""
-        arrays = (np.concatenate([getattr(p, k) for p in parts]) for k in ("mean", "cov", "mode", "exist", "found"))
-        lists = ([value for p in parts for value in getattr(p, k)] for k in ("label", "past", "node"))
-        return Densities(*arrays, *lists)
-
-
-class Cluster:
-    """Joint hypotheses about some labels: rows of one density per label (-1: no such person) and their log weights."""
-
-    def __init__(self, labels, rows, weights):
-        self.labels, self.rows, self.weights = labels, rows, weights
-        self.shares = [math.exp(weight) for weight in weights]
-
-    def marginals(self, at, exist):
-        """Of the label in column `at`: {density: its probability}, and the probability that the label exists."""
-        shares = {}
-        for row, share in zip(self.rows, self.shares, strict=True):
-            leaf = row[at]
-            shares[leaf] = shares.get(leaf, 0.0) + share
-        return shares, math.fsum(share * exist[leaf] for leaf, share in shares.items() if leaf >= 0)
-
-    def without(self, at):
-        """The cluster of the other labels; equal rows are merged."""
-        merged = {}
-        for row, share in zip(self.rows, self.shares, strict=True):
-            row = row[:at] + row[at + 1 :]
-            merged[row] = merged.get(row, 0.0) + share
-        rows = sorted(merged, key=lambda row: -merged[row])
-        return Cluster(self.labels[:at] + self.labels[at + 1 :], rows, [math.log(merged[row]) for row in rows])
+BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
+SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
+FACING = -0.9  # cosine of the angle between the courses of people who walk face to face
 
 
 class GLMB:
@@ -91,7 +41,7 @@ class GLMB:
         self.settings, self.factorise, self.record = settings, factorise, record
         m = len(settings.motion.models)
         self.people = Densities(
-            np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m)), np.zeros(0), np.zeros((0, 0)), [], [], []
+            np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m)), np.zeros(0), np.zeros((0, 0)), [], []
         )
         self.clusters, self.tentative = [], []
         self.time = None
@@ -126,6 +76,7 @@ class GLMB:
         come = np.array([inside, settings.arrivals - inside])
         self.unseen = self.unseen * math.exp(-dt / settings.stay) + come * dt
         if len(people):
+            self._evade(dt)
             before = people.mean, people.cov, people.mode
             people.mean, people.cov, people.mode, half, mixed = gaussian.predict(*before, settings.motion, dt)
             if self.record:
@@ -136,6 +87,30 @@ class GLMB:
             rest = np.array([s.findable() for s in self.sensors])
             self.unseen_found = rest + (self.unseen_found - rest) * mix
             people.found = rest + (people.found - rest) * mix
+
+    def _evade(self, dt):
+        """Let those who walk into each other face to face change course, within the next dt seconds.
+
+        Two bodies cannot pass through each other, and what is seen of two people near each other hardly tells whether
+        they did; who comes from the side may pass behind.
+        """
+        rate, turn, people = self.settings.evade, self.settings.motion.turn, self.people
+        others = [leaf for cluster in self.clusters for leaf in cluster.rows[0] if leaf >= 0]
+        if len(others) < 2 or turn < 0 or not rate:
+            return
+        leaves = sorted({leaf for cluster in self.clusters for row in cluster.rows for leaf in row if leaf >= 0})
+        own, other = people.centres(leaves), people.centres(others)
+        place, pace = np.split(own[:, None] - other, 2, axis=2)
+        soon = -(place * pace).sum(2) / ((pace * pace).sum(2) + 1e-9)  # seconds until they are nearest
+        miss = place + pace * np.maximum(soon, 0.0)[..., None]
+        paces = np.linalg.norm(own[:, 2:], axis=1)[:, None] * np.linalg.norm(other[:, 2:], axis=1)
+        bump = (soon > -JUST) & (soon < SOON) & ((miss * miss).sum(2) < BUMP * BUMP)
+        bump &= own[:, 2:] @ other[:, 2:].T < FACING * paces
+        if bump.any():  # never somebody and himself: those walk the same way
+            rows = np.array(leaves)[bump.any(1)]
+            share = people.mode[rows, 0] * -math.expm1(-rate * dt)
+            people.mode[rows, 0] -= share
+            people.mode[rows, turn] += share
 
     # --- one record ---------------------------------------------------------------------------------------------------
 
@@ -151,12 +126,13 @@ class GLMB:
         column = self.column[name]
         sensor, rates = self.sensors[column], self.rates[column]
         people, surface = self.people, self.settings.surface
-        chance = people.found[:, column] * rates.detection
         gain = gains(people, z, noise, sensor.lead)
 
         odds = None if score is None or np.isnan(score).all() else logit(score)
         kappa = max(rates.clutter, 1e-9) / surface * rates.doubt(odds)
-        strangers = rates.detection * self.unseen_found[column] * (self.settings.whereabouts(z) @ self.unseen)
+        detection = rates.detection * (1 - rates.blindness(self.time, self._recognised(column, gain, kappa)))
+        chance = people.found[:, column] * detection
+        strangers = detection * self.unseen_found[column] * (self.settings.whereabouts(z) @ self.unseen)
         if self.settings.birth != "poisson":
             strangers = strangers * 0.0
         at = self.tentative
@@ -175,7 +151,7 @@ class GLMB:
         existence = rho / background
 
         if self.settings.adapt:
-            rates.learn(float((free * (1 - existence)).sum()), *self._hits_and_misses(groups, chance, rates.detection))
+            rates.learn(float((free * (1 - existence)).sum()), *self._hits_and_misses(groups, chance, detection))
         rates.learn_score(odds, 1 - free * (1 - existence))
         source = np.where(
             from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
@@ -184,12 +160,23 @@ class GLMB:
         self.born, self.died = [], []
         if self.journal is not None:
             account = self._account(name, z, groups, free, existence, kappa, rho)
-        self._rebuild(column, z, noise, groups, births)
+        self._rebuild(column, z, noise, groups, births, detection)
         if self.journal is not None:
             self.journal.append({**account, "born": self.born, "died": self.died})
-        missed = self.unseen_found[column] * sensor.detection
+        missed = self.unseen_found[column] * detection
         self.unseen *= 1 - missed
-        self.unseen_found[column] *= (1 - sensor.detection) / max(1 - missed, 1e-12)
+        self.unseen_found[column] *= (1 - detection) / max(1 - missed, 1e-12)
+
+    def _recognised(self, column, gain, kappa):
+        """How much likelier a record is with the people that are known than as clutter alone.
+
+        gain (n, J): likelihoods of the detections; kappa: density of clutter, a number or (J,).
+        """
+        leaves = [leaf for c in self.clusters for leaf in c.rows[0] if leaf >= 0]
+        if not leaves:
+            return 1.0
+        present = self.people.exist[leaves] * self.people.found[leaves, column] * self.rates[column].detection
+        return float(np.minimum(1 - present + present * (gain[leaves] / kappa).sum(1), 1e3).prod())
 
     def _elbow_room(self, places, spread):
         """Probability (n,) that someone new at places (n, 2), known to variances (n,), is not inside a known person."""
@@ -212,7 +199,8 @@ class GLMB:
         hits = (present[:, None] * gain[rows] / background).tolist()
         options = {}
         for leaf, miss, hit in zip(rows, missed, hits, strict=True):
-            found = [(math.log(h), j) for j, h in enumerate(hit) if h > 1e-300]
+            least = math.exp(miss + LOG_PRUNE)  # the same hypothesis but for a miss is likelier by so much
+            found = [(math.log(h), j) for j, h in enumerate(hit) if h > least]
             options[leaf] = sorted([(miss, -1), *found], reverse=True) if found else [(miss, -1)]
         return options
 
@@ -235,29 +223,14 @@ class GLMB:
 
         Returns (labels, [[log weight, ((density, detection), ...), used bits]]), normalised, best first.
         """
-        settings, people = self.settings, self.people
-        priors = [(0.0, ())]
+        settings, priors = self.settings, [(0.0, ())]
         for cluster in members:
             pairs = list(zip(cluster.weights, cluster.rows, strict=True))
             priors = [(w + v, left + right) for w, left in priors for v, right in pairs]
             if len(priors) > settings.hypotheses:
                 priors.sort(key=lambda prior: -prior[0])
                 del priors[settings.hypotheses :]
-        numbers, same = {}, {-1: -1}  # densities of a label with the same recent past count as one
-        for leaf in sorted({leaf for _, row in priors for leaf in row if leaf >= 0}):
-            same[leaf] = numbers.setdefault(
-                (people.label[leaf], people.past[leaf][1 - settings.memory :]), len(numbers)
-            )
-        pasts = [tuple([same[leaf] for leaf in row]) for _, row in priors]
-        merged = {}
-        for weight, number, taken, used in ranked(priors, options, BUDGET * settings.hypotheses, -LOG_PRUNE):
-            key = pasts[number], taken
-            best = merged.get(key)
-            if best:
-                best[0] += math.log1p(math.exp(weight - best[0]))
-            else:
-                merged[key] = [weight, number, taken, used]
-        kept = sorted(merged.values(), key=lambda h: -h[0])[: settings.hypotheses]
+        kept = ranked(priors, options, BUDGET * settings.hypotheses, -LOG_PRUNE)[: settings.hypotheses]
         top = kept[0][0]
         kept = [
             [weight, tuple(zip(priors[number][1], taken, strict=True)), used]
@@ -304,9 +277,9 @@ class GLMB:
             births += [(j, -1, float(share[j]), 0.0) for j in np.flatnonzero(share > least).tolist()]
         return births
 
-    def _rebuild(self, column, z, noise, groups, births):
+    def _rebuild(self, column, z, noise, groups, births, detection):
         """Compute each density that is needed once, and make clusters and tentative people of them."""
-        people, sensor, detection = self.people, self.sensors[column], self.rates[column].detection
+        people, sensor = self.people, self.sensors[column]
         pairs = dict.fromkeys(chain.from_iterable(h[1] for _, hs in groups for h in hs))
         hidden = people.found[:, column]
         left = people.exist * (1 - hidden * detection)
@@ -331,18 +304,14 @@ class GLMB:
         old.exist = old.exist * overlooked
         old.exist[:n] /= explained
         old.found[:, column] = seen * (1 - detection) / np.maximum(overlooked, 1e-12)
-        old.past = [(*past[1 - self.settings.memory :], 0) for past in old.past]
-        stamp = self.scans << 16
         if hit or renewed:
             new = people.take([leaf for leaf, _ in hit + renewed])
             js = [j for _, j in hit + renewed]
             new.mean, new.cov, new.mode = gaussian.update(new.mean, new.cov, new.mode, z[js], noise[js], sensor.lead)
             new.exist, new.found[:, column] = np.ones(len(js)), 1.0
-            memory = 1 - self.settings.memory
-            new.past = [(*past[memory:], stamp | j) for past, j in zip(new.past, js, strict=True)]
             parts.append(new)
         if fresh:
-            parts.append(self._newcomers(column, z[fresh], noise[fresh], [stamp | j for j in fresh]))
+            parts.append(self._newcomers(column, z[fresh], noise[fresh]))
         if self.record:
             for part in parts:
                 part.node = [Node.fork(node, self.time) for node in part.node]
@@ -364,9 +333,10 @@ class GLMB:
                 self.tentative.append(row)
         for labels, hypotheses in groups:
             rows = [tuple([place[pair] for pair in h[1]]) for h in hypotheses]
-            self._settle(Cluster(labels, rows, [h[0] for h in hypotheses]))
+            cluster = Cluster(labels, rows, [h[0] for h in hypotheses])
+            self._settle(cluster.condensed(people) if len(rows) > 1 else cluster)
 
-    def _newcomers(self, column, z, noise, stamps):
+    def _newcomers(self, column, z, noise):
         """Densities of people seen for the first time by one sensor's detections."""
         n, m, sensor = len(z), len(self.stationary), self.sensors[column]
         mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
@@ -376,7 +346,7 @@ class GLMB:
         found = np.tile(self.unseen_found, (n, 1))
         found[:, column] = 1.0
         mode = np.tile(self.stationary, (n, 1))
-        return Densities(mean, cov, mode, np.ones(n), found, [-1] * n, [(stamp,) for stamp in stamps], [None] * n)
+        return Densities(mean, cov, mode, np.ones(n), found, [-1] * n, [None] * n)
 
     def _promote(self, row, groups, j, taken, place):
         """Give a tentative person a label and a place in the hypotheses that leave its detection free."""
@@ -402,44 +372,21 @@ class GLMB:
         groups.append(([label], [[0.0, ((row, "new"),), 0]]))
 
     def _settle(self, cluster):
-        """Keep a cluster: without the labels that hardly exist, and apart from those that are independent."""
+        """Keep a cluster: without the labels that hardly exist, and in parts that are independent of each other."""
         people = self.people
         at = 0
         while at < len(cluster.labels):
             shares, exists = cluster.marginals(at, people.exist)
             if exists < RECYCLE:
                 self._recycle(cluster.labels[at], shares, exists)
-                cluster = cluster.without(at)
-            elif len(cluster.labels) > 1 and (self.factorise or self._independent(cluster, at, shares)):
-                self._keep_alone(cluster.labels[at], shares)
-                cluster = cluster.without(at)
+                cluster = cluster.only([k for k in range(len(cluster.labels)) if k != at])
             else:
                 at += 1
-        if cluster.labels:
-            self.clusters.append(cluster)
-
-    def _independent(self, cluster, at, shares):
-        """Whether the joint weights are the product of one label's and the others', but for INDEPENDENT."""
-        if len(shares) == 1:
-            return True
-        joint, rest = {}, {}
-        for row, share in zip(cluster.rows, cluster.shares, strict=True):
-            others = row[:at] + row[at + 1 :]
-            rest[others] = rest.get(others, 0.0) + share
-            joint[others, row[at]] = share
-        if len(rest) == 1:
-            return True
-        if len(joint) < len(rest) + len(shares) - 1:
-            return False
-        apart = 0.0
-        for others, share in rest.items():
-            for leaf, own in shares.items():
-                apart += abs(joint.get((others, leaf), 0.0) - share * own)
-        return apart < 2 * INDEPENDENT
-
-    def _keep_alone(self, label, shares):
-        rows = sorted(shares, key=lambda leaf: (-shares[leaf], leaf))
-        self.clusters.append(Cluster([label], [(leaf,) for leaf in rows], [math.log(shares[leaf]) for leaf in rows]))
+        if len(cluster.labels) < 2:
+            self.clusters += [cluster] * len(cluster.labels)
+            return
+        parts = [[at] for at in range(len(cluster.labels))] if self.factorise else cluster.parts()
+        self.clusters += [cluster.only(part) for part in parts] if len(parts) > 1 else [cluster]
 
     def _recycle(self, label, shares, exists):
         """Make a label that hardly exists tentative again: its best density, the number of people its existence."""
@@ -535,47 +482,6 @@ class GLMB:
             Track(label, mean[k], cov[k], exists, dict(zip(self.column, people.found[leaf].tolist(), strict=True)))
             for k, (label, leaf, exists, _) in enumerate(found)
         ]
-
-
-class Rates:
-    """A sensor's clutter and detection probability as believed now, and how sure its detections usually are."""
-
-    def __init__(self, sensor):
-        self.clutter, self.detection, self.typical = sensor.clutter, sensor.detection, None
-        self.clutter_sum, self.clutter_count = 3.0 * sensor.clutter, 3.0
-        self.hit_sum, self.hit_count = 60.0 * sensor.detection, 60.0
-
-    def learn(self, clutter, hits, misses):
-        """Take in one record: expected false detections, people found, findable people missed."""
-        keep = 0.995
-        self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
-        self.hit_sum, self.hit_count = self.hit_sum * keep + hits, self.hit_count * keep + hits + misses
-        self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
-        self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
-
-    def learn_score(self, odds, real):
-        """Take in the scores' log odds (J,) of one record, each as far as it probably was a person: real (J,)."""
-        if odds is None:
-            return
-        known = ~np.isnan(odds)
-        weight = float(real[known].sum())
-        if weight > 1e-3:
-            share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
-            now = float(odds[known] @ real[known]) / weight
-            self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
-
-    def doubt(self, odds):
-        """How much more clutter than usual each detection stands for, by its log odds (J,) against people's: (J,)."""
-        if odds is None:
-            return 1.0
-        typical = float(odds[~np.isnan(odds)].max()) if self.typical is None else self.typical
-        return np.exp(np.minimum(np.maximum(np.where(np.isnan(odds), 0.0, typical - odds), -1.0), 4.0))
-
-
-def logit(score):
-    """Log odds of probabilities, held within 0.01 % and 99.99 %."""
-    score = np.minimum(np.maximum(score, 1e-4), 1 - 1e-4)
-    return np.log(score / (1 - score))
 
 
 def gains(people, z, noise, lead):

@@ -69,7 +69,7 @@ class Settings:
     adapt: whether clutter and detection probability are estimated on the way.
     newborn: with adaptive birth, people expected to be born in each record.
     hypotheses: joint hypotheses kept in each cluster of interacting people.
-    memory: records after which two hypotheses that agree since then count as equal.
+    evade: rate per second at which people who are about to walk into each other face to face change course.
     """
 
     area: tuple = ((0.0, 0.0), (4.66, 4.66))
@@ -86,7 +86,7 @@ class Settings:
     newborn: float = 0.05
     adapt: bool = True
     hypotheses: int = 40
-    memory: int = 10
+    evade: float = 2.0
 
     @cached_property
     def corners(self):

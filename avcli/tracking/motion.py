@@ -49,11 +49,13 @@ class Model:
 class Motion:
     """Interacting motion models that switch as a continuous-time Markov chain.
 
-    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored).
+    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). turn: number
+    of the model of who changes course, -1: none.
     """
 
     models: tuple
     rates: tuple = ((0.0,),)
+    turn: int = -1
 
     def _generator(self):
         q = np.array(self.rates, float)
@@ -82,7 +84,10 @@ class Motion:
         return np.array([f for f, _ in steps]), np.array([q for _, q in steps]), switch
 
 
+# straight on; strolling; turning on the spot, to anywhere at any pace, which is standing if it lasts. The numbers are
+# near those of greatest likelihood for people who walk straight, turn back and stroll between places.
 WALKING = Motion(
-    (Model(0.1), Model(1.2, 4.0), Model(0.3, 0.15)),  # straight on, turning or speeding, stopping
-    ((0.0, 0.5, 0.1), (1.5, 0.0, 0.4), (0.5, 1.0, 0.0)),
+    (Model(0.05), Model(0.7, 1.4), Model(8.5, 0.01)),
+    ((0.0, 0.05, 0.2), (0.95, 0.0, 0.05), (0.3, 1.0, 0.0)),
+    turn=2,
 )

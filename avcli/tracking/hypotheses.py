@@ -1,0 +1,131 @@
+"""Densities of single people, and clusters of joint hypotheses about them."""
+
+import math
+
+import numpy as np
+
+INDEPENDENT = 0.15  # total variation of two labels' joint weights from their product that passes for independence
+ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; densities of a label as near as this pass for one
+
+
+class Densities:
+    """Rows of single-person densities.
+
+    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M): the mixture over motion models. exist (n,): probability of existence,
+    or of a tentative person the expected number. found (n, S): probability that each sensor can find the person.
+    label (-1: none yet), node (for smoothing): lists of n.
+    """
+
+    def __init__(self, mean, cov, mode, exist, found, label, node):
+        self.mean, self.cov, self.mode, self.exist, self.found = mean, cov, mode, exist, found
+        self.label, self.node = label, node
+
+    def __len__(self):
+        return len(self.label)
+
+    def take(self, rows):
+        """The given rows (a list), in that order."""
+        at = np.array(rows, int)
+        label, node = [self.label[i] for i in rows], [self.node[i] for i in rows]
+        return Densities(self.mean[at], self.cov[at], self.mode[at], self.exist[at], self.found[at], label, node)
+
+    @staticmethod
+    def join(parts):
+        """All rows of several, one after another."""
+        arrays = (np.concatenate([getattr(p, k) for p in parts]) for k in ("mean", "cov", "mode", "exist", "found"))
+        lists = ([value for p in parts for value in getattr(p, k)] for k in ("label", "node"))
+        return Densities(*arrays, *lists)
+
+    def centres(self, rows):
+        """Mean states of some rows (a list of n): (n, 4)."""
+        return (self.mode[rows][:, None] @ self.mean[rows])[:, 0]
+
+    def match(self, rows, shares):
+        """Give the first of some rows (a list of n) the moments of all, by their shares (n,), model by model."""
+        share = np.array(shares) / math.fsum(shares)
+        weight = share[:, None] * self.mode[rows]
+        mode = weight.sum(0)
+        weight = weight / mode
+        mean = (weight[..., None] * self.mean[rows]).sum(0)
+        away = self.mean[rows] - mean
+        spread = self.cov[rows] + away[..., None] * away[..., None, :]
+        first = rows[0]
+        self.mean[first], self.mode[first] = mean, mode
+        self.cov[first] = (weight[..., None, None] * spread).sum(0)
+        self.exist[first], self.found[first] = share @ self.exist[rows], share @ self.found[rows]
+
+
+class Cluster:
+    """Joint hypotheses about some labels: rows of one density per label (-1: no such person) and their log weights."""
+
+    def __init__(self, labels, rows, weights):
+        self.labels, self.rows, self.weights = labels, rows, weights
+        self.shares = [math.exp(weight) for weight in weights]
+
+    def marginals(self, at, exist):
+        """Of the label in column `at`: {density: its probability}, and the probability that the label exists."""
+        shares = {}
+        for row, share in zip(self.rows, self.shares, strict=True):
+            leaf = row[at]
+            shares[leaf] = shares.get(leaf, 0.0) + share
+        return shares, math.fsum(share * exist[leaf] for leaf, share in shares.items() if leaf >= 0)
+
+    def merged(self, labels, rows):
+        """The cluster of other rows, one for each of this one's, about `labels`; equal rows become one."""
+        shares = {}
+        for row, share in zip(rows, self.shares, strict=True):
+            shares[row] = shares.get(row, 0.0) + share
+        rows = sorted(shares, key=lambda row: -shares[row])
+        return Cluster(labels, rows, [math.log(shares[row]) for row in rows])
+
+    def only(self, columns):
+        """The cluster of some of the labels, by their columns."""
+        rows = [tuple([row[at] for at in columns]) for row in self.rows]
+        return self.merged([self.labels[at] for at in columns], rows)
+
+    def parts(self):
+        """Columns in parts, between which no two labels depend on each other but for INDEPENDENT: a list of lists."""
+        rows = np.array(self.rows) + 1
+        count, stride = len(self.labels), int(rows.max()) + 1
+        keys, at = np.unique(rows + stride * np.arange(count), return_inverse=True)
+        held = np.zeros((len(rows), len(keys)))
+        held[np.arange(len(rows))[:, None], at.reshape(rows.shape)] = 1.0
+        weighted = held * np.array(self.shares)[:, None]
+        alone = weighted.sum(0)
+        owner = (keys[:, None] // stride == np.arange(count)).astype(float)
+        linked = owner.T @ np.abs(weighted.T @ held - np.outer(alone, alone)) @ owner > 2 * INDEPENDENT
+        parts, left = [], set(range(count))
+        while left:
+            part = reach = {min(left)}
+            while reach:
+                left -= reach
+                reach = {b for a in reach for b in left if linked[a, b]}
+                part = part | reach
+            parts.append(sorted(part))
+        return parts
+
+    def condensed(self, people):
+        """The cluster with each label's densities that are ALIKE merged, in people: Densities, and so equal rows."""
+        shares = {}
+        for row, share in zip(self.rows, self.shares, strict=True):
+            for leaf in row:
+                if leaf >= 0:
+                    shares[leaf] = shares.get(leaf, 0.0) + share
+        leaves = sorted(shares, key=lambda leaf: (people.label[leaf], -shares[leaf], leaf))
+        if len(leaves) <= len(self.labels):
+            return self
+        state = people.centres(leaves) / ALIKE
+        near = (np.square(state[:, None] - state).sum(-1) < 1).tolist()
+        heads = {}  # number of the likeliest of some densities that are alike: the numbers of all of them
+        for k, leaf in enumerate(leaves):
+            head = next((h for h in heads if near[h][k] and people.label[leaves[h]] == people.label[leaf]), k)
+            heads.setdefault(head, []).append(k)
+        if len(heads) == len(leaves):
+            return self
+        same = {-1: -1}
+        for head, members in heads.items():
+            members = [leaves[k] for k in members]
+            same.update(dict.fromkeys(members, leaves[head]))
+            if len(members) > 1:
+                people.match(members, [shares[leaf] for leaf in members])
+        return self.merged(self.labels, [tuple([same[leaf] for leaf in row]) for row in self.rows])

@@ -1,0 +1,64 @@
+"""What a sensor's records say about the sensor itself."""
+
+import math
+
+import numpy as np
+
+BLIND, SIGHTED = 0.05, 0.5  # rates per second at which a sensor loses sight of everybody, and finds people again
+
+
+class Rates:
+    """A sensor's clutter, detection probability and blindness as believed now; how sure its detections usually are."""
+
+    def __init__(self, sensor):
+        self.clutter, self.detection, self.typical = sensor.clutter, sensor.detection, None
+        self.clutter_sum, self.clutter_count = 3.0 * sensor.clutter, 3.0
+        self.hit_sum, self.hit_count = 60.0 * sensor.detection, 60.0
+        self.blind, self.time, self.goes_blind = 0.0, None, sensor.hide > 0
+
+    def blindness(self, time, ratio):
+        """Probability that the sensor sees nobody now, whoever is there, and what it reports is all clutter.
+
+        time: s, of its record; ratio: how much likelier the record is if it is not blind. A sensor from which nobody
+        is ever hidden never goes blind either.
+        """
+        if not self.goes_blind:
+            return 0.0
+        if self.time is not None:
+            rest = BLIND / (BLIND + SIGHTED)
+            self.blind = rest + (self.blind - rest) * math.exp(-(BLIND + SIGHTED) * max(time - self.time, 0.0))
+        self.time = time
+        self.blind = self.blind / (self.blind + (1 - self.blind) * max(ratio, 1e-300))
+        return self.blind
+
+    def learn(self, clutter, hits, misses):
+        """Take in one record: expected false detections, people found, findable people missed."""
+        keep = 0.995
+        self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
+        self.hit_sum, self.hit_count = self.hit_sum * keep + hits, self.hit_count * keep + hits + misses
+        self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
+        self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
+
+    def learn_score(self, odds, real):
+        """Take in the scores' log odds (J,) of one record, each as far as it probably was a person: real (J,)."""
+        if odds is None:
+            return
+        known = ~np.isnan(odds)
+        weight = float(real[known].sum())
+        if weight > 1e-3:
+            share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
+            now = float(odds[known] @ real[known]) / weight
+            self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
+
+    def doubt(self, odds):
+        """How much more clutter than usual each detection stands for, by its log odds (J,) against people's: (J,)."""
+        if odds is None:
+            return 1.0
+        typical = float(odds[~np.isnan(odds)].max()) if self.typical is None else self.typical
+        return np.exp(np.minimum(np.maximum(np.where(np.isnan(odds), 0.0, typical - odds), -1.0), 4.0))
+
+
+def logit(score):
+    """Log odds of probabilities, held within 0.01 % and 99.99 %."""
+    score = np.minimum(np.maximum(score, 1e-4), 1 - 1e-4)
+    return np.log(score / (1 - score))

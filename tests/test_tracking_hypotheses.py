@@ -1,0 +1,115 @@
+"""Clusters of joint hypotheses: what splits them, what merges in them; sensors that go blind; people who meet."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.tracking import gaussian
+from avcli.tracking.glmb import GLMB
+from avcli.tracking.hypotheses import Cluster, Densities
+from avcli.tracking.model import Sensor, Settings, sensor
+from avcli.tracking.motion import WALKING
+from avcli.tracking.rates import Rates
+
+sys.path.insert(0, str(Path(__file__).parent / "bench"))
+import tracking_scenes as scenes
+
+
+def cluster(shares, labels=None):
+    """Of a dictionary: row -> probability."""
+    rows = sorted(shares, key=lambda row: -shares[row])
+    return Cluster(labels or list(range(len(rows[0]))), rows, [math.log(shares[row]) for row in rows])
+
+
+def people(states, labels):
+    """Densities with all models' means at the states (n, 4)."""
+    n, m = len(states), len(WALKING.models)
+    mean = np.tile(np.reshape(states, (n, 1, 4)), (1, m, 1)).astype(float)
+    cov = np.tile(0.01 * np.eye(4), (n, m, 1, 1))
+    return Densities(mean, cov, np.full((n, m), 1 / m), np.ones(n), np.ones((n, 1)), list(labels), [None] * n)
+
+
+def test_two_pairs_that_know_nothing_of_each_other_are_two_clusters():
+    pair, other = {(0, 1): 0.7, (2, 3): 0.3}, {(4, 5): 0.6, (6, 7): 0.4}
+    joint = cluster({a + b: p * q for a, p in pair.items() for b, q in other.items()})
+    assert joint.parts() == [[0, 1], [2, 3]]
+    one, two = (joint.only(part) for part in joint.parts())
+    assert dict(zip(one.rows, one.shares, strict=True)) == pytest.approx(pair)
+    assert dict(zip(two.rows, two.shares, strict=True)) == pytest.approx(other)
+
+
+def test_who_depends_on_another_through_a_third_stays_with_them():
+    chain = cluster({(0, 1, 2): 0.4, (3, 4, 2): 0.3, (0, 5, 6): 0.3})
+    assert chain.parts() == [[0, 1, 2]]
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_parts_keep_every_marginal(seed):
+    rng = np.random.default_rng(seed)
+    rows = {tuple((10 * k + rng.integers(-1, 3)) if rng.random() > 0.2 else -1 for k in range(4)) for _ in range(8)}
+    weights = rng.dirichlet(np.ones(len(rows)))
+    whole = cluster(dict(zip(sorted(rows), weights.tolist(), strict=True)))
+    parts = whole.parts()
+    assert sorted(at for part in parts for at in part) == [0, 1, 2, 3]
+    exist = np.ones(40)
+    for part in parts:
+        for place, at in enumerate(part):
+            assert whole.only(part).marginals(place, exist)[0] == pytest.approx(whole.marginals(at, exist)[0])
+
+
+def test_densities_that_are_alike_become_one_with_the_moments_of_both():
+    crowd = people([[1, 1, 0, 0], [1.05, 1, 0, 0], [3, 3, 0, 0]], [0, 0, 1])
+    mean, cov = gaussian.moments(crowd.mean, crowd.cov, crowd.mode)
+    merged = cluster({(0, 2): 0.75, (1, 2): 0.25}).condensed(crowd)
+    assert merged.rows == [(0, 2)]
+    assert merged.shares == pytest.approx([1.0])
+    got, spread = gaussian.moments(crowd.mean[[0]], crowd.cov[[0]], crowd.mode[[0]])
+    expected = 0.75 * mean[0] + 0.25 * mean[1]
+    np.testing.assert_allclose(got[0], expected)
+    outer = sum(p * (cov[k] + np.outer(mean[k] - expected, mean[k] - expected)) for k, p in ((0, 0.75), (1, 0.25)))
+    np.testing.assert_allclose(spread[0], outer)
+
+
+@pytest.mark.parametrize("labels", [[0, 1], [0, 0]], ids=["two people", "two places"])
+def test_two_people_and_places_far_apart_never_merge(labels):
+    crowd = people([[1, 1, 0, 0], [1, 1, 0, 0] if labels[1] else [1.3, 1, 0, 0]], labels)
+    rows = {(0, 1): 1.0} if labels[1] else {(0,): 0.5, (1,): 0.5}
+    assert cluster(rows).condensed(crowd).rows == list(rows)
+
+
+def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
+    rates = Rates(sensor("video"))
+    assert rates.blindness(0.0, 100.0) < 0.01
+    seen = [rates.blindness(0.1 * k, 0.01) for k in range(1, 8)]
+    assert seen[-1] > 0.9
+    assert rates.blindness(0.8, 1e3) < 0.1
+    never = Rates(Sensor("video", hide=0.0))
+    assert [never.blindness(0.1 * k, 0.01) for k in range(8)] == [0.0] * 8
+
+
+def test_when_nobody_is_found_for_two_seconds_nobody_is_given_up():
+    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(1)
+    for k in range(60):
+        places = np.array([[1.5, 1.5], [3.0, 3.0]]) + 0.12 * rng.standard_normal((2, 2))
+        z = places[:0] if 20 <= k < 42 else places
+        tracker.scan(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
+        assert [t.label for t in tracker.tracks(k / 10)] == [0, 1]
+
+
+def test_who_meet_face_to_face_and_turn_back_keep_their_labels():
+    kept = 0
+    for seed in range(5):
+        tracker = GLMB(Settings(), [sensor("video"), sensor("audio")])
+        before = None
+        for t, name, z, sigma, _ in scenes.turning_back(np.random.default_rng(seed)).records:
+            tracker.scan(t, name, z, np.tile(sigma**2 * np.eye(2), (len(z), 1, 1)))
+            if before is None and t >= 1.0:
+                before = [one.label for one in sorted(tracker.tracks(t), key=lambda one: one.state[0])]
+        kept += before == [one.label for one in sorted(tracker.tracks(6.0), key=lambda one: one.state[0])]
+    assert kept >= 4
