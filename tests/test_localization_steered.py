@@ -197,6 +197,12 @@ def test_dc_is_not_heard(talk, found):
         assert two.positions == pytest.approx(one.positions, abs=0.02)
 
 
+def test_dc_on_all_channels_is_named_and_none_is_left_out(talk):
+    decisions = localize(talk + 0.3)
+    assert noticed(decisions) == {f"channel {c + 1} is shifted by a constant (DC)" for c in range(8)}
+    assert np.median(errors(decisions)) < 0.02
+
+
 def noticed(decisions):
     return {notice for d in decisions for notice in d.notices}
 
@@ -205,7 +211,7 @@ def noticed(decisions):
     ("spoil", "word"),
     [
         (lambda x: x * (np.arange(8) != 3), "channel 4 is dead"),
-        (lambda x: x + 0.3 * (np.arange(8) == 5), "channel 6 is shifted by a constant"),
+        (lambda x: x + 0.3 * (np.arange(8) == 5), "channel 6 is shifted by a constant (DC) and left out"),
         (lambda x: x[:, [0, 1, 2, 2, 4, 5, 6, 7]], "channels 3 and 4 are the same"),
         (lambda x: x * np.where(np.arange(8) == 3, -1, 1), "channel 4"),
         (lambda x: np.column_stack([np.roll(x[:, 0], 300), x[:, 1:]]), "channel 1"),

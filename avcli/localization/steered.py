@@ -177,14 +177,19 @@ class SteeredLocalizer:
         dead = level <= 1e-6 * np.median(level)
         clipped = (np.abs(samples) >= 0.9999 * peak).mean(axis=0) > 0.005
         clipped &= peak > 0.05
+        shift = np.abs(samples.mean(axis=0))
+        shifted = (shift > samples.std(axis=0)) & (shift > 0.01)
         notices += [f"channel {c + 1} is dead and left out" for c in np.flatnonzero(dead)]
         notices += [f"channel {c + 1} is clipped" for c in np.flatnonzero(clipped)]
-        shift = np.abs(samples.mean(axis=0))
-        shifted = (shift > samples.std(axis=0)) & (shift > 0.01)  # the band leaves a constant out: it does no harm
-        notices += [f"channel {c + 1} is shifted by a constant (DC)" for c in np.flatnonzero(shifted)]
         good = ~(dead | broken)
         if (good & ~clipped).sum() >= max(5, 0.5 * len(good)):
             good &= ~clipped
+        # The band has no constant in it, so that shifted channels still serve where there are too few others.
+        spared = (good & ~shifted).sum() >= 4
+        what = "is shifted by a constant (DC)" + " and left out" * bool(spared)
+        notices += [f"channel {c + 1} {what}" for c in np.flatnonzero(shifted & ~dead)]
+        if spared:
+            good &= ~shifted
         whitened = correlation.whiten(spectra, self.settings.beta)
         gcc = correlation.gcc(whitened, self.bins, self.size, self.response.half_lags, self.oversampling, self.weight)
         first, second = self.response.first, self.response.second
