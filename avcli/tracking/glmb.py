@@ -28,6 +28,7 @@ FORGET = 5e-3  # expected number of people below which a tentative person who wa
 TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentative Gaussian; how many are kept
 BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
 SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
+BODY = 0.2  # m; nobody's axis is nearer to a wall
 FACING = -0.9  # cosine of the angle between the courses of people who walk face to face
 
 
@@ -79,6 +80,7 @@ class GLMB:
             self._evade(dt)
             before = people.mean, people.cov, people.mode
             people.mean, people.cov, people.mode, half, mixed = gaussian.predict(*before, settings.motion, dt)
+            self._stop_at_walls(before[0])
             if self.record:
                 people.node = Node.steps(people, before, half, mixed, survive, time)
             people.exist = people.exist * survive
@@ -87,6 +89,15 @@ class GLMB:
             rest = np.array([s.findable() for s in self.sensors])
             self.unseen_found = rest + (self.unseen_found - rest) * mix
             people.found = rest + (people.found - rest) * mix
+
+    def _stop_at_walls(self, before):
+        """Hold predictions inside the room that were inside it before: before (n, M, 4) mean states."""
+        low, high = self.settings.corners + [[BODY], [-BODY]]
+        place, pace, past = self.people.mean[..., :2], self.people.mean[..., 2:], before[..., :2]
+        over = ((place < low) & (past >= low)) | ((place > high) & (past <= high))
+        if over.any():
+            pace[over] = 0.0
+            place[over] = np.clip(place, low, high)[over]
 
     def _evade(self, dt):
         """Let those who walk into each other face to face change course, within the next dt seconds.
