@@ -167,6 +167,28 @@ def test_the_search_finds_an_ideal_source(place):
     assert values[0] > 0.5
 
 
+@given(places, st.sampled_from([(0, 0.0), (0, 4.66), (1, 0.0), (1, 4.66), (2, 0.0), (2, 3.0)]))
+@settings(max_examples=30)
+def test_a_notch_takes_away_a_talker_and_what_his_first_echoes_add(place, wall):
+    steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 128.6)
+    axis, at = wall
+    image = place.copy()
+    image[axis] = 2 * at - place[axis]
+    direct, echo = ranges(place) * 128.6, ranges(image) * 128.6
+    pairs = np.arange(len(steered.first))
+    half = steered.half_lags
+    whole = np.ones((len(pairs), 2 * half + 1), np.float32)
+    lag = (direct[steered.first] - direct[steered.second] + half).round().astype(int)
+    assert (steered.notch(whole, place, 0.1)[pairs, lag] == 0).all()
+    notched = steered.notch_echoes(whole, place, ROOM, 0.02)
+    for first, second in ((direct, echo), (echo, direct), (echo, echo)):
+        lag = (first[steered.first] - second[steered.second] + half).round().astype(int)
+        inside = (lag >= 0) & (lag <= 2 * half)
+        assert (notched[pairs[inside], lag[inside]] == 0).all()
+    assert ((notched >= 0) & (notched <= 1)).all()
+    assert notched.mean() > 0.6, "most of what others say stays"
+
+
 # --- events -----------------------------------------------------------------------------------------------------------
 
 

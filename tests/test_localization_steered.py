@@ -135,6 +135,30 @@ def test_two_talkers_at_once():
     assert max(len(d.positions) for d in alone) == 1
 
 
+def test_who_falls_silent_is_not_reported_from_memory():
+    rng = np.random.default_rng(15)
+    other = np.array([3.4, 1.0, 1.7])
+    first, second = voice(1.0, FS, rng), voice(1.2, FS, rng)
+    samples = heard(PLACE, np.concatenate([first, np.zeros(len(second))]), FS, reflection=0.4, order=2)
+    samples += heard(other, np.concatenate([np.zeros(len(first)), second]), FS, reflection=0.4, order=2)
+    decisions = localize(noisy(samples, 30, rng))
+    assert all((errors([d]) < 0.3).any() for d in decisions[1:9])
+    assert all((errors([d], other) < 0.3).any() for d in decisions[13:21])
+    assert not any((errors([d]) < 0.5).any() for d in decisions[14:])
+
+
+def test_a_talker_is_heard_again_in_the_pauses_of_another():
+    """Who is masked for a fifth of a second is not lost, and comes back at once."""
+    rng = np.random.default_rng(16)
+    other = np.array([3.4, 1.0, 1.7])
+    pauses = np.repeat([1.0, 0.1, 1.0, 0.1, 1.0, 0.1, 1.0, 1.0], FS // 5)
+    samples = heard(PLACE, voice(1.6, FS, rng) * pauses, FS, reflection=0.4, order=2)
+    samples += heard(other, voice(1.6, FS, rng), FS, reflection=0.4, order=2)
+    decisions = localize(noisy(samples, 30, rng))[1:15]
+    assert np.mean([(errors([d]) < 0.3).any() for d in decisions]) >= 0.7
+    assert np.mean([(errors([d], other) < 0.3).any() for d in decisions]) >= 0.9
+
+
 # --- what it must not find --------------------------------------------------------------------------------------------
 
 

@@ -208,19 +208,49 @@ class SteeredResponse:
         steps = self.lags(position[None])[0] + peak - reach + offset
         return steps / self.steps_per_metre, aligned[row, peak]
 
-    def aligned_response(self, aligned: np.ndarray, position: np.ndarray, moved: np.ndarray) -> float:
-        """Return the response at `moved` (3,) m, given `aligned` for `position`; 0 where it is out of reach."""
+    def aligned_at(self, aligned: np.ndarray, position: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return each pair's GCC (pairs,) at `moved` (3,) m, given `aligned` for `position`; 0 out of reach."""
         reach = aligned.shape[1] // 2
         lag = (self.lags(moved[None]) - self.lags(position[None]))[0] + reach
         if lag.min() < 0.0 or lag.max() > 2 * reach:
-            return 0.0
-        return float(_cubic(aligned, lag[:, None]).mean())
+            return np.zeros(len(aligned))
+        return _cubic(aligned, lag[:, None])[:, 0]
 
     def notch(self, gcc: np.ndarray, position: np.ndarray, width: float) -> np.ndarray:
         """Return the GCC without what a place (3,) m adds: 0 up to `width` m from its lag, whole from twice that."""
         lag = self.lags(position[None])[0]
         distance = np.abs(np.arange(-self.half_lags, self.half_lags + 1) - lag[:, None]) / self.steps_per_metre
         return gcc * np.clip(distance / width - 1.0, 0.0, 1.0).astype(np.float32)
+
+    def notch_echoes(self, gcc: np.ndarray, position: np.ndarray, room: np.ndarray, width: float) -> np.ndarray:
+        """Return the GCC without what the first echoes of a place add, each notched as by `notch`.
+
+        Where an echo stands in one channel and the direct sound, or the same echo, in the other, pairs come to agree
+        on places at which nobody is. Such a ghost is as still as its talker and lasts as long, so that no time tells
+        the two apart; but where the echoes stand follows from the room (Allen & Berkley 1979).
+
+        Args:
+            gcc: (pairs, lags).
+            position: (3,) m.
+            room: (3,) m, the far corner of a room whose near corner is the origin.
+            width: m.
+        """
+        images = np.tile(position, (7, 1))
+        for axis in range(3):
+            images[1 + 2 * axis : 3 + 2 * axis, axis] = -position[axis], 2.0 * room[axis] - position[axis]
+        ranges = self._ranges(images) * self.steps_per_metre
+        first, second = ranges[:, self.first], ranges[:, self.second]
+        lags = np.concatenate([first[:1] - second[1:], first[1:] - second[:1], first[1:] - second[1:]])
+        lags = np.rint(lags).astype(np.int64) + self.half_lags
+        inside = (lags >= 0) & (lags <= 2 * self.half_lags)
+        lag, row = lags[inside], np.broadcast_to(np.arange(len(gcc)), lags.shape)[inside]
+        gain = np.ones_like(gcc)
+        reach = int(2.0 * width * self.steps_per_metre)
+        for distance in range(reach, -1, -1):  # the nearest last, so that the deepest notch holds
+            depth = max(distance / (width * self.steps_per_metre) - 1.0, 0.0)
+            for side in (-distance, distance):
+                gain[row, np.clip(lag + side, 0, 2 * self.half_lags)] = depth
+        return gcc * gain
 
 
 _CUBE = np.array([[x, y, z] for z in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)], dtype=np.float64)

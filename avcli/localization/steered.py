@@ -92,6 +92,7 @@ class _Peak:
 
     position: np.ndarray
     response: float
+    agreement: float = 0.0
     support: float = 0.0
     own: float = 1.0
     speed: float = 0.0
@@ -146,7 +147,8 @@ class SteeredLocalizer:
         self.outvoted = np.zeros(len(array.microphones), bool)
         self.votes = np.zeros(len(array.microphones))
         self.ballots = 0
-        self.before: list[tuple[np.ndarray, float]] = []
+        self.kept = float(np.exp(-1.0 / (settings.rate * uncertainty.MEMORY)))  # by one decision of those before it
+        self.before: list[tuple[np.ndarray, float, int]] = []  # where, how lasting, how many decisions ago
         self.null: _Noise | None = None
 
     @property
@@ -250,28 +252,34 @@ class SteeredLocalizer:
         heard = [(self.heard(window), window, offset) for window, offset in zip(windows, offsets, strict=True)]
         heard = [item for item in heard if item[0] is not None]
         if not heard:
-            self.before = []
+            self.remember([])
             return []
         weights = np.array([weight for (_, _, weight), _, _ in heard])
         scales = (weights / weights.mean()).astype(np.float32)
         gccs = [gcc * scale for ((gcc, _, _), _, _), scale in zip(heard, scales, strict=True)]
         spectra = [window.whitened * good[:, None] for (_, good, _), window, _ in heard]
         noise = self.noise(weights.sum())
-        peaks = self.peaks(gccs, spectra, np.array([offset for _, _, offset in heard]), noise)
-        judged = []
-        for rank, peak in enumerate(peaks):
-            features = self.features(peak, peaks[0].response, noise)
-            judged.append((uncertainty.probability(features), rank, features))
-        judged.sort(key=lambda item: (-item[0], item[1]))
-        self.before = [(peaks[rank].position, features.evidence) for _, rank, features in judged]
+        judged = self.judge(self.peaks(gccs, spectra, np.array([offset for _, _, offset in heard]), noise), noise)
+        self.remember([(peak.position, uncertainty.remembered(features, self.kept)) for _, peak, features in judged])
         found = []
         low, high = self.response.low, self.response.high
-        for score, rank, features in judged[: self.settings.max_speakers]:
+        for score, peak, features in judged[: self.settings.max_speakers]:
             if score >= self.settings.min_score:
-                covariance = uncertainty.covariance(peaks[rank].normal, features, low, high)
-                covariance += uncertainty.beyond(self.on_the_edge(peaks[rank].position))
-                found.append((peaks[rank].position, covariance, score))
+                covariance = uncertainty.covariance(peak.normal, features, low, high)
+                covariance += uncertainty.beyond(self.on_the_edge(peak.position))
+                found.append((peak.position, covariance, score))
         return found
+
+    def judge(self, peaks: list[_Peak], noise: _Noise) -> list[tuple[float, _Peak, uncertainty.Features]]:
+        """Return a decision's peaks with their scores and what these rest on, the most probable first."""
+        judged, left = [], self.before
+        for peak in peaks:
+            near = [_level(place, peak.position) < self.reached(age) for place, _, age in left]
+            before = max((trace[1] for trace, same in zip(left, near, strict=True) if same), default=0.0)
+            left = [trace for trace, same in zip(left, near, strict=True) if not same]
+            features = self.features(peak, peak is peaks[0], before, noise)
+            judged.append((uncertainty.probability(features), peak, features))
+        return sorted(judged, key=lambda item: -item[0])
 
     def on_the_edge(self, position: np.ndarray) -> np.ndarray:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
@@ -283,31 +291,38 @@ class SteeredLocalizer:
 
         They are sought in GCCs that are cut off well above their noise, so that many pairs must agree: two talkers
         make ghosts where a few strong pairs of the one meet a few of the other. There is one more than there may be
-        talkers, since a ghost may still come before the second talker.
+        talkers, since a ghost may still come before the second talker. After the first, who sounded elsewhere in the
+        decisions before is looked for there: it takes less to hear a talker again than to find him in the room.
         """
         found: list[_Peak] = []
         explained = 0.0  # coherence, (windows, bins), that the peaks so far have
         steered = self.response
         threshold = noise.threshold(self.settings.false_alarm)
+        known = [(place, self.reached(age)) for place, lasting, age in self.before if lasting > 0.3]
         for _ in range(self.settings.max_speakers + 1):
             mean = sum(gccs) / len(gccs)
-            centres, _ = steered.search(np.minimum(mean, 7.0 * noise.deviation))
-            peak = _Peak(centres[0], float(steered.response(mean, centres[:1])[0]))
+            known = [(place, reach) for place, reach in known if all(_level(p.position, place) > reach for p in found)]
+            again, reach = known.pop(0) if found and known else (None, 0.0)
+            start = steered.search(np.minimum(mean, 7.0 * noise.deviation))[0][0] if again is None else again
+            peak = _Peak(start, float(steered.response(mean, start[None])[0]))
             velocity = np.zeros(3)
-            if self.promising(peak, found, noise):
-                position, velocity, response = steered.follow(gccs, offsets, peak.position, self.settings.max_speed)
+            if again is not None or 1.5 * peak.response >= threshold:  # a fit makes no more of it
+                position, velocity, response = steered.follow(gccs, offsets, start, self.settings.max_speed)
                 peak = self.refined(gccs, offsets, position, velocity, response, noise)
                 coherence = self.coherence(spectra, offsets, peak.position, velocity)
                 peak = replace(peak, own=float((coherence * (coherence > explained)).sum() / coherence.sum()))
                 explained = np.maximum(explained, coherence)
-            if peak.response < threshold:
+            if again is not None and _level(peak.position, again) > reach:
+                continue
+            if again is None and peak.response < threshold:
                 break
-            if all(np.hypot(*(peak.position - other.position)[:2]) > self.settings.separation for other in found):
+            if all(_level(peak.position, other.position) > self.settings.separation for other in found):
                 found.append(peak)
-            gccs = [
-                steered.notch(gcc, peak.position + velocity * offset, 0.1)
-                for gcc, offset in zip(gccs, offsets, strict=True)
-            ]
+            places = [peak.position + velocity * offset for offset in offsets]
+            gccs = [steered.notch(gcc, place, 0.1) for gcc, place in zip(gccs, places, strict=True)]
+            if len(found) == 1:
+                room = self.array.room
+                gccs = [steered.notch_echoes(gcc, place, room, 0.02) for gcc, place in zip(gccs, places, strict=True)]
         return found
 
     def coherence(self, spectra, offsets, position, velocity) -> np.ndarray:
@@ -327,48 +342,49 @@ class SteeredLocalizer:
             result.append(np.maximum(smooth, 0.0))
         return self.weight * np.array(result)
 
-    def features(self, peak: _Peak, first: float, noise: _Noise) -> uncertainty.Features:
-        """Return what tells a right peak from a wrong one; `first` is the response at the decision's first peak."""
-        response = peak.response / noise.location
+    def features(self, peak: _Peak, first: bool, before: float, noise: _Noise) -> uncertainty.Features:
+        """Return what tells a right peak, the decision's first or a further one, from a wrong one."""
         return uncertainty.Features(
-            response=response,
+            response=peak.response / noise.location,
+            agreement=peak.agreement,
             support=peak.support,
-            evidence=uncertainty.accumulate(response, self.nearby(peak.position)),
-            share=peak.response / first,
+            before=before,
+            first=first,
             own=peak.own,
             speed=peak.speed,
         )
-
-    def promising(self, peak: _Peak, found: list[_Peak], noise: _Noise) -> bool:
-        """Return whether a peak of the grid could be reported, if the fit made half as much again of it."""
-        best = replace(peak, response=1.5 * peak.response, support=1.0, own=1.0)
-        features = self.features(best, found[0].response if found else best.response, noise)
-        return uncertainty.probability(features) >= self.settings.min_score
 
     def refined(self, gccs, offsets, position, velocity, response: float, noise: _Noise) -> _Peak:
         """Fit a position to the peaks of each pair's GCC nearby; keep the fit where it is answered better."""
         steered = self.response
         aligned = steered.aligned(gccs, offsets, position, velocity, reach=6)
         differences, height = steered.differences(aligned, position)
+        value = aligned[:, aligned.shape[1] // 2]
         fitted, normal, _ = multilateration.refine(
             position, self.array.microphones, steered.first, steered.second, differences, np.maximum(height, 0.0)
         )
         if ((fitted >= steered.low) & (fitted <= steered.high)).all():
-            gain = steered.aligned_response(aligned, position, fitted) - steered.aligned_response(
-                aligned, position, position
-            )
+            moved = steered.aligned_at(aligned, position, fitted)
+            gain = float(moved.mean() - value.mean())
             if gain > 0.0:
-                position, response = fitted, response + gain
+                position, response, value = fitted, response + gain, moved
+        agreement = max(float(np.clip(value / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.0)
         support = float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean())
         scale = max(np.maximum(height, 0.0).mean(), 1e-9)
         speed = float(np.hypot(*velocity[:2]))
-        return _Peak(position, response, support=support, speed=speed, normal=normal / scale)
+        return _Peak(position, response, agreement, support, speed=speed, normal=normal / scale)
 
-    def nearby(self, position: np.ndarray) -> float:
-        """Return the evidence of the peak near a place (3,) m one decision ago, 0 where there was none."""
-        reach = 0.2 + self.settings.max_speed / self.settings.rate
-        near = [evidence for place, evidence in self.before if np.hypot(*(place - position)[:2]) < reach]
-        return max(near, default=0.0)
+    def remember(self, peaks: list[tuple[np.ndarray, float]]) -> None:
+        """Keep the places (3,) m of a decision's peaks and how lasting they are, and of those before it what fades."""
+        self.before = [(place, lasting, 1) for place, lasting in peaks] + [
+            (place, self.kept * lasting, age + 1)
+            for place, lasting, age in self.before
+            if lasting > 0.05 and all(_level(place, peak) > self.reached(age) for peak, _ in peaks)
+        ]
+
+    def reached(self, age: int) -> float:
+        """Return how far, in m, a talker may seem to have moved so many decisions later: he walks, and places err."""
+        return 0.2 + self.settings.max_speed * age / self.settings.rate
 
     def poll(self, gcc: np.ndarray, position: np.ndarray) -> list[str]:
         """Let the pairs vote about their channels at a place that is clearly answered; return what is news about one.
@@ -451,7 +467,7 @@ class SteeredLocalizer:
         around = [windows[middle + i] for i in range(-self.reach, self.reach + 1)]
         found, notices = [], list(around[self.reach].notices)
         if around[self.reach].gcc is None:
-            self.before = []
+            self.remember([])
         else:
             heard = [i for i, window in enumerate(around) if window.gcc is not None]
             found = self.decide([around[i] for i in heard], self.offsets[heard])
@@ -460,6 +476,10 @@ class SteeredLocalizer:
                 if self.on_the_edge(found[0][0])[:2].any():
                     notices.append("a source on the edge of the room, or outside it")
         return Decision.of(step / self.settings.rate, found, notices)
+
+
+def _level(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.hypot(*(one - other)[:2]))
 
 
 class _Stream:

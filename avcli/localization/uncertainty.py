@@ -11,8 +11,16 @@ import numpy as np
 FLOOR = 0.003
 """m: the standard deviation that no localization undercuts (where the microphones are, how warm the air is)."""
 
-RIGHT = {"one": 0.81, "response": -0.25, "support": 3.36, "evidence": 2.38, "share": 1.72, "own": 4.90}
-"""Logit of the probability that a peak is within half a metre (x, y) of a talker, on the logarithms of its features."""
+FIRST = {"one": 4.69, "response": 2.0, "agreement": 5.27}
+FURTHER = {"one": 0.60, "response": 2.38, "own": 6.27}
+"""Logit of the probability that a decision's first peak, or a further one, is within half a metre (x, y) of a talker,
+on the logarithms of its features, were it not new."""
+
+NEW, LASTING = -2.0, {"first": 0.86, "further": 2.27}
+"""What is added to it: for every peak, and for how lasting it is."""
+
+MEMORY = 0.2
+"""s: how long a decision counts in the later ones."""
 
 SPREAD = {"one": -2.67, "response": -0.80, "support": -4.77}
 """Logarithm of the standard deviation (m) of a range difference, on the logarithms of the features."""
@@ -35,42 +43,45 @@ class Features:
 
     Attributes:
         response: the peak over the largest response to be expected of noise alone.
-        support: share of the pairs of microphones that agree, from 0 to 1.
-        evidence: logarithm of the response, with what was nearby in the decisions before (see `accumulate`).
-        share: the peak over the decision's first.
+        agreement: mean over the pairs of microphones of their GCC at the place, cut off at 3 standard deviations of
+            noise on either side, over these; from 0 to 1.
+        support: share of the pairs that have a peak near the place, from 0 to 1.
+        before: how lasting it is: see `remembered`, of what was nearby in the decision before.
+        first: whether it is the decision's first peak.
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
         speed: m/s.
     """
 
     response: float
+    agreement: float
     support: float
-    evidence: float
-    share: float
+    before: float
+    first: bool
     own: float
     speed: float
 
 
-def accumulate(response: float, before: float) -> float:
-    """Return the evidence of a peak: its own, and a share of that of the peak nearby one decision ago.
+def alone(features: Features) -> float:
+    """Return the logit of the probability that a peak is right, were it not new (logistic regression)."""
+    weights = FIRST if features.first else FURTHER
+    names = [name for name in weights if name != "one"]
+    return weights["one"] + sum(weights[name] * float(np.log(max(getattr(features, name), 1e-3))) for name in names)
+
+
+def remembered(features: Features, kept: float) -> float:
+    """Return how lasting a peak is: a mean over the decisions of what each says for it alone, 0 to 4.
 
     Args:
-        response: the peak over the response to noise.
-        before: the evidence of the peak nearby, 0 where there was none.
+        features: its own, and what was nearby before.
+        kept: how much of that is kept, 0 to 1.
     """
-    return max(float(np.log(response)), 0.0) + 0.6 * before
+    return kept * features.before + (1.0 - kept) * float(np.clip(alone(features), 0.0, 4.0))
 
 
 def probability(features: Features) -> float:
-    """Return the probability that a peak is within half a metre (x, y) of a talker, by logistic regression."""
-    value = (
-        RIGHT["one"]
-        + RIGHT["response"] * np.log(max(features.response, 1e-3))
-        + RIGHT["support"] * np.log(max(features.support, 1e-3))
-        + RIGHT["evidence"] * features.evidence
-        + RIGHT["share"] * min(np.log(max(features.share, 1e-3)), 0.0)
-        + RIGHT["own"] * np.log(max(features.own, 1e-3))
-    )
+    """Return the probability that a peak is within half a metre (x, y) of a talker."""
+    value = alone(features) + NEW + LASTING["first" if features.first else "further"] * features.before
     return float(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))))
 
 

@@ -57,7 +57,7 @@ SPLITS = {
 CONDITIONS = [
     ("still", 0.1, 30), ("still", 0.1, 10), ("still", 0.35, 30), ("still", 0.35, 10), ("still", 0.6, 30),
     ("still", 0.6, 10), ("still", 0.8, 30), ("walking", 0.35, 30), ("walking", 0.35, 10), ("two", 0.1, 30),
-    ("two", 0.35, 30), ("two", 0.6, 30),
+    ("two", 0.35, 30), ("two", 0.6, 30), ("turns", 0.35, 30),
 ]  # fmt: skip
 
 
@@ -129,10 +129,10 @@ def sounding(dry, decibels=-25.0):
     return energy > energy.max() * 10 ** (decibels / 10)
 
 
-def still(voice, t60, place):
+def still(voice, t60, place, begin=0.5):
     from scipy.signal import fftconvolve
 
-    dry = np.concatenate([np.zeros(FS // 2), voice, np.zeros(FS // 2)])
+    dry = np.concatenate([np.zeros(int(begin * FS)), voice, np.zeros(FS // 2)])
     order = min(int(np.ceil(SPEED * t60 / ROOM.min())), 60)
     wet, direct = (
         np.column_stack([fftconvolve(dry, h)[: len(dry)] for h in responses(t60, [place], o)[0]]) for o in (order, 0)
@@ -182,11 +182,12 @@ def scenes(split, condition, count):
             parts = [walking(voice, t60, *((start, end) if number % 2 else (end, start)))]
         else:
             parts = [still(voice, t60, somewhere())]
-        if kind == "two":
+        if kind in ("two", "turns"):
             place = somewhere()
             while np.hypot(*(place - parts[0][1].places[0])[:2]) < 1.0:
                 place = somewhere()
-            parts.append(still(spoken[(number + 1 + number // len(spoken)) % len(spoken)], t60, place))
+            begin = 0.5 + (len(voice) / FS if kind == "turns" else 0.0)
+            parts.append(still(spoken[(number + 1 + number // len(spoken)) % len(spoken)], t60, place, begin))
         length = max(len(wet) for wet, _ in parts)
         samples, talkers = np.zeros((length, len(MICROPHONES))), []
         for wet, talker in parts:
@@ -332,60 +333,90 @@ def bounds(prepared):
 # --- the fit ----------------------------------------------------------------------------------------------------------
 
 
+class Witness(SteeredLocalizer):
+    """A localizer that keeps what it judged: (time in s, peak, features), the most probable of a decision first."""
+
+    def step(self, step, windows):
+        self.moment = step / self.settings.rate
+        return super().step(step, windows)
+
+    def judge(self, peaks, noise):
+        judged = super().judge(peaks, noise)
+        self.seen += [(self.moment, peak, features) for _, peak, features in judged if peak.normal is not None]
+        return judged
+
+
+def witnessed(scene):
+    """For each peak: whether it is right, its error (3,), its features, its normal matrix.
+
+    Right is within half a metre (x, y) of a talker who is not taken and sounds, or did 0.15 s ago or will 0.15 s later:
+    who fell silent is not to be reported from memory.
+    """
+    localizer = Witness(ARRAY, Settings(), np.random.default_rng(0))
+    localizer.seen = []
+    for _ in localizer.localize(scene.samples[i : i + 4096] for i in range(0, len(scene.samples), 4096)):
+        pass
+    rows, taken = [], set()
+    for moment, peak, features in localizer.seen:
+        errors = np.array([peak.position - talker.at(moment) for talker in scene.talkers])
+        nearest = int(np.argmin(np.hypot(errors[:, 0], errors[:, 1])))
+        begin, end = (int(max(moment + margin, 0.0) * FS) for margin in (-0.15, 0.15))
+        near = np.hypot(*errors[nearest, :2]) < 0.5 and (moment, nearest) not in taken
+        if near:
+            taken.add((moment, nearest))
+        right = near and bool(scene.talkers[nearest].sounding[begin:end].any())
+        rows.append((right, errors[nearest], features, peak.normal))
+    return rows
+
+
 def fit(count):
-    """Fit RIGHT and SPREAD of avcli.localization.uncertainty on the scenes that decide, and print them."""
-    seen = []
+    """Fit the score and the covariance of avcli.localization.uncertainty on the scenes that decide, and print them.
 
-    def note(normal, features, _low, _high):
-        seen.append((features, normal))
-        return np.eye(3)
-
+    What a decision remembers rests on the coefficients at hand: run it again with the new ones until they stay.
+    """
     rows = []
-    probability, covariance = uncertainty.probability, uncertainty.covariance
-    uncertainty.probability, uncertainty.covariance = (lambda features: features.share * 0.5 + 0.5), note
-    try:
-        for condition in CONDITIONS:
-            for scene in scenes("fit", condition, count):
-                seen.clear()
-                decisions, _ = run(Settings(min_score=0.0, false_alarm=0.9, max_speakers=3), scene)
-                found = matched(decisions, scene)[0]
-                rows += [(right, error, *what) for (right, error, _, _), what in zip(found, seen, strict=True)]
-            print(condition, len(rows), flush=True)
-    finally:
-        uncertainty.probability, uncertainty.covariance = probability, covariance
-    right = np.array([row[0] for row in rows], float)
-    terms = np.array(
-        [
-            (
-                1.0,
-                np.log(f.response),
-                np.log(max(f.support, 1e-3)),
-                f.evidence,
-                min(np.log(f.share), 0.0),
-                np.log(max(f.own, 1e-3)),
-            )
-            for _, _, f, _ in rows
-        ]
-    )
-    weights = np.zeros(6)
-    for _ in range(50):  # Newton's method on the logistic likelihood
-        p = 1.0 / (1.0 + np.exp(-np.clip(terms @ weights, -30, 30)))
-        hessian = (terms * (p * (1 - p))[:, None]).T @ terms + 1e-3 * np.eye(6)
-        weights += np.linalg.solve(hessian, terms.T @ (right - p) - 1e-3 * weights)
-    names = ("one", "response", "support", "evidence", "share", "own")
-    loss_right = -np.mean(right * np.log(p + 1e-12) + (1 - right) * np.log(1 - p + 1e-12))
-    print(f"{len(rows)} peaks, {right.mean():.3f} of them right, log loss {loss_right:.4f}")
-    print("RIGHT =", dict(zip(names, weights.round(2).tolist(), strict=True)))
+    for condition in CONDITIONS:
+        for scene in scenes("fit", condition, count):
+            rows += witnessed(scene)
+        print(condition, len(rows), flush=True)
+    chance = np.zeros(len(rows))
+    for first, names in ((True, uncertainty.FIRST), (False, uncertainty.FURTHER)):
+        chosen = np.array([features.first == first for _, _, features, _ in rows])
+        mine = [row for row, is_mine in zip(rows, chosen, strict=True) if is_mine]
+        right = np.array([row[0] for row in mine], float)
+        terms = np.array(
+            [
+                [1.0, *(np.log(max(getattr(f, name), 1e-3)) for name in names if name != "one"), f.before]
+                for _, _, f, _ in mine
+            ]
+        )
+        weights = np.zeros(terms.shape[1])
+        for _ in range(50):  # Newton's method on the logistic likelihood
+            p = 1.0 / (1.0 + np.exp(-np.clip(terms @ weights, -30, 30)))
+            hessian = (terms * (p * (1 - p))[:, None]).T @ terms + 1e-3 * np.eye(len(weights))
+            weights += np.linalg.solve(hessian, terms.T @ (right - p) - 1e-3 * weights)
+        chance[chosen] = p
+        loss = -np.mean(right * np.log(p + 1e-12) + (1 - right) * np.log(1 - p + 1e-12))
+        print(f"{len(mine)} peaks, {right.mean():.3f} of them right, log loss {loss:.4f}")
+        weights[0] -= uncertainty.NEW
+        found = dict(zip([*names, "LASTING"], weights.round(2).tolist(), strict=True))
+        print("FIRST =" if first else "FURTHER =", found)
+    sure = [row for row, p in zip(rows, chance, strict=True) if row[0] and p > 0.5]
+    fit_spread(sure)
+
+
+def fit_spread(rows):
+    """Fit SPREAD and MOTION on rows of `witnessed` that are right."""
     from scipy.optimize import minimize
 
-    sure = (right > 0) & (p > 0.5)
-    errors = np.array([row[1] for row in rows])[sure]
-    normals = np.array([row[3] for row in rows])[sure]
-    speed = np.array([row[2].speed for row in rows])[sure]
+    terms = np.array([[1.0, np.log(f.response), np.log(max(f.support, 1e-3))] for _, _, f, _ in rows])
+    errors = np.array([row[1] for row in rows])
+    normals = np.array([row[3] for row in rows])
+    speed = np.array([row[2].speed for row in rows])
     extent = np.diag(12.0 / np.array([ROOM[0], ROOM[1], 1.2]) ** 2)
 
     def loss(parameters):
-        sigma = np.exp(terms[sure][:, :3] @ parameters[:3])
+        sigma = np.exp(terms @ parameters[:3])
         spread = np.linalg.inv(normals / sigma[:, None, None] ** 2 + extent) + uncertainty.FLOOR**2 * np.eye(3)
         for axis, share in enumerate(uncertainty.MOTION / uncertainty.MOTION[0]):
             spread[:, axis, axis] += (share * parameters[3] * speed) ** 2
@@ -393,7 +424,8 @@ def fit(count):
         return float(np.mean(0.5 * np.linalg.slogdet(spread)[1] + 0.5 * squared))
 
     best = minimize(loss, [-0.9, -1.3, -2.0, 0.05], method="Nelder-Mead", options={"maxiter": 3000}).x
-    print("SPREAD =", dict(zip(names, best[:3].round(2).tolist(), strict=False)), "MOTION =", round(abs(best[3]), 3))
+    names = list(uncertainty.SPREAD)
+    print("SPREAD =", dict(zip(names, best[:3].round(2).tolist(), strict=True)), "MOTION =", round(abs(best[3]), 3))
 
 
 # --- the report -------------------------------------------------------------------------------------------------------
@@ -405,7 +437,7 @@ def main():
     parser.add_argument("--scenes", type=int, default=12, help="scenes of each condition (walkers: half as many)")
     parser.add_argument("--split", choices=list(SPLITS), default="report", help="which scenes")
     parser.add_argument("--methods", nargs="*", default=list(METHODS)[:3], choices=list(METHODS))
-    parser.add_argument("--kinds", nargs="*", default=["still", "walking", "two"], help="which kinds of scenes")
+    parser.add_argument("--kinds", nargs="*", default=["still", "walking", "two", "turns"], help="kinds of scenes")
     parser.add_argument("--all-methods", action="store_true", help="window, grid and beta too")
     parser.add_argument("--fit", action="store_true", help="fit score and covariance instead")
     options = parser.parse_args()
