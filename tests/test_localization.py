@@ -189,6 +189,22 @@ def test_a_notch_takes_away_a_talker_and_what_his_first_echoes_add(place, wall):
     assert notched.mean() > 0.6, "most of what others say stays"
 
 
+def test_heights_that_are_answered_as_well_are_in_the_covariance():
+    steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 128.6)
+    lag = np.arange(-steered.half_lags, steered.half_lags + 1)
+
+    def heard_from(place):
+        return np.sinc(0.36 * (lag - steered.lags(place[None]).T)).astype(np.float32)
+
+    place, higher = np.array([1.4, 3.1, 1.2]), np.array([1.43, 3.1, 1.68])
+    alone = steered.ambiguity([heard_from(place)], [0.0], place, np.zeros(3), 40.0)
+    both = steered.ambiguity([heard_from(place) + heard_from(higher)], [0.0], place, np.zeros(3), 40.0)
+    assert np.sqrt(alone[2, 2]) < 0.03
+    assert np.sqrt(both[2, 2]) == pytest.approx(0.48 / np.sqrt(2), abs=0.06), "half the likelihood is 0.48 m higher"
+    assert both[0, 2] > 0, "and there further along x"
+    assert np.linalg.eigvalsh(both)[0] > -1e-9
+
+
 # --- events -----------------------------------------------------------------------------------------------------------
 
 

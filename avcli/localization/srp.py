@@ -190,6 +190,31 @@ class SteeredResponse:
         lag = np.clip(lag, 0, size - 1) + size * np.arange(len(self.first))
         return gcc.ravel()[lag].mean(axis=1)
 
+    def ambiguity(self, gccs, offsets, position, velocity, sharpness: float) -> np.ndarray:
+        """Return what other heights that are answered nearly as well add to a place's covariance, (3, 3) m².
+
+        The microphones hang in one layer, so that heights far apart can be nearly equal; the curvature at one of them
+        knows nothing of the others, nor of where in x and y they would have the source.
+
+        Args:
+            gccs, offsets: as for `follow`.
+            position: (3,) m.
+            velocity: (3,) m/s.
+            sharpness: logarithm of the likelihood over the response.
+        """
+        step = 0.08
+        below, above = int((position[2] - self.low[2]) / step), int((self.high[2] - position[2]) / step)
+        away = np.zeros((below + 1 + above, 49, 3))
+        away[:, :, :2] = 0.03 * np.array([[x, y] for y in range(-3, 4) for x in range(-3, 4)])
+        away[:, :, 2] = step * np.arange(-below, above + 1)[:, None]
+        places = (position + away).reshape(-1, 3)
+        total = sum(self._nearest(gcc, places + velocity * offset) for gcc, offset in zip(gccs, offsets, strict=True))
+        total = total.reshape(away.shape[:2]) / len(gccs)
+        best = total.argmax(axis=1)
+        away, profile = away[np.arange(len(away)), best], total.max(axis=1)
+        likelihood = np.exp(sharpness * (profile - profile.max()))
+        return np.einsum("n,ni,nj->ij", likelihood / likelihood.sum(), away, away)
+
     def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""
         total = 0.0

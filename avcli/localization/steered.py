@@ -87,7 +87,8 @@ class _Noise:
 class _Peak:
     """A place (3,) m that is answered; one that is not worth a fit has but a response.
 
-    Attributes as in uncertainty.Features; `normal` (3, 3) is the normal matrix of its range differences.
+    Attributes as in uncertainty.Features; `velocity` (3,) m/s, `normal` (3, 3) the normal matrix of its range
+    differences, and `gccs` those that were left for it by the peaks before.
     """
 
     position: np.ndarray
@@ -95,8 +96,9 @@ class _Peak:
     agreement: float = 0.0
     support: float = 0.0
     own: float = 1.0
-    speed: float = 0.0
+    velocity: np.ndarray | None = None
     normal: np.ndarray | None = None
+    gccs: list[np.ndarray] | None = None
 
 
 class SteeredLocalizer:
@@ -259,13 +261,16 @@ class SteeredLocalizer:
         gccs = [gcc * scale for ((gcc, _, _), _, _), scale in zip(heard, scales, strict=True)]
         spectra = [window.whitened * good[:, None] for (_, good, _), window, _ in heard]
         noise = self.noise(weights.sum())
-        judged = self.judge(self.peaks(gccs, spectra, np.array([offset for _, _, offset in heard]), noise), noise)
+        offsets = np.array([offset for _, _, offset in heard])
+        judged = self.judge(self.peaks(gccs, spectra, offsets, noise), noise)
         self.remember([(peak.position, uncertainty.remembered(features, self.kept)) for _, peak, features in judged])
         found = []
         low, high = self.response.low, self.response.high
         for score, peak, features in judged[: self.settings.max_speakers]:
             if score >= self.settings.min_score:
-                covariance = uncertainty.covariance(peak.normal, features, low, high)
+                sharpness = uncertainty.SHARPNESS / noise.deviation
+                others = self.response.ambiguity(peak.gccs, offsets, peak.position, peak.velocity, sharpness)
+                covariance = uncertainty.covariance(peak.normal, features, low, high) + others
                 covariance += uncertainty.beyond(self.on_the_edge(peak.position))
                 found.append((peak.position, covariance, score))
         return found
@@ -351,7 +356,7 @@ class SteeredLocalizer:
             before=before,
             first=first,
             own=peak.own,
-            speed=peak.speed,
+            speed=0.0 if peak.velocity is None else float(np.hypot(*peak.velocity[:2])),
         )
 
     def refined(self, gccs, offsets, position, velocity, response: float, noise: _Noise) -> _Peak:
@@ -371,8 +376,7 @@ class SteeredLocalizer:
         agreement = max(float(np.clip(value / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.0)
         support = float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean())
         scale = max(np.maximum(height, 0.0).mean(), 1e-9)
-        speed = float(np.hypot(*velocity[:2]))
-        return _Peak(position, response, agreement, support, speed=speed, normal=normal / scale)
+        return _Peak(position, response, agreement, support, velocity=velocity, normal=normal / scale, gccs=gccs)
 
     def remember(self, peaks: list[tuple[np.ndarray, float]]) -> None:
         """Keep the places (3,) m of a decision's peaks and how lasting they are, and of those before it what fades."""

@@ -25,10 +25,11 @@ MEMORY = 0.2
 SPREAD = {"one": -2.67, "response": -0.80, "support": -4.77}
 """Logarithm of the standard deviation (m) of a range difference, on the logarithms of the features."""
 
-MOTION = np.array([0.044, 0.044, 0.15])
-"""s: standard deviation (x, y, z) of a walker's place over his speed: he is elsewhere at the windows' ends, and what
-they share may be a wrong height."""
+MOTION = 0.044
+"""s: standard deviation in x and y of a walker's place over his speed: he is elsewhere at the windows' ends."""
 
+SHARPNESS = 3.0
+"""Logarithm of a height's likelihood over the response there, in standard deviations of a GCC of noise."""
 
 CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
 """The same for a mean of closed forms, without and with their refinement: constant, spread, valid share, events."""
@@ -100,7 +101,7 @@ def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:
     )
     extent = np.maximum((np.asarray(high) - np.asarray(low)) / np.sqrt(12.0), FLOOR)
     spread = np.linalg.inv(normal / sigma**2 + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
-    spread += np.diag((MOTION * features.speed) ** 2)
+    spread[[0, 1], [0, 1]] += (MOTION * features.speed) ** 2
     return 0.5 * (spread + spread.T)
 
 

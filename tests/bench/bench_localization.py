@@ -406,7 +406,7 @@ def fit(count):
 
 
 def fit_spread(rows):
-    """Fit SPREAD and MOTION on rows of `witnessed` that are right."""
+    """Fit SPREAD and MOTION on rows of `witnessed` that are right; what other heights add is not in them."""
     from scipy.optimize import minimize
 
     terms = np.array([[1.0, np.log(f.response), np.log(max(f.support, 1e-3))] for _, _, f, _ in rows])
@@ -418,8 +418,8 @@ def fit_spread(rows):
     def loss(parameters):
         sigma = np.exp(terms @ parameters[:3])
         spread = np.linalg.inv(normals / sigma[:, None, None] ** 2 + extent) + uncertainty.FLOOR**2 * np.eye(3)
-        for axis, share in enumerate(uncertainty.MOTION / uncertainty.MOTION[0]):
-            spread[:, axis, axis] += (share * parameters[3] * speed) ** 2
+        for axis in (0, 1):
+            spread[:, axis, axis] += (parameters[3] * speed) ** 2
         squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(spread), errors)
         return float(np.mean(0.5 * np.linalg.slogdet(spread)[1] + 0.5 * squared))
 
