@@ -113,3 +113,26 @@ def test_who_meet_face_to_face_and_turn_back_keep_their_labels():
                 before = [one.label for one in sorted(tracker.tracks(t), key=lambda one: one.state[0])]
         kept += before == [one.label for one in sorted(tracker.tracks(6.0), key=lambda one: one.state[0])]
     assert kept >= 4
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+@pytest.mark.parametrize("n", [1, 3])
+def test_one_person_found_twice_a_few_centimetres_apart_is_one_track(n, share):
+    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(3)
+    for k in range(60):
+        z = np.column_stack([np.full(n, 0.4 + 0.05 * k), 0.8 + 1.2 * np.arange(n)]) + 0.12 * rng.standard_normal((n, 2))
+        again = (z + 0.03 + 0.02 * rng.standard_normal((n, 2)))[rng.random(n) < share]
+        z = np.vstack([z, again])
+        tracker.scan(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
+        assert len(tracker.tracks(k / 10)) == n
+
+
+def test_predictions_stop_at_the_walls_and_only_from_inside():
+    tracker, noise = GLMB(Settings(), [sensor("video")]), 0.0144 * np.eye(2)[None]
+    for k in range(12):
+        tracker.scan(k / 10, "video", np.array([[3.0 + 0.1 * k, 2.3]]), noise)
+    tracker.advance(5.0)
+    assert tracker.people.mean[..., 0].max() <= 4.66
+    for k in range(12):
+        tracker.scan(6 + k / 10, "video", np.array([[5.0 + 0.1 * k, 2.3]]), noise)
+    assert tracker.tracks(7.1)[-1].state[0] > 5.9

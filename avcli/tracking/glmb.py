@@ -24,6 +24,7 @@ GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie o
 LOG_PRUNE = math.log(1e-3)  # weight of a joint hypothesis relative to the best
 BUDGET = 3
 PROMOTE, RECYCLE = 0.1, 0.03  # existence at which a tentative person becomes labelled, and a labelled one tentative
+TWICE = 0.05  # detections of a person that a sensor has found in the same record already, expected
 FORGET = 5e-3  # expected number of people below which a tentative person who was labelled loses the label
 TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentative Gaussian; how many are kept
 BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
@@ -92,7 +93,7 @@ class GLMB:
 
     def _stop_at_walls(self, before):
         """Hold predictions inside the room that were inside it before: before (n, M, 4) mean states."""
-        low, high = self.settings.corners + [[BODY], [-BODY]]
+        low, high = self.settings.corners + np.array([[BODY], [-BODY]])
         place, pace, past = self.people.mean[..., :2], self.people.mean[..., 2:], before[..., :2]
         over = ((place < low) & (past >= low)) | ((place > high) & (past <= high))
         if over.any():
@@ -147,23 +148,25 @@ class GLMB:
         if self.settings.birth != "poisson":
             strangers = strangers * 0.0
         at = self.tentative
-        room = self._elbow_room(
-            np.concatenate([z, people.mean[at, 0, :2]]),
-            np.concatenate([noise[:, 0, 0] + noise[:, 1, 1], people.cov[at, 0, 0, 0] + people.cov[at, 0, 1, 1]]) / 2,
-        )
-        strangers = strangers * room[: len(z)]
-        from_tentative = (people.exist[at] * chance[at] * room[len(z) :])[:, None] * gain[at]
+        spread = (noise[:, 0, 0] + noise[:, 1, 1]) / 2
+        strangers = strangers * self._elbow_room(z, spread)
+        room = self._elbow_room(people.mean[at, 0, :2], (people.cov[at, 0, 0, 0] + people.cov[at, 0, 1, 1]) / 2)
+        from_tentative = (people.exist[at] * chance[at] * room)[:, None] * gain[at]
         rho = from_tentative.sum(0) + strangers
         background = kappa + rho
         free = np.ones(len(z))  # probability that no labelled person caused the detection
         options = self._options(people.exist, chance, gain, background)
         groups = [self._associate(members, options, free) for members in self._groups(options)]
         free = np.minimum(np.maximum(free, 0.0), 1.0)
+        room, twice = self._seen_already(z, spread, free, rho / background)
+        rho = rho * room
+        background = kappa + rho + twice
         existence = rho / background
 
+        false = free * kappa / background
         if self.settings.adapt:
-            rates.learn(float((free * (1 - existence)).sum()), *self._hits_and_misses(groups, chance, detection))
-        rates.learn_score(odds, 1 - free * (1 - existence))
+            rates.learn(float(false.sum()), *self._hits_and_misses(groups, chance, detection))
+        rates.learn_score(odds, 1 - false)
         source = np.where(
             from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
         )
@@ -194,11 +197,28 @@ class GLMB:
         leaves = [leaf for c in self.clusters for leaf in c.rows[0] if leaf >= 0]
         if not leaves or not len(places):
             return np.ones(len(places))
-        away = places - (self.people.mode[leaves, None] @ self.people.mean[leaves, :, :2])
-        body = self.settings.body**2
-        width = body + spread
-        taken = body / width * np.exp(-(away * away).sum(-1) / (2 * width)) * self.people.exist[leaves, None]
-        return (1 - taken).prod(0)
+        taken = self._overlap(places, self.people.centres(leaves)[:, :2], spread) * self.people.exist[leaves]
+        return (1 - taken).prod(1)
+
+    def _seen_already(self, z, spread, free, real):
+        """What other detections of a record say of each as a stranger: they may be of the same person.
+
+        z (J, 2) m, known to variances (J,); free (J,): probability of being no known person's; real (J,): of being a
+        stranger's then. Returns the probability (J,) of room for somebody else beside whom the others found, and the
+        density (J,) of finding one of those a second time.
+        """
+        away = z[:, None] - z
+        width = spread[:, None] + spread
+        again = TWICE * np.exp(-(away * away).sum(-1) / (2 * width)) / (2 * math.pi * width)
+        found = np.minimum((1 - free) / np.maximum(free, 1e-9)[:, None], 1.0)  # if j is nobody's, k may well be
+        np.fill_diagonal(found, 0.0)
+        found = np.maximum(found, np.tril(np.tile(free * real, (len(z), 1)), -1))  # the first of two strangers counts
+        return (1 - self._overlap(z, z, spread) * found).prod(1), (again * found).sum(1)
+
+    def _overlap(self, places, others, spread):
+        """How far bodies at places (n, 2) m, known to variances (n,), are inside those at others (k, 2): (n, k)."""
+        away = places[:, None] - others
+        return np.exp(-(away * away).sum(-1) / (2 * (self.settings.body**2 + spread[:, None])))
 
     def _options(self, exist, chance, gain, background):
         """What each labelled density may have caused: index -> [(log weight, detection or -1)], best first."""
