@@ -64,7 +64,7 @@ class Settings:
     arrivals: people that come per second, through the walls but for a share `appear`, which may turn up anywhere.
     present: people expected in the room before the first record.
     speed: standard deviation of each velocity component of someone first seen, m/s.
-    body: m; someone new is not expected nearer than this to a known person.
+    body: m; nobody new is expected this near to a known person, or to another one who is new.
     birth: "poisson" (from the first unexplained detection) or "adaptive" (from the previous record's detections).
     adapt: whether clutter and detection probability are estimated on the way.
     newborn: with adaptive birth, people expected to be born in each record.
@@ -81,7 +81,7 @@ class Settings:
     appear: float = 0.3
     present: float = 2.0
     speed: float = 0.7
-    body: float = 0.3
+    body: float = 0.2
     birth: str = "poisson"
     newborn: float = 0.05
     adapt: bool = True

@@ -87,7 +87,7 @@ class Motion:
 # straight on; strolling; turning on the spot, to anywhere at any pace, which is standing if it lasts. The numbers are
 # near those of greatest likelihood for people who walk straight, turn back and stroll between places.
 WALKING = Motion(
-    (Model(0.05), Model(0.7, 1.4), Model(8.5, 0.01)),
-    ((0.0, 0.05, 0.2), (0.95, 0.0, 0.05), (0.3, 1.0, 0.0)),
+    (Model(0.05), Model(0.7, 2.0), Model(8.5, 0.01)),
+    ((0.0, 0.05, 0.15), (0.95, 0.0, 0.05), (0.3, 1.0, 0.0)),
     turn=2,
 )
