@@ -5,9 +5,10 @@ import os
 import select
 import subprocess
 
+import jsonschema
 import numpy as np
 import pytest
-from conftest import BIN, run
+from conftest import BIN, ROOT, run
 
 LISTING = (
     r'{"timestamp": "0.0000000000", "objects": [{"position": [-0.63, 2.34, 0.52]}]}\n '
@@ -249,3 +250,27 @@ def test_stone_soup_is_asked_for_by_name():
         assert result.stderr == "avfuse: --tracker jpda needs Stone Soup: pip install stonesoup\n"
     else:
         assert len(json.loads(result.stdout.splitlines()[-1])["objects"]) == 1
+
+
+def test_an_explanation_is_as_its_schema_says(tmp_path):
+    schema = json.loads((ROOT / "avcli" / "schemas" / "explain.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    rng, lines = np.random.default_rng(4), []
+    for k in range(120):  # two people, one of whom vanishes; the other is silent at times; false detections
+        places = [[0.5 + 0.03 * k, 1.0]] + ([[3.0, 3.0]] if k < 30 else [])
+        clutter = rng.uniform(0, 4.66, (rng.poisson(0.5), 2)).tolist()
+        lines.append(
+            line(k / 10, [*(np.array(places) + 0.1 * rng.standard_normal((len(places), 2))).tolist(), *clutter])
+        )
+        lines.append(line(k / 10, places[:1] if k % 20 < 10 else [], "audio"))
+    path = tmp_path / "why.jsonl"
+    fuse(lines, "--explain", path)
+    records = [json.loads(text) for text in path.read_text().splitlines()]
+    assert len(records) == len(lines)
+    for record in records:
+        jsonschema.validate(record, schema)
+        assert set(record) == set(schema["properties"])
+    said = {what["most_likely"] for record in records for what in record["people"]}
+    assert "missed" in said
+    assert any(record["born"] for record in records)
+    assert any(record["died"] for record in records)

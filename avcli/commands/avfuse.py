@@ -318,7 +318,7 @@ def _settings(config, options):
     motion = WALKING
     if options["motion"] == "cv":
         motion = Motion((Model(0.0, pulse=options["process_noise"]),))
-    area = {}
+    area = {"walls": False}
     if config is not None:
         x, y, _ = config.room.dimensions.tolist()
         area = {"area": ((0.0, 0.0), (x, y))}

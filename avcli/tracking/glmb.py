@@ -81,7 +81,8 @@ class GLMB:
             self._evade(dt)
             before = people.mean, people.cov, people.mode
             people.mean, people.cov, people.mode, half, mixed = gaussian.predict(*before, settings.motion, dt)
-            self._stop_at_walls(before[0])
+            if settings.walls:
+                self._stop_at_walls(before[0])
             if self.record:
                 people.node = Node.steps(people, before, half, mixed, survive, time)
             people.exist = people.exist * survive
@@ -450,7 +451,7 @@ class GLMB:
                 what = max(shares, key=lambda key: (shares[key], str(key)))
                 found[label] = {"label": label, "most_likely": what, "probability": min(shares[what], 1.0)}
             best = [
-                {"weight": math.exp(weight), "detections": [None if j < 0 else j for _, j in pairs]}
+                {"weight": min(math.exp(weight), 1.0), "detections": [None if j < 0 else j for _, j in pairs]}
                 for weight, pairs, _ in kept[:5]
             ]
             hypotheses.append({"labels": list(labels), "count": len(kept), "best": best})

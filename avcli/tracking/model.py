@@ -57,7 +57,7 @@ def sensor(name, **known):
 class Settings:
     """What a tracker believes about people and how much it may think.
 
-    area: ((x0, y0), (x1, y1)) m, where people can be.
+    area: ((x0, y0), (x1, y1)) m, where people can be. walls: whether nobody who is inside walks out unseen.
     motion: Motion.
     stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same within `edge`
         metres of a wall, where the doors are.
@@ -73,6 +73,7 @@ class Settings:
     """
 
     area: tuple = ((0.0, 0.0), (4.66, 4.66))
+    walls: bool = True
     motion: Motion = WALKING
     stay: float = 100.0
     pass_by: float = 10.0

@@ -54,7 +54,7 @@ class Rates:
         """How much more clutter than usual each detection stands for, by its log odds (J,) against people's: (J,)."""
         if odds is None:
             return 1.0
-        typical = float(odds[~np.isnan(odds)].max()) if self.typical is None else self.typical
+        typical = float(np.nanmean(odds)) if self.typical is None else self.typical
         return np.exp(np.minimum(np.maximum(np.where(np.isnan(odds), 0.0, typical - odds), -1.0), 4.0))
 
 
