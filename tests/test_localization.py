@@ -180,13 +180,13 @@ def test_a_notch_takes_away_a_talker_and_what_his_first_echoes_add(place, wall):
     whole = np.ones((len(pairs), 2 * half + 1), np.float32)
     lag = (direct[steered.first] - direct[steered.second] + half).round().astype(int)
     assert (steered.notch(whole, place, 0.1)[pairs, lag] == 0).all()
-    notched = steered.notch_echoes(whole, place, ROOM, 0.02)
+    notched = steered.notch_echoes(whole, place, ROOM, 0.012)
     for first, second in ((direct, echo), (echo, direct), (echo, echo)):
         lag = (first[steered.first] - second[steered.second] + half).round().astype(int)
         inside = (lag >= 0) & (lag <= 2 * half)
         assert (notched[pairs[inside], lag[inside]] == 0).all()
     assert ((notched >= 0) & (notched <= 1)).all()
-    assert notched.mean() > 0.6, "most of what others say stays"
+    assert notched.mean() > 0.5, "most of what others say stays"
 
 
 def test_heights_that_are_answered_as_well_are_in_the_covariance():

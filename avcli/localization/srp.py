@@ -250,9 +250,10 @@ class SteeredResponse:
     def notch_echoes(self, gcc: np.ndarray, position: np.ndarray, room: np.ndarray, width: float) -> np.ndarray:
         """Return the GCC without what the first echoes of a place add, each notched as by `notch`.
 
-        Where an echo stands in one channel and the direct sound, or the same echo, in the other, pairs come to agree
-        on places at which nobody is. Such a ghost is as still as its talker and lasts as long, so that no time tells
-        the two apart; but where the echoes stand follows from the room (Allen & Berkley 1979).
+        Where an echo stands in one channel and the direct sound, or an echo, in the other, pairs come to agree on
+        places at which nobody is. Such a ghost is as still as its talker and lasts as long, so that no time tells the
+        two apart; but where the echoes stand follows from the room (Allen & Berkley 1979). All meetings of direct
+        sound and echoes with no more than two reflections together are taken away.
 
         Args:
             gcc: (pairs, lags).
@@ -260,13 +261,10 @@ class SteeredResponse:
             room: (3,) m, the far corner of a room whose near corner is the origin.
             width: m.
         """
-        images = np.tile(position, (7, 1))
-        for axis in range(3):
-            images[1 + 2 * axis : 3 + 2 * axis, axis] = -position[axis], 2.0 * room[axis] - position[axis]
+        images = np.where(_IMAGES % 2 == 0, position, room - position) + _IMAGES * room
         ranges = self._ranges(images) * self.steps_per_metre
-        first, second = ranges[:, self.first], ranges[:, self.second]
-        lags = np.concatenate([first[:1] - second[1:], first[1:] - second[:1], first[1:] - second[1:]])
-        lags = np.rint(lags).astype(np.int64) + self.half_lags
+        one, other = _MEETINGS
+        lags = np.rint(ranges[one][:, self.first] - ranges[other][:, self.second]).astype(np.int64) + self.half_lags
         inside = (lags >= 0) & (lags <= 2 * self.half_lags)
         lag, row = lags[inside], np.broadcast_to(np.arange(len(gcc)), lags.shape)[inside]
         gain = np.ones_like(gcc)
@@ -277,6 +275,14 @@ class SteeredResponse:
                 gain[row, np.clip(lag + side, 0, 2 * self.half_lags)] = depth
         return gcc * gain
 
+
+_IMAGES = np.array([[x, y, z] for x in range(-2, 3) for y in range(-2, 3) for z in range(-2, 3)])
+_IMAGES = _IMAGES[np.abs(_IMAGES).sum(axis=1) <= 2]
+"""How often each image of a place was mirrored, to which side, along each axis (images, 3)."""
+
+_REFLECTIONS = np.abs(_IMAGES).sum(axis=1)
+_MEETINGS = np.nonzero(np.isin(_REFLECTIONS[:, None] + _REFLECTIONS, (1, 2)))
+"""Which image stands in a pair's first channel and which in its second: one or two reflections together."""
 
 _CUBE = np.array([[x, y, z] for z in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)], dtype=np.float64)
 

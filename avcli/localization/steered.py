@@ -315,7 +315,7 @@ class SteeredLocalizer:
                 position, velocity, response = steered.follow(gccs, offsets, start, self.settings.max_speed)
                 peak = self.refined(gccs, offsets, position, velocity, response, noise)
                 coherence = self.coherence(spectra, offsets, peak.position, velocity)
-                peak = replace(peak, own=float((coherence * (coherence > explained)).sum() / coherence.sum()))
+                peak = replace(peak, own=float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12)))
                 explained = np.maximum(explained, coherence)
             if again is not None and _level(peak.position, again) > reach:
                 continue
@@ -327,7 +327,7 @@ class SteeredLocalizer:
             gccs = [steered.notch(gcc, place, 0.1) for gcc, place in zip(gccs, places, strict=True)]
             if len(found) == 1:
                 room = self.array.room
-                gccs = [steered.notch_echoes(gcc, place, room, 0.02) for gcc, place in zip(gccs, places, strict=True)]
+                gccs = [steered.notch_echoes(gcc, place, room, 0.012) for gcc, place in zip(gccs, places, strict=True)]
         return found
 
     def coherence(self, spectra, offsets, position, velocity) -> np.ndarray:

@@ -11,15 +11,15 @@ import numpy as np
 FLOOR = 0.003
 """m: the standard deviation that no localization undercuts (where the microphones are, how warm the air is)."""
 
-FIRST = {"one": 4.69, "response": 2.0, "agreement": 5.27}
-FURTHER = {"one": 0.60, "response": 2.38, "own": 6.27}
+FIRST = {"one": 4.86, "response": 3.07, "agreement": 6.12}
+FURTHER = {"one": 1.14, "response": 3.06, "own": 9.03}
 """Logit of the probability that a decision's first peak, or a further one, is within half a metre (x, y) of a talker,
 on the logarithms of its features, were it not new."""
 
-NEW, LASTING = -2.0, {"first": 0.86, "further": 2.27}
+NEW, LASTING = -2.0, {"first": 0.91, "further": 2.05}
 """What is added to it: for every peak, and for how lasting it is."""
 
-MEMORY = 0.2
+MEMORY = 0.28
 """s: how long a decision counts in the later ones."""
 
 SPREAD = {"one": -2.67, "response": -0.80, "support": -4.77}

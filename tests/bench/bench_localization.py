@@ -1,6 +1,6 @@
 """How well, how often and how fast avdetect-audio's methods localize, beside the Cramér-Rao bound.
 
-    make bench-localization                        # table, records and plot in bench-out/
+    make bench-localization                        # localization.md, .jsonl and .svg in bench-out/
     make bench-localization BENCH_FLAGS=--fit      # fit the score and the covariance on the scenes that decide
 
 The rooms are simulated by pyroomacoustics, not by us, with real speech (CMU ARCTIC) where ../shared/data or
@@ -10,6 +10,7 @@ share no place, no path and no voice. A detection is right within 0.5 m in x and
 
 import argparse
 import importlib.util
+import json
 import os
 import subprocess
 import sys
@@ -51,7 +52,7 @@ ARRAY = Array(MICROPHONES, FS, ROOM, SPEED)
 SPLITS = {
     "fit": (11, "aew", (("en-us", "Could you open the window please, it is getting warm in this room."),
                         ("en-gb+f2", "Seven people walked along the corridor and talked about the weather."))),
-    "report": (97, "axb", (("en-gb-scotland", "The meeting starts at nine and everybody should bring a notebook."),
+    "report": (907, "axb", (("en-gb-scotland", "The meeting starts at nine and everybody should bring a notebook."),
                            ("en-us+f4", "My brother keeps his old bicycle behind the garden shed."))),
 }  # fmt: skip
 CONDITIONS = [
@@ -241,13 +242,20 @@ METHODS = {
     "3d-ssl": ssl3d.Settings(),
     "3d-ssl --refine": ssl3d.Settings(refine=True),
     "srp": Settings(),
+}
+VARIANTS = {
+    "3d-ssl --refine --window 0.186": ssl3d.Settings(refine=True, window=0.186),
     "srp --max-speakers 1": Settings(max_speakers=1),
     "srp --context 0": Settings(context=0.0),
+    "srp --context 0 --window 0.093": Settings(context=0.0, window=0.093),
     "srp --context 0 --window 0.372": Settings(context=0.0, window=0.372),
     "srp --beta 0.7": Settings(beta=0.7),
+    "srp --cell 0.5": Settings(cell=0.5),
+    "srp --resolution 0.08": Settings(resolution=0.08),
     "srp --keep 8": Settings(keep=8),
     "srp --keep 64": Settings(keep=64),
 }
+"""Windows, grids and the rest, compared where the thesis's room is: T60 0.35 s, 30 dB, one who stands."""
 
 
 def run(settings, scene):
@@ -287,7 +295,7 @@ def matched(decisions, scene):
 def summary(method, condition, prepared):
     rows, active, hit, cost = [], 0, 0, []
     for scene in prepared:
-        decisions, seconds = run(METHODS[method], scene)
+        decisions, seconds = run((METHODS | VARIANTS)[method], scene)
         more, on, found = matched(decisions, scene)
         rows, active, hit = rows + more, active + on, hit + found
         cost.append(seconds)
@@ -347,10 +355,11 @@ class Witness(SteeredLocalizer):
 
 
 def witnessed(scene):
-    """For each peak: whether it is right, its error (3,), its features, its normal matrix.
+    """For each peak: whether it is right, its error (3,), its features, its normal matrix, its weight.
 
     Right is within half a metre (x, y) of a talker who is not taken and sounds, or did 0.15 s ago or will 0.15 s later:
-    who fell silent is not to be reported from memory.
+    who fell silent is not to be reported from memory. Two at once are rarer in a room than among these scenes: what
+    comes after the first peak counts twice where one talks.
     """
     localizer = Witness(ARRAY, Settings(), np.random.default_rng(0))
     localizer.seen = []
@@ -365,7 +374,8 @@ def witnessed(scene):
         if near:
             taken.add((moment, nearest))
         right = near and bool(scene.talkers[nearest].sounding[begin:end].any())
-        rows.append((right, errors[nearest], features, peak.normal))
+        weight = 2.0 if not features.first and sum(talker.sounding[begin] for talker in scene.talkers) < 2 else 1.0
+        rows.append((right, errors[nearest], features, peak.normal, weight))
     return rows
 
 
@@ -381,20 +391,21 @@ def fit(count):
         print(condition, len(rows), flush=True)
     chance = np.zeros(len(rows))
     for first, names in ((True, uncertainty.FIRST), (False, uncertainty.FURTHER)):
-        chosen = np.array([features.first == first for _, _, features, _ in rows])
+        chosen = np.array([row[2].first == first for row in rows])
         mine = [row for row, is_mine in zip(rows, chosen, strict=True) if is_mine]
         right = np.array([row[0] for row in mine], float)
         terms = np.array(
             [
                 [1.0, *(np.log(max(getattr(f, name), 1e-3)) for name in names if name != "one"), f.before]
-                for _, _, f, _ in mine
+                for _, _, f, _, _ in mine
             ]
         )
+        counts = np.array([row[4] for row in mine])
         weights = np.zeros(terms.shape[1])
         for _ in range(50):  # Newton's method on the logistic likelihood
             p = 1.0 / (1.0 + np.exp(-np.clip(terms @ weights, -30, 30)))
-            hessian = (terms * (p * (1 - p))[:, None]).T @ terms + 1e-3 * np.eye(len(weights))
-            weights += np.linalg.solve(hessian, terms.T @ (right - p) - 1e-3 * weights)
+            hessian = (terms * (counts * p * (1 - p))[:, None]).T @ terms + 1e-3 * np.eye(len(weights))
+            weights += np.linalg.solve(hessian, terms.T @ (counts * (right - p)) - 1e-3 * weights)
         chance[chosen] = p
         loss = -np.mean(right * np.log(p + 1e-12) + (1 - right) * np.log(1 - p + 1e-12))
         print(f"{len(mine)} peaks, {right.mean():.3f} of them right, log loss {loss:.4f}")
@@ -409,7 +420,7 @@ def fit_spread(rows):
     """Fit SPREAD and MOTION on rows of `witnessed` that are right; what other heights add is not in them."""
     from scipy.optimize import minimize
 
-    terms = np.array([[1.0, np.log(f.response), np.log(max(f.support, 1e-3))] for _, _, f, _ in rows])
+    terms = np.array([[1.0, np.log(f.response), np.log(max(f.support, 1e-3))] for _, _, f, _, _ in rows])
     errors = np.array([row[1] for row in rows])
     normals = np.array([row[3] for row in rows])
     speed = np.array([row[2].speed for row in rows])
@@ -433,43 +444,87 @@ def fit_spread(rows):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("bench-out"), help="folder for the records and the plot")
-    parser.add_argument("--scenes", type=int, default=12, help="scenes of each condition (walkers: half as many)")
-    parser.add_argument("--split", choices=list(SPLITS), default="report", help="which scenes")
-    parser.add_argument("--methods", nargs="*", default=list(METHODS)[:3], choices=list(METHODS))
+    parser.add_argument("--out", type=Path, default=Path("bench-out"), help="folder for the table, records and plot")
+    parser.add_argument("--scenes", type=int, default=8, help="scenes of each condition (walkers: half as many)")
+    parser.add_argument("--split", choices=list(SPLITS), default="report", help="which voices and places")
+    parser.add_argument("--seed", type=int, help="seed of the places and of the noise, instead of the split's")
+    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS | VARIANTS))
     parser.add_argument("--kinds", nargs="*", default=["still", "walking", "two", "turns"], help="kinds of scenes")
-    parser.add_argument("--all-methods", action="store_true", help="window, grid and beta too")
+    parser.add_argument("--no-variants", action="store_true", help="leave windows and grids out")
     parser.add_argument("--fit", action="store_true", help="fit score and covariance instead")
     options = parser.parse_args()
+    if options.seed is not None:
+        SPLITS[options.split] = (options.seed, *SPLITS[options.split][1:])
     if options.fit:
         fit(options.scenes)
         return
-    methods = list(METHODS) if options.all_methods else options.methods
     options.out.mkdir(parents=True, exist_ok=True)
     records = []
-    print(f"{'scene':8} {'T60':>5} {'SNR':>4} {'method':32} {'recall':>7} {'precis.':>7} {'score':>6} {'2D m':>7} "
-          f"{'p90':>6} {'3D m':>7} {'NEES':>6} {'c95':>5} {'c95xy':>5} {'ms':>6}")  # fmt: skip
     for condition in (condition for condition in CONDITIONS if condition[0] in options.kinds):
         prepared = list(scenes(options.split, condition, options.scenes))
         level, space = bounds(prepared)
-        kind, t60, snr = condition
-        print(f"{kind:8} {t60:5g} {snr:4} {'Cramér-Rao bound, one window':32} {level:31.4f} {space:14.4f}")
+        methods = list(options.methods)
+        if condition == ("still", 0.35, 30) and not options.no_variants:
+            methods += list(VARIANTS)
         for method in methods:
             record = {**summary(method, condition, prepared), "bound_2d_m": level, "bound_3d_m": space}
             records.append(record)
-            shown = [
-                "-" if record[key] is None else f"{record[key]:.{digits}f}"
-                for key, digits in (("recall", 3), ("precision", 3), ("mean_score", 3), ("error_2d_m", 4),
-                                    ("error_2d_p90_m", 3), ("error_3d_m", 4), ("nees_3d", 2), ("coverage95_3d", 2),
-                                    ("coverage95_2d", 2), ("ms", 1))
-            ]  # fmt: skip
-            columns = " ".join(f"{text:>{w}}" for text, w in zip(shown, (7, 7, 6, 7, 6, 7, 6, 5, 5, 6), strict=True))
-            print(f"{kind:8} {t60:5g} {snr:4} {method:32} {columns}", flush=True)
-    import json
-
+            print(row(record), flush=True)
+    seed = SPLITS[options.split][0]
     (options.out / "localization.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+    (options.out / "localization.md").write_text(table(records, f"split {options.split}, seed {seed}"))
     if importlib.util.find_spec("matplotlib"):
         plot(records, options.out / "localization.svg")
+
+
+COLUMNS = (
+    ("scene", "scene", None), ("T60 s", "rt60_s", "g"), ("SNR dB", "snr_db", "g"), ("method", "method", None),
+    ("recall", "recall", ".3f"), ("precision", "precision", ".3f"), ("score", "mean_score", ".3f"),
+    ("error x y, mm", "error_2d_m", "mm"), ("its 90 %, mm", "error_2d_p90_m", "mm"),
+    ("bound x y, mm", "bound_2d_m", "mm"),
+    ("error x y z, mm", "error_3d_m", "mm"), ("bound x y z, mm", "bound_3d_m", "mm"), ("NEES of 3", "nees_3d", ".2f"),
+    ("in 95 %, x y", "coverage95_2d", ".2f"), ("CPU ms", "ms", ".1f"),
+)  # fmt: skip
+
+
+def row(record):
+    """One row of a Markdown table."""
+
+    def shown(value, form):
+        if value is None:
+            return ""
+        if form == "mm":
+            return f"{1000.0 * value:.1f}"
+        return format(value, form or "")
+
+    return "| " + " | ".join(shown(record[key], form) for _, key, form in COLUMNS) + " |"
+
+
+def table(records, what):
+    """What was measured, as Markdown."""
+    head = "| " + " | ".join(name for name, _, _ in COLUMNS) + " |\n"
+    head += "|" + "|".join(" --- " if form is None else " ---: " for _, _, form in COLUMNS) + "|\n"
+    plain = [record for record in records if record["method"] in METHODS]
+    others = [record for record in records if record["method"] in VARIANTS]
+    text = f"""# Localization: error, recall, precision and run time
+
+By `make bench-localization` ({what}), load {os.getloadavg()[0]:.1f}. Rooms by pyroomacoustics, the thesis's eight
+microphones. A detection is right within 0.5 m in x and y of a talker; recall is over the tenths of a second in which a
+talker sounds. Errors are medians over what is right. NEES is the mean normalised error squared of three dimensions. CPU
+time is of one process for a decision, the start left out, and the least of the scenes.
+The bound is Cramér and Rao's for one window of 0.186 s, echoes counted as noise: of several windows less is possible.
+
+![recall against run time, and error against the bound](localization.svg)
+
+## Methods
+
+"""
+    text += head + "".join(row(record) + "\n" for record in plain)
+    if others:
+        default = [r for r in plain if (r["scene"], r["rt60_s"], r["snr_db"]) == ("still", 0.35, 30)]
+        text += "\n## Windows and grids\n\n" + head
+        text += "".join(row(record) + "\n" for record in [*default, *others])
+    return text
 
 
 def plot(records, path):
@@ -477,19 +532,33 @@ def plot(records, path):
     import matplotlib
 
     matplotlib.use("svg")
+    matplotlib.rcParams["svg.hashsalt"] = "localization"
     from matplotlib import pyplot
 
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
-    for method in dict.fromkeys(record["method"] for record in records):
-        mine = [record for record in records if record["method"] == method]
-        left.scatter([r["ms"] for r in mine], [r["recall"] for r in mine], label=method, s=18)
-        found = [r for r in mine if r["error_2d_m"] is not None]
-        right.scatter([r["bound_2d_m"] for r in found], [r["error_2d_m"] for r in found], label=method, s=18)
-    left.set(xlabel="CPU ms a decision", ylabel="recall", xscale="log")
-    right.set(xlabel="Cramér-Rao bound, x and y (m)", ylabel="median error, x and y (m)", xscale="log", yscale="log")
-    limits = right.get_xlim()
-    right.plot(limits, limits, color="grey", linewidth=0.8)
-    left.legend(fontsize=7)
+    shapes = {"still": "o", "walking": ">", "two": "s", "turns": "D"}
+    for number, method in enumerate(METHODS):
+        for kind, shape in shapes.items():
+            mine = [r for r in records if r["method"] == method and r["scene"] == kind]
+            style = {"color": f"C{number}", "marker": shape, "s": 26, "alpha": 0.8, "linewidths": 0}
+            left.scatter([r["ms"] for r in mine], [r["recall"] for r in mine], **style)
+            found = [r for r in mine if r["error_2d_m"] is not None]
+            right.scatter([r["bound_2d_m"] for r in found], [r["error_2d_m"] for r in found], **style)
+    variants = [r for r in records if r["method"] in VARIANTS]
+    left.scatter([r["ms"] for r in variants], [r["recall"] for r in variants], color="grey", marker="x", s=22)
+    left.set(xlabel="CPU ms a decision", ylabel="recall", xscale="log", ylim=(0, 1.03))
+    right.set(xlabel="Cramér-Rao bound of one window, x and y (m)", ylabel="median error, x and y (m)")
+    right.set(xscale="log", yscale="log")
+    limits = np.array(right.get_xlim())
+    right.plot(limits, limits, color="grey", linewidth=0.8, zorder=0)
+    right.set_xlim(limits)
+    for number, method in enumerate(METHODS):
+        left.scatter([], [], color=f"C{number}", marker="o", label=method)
+    for kind, shape in shapes.items():
+        left.scatter([], [], color="grey", marker=shape, label=kind)
+    if variants:
+        left.scatter([], [], color="grey", marker="x", label="other windows and grids")
+    left.legend(fontsize=8)
     figure.savefig(path, metadata={"Date": None})
 
 
