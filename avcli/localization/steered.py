@@ -315,7 +315,8 @@ class SteeredLocalizer:
                 position, velocity, response = steered.follow(gccs, offsets, start, self.settings.max_speed)
                 peak = self.refined(gccs, offsets, position, velocity, response, noise)
                 coherence = self.coherence(spectra, offsets, peak.position, velocity)
-                peak = replace(peak, own=float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12)))
+                own = (coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12)
+                peak = replace(peak, own=float(own))
                 explained = np.maximum(explained, coherence)
             if again is not None and _level(peak.position, again) > reach:
                 continue
