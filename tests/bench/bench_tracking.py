@@ -34,9 +34,9 @@ from avcli.tracking.motion import WALKING
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
 TRACKERS = {
     "ms-glmb": {},
-    "ms-glmb, 1 hypothesis": {"hypotheses": 1},
-    "ms-glmb, 10 hypotheses": {"hypotheses": 10},
-    "ms-glmb, 100 hypotheses": {"hypotheses": 100},
+    "ms-glmb, 5 hypotheses": {"hypotheses": 5},
+    "ms-glmb, 20 hypotheses": {"hypotheses": 20},
+    "ms-glmb, 80 hypotheses": {"hypotheses": 80},
     "ms-glmb, lag 5": {"lag": 5},
     "ms-glmb, lag inf": {"lag": math.inf},
     "lmb": {"tracker": "lmb"},
