@@ -17,6 +17,9 @@ PEOPLE = [(1.2, 2.3, 0.0, 0.3, 1.75), (3.4, 2.6, 2.0, -0.3, 1.65)]
 STEP = 1e-4
 
 
+DEPTH = "avdetect-video", "--detector", "depth"
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """An experiment of three small frames: nobody, one, two people."""
@@ -71,7 +74,7 @@ def refused(result, *words, code=1):
 
 
 def test_people_before_the_empty_room(made):
-    records = found(run("avdetect-video", "-C", made, made / "frames.jsonl"))
+    records = found(run(*DEPTH, "-C", made, made / "frames.jsonl"))
     assert [record["timestamp"] for record in records] == ["0.0000000000", "0.1000000000", "0.2000000000"]
     assert [len(record["objects"]) for record in records] == [0, 1, 2]
     assert {record["sensor"] for record in records} == {"video"}
@@ -85,15 +88,15 @@ def test_ground_truth_that_passes_by_changes_nothing(made):
     lines = [json.loads(line) for line in (made / "frames.jsonl").read_text().splitlines()]
     bare = "".join(json.dumps({"timestamp": line["timestamp"], "frame": line["frame"]}) + "\n" for line in lines)
     other = '{"timestamp": 0, "audio": {"path": "a.wav"}}\n' + bare
-    expected = run("avdetect-video", "-C", made, made / "frames.jsonl").stdout
-    assert run("avdetect-video", "-C", made, stdin=bare).stdout == expected
-    assert run("avdetect-video", "-C", made, "-", stdin=other).stdout == expected
+    expected = run(*DEPTH, "-C", made, made / "frames.jsonl").stdout
+    assert run(*DEPTH, "-C", made, stdin=bare).stdout == expected
+    assert run(*DEPTH, "-C", made, "-", stdin=other).stdout == expected
 
 
 def test_depth_pictures_by_name_give_the_same(made):
-    by_records = run("avdetect-video", "-C", made, made / "frames.jsonl").stdout
+    by_records = run(*DEPTH, "-C", made, made / "frames.jsonl").stdout
     frames = sorted((made / "video" / "depth").glob("Depth_frame_*.png"))
-    assert run("avdetect-video", "-C", made, *frames).stdout == by_records
+    assert run(*DEPTH, "-C", made, *frames).stdout == by_records
 
 
 def test_the_bytes_are_the_same_with_any_number_of_threads(made):
@@ -180,12 +183,12 @@ def broken(folder, kind, how):
 @pytest.mark.parametrize("how", ["missing", "empty", "no picture", "truncated", "another size", "colour"])
 def test_a_depth_picture_that_is_wrong(folder, how):
     broken(folder, "depth", how)
-    refused(run("avdetect-video", "-C", folder, folder / "frames.jsonl"))
+    refused(run(*DEPTH, "-C", folder, folder / "frames.jsonl"))
 
 
 def test_a_picture_that_is_wrong_can_be_skipped(folder):
     broken(folder, "depth", "truncated")
-    skipping = run("avdetect-video", "-C", folder, "--skip-invalid", folder / "frames.jsonl")
+    skipping = run(*DEPTH, "-C", folder, "--skip-invalid", folder / "frames.jsonl")
     assert skipping.returncode == 0
     assert [json.loads(line)["timestamp"][:3] for line in skipping.stdout.splitlines()] == ["0.0", "0.2"]
     assert "skipped" in skipping.stderr
@@ -200,7 +203,7 @@ def test_a_colour_picture_that_is_wrong(folder, network, how):
 @pytest.mark.parametrize("value", [0, 65535])
 def test_depth_without_a_measurement_is_nobody(folder, value):
     media.write_png(folder / experiment.Layout.depth(0.2), np.full((270, 480), value, np.uint16))
-    records = found(run("avdetect-video", "-C", folder, folder / "frames.jsonl"))
+    records = found(run(*DEPTH, "-C", folder, folder / "frames.jsonl"))
     assert [len(record["objects"]) for record in records] == [0, 1, 0]
 
 
@@ -220,15 +223,15 @@ def test_colour_pictures_of_other_kinds(folder, network, channels):
 
 def test_a_record_without_depth(made, network):
     line = json.dumps({"timestamp": 0.0, "frame": {"rgb": experiment.Layout.rgb(0.0)}}) + "\n"
-    refused(run("avdetect-video", "-C", made, stdin=line), "no depth picture")
+    refused(run(*DEPTH, "-C", made, stdin=line), "no depth picture")
     assert len(found(run("avdetect-video", "-C", made, "--model", network, stdin=line))[0]["objects"]) == 1
 
 
 def test_no_background(folder):
     (folder / experiment.Layout.background_depth).unlink()
-    refused(run("avdetect-video", "-C", folder, folder / "frames.jsonl"), "Depth_background.png")
+    refused(run(*DEPTH, "-C", folder, folder / "frames.jsonl"), "Depth_background.png")
     (folder / "config.json").write_text((folder / "config.json").read_text().replace("background_depth", "unused"))
-    refused(run("avdetect-video", "-C", folder, folder / "frames.jsonl"), "background_depth")
+    refused(run(*DEPTH, "-C", folder, folder / "frames.jsonl"), "background_depth")
 
 
 @pytest.mark.parametrize(
@@ -271,7 +274,7 @@ def test_a_video_and_its_rate(folder, network, tmp_path):
 
 def test_an_overlay_of_pictures(made, tmp_path):
     target = tmp_path / "drawn"
-    run("avdetect-video", "-C", made, "--overlay", target, made / "frames.jsonl")
+    run(*DEPTH, "-C", made, "--overlay", target, made / "frames.jsonl")
     pictures = sorted(target.iterdir())
     assert [path.name for path in pictures] == [f"overlay_0.{k}000000000.png" for k in range(3)]
     original = media.read_rgb(made / experiment.Layout.rgb(0.2))

@@ -44,8 +44,10 @@ def _size(_context, _parameter, value: str | None) -> tuple[int, int] | None:
 @click.option(
     "--detector",
     type=click.Choice(["net", "depth"]),
+    default="net",
+    show_default=True,
     help="How people are found: net, a network in the colour picture; depth, what stands before the empty room's "
-    "depth. [default: depth; net with --model]",
+    "depth.",
 )
 @click.option(
     "--model",
@@ -114,9 +116,9 @@ def main(session, files, detector, model, rate, overlay, position, **options):
     """
     if model and detector == "depth":
         session.usage("--model is for --detector net")
-    network = (detector or ("net" if model else "depth")) == "net"
+    network = detector == "net"
     if options["monocular"] and not network:
-        session.usage("--monocular places what a network has found: it needs --detector net or --model")
+        session.usage("--monocular places what a network has found: it is for --detector net")
     with session.output() as write, contextlib.ExitStack() as stack:
         shots = _shots(session, files, rate, pictures_are_depth=not network)
         pool = stack.enter_context(ThreadPoolExecutor(2))

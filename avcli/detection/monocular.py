@@ -16,6 +16,9 @@ HEIGHT_M, HEIGHT_SPREAD_M = 1.70, 0.12
 PART_HEIGHTS = np.array([0.54, 0.93, 0.0])
 """Heights of torso, head and foot as parts of the body's."""
 
+HIDDEN = 2.0
+"""How many times less a side of the box tells that is nearer to the middle than the body's."""
+
 _TILT = 2 * np.pi * np.arange(12) / 12
 _RING = np.stack([np.cos(_TILT), np.sin(_TILT)], axis=1)
 _OUTLINE = np.concatenate(  # a body of height 1: parts of the height, with the radii (m) that limbs reach on average
@@ -82,7 +85,10 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
         told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=1)
         jacobian[~told] = 0.0
         error = np.where(told, measured - predicted, 0.0)
-        weights = 1.0 / np.maximum(np.abs(error / spread) / 2.0, 1.0) / spread**2  # Huber: an arm moves one side only
+        shorter = np.append(error[:2] > 0, error[2:4] < 0)
+        doubt = spread.copy()
+        doubt[:4][shorter] *= HIDDEN  # something may hide that side of the body, and nothing can add to it
+        weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
         information = jacobian.T @ (weights[:, None] * jacobian) + prior + np.eye(3)
         step = np.linalg.solve(information, jacobian.T @ (weights * error) + prior @ (mean - state))
         step *= min(1.0, 0.3 / max(np.abs(step).max(), 1e-12))
@@ -92,7 +98,8 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
     cost = float(weights @ error**2)
     if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6 or not _agree(predicted[:4], measured[:4]):
         return None
-    covariance = np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)
+    surplus = max(cost / max(np.count_nonzero(told) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
+    covariance = surplus * np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)
     return state, (covariance + covariance.T) / 2, cost
 
 

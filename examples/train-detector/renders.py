@@ -13,8 +13,10 @@ from avcli.scene import render, scenario
 SHAPES = [(640, 360), (640, 360), (640, 360), (640, 384), (512, 384), (384, 384)]
 
 
-def random_scenario(rng: np.random.Generator, width: int, height: int, people: int | None = None) -> dict:
-    """A scenario of random room, camera, furniture and walks, for pictures of width × height px; 10 s long."""
+def random_scenario(
+    rng: np.random.Generator, width: int, height: int, people: int | None = None, pieces: int | None = None
+) -> dict:
+    """A scenario of random room, camera, `pieces` of furniture and walks, for pictures of width × height px; 10 s."""
     room = [*rng.uniform(3.6, 7.5, 2), rng.uniform(2.5, 4.2)]
     top = min(rng.uniform(2.2, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.0), room[2] - 0.1)
     eye = [room[0] / 2 + rng.normal(0, 0.3), room[1] / 2 + rng.normal(0, 0.3), top]
@@ -40,7 +42,7 @@ def random_scenario(rng: np.random.Generator, width: int, height: int, people: i
         return [float(rng.uniform(margin, side - margin)) for side in room[:2]]
 
     furniture = []
-    for _ in range(rng.integers(0, 6)):
+    for _ in range(rng.integers(0, 6) if pieces is None else pieces):
         kind = ["table", "chair", "chair", "box", "cylinder", "sphere", "panel"][rng.integers(7)]
         item = {"kind": kind, "rotation_deg": rng.uniform(0, 360), "color": [float(c) for c in _colour(rng)]}
         if kind in ("table", "chair"):
@@ -103,9 +105,9 @@ class Shot:
     anchors: np.ndarray
 
 
-def shots(rng: np.random.Generator, width: int, height: int, count: int, context=None, people=None):
+def shots(rng: np.random.Generator, width: int, height: int, count: int, context=None, people=None, pieces=None):
     """Yield `count` frames at random times of one random scene."""
-    scene = scenario.parse(random_scenario(rng, width, height, people))
+    scene = scenario.parse(random_scenario(rng, width, height, people, pieces))
     actors = [
         dataclasses.replace(person, look=random_look(rng, person.height), gestures=bool(rng.random() < 0.8))
         for person in scene.people
@@ -170,9 +172,12 @@ class Library:
     def __call__(self) -> Sample:
         shot = next(self._shots, None)
         while shot is None:
-            width, height = SHAPES[self.rng.integers(len(SHAPES))]
+            size = SHAPES[self.rng.integers(len(SHAPES))]
+            each, people, pieces = self.each, self.people, None
+            if not self.plain and people is None and self.rng.random() < 0.8:  # to learn what is furniture
+                each, people, pieces = 2, 0, int(self.rng.integers(4, 11))
             try:
-                self._shots = shots(self.rng, width, height, self.each, self.context, self.people)
+                self._shots = shots(self.rng, *size, each, self.context, people, pieces)
                 shot = next(self._shots, None)
             except scenario.ScenarioError:
                 continue
