@@ -106,7 +106,7 @@ def locate(
     direction = centre - view.origin[:2]
     direction = direction / max(np.linalg.norm(direction), 1e-9)
     hidden = (1 - fraction) ** 2
-    radial, tangential = 0.033**2 + 0.15**2 * hidden, 0.027**2 + 0.11**2 * hidden  # fitted to renders of random scenes
+    radial, tangential = 0.040**2 + 0.18**2 * hidden, 0.033**2 + 0.135**2 * hidden  # fitted to renders of random scenes
     covariance = tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
     return centre, covariance, fraction
 

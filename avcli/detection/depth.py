@@ -4,7 +4,9 @@ The plan view (Harville, 2004, Stereo person tracking with adaptive plan-view te
 hide each other in the picture: however they overlap there, their bodies stand apart on the floor.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -84,10 +86,10 @@ class DepthDetector:
         """
         if not len(found):
             return []
-        guesses = [
-            locate_box(box, self.view, None if found.parts is None else found.parts[index])
-            for index, box in enumerate(found.boxes)
-        ]
+
+        def by_box(index: int) -> tuple | None:
+            return locate_box(found.boxes[index], self.view, None if found.parts is None else found.parts[index])
+
         bodies, empty = [], np.zeros(len(found), bool)
         if depth is not None:
             inside = np.zeros((len(found), *depth.shape), bool)
@@ -101,13 +103,13 @@ class DepthDetector:
                 body for body in self._bodies(depth, near & inside.any(axis=0)) if body.surface.sum() > self.min_surface
             ]
         people, free = [], list(range(len(bodies)))
-        for index, guess in enumerate(guesses):
-            chosen = self._choose([bodies[k] for k in free], inside[index], guess) if bodies else None
+        for index in range(len(found)):
+            chosen = self._choose([bodies[k] for k in free], inside[index], partial(by_box, index)) if bodies else None
             person = None
             if chosen is not None:
                 body = bodies[free.pop(chosen)]
                 person = self._person(body, depth, float(found.scores[index]))
-            elif guess is not None and not empty[index]:
+            elif not empty[index] and (guess := by_box(index)) is not None:
                 person = _person_by_box(*guess, found.scores[index])
             if person is not None:
                 box = np.clip(found.boxes[index], 0, [*self.view.size, *self.view.size])
@@ -126,19 +128,18 @@ class DepthDetector:
             for member in separate(points, surface)
         ]
 
-    def _choose(self, bodies: list[_Body], inside: np.ndarray, guess: tuple | None) -> int | None:
-        best, choice = 0.0, None
+    def _choose(self, bodies: list[_Body], inside: np.ndarray, by_box: Callable) -> int | None:
+        """The body that a box means, of those that lie in it for the most part; None if there is none."""
+        amounts = {}
         for index, body in enumerate(bodies):
-            within = inside[body.rows, body.columns]
-            amount = body.surface[within].sum()
-            if amount < 0.5 * body.surface.sum():
-                continue
-            if guess is not None:
-                away = np.average(body.points[:, :2], axis=0, weights=body.surface) - guess[0]
-                amount *= np.exp(-0.5 * (away @ away) / 0.4**2)
-            if amount > best:
-                best, choice = amount, index
-        return choice
+            amount = body.surface[inside[body.rows, body.columns]].sum()
+            if amount > 0 and amount >= 0.5 * body.surface.sum():
+                amounts[index] = amount
+        if len(amounts) > 1 and (guess := by_box()) is not None:
+            for index in amounts:
+                away = np.average(bodies[index].points[:, :2], axis=0, weights=bodies[index].surface) - guess[0]
+                amounts[index] *= np.exp(-0.5 * (away @ away) / 0.4**2)
+        return max(amounts, key=amounts.get) if amounts else None
 
     def _free_above(self, person: Person, depth: np.ndarray) -> bool:
         """Whether the camera sees through the place where the body of someone who stands there would be."""

@@ -2,7 +2,7 @@
 
     make bench-detection [BENCH_FLAGS="--scenes 40 --model yolo.onnx"]
 
-Writes detection.md, detection.jsonl and detection.png into --out. Scenes, looks, lenses, camera heights and furniture
+Writes detection.md, detection.jsonl and detection.svg into --out. Scenes, looks, lenses, camera heights and furniture
 are random (examples/train-detector/renders.py), pictures 1920 × 1080. A person counts as one to be found if at least a
 third of the body is seen; errors are of x and y against the point on the floor under the body. Times are CPU
 milliseconds of one thread, without reading files.
@@ -193,7 +193,7 @@ def plot(tallies: dict, path: Path) -> None:
     axes.set(xlabel="error of x and y / m", ylabel="fraction of people found", xscale="log", xlim=(0.005, 1))
     axes.legend(fontsize=7)
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=120)
+    figure.savefig(path, metadata={"Date": None})
 
 
 def main() -> None:
@@ -221,7 +221,7 @@ def main() -> None:
     print(text)
     (options.out / "detection.md").write_text(text)
     (options.out / "detection.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    plot(tallies, options.out / "detection.png")
+    plot(tallies, options.out / "detection.svg")
 
 
 if __name__ == "__main__":
