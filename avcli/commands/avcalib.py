@@ -23,7 +23,12 @@ from avcli.commands.filter import FilterGroup, GateNotMet, common
 _THESIS = {"thesis": {"procedure": "thesis", "board_text": "6x8", "square": 95.0, "rate": 2.0}}
 
 
-@click.group("avcalib", cls=FilterGroup, invoke_without_command=False)
+@click.group(
+    "avcalib",
+    cls=FilterGroup,
+    invoke_without_command=False,
+    epilog="Example: avcalib calibrate film.mp4 --board 6x9 --square 90 -o camera.json",
+)
 @click.help_option("-h", "--help")
 @click.version_option(__version__, "--version", message="%(prog)s %(version)s")
 def main():
