@@ -4,6 +4,7 @@ import math
 from operator import itemgetter
 
 FIRST = itemgetter(0)
+ABSENT = ((0.0, -1),)
 
 
 def ranked(priors, options, budget=1000, span=11.5):
@@ -18,6 +19,15 @@ def ranked(priors, options, budget=1000, span=11.5):
     options: density index -> list of (log weight, detection), detection -1 for "missed"; best first.
     Returns a list of (log weight, prior number, tuple of detections, bit set of the used detections), best first.
     """
+    if len(priors[0][1]) == 1:  # one target alone competes with nobody
+        found = [
+            (weight + gain, number, (j,), 0 if j < 0 else 1 << j)
+            for number, (weight, (leaf,)) in enumerate(priors)
+            for gain, j in (options[leaf] if leaf >= 0 else ABSENT)
+        ]
+        found.sort(key=FIRST, reverse=True)
+        floor = found[0][0] - span - 1e-9
+        return [one for one in found if one[0] >= floor]
     beam, greedy = [], (-math.inf,)
     for number, (weight, row) in enumerate(priors):
         bound = weight + math.fsum(options[leaf][0][0] for leaf in row if leaf >= 0)

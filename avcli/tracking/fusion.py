@@ -70,9 +70,12 @@ class Fusion:
         return self.tracker.column[name]
 
     def _scan(self, at, model, parts):
-        positions = np.concatenate([part.positions[:, :2] for part in parts])
-        covariances = np.concatenate([part.covariances[:, :2, :2] for part in parts])
-        scores = np.concatenate([part.scores for part in parts])
+        positions, covariances, scores = parts[0].positions, parts[0].covariances, parts[0].scores
+        if len(parts) > 1:
+            positions = np.concatenate([part.positions for part in parts])
+            covariances = np.concatenate([part.covariances for part in parts])
+            scores = np.concatenate([part.scores for part in parts])
+        positions, covariances = positions[:, :2], covariances[:, :2, :2]
         if self.margin is not None:
             low, high = np.array(self.settings.area)
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
@@ -105,9 +108,8 @@ def noise_of(covariances, sigma, floor, area):
     noise = covariances.copy()
     axes = np.einsum("jkk->jk", noise)  # a view of the variances
     axes += floor * floor * (axes > 0)
-    silent = np.isnan(noise).any((1, 2))
-    if silent.any():
-        noise[silent] = np.diag(np.square(sigma))
+    if np.isnan(noise).any():
+        noise[np.isnan(noise).any((1, 2))] = np.diag(np.square(sigma))
     if not axes.all():
         for k in (0, 1):
             unseen = axes[:, k] == 0

@@ -5,7 +5,7 @@ Shapes: n densities of M motion models each: mean (n, M, 4), cov (n, M, 4, 4), m
 
 import numpy as np
 
-EYE2, EYE4 = np.eye(2), np.eye(4)
+EYE2 = np.eye(2)
 COFACTOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
@@ -94,10 +94,8 @@ def update(mean, cov, mode, z, noise, lead=0.0):
         mode = mode * np.exp(log - log.max(1, keepdims=True)) + 1e-12
         mode /= mode.sum(1, keepdims=True)
     mean = mean + (gain @ d[..., None])[..., 0]
-    keep = np.empty_like(cov)
-    keep[...] = EYE4
-    keep[..., :2] -= gain
-    cov = keep @ cov @ keep.swapaxes(-1, -2) + gain @ noise @ gain.swapaxes(-1, -2)
+    keep = cov - gain @ cov[..., :2, :]
+    cov = keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2)
     return mean, (cov + cov.swapaxes(-1, -2)) / 2, mode
 
 

@@ -46,6 +46,7 @@ class GLMB:
             np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m)), np.zeros(0), np.zeros((0, 0)), [], []
         )
         self.clusters, self.tentative = [], []
+        self.leaves, self.likeliest = [], []  # densities of labelled people: all, and those of the best hypotheses
         self.time = None
         self.unseen, self.unseen_found = np.array([settings.present, 0.0]), np.zeros(0)  # anywhere, near the walls
         self.sensors, self.column, self.rates = [], {}, []
@@ -94,12 +95,14 @@ class GLMB:
 
     def _stop_at_walls(self, before):
         """Hold predictions inside the room that were inside it before: before (n, M, 4) mean states."""
-        low, high = self.settings.corners + np.array([[BODY], [-BODY]])
-        place, pace, past = self.people.mean[..., :2], self.people.mean[..., 2:], before[..., :2]
-        over = ((place < low) & (past >= low)) | ((place > high) & (past <= high))
+        low, high = self.settings.corners
+        centre, half = (low + high) / 2, (high - low) / 2 - BODY
+        place, pace = self.people.mean[..., :2], self.people.mean[..., 2:]
+        over = abs(place - centre) > half
         if over.any():
+            over &= abs(before[..., :2] - centre) <= half
             pace[over] = 0.0
-            place[over] = np.clip(place, low, high)[over]
+            place[over] = np.clip(place, centre - half, centre + half)[over]
 
     def _evade(self, dt):
         """Let those who walk into each other face to face change course, within the next dt seconds.
@@ -108,19 +111,18 @@ class GLMB:
         they did; who comes from the side may pass behind.
         """
         rate, turn, people = self.settings.evade, self.settings.motion.turn, self.people
-        others = [leaf for cluster in self.clusters for leaf in cluster.rows[0] if leaf >= 0]
-        if len(others) < 2 or turn < 0 or not rate:
+        if len(self.likeliest) < 2 or turn < 0 or not rate:
             return
-        leaves = sorted({leaf for cluster in self.clusters for row in cluster.rows for leaf in row if leaf >= 0})
-        own, other = people.centres(leaves), people.centres(others)
-        place, pace = np.split(own[:, None] - other, 2, axis=2)
-        soon = -(place * pace).sum(2) / ((pace * pace).sum(2) + 1e-9)  # seconds until they are nearest
-        miss = place + pace * np.maximum(soon, 0.0)[..., None]
-        paces = np.linalg.norm(own[:, 2:], axis=1)[:, None] * np.linalg.norm(other[:, 2:], axis=1)
-        bump = (soon > -JUST) & (soon < SOON) & ((miss * miss).sum(2) < BUMP * BUMP)
-        bump &= own[:, 2:] @ other[:, 2:].T < FACING * paces
-        if bump.any():  # never somebody and himself: those walk the same way
-            rows = np.array(leaves)[bump.any(1)]
+        own, other = plane(people.centres(self.leaves)), plane(people.centres(self.likeliest))
+        place, pace = (own[:, None] - other).transpose(2, 0, 1)
+        soon = -(place * pace.conj()).real / (np.square(abs(pace)) + 1e-9)  # seconds until they are nearest
+        bump = (abs(soon - (SOON - JUST) / 2) < (SOON + JUST) / 2) & (abs(place + pace * np.maximum(soon, 0.0)) < BUMP)
+        if not bump.any():
+            return
+        own, other = own[:, 1:], other[:, 1]
+        bump &= (own * other.conj()).real < FACING * abs(own) * abs(other)  # never somebody and himself
+        if bump.any():
+            rows = np.array(self.leaves)[bump.any(1)]
             share = people.mode[rows, 0] * -math.expm1(-rate * dt)
             people.mode[rows, 0] -= share
             people.mode[rows, turn] += share
@@ -150,9 +152,15 @@ class GLMB:
             strangers = strangers * 0.0
         at = self.tentative
         spread = (noise[:, 0, 0] + noise[:, 1, 1]) / 2
-        strangers = strangers * self._elbow_room(z, spread)
-        room = self._elbow_room(people.mean[at, 0, :2], (people.cov[at, 0, 0, 0] + people.cov[at, 0, 1, 1]) / 2)
-        from_tentative = (people.exist[at] * chance[at] * room)[:, None] * gain[at]
+        if at:
+            axes = people.cov[at, 0]
+            places = np.concatenate([z, people.mean[at, 0, :2]])
+            room = self._elbow_room(places, np.concatenate([spread, (axes[:, 0, 0] + axes[:, 1, 1]) / 2]))
+            from_tentative = (people.exist[at] * chance[at] * room[len(z) :])[:, None] * gain[at]
+            strangers = strangers * room[: len(z)]
+        else:
+            from_tentative = gain[:0]
+            strangers = strangers * self._elbow_room(z, spread)
         rho = from_tentative.sum(0) + strangers
         background = kappa + rho
         free = np.ones(len(z))  # probability that no labelled person caused the detection
@@ -168,10 +176,7 @@ class GLMB:
         if self.settings.adapt:
             rates.learn(float(false.sum()), *self._hits_and_misses(groups, chance, detection))
         rates.learn_score(odds, 1 - false)
-        source = np.where(
-            from_tentative.max(0, initial=0.0) > strangers, from_tentative.argmax(0) if self.tentative else -1, -1
-        )
-        births = self._births(free, existence, source)
+        births = self._births(free, existence, from_tentative, strangers)
         self.born, self.died = [], []
         if self.journal is not None:
             account = self._account(name, z, groups, free, existence, kappa, rho)
@@ -187,18 +192,18 @@ class GLMB:
 
         gain (n, J): likelihoods of the detections; kappa: density of clutter, a number or (J,).
         """
-        leaves = [leaf for c in self.clusters for leaf in c.rows[0] if leaf >= 0]
-        if not leaves:
+        if not self.likeliest:
             return 1.0
-        present = self.people.exist[leaves] * self.people.found[leaves, column] * self.rates[column].detection
-        return float(np.minimum(1 - present + present * (gain[leaves] / kappa).sum(1), 1e3).prod())
+        leaves, people = np.array(self.likeliest), self.people
+        present = people.exist[leaves] * people.found[leaves, column] * self.rates[column].detection
+        return math.prod(np.minimum(1 - present + present * (gain[leaves] / kappa).sum(1), 1e3).tolist())
 
     def _elbow_room(self, places, spread):
         """Probability (n,) that someone new at places (n, 2), known to variances (n,), is not inside a known person."""
-        leaves = [leaf for c in self.clusters for leaf in c.rows[0] if leaf >= 0]
-        if not leaves or not len(places):
+        if not self.likeliest or not len(places):
             return np.ones(len(places))
-        taken = self._overlap(places, self.people.centres(leaves)[:, :2], spread) * self.people.exist[leaves]
+        known = plane(self.people.centres(self.likeliest))[:, 0]
+        taken = self._overlap(abs(plane(places) - known), spread) * self.people.exist.take(self.likeliest)
         return (1 - taken).prod(1)
 
     def _seen_already(self, z, spread, free, real):
@@ -208,27 +213,30 @@ class GLMB:
         stranger's then. Returns the probability (J,) of room for somebody else beside whom the others found, and the
         density (J,) of finding one of those a second time.
         """
-        away = z[:, None] - z
-        width = spread[:, None] + spread
-        again = TWICE * np.exp(-(away * away).sum(-1) / (2 * width)) / (2 * math.pi * width)
+        count = len(z)
+        if count < 2:
+            return np.ones(count), np.zeros(count)
+        spots, order = plane(z)[:, 0], np.arange(count)
+        apart, width = abs(spots[:, None] - spots), spread[:, None] + spread
+        again = TWICE / (2 * math.pi) * np.exp(-apart * apart / (2 * width)) / width
         found = np.minimum((1 - free) / np.maximum(free, 1e-9)[:, None], 1.0)  # if j is nobody's, k may well be
-        np.fill_diagonal(found, 0.0)
-        found = np.maximum(found, np.tril(np.tile(free * real, (len(z), 1)), -1))  # the first of two strangers counts
-        return (1 - self._overlap(z, z, spread) * found).prod(1), (again * found).sum(1)
+        later = order[:, None] > order
+        found = np.where(later, np.maximum(found, free * real), found)  # the first of two strangers counts
+        found[order, order] = 0.0
+        return (1 - self._overlap(apart, spread) * found).prod(1), (again * found).sum(1)
 
-    def _overlap(self, places, others, spread):
-        """How far bodies at places (n, 2) m, known to variances (n,), are inside those at others (k, 2): (n, k)."""
-        away = places[:, None] - others
-        return np.exp(-(away * away).sum(-1) / (2 * (self.settings.body**2 + spread[:, None])))
+    def _overlap(self, apart, spread):
+        """How far a body, known to variances (n,), is inside others at distances apart (n, k) m: (n, k)."""
+        return np.exp(-apart * apart / (2 * (self.settings.body**2 + spread))[:, None])
 
     def _options(self, exist, chance, gain, background):
         """What each labelled density may have caused: index -> [(log weight, detection or -1)], best first."""
-        rows = sorted({leaf for c in self.clusters for row in c.rows for leaf in row if leaf >= 0})
+        rows = self.leaves
         if not rows:
             return {}
-        present = exist[rows] * chance[rows]
+        present = exist.take(rows) * chance.take(rows)
         missed = np.log(np.maximum(1 - present, 1e-12)).tolist()
-        hits = (present[:, None] * gain[rows] / background).tolist()
+        hits = (present[:, None] * gain.take(rows, 0) / background).tolist()
         options = {}
         for leaf, miss, hit in zip(rows, missed, hits, strict=True):
             least = math.exp(miss + LOG_PRUNE)  # the same hypothesis but for a miss is likelier by so much
@@ -293,17 +301,17 @@ class GLMB:
 
     # --- the densities after a record ---------------------------------------------------------------------------------
 
-    def _births(self, free, existence, source):
+    def _births(self, free, existence, from_tentative, strangers):
         """People that detections may reveal: [(detection, tentative density or -1, number, existence)]."""
-        if self.settings.birth == "poisson":
-            number, least = existence * free, 10 * TENTATIVE
-        else:  # known people only; strangers are born for the next record, as many as are expected (Trezza et al. 2022)
-            number, least = existence * free * (source >= 0), 10 * TENTATIVE
+        number, least, poisson = existence * free, 10 * TENTATIVE, self.settings.birth == "poisson"
         births = []
         for j in np.flatnonzero(number > least).tolist():
-            at = self.tentative[source[j]] if source[j] >= 0 else -1
-            births.append((j, at, float(number[j]), float(existence[j])))
-        if self.settings.birth != "poisson":
+            source = from_tentative[:, j].argmax() if self.tentative else -1
+            known = source >= 0 and from_tentative[source, j] > strangers[j]
+            if known or poisson:
+                at = self.tentative[source] if known else -1
+                births.append((j, at, float(number[j]), float(existence[j])))
+        if not poisson:  # strangers are born for the next record, as many as are expected (Trezza et al. 2022)
             stranger = free * (1 - existence)
             share = np.minimum(self.settings.newborn, stranger / max(stranger.sum(), 1e-12) * self.settings.newborn)
             births += [(j, -1, float(share[j]), 0.0) for j in np.flatnonzero(share > least).tolist()]
@@ -326,34 +334,31 @@ class GLMB:
         renewed = [(at, j) for j, at, _, _ in births if at >= 0]
         fresh = [j for j, at, _, _ in births if at < 0]
 
-        parts = [people.take(miss + stay)]
-        old, parents = parts[0], miss + stay
-        seen = old.found[:, column]
+        parents, found, n, old = miss + stay, hit + renewed, len(miss), len(miss) + len(stay)
+        new = people.take(parents + [leaf for leaf, _ in found])
+        seen = new.found[:old, column]
         overlooked = 1 - seen * detection
-        n = len(miss)
-        present = old.exist[:n]
-        explained = np.maximum(1 - present * seen[:n] * detection, 1e-12)
-        old.exist = old.exist * overlooked
-        old.exist[:n] /= explained
-        old.found[:, column] = seen * (1 - detection) / np.maximum(overlooked, 1e-12)
-        if hit or renewed:
-            new = people.take([leaf for leaf, _ in hit + renewed])
-            js = [j for _, j in hit + renewed]
-            new.mean, new.cov, new.mode = gaussian.update(new.mean, new.cov, new.mode, z[js], noise[js], sensor.lead)
-            new.exist, new.found[:, column] = np.ones(len(js)), 1.0
-            parts.append(new)
+        explained = np.maximum(1 - new.exist[:n] * seen[:n] * detection, 1e-12)
+        new.exist[:old] *= overlooked
+        new.exist[:n] /= explained
+        new.found[:old, column] = seen * (1 - detection) / np.maximum(overlooked, 1e-12)
+        if found:
+            js, states = [j for _, j in found], (new.mean, new.cov, new.mode)
+            updated = gaussian.update(*(s[old:] for s in states), z.take(js, 0), noise.take(js, 0), sensor.lead)
+            for state, now in zip(states, updated, strict=True):
+                state[old:] = now
+            new.exist[old:], new.found[old:, column] = 1.0, 1.0
         if fresh:
-            parts.append(self._newcomers(column, z[fresh], noise[fresh]))
+            new = Densities.join([new, self._newcomers(column, z[fresh], noise[fresh])])
         if self.record:
-            for part in parts:
-                part.node = [Node.fork(node, self.time) for node in part.node]
-        self.people = people = Densities.join(parts) if len(parts) > 1 else old
+            new.node = [Node.fork(node, self.time) for node in new.node]
+        self.people = people = new
 
         place = {(leaf, -1): k for k, leaf in enumerate(miss)}
-        place.update((pair, len(parents) + k) for k, pair in enumerate(hit + renewed))
+        place.update((pair, old + k) for k, pair in enumerate(found))
         place[-1, -1] = -1
-        newcomer = {j: len(parents) + len(hit) + len(renewed) + k for k, j in enumerate(fresh)}
-        self.tentative = list(range(len(miss), len(parents)))
+        newcomer = {j: old + len(found) + k for k, j in enumerate(fresh)}
+        self.tentative = list(range(n, old))
         self.clusters, labels_taken = [], {label for labels, _ in groups for label in labels}
         for j, at, number, existence in births:
             row = place[at, j] if at >= 0 else newcomer[j]
@@ -367,6 +372,8 @@ class GLMB:
             rows = [tuple([place[pair] for pair in h[1]]) for h in hypotheses]
             cluster = Cluster(labels, rows, [h[0] for h in hypotheses])
             self._settle(cluster.condensed(people) if len(rows) > 1 else cluster)
+        self.leaves = sorted({leaf for cluster in self.clusters for row in cluster.rows for leaf in row if leaf >= 0})
+        self.likeliest = [leaf for cluster in self.clusters for leaf in cluster.rows[0] if leaf >= 0]
 
     def _newcomers(self, column, z, noise):
         """Densities of people seen for the first time by one sensor's detections."""
@@ -514,6 +521,11 @@ class GLMB:
             Track(label, mean[k], cov[k], exists, dict(zip(self.column, people.found[leaf].tolist(), strict=True)))
             for k, (label, leaf, exists, _) in enumerate(found)
         ]
+
+
+def plane(rows):
+    """Pairs of coordinates along the last axis, (..., 2 k), as complex numbers (..., k)."""
+    return np.ascontiguousarray(rows).view(complex)
 
 
 def gains(people, z, noise, lead):

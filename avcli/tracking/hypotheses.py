@@ -26,8 +26,8 @@ class Densities:
     def take(self, rows):
         """The given rows (a list), in that order."""
         at = np.array(rows, int)
-        label, node = [self.label[i] for i in rows], [self.node[i] for i in rows]
-        return Densities(self.mean[at], self.cov[at], self.mode[at], self.exist[at], self.found[at], label, node)
+        arrays = [a.take(at, 0) for a in (self.mean, self.cov, self.mode, self.exist, self.found)]
+        return Densities(*arrays, [self.label[i] for i in rows], [self.node[i] for i in rows])
 
     @staticmethod
     def join(parts):
@@ -38,21 +38,21 @@ class Densities:
 
     def centres(self, rows):
         """Mean states of some rows (a list of n): (n, 4)."""
-        return (self.mode[rows][:, None] @ self.mean[rows])[:, 0]
+        return (self.mode.take(rows, 0)[:, None] @ self.mean.take(rows, 0))[:, 0]
 
     def match(self, rows, shares):
         """Give the first of some rows (a list of n) the moments of all, by their shares (n,), model by model."""
-        share = np.array(shares) / math.fsum(shares)
-        weight = share[:, None] * self.mode[rows]
-        mode = weight.sum(0)
-        weight = weight / mode
-        mean = (weight[..., None] * self.mean[rows]).sum(0)
-        away = self.mean[rows] - mean
-        spread = self.cov[rows] + away[..., None] * away[..., None, :]
-        first = rows[0]
-        self.mean[first], self.mode[first] = mean, mode
-        self.cov[first] = (weight[..., None, None] * spread).sum(0)
-        self.exist[first], self.found[first] = share @ self.exist[rows], share @ self.found[rows]
+        share, first = np.array(shares) / math.fsum(shares), rows[0]
+        weight = share[:, None] * self.mode.take(rows, 0)
+        self.mode[first] = mode = weight.sum(0)
+        weight = (weight / mode).T[:, None]  # (M, 1, n)
+        means = self.mean.take(rows, 0).swapaxes(0, 1)
+        self.mean[first] = mean = (weight @ means)[:, 0]
+        away = (means - mean[:, None]) * np.sqrt(weight).swapaxes(1, 2)
+        covs = self.cov.take(rows, 0).reshape(len(rows), -1, 16).swapaxes(0, 1)
+        self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
+        self.exist[first] = share @ self.exist.take(rows)
+        self.found[first] = share @ self.found.take(rows, 0)
 
 
 class Cluster:
