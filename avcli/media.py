@@ -88,6 +88,19 @@ def read_depth(path: str | os.PathLike) -> np.ndarray:
     return image
 
 
+def is_depth(path: str | os.PathLike) -> bool:
+    """Whether a PNG or raw .npy file holds one channel of 16 bits, as depth pictures do; from its header alone."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(26)
+        if head.startswith(b"\x93NUMPY"):
+            image = np.load(path, mmap_mode="r")
+            return image.ndim == 2 and image.dtype == np.uint16
+    except (OSError, ValueError):
+        return False
+    return head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
+
+
 def _read_image(path: str | os.PathLike) -> np.ndarray:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # what is wrong with a picture is said once, by us
     import cv2

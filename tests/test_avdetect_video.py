@@ -97,6 +97,7 @@ def test_depth_pictures_by_name_give_the_same(made):
     by_records = run(*DEPTH, "-C", made, made / "frames.jsonl").stdout
     frames = sorted((made / "video" / "depth").glob("Depth_frame_*.png"))
     assert run(*DEPTH, "-C", made, *frames).stdout == by_records
+    assert run(*DEPTH, "-C", made, made / "video" / "depth").stdout == by_records  # without the empty room's picture
 
 
 def test_the_bytes_are_the_same_with_any_number_of_threads(made):
@@ -219,6 +220,16 @@ def test_colour_pictures_of_other_kinds(folder, network, channels):
     assert cv2.imwrite(str(folder / experiment.Layout.rgb(0.2)), picture)
     options = ["--model", network, "--monocular", folder / "frames.jsonl"]
     assert len(found(run("avdetect-video", "-C", folder, *options))[2]["objects"]) == 1
+
+
+def test_depth_pictures_without_their_detector_are_noticed(made, network):
+    depth = (made / experiment.Layout.depth(0.0)).parent
+    ran = run("avdetect-video", "-C", made, "--model", network, depth)
+    assert ran.returncode == 0
+    assert len(ran.stdout.splitlines()) == 3
+    assert "--detector depth" in ran.stderr
+    assert len(ran.stderr.splitlines()) == 1
+    assert not run("avdetect-video", "-C", made, "--model", network, (made / experiment.Layout.rgb(0.0)).parent).stderr
 
 
 def test_a_record_without_depth(made, network):

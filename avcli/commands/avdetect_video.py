@@ -306,16 +306,19 @@ def _picture_shots(session, files: list[str], rate: float | None, are_depth: boo
     """Pictures in the order given; a time in every name ("RGB_frame_0.1000000000.png") is taken, else k / rate."""
     from avcli import footage, media
 
+    background = session.config.camera.background_depth  # lies beside the frames, and is none
+    background = session.media_root / background if background else None
     paths = []
     for path in map(Path, files):
-        inside = (
-            sorted(item for item in path.iterdir() if item.suffix.lower() in footage.PICTURES)
-            if path.is_dir()
-            else [path]
-        )
+        inside = [path]
+        if path.is_dir():
+            inside = sorted(item for item in path.iterdir() if item.suffix.lower() in footage.PICTURES)
+            inside = [item for item in inside if background is None or item.resolve() != background.resolve()]
         if not inside:
             session.usage(f"{path}: no pictures in this directory")
         paths += inside
+    if not are_depth and media.is_depth(paths[0]):
+        session.warn(f"{paths[0]} looks like a depth picture (16 bits, one channel): those are for --detector depth")
     stamps = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
     for index, (path, stamp) in enumerate(zip(paths, stamps, strict=True)):
         timestamp = float(stamp[1]) if all(stamps) else index / (rate or session.config.frame_rate_hz)
