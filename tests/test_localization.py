@@ -161,7 +161,7 @@ def test_the_search_finds_an_ideal_source(place):
     place = np.clip(place, [0.3, 0.3, 0.9], [4.3, 4.3, 1.9])
     steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 128.6)
     lag = np.arange(-steered.half_lags, steered.half_lags + 1)
-    gcc = np.sinc(0.36 * (lag - steered.lags(place[None]).T)).astype(np.float32)
+    gcc = np.sinc(0.36 * (lag - steered.lags(place[None]))).astype(np.float32)
     centres, values = steered.search(gcc)
     assert np.linalg.norm(centres[0, :2] - place[:2]) < 0.04
     assert np.linalg.norm(centres[0] - place) < 0.06  # three of the finest cells; height is what lags tell least of
@@ -180,8 +180,8 @@ def test_a_notch_takes_away_a_talker_and_what_his_first_echoes_add(place, wall):
     half = steered.half_lags
     whole = np.ones((len(pairs), 2 * half + 1), np.float32)
     lag = (direct[steered.first] - direct[steered.second] + half).round().astype(int)
-    assert (steered.notch(whole, place, 0.1)[pairs, lag] == 0).all()
-    notched = steered.notch_echoes(whole, place, ROOM, 0.012)
+    assert (steered.notch(whole[None], place[None], 0.1)[0, pairs, lag] == 0).all()
+    notched = steered.notch_echoes(whole[None], place[None], ROOM, 0.012)[0]
     for first, second in ((direct, echo), (echo, direct), (echo, echo)):
         lag = (first[steered.first] - second[steered.second] + half).round().astype(int)
         inside = (lag >= 0) & (lag <= 2 * half)
@@ -195,11 +195,11 @@ def test_heights_that_are_answered_as_well_are_in_the_covariance():
     lag = np.arange(-steered.half_lags, steered.half_lags + 1)
 
     def heard_from(place):
-        return np.sinc(0.36 * (lag - steered.lags(place[None]).T)).astype(np.float32)
+        return np.sinc(0.36 * (lag - steered.lags(place[None]))).astype(np.float32)
 
-    place, higher = np.array([1.4, 3.1, 1.2]), np.array([1.43, 3.1, 1.68])
-    alone = steered.ambiguity([heard_from(place)], [0.0], place, np.zeros(3), 40.0)
-    both = steered.ambiguity([heard_from(place) + heard_from(higher)], [0.0], place, np.zeros(3), 40.0)
+    place, higher, now = np.array([1.4, 3.1, 1.2]), np.array([1.43, 3.1, 1.68]), np.zeros(1)
+    alone = steered.ambiguity(heard_from(place)[None], now, place, np.zeros(3), 40.0)
+    both = steered.ambiguity((heard_from(place) + heard_from(higher))[None], now, place, np.zeros(3), 40.0)
     assert np.sqrt(alone[2, 2]) < 0.03
     assert np.sqrt(both[2, 2]) == pytest.approx(0.48 / np.sqrt(2), abs=0.06), "half the likelihood is 0.48 m higher"
     assert both[0, 2] > 0, "and there further along x"

@@ -92,18 +92,17 @@ def gcc(
         window_size: samples that the spectrum was taken of.
         lags: half width H of the result, in steps of 1 / oversampling samples.
         oversampling: lag steps per sample; window_size * oversampling must be an even integer above 2 H.
-        weight: (band bins,) or (pairs, band bins) weights of the bins; all equal where None.
+        weight: (band bins,) weights of the bins; all equal where None.
 
     Returns:
         (pairs, 2 H + 1) float32, lags -H to H.
     """
     first, second = pairs(len(whitened))
-    cross = whitened[first] * whitened[second].conj()
-    magnitude = np.abs(cross)
+    turned = whitened.conj()
     if weight is not None:
-        cross *= weight
-        magnitude *= weight
-    total = magnitude.sum(axis=1)
+        turned = turned * weight
+    cross = whitened[first] * turned[second]
+    total = (np.abs(whitened) @ np.abs(turned).T)[first, second]
     total[total == 0.0] = 1.0
     size = round(window_size * oversampling)
     spectrum = np.zeros((len(first), size // 2 + 1), np.complex64)

@@ -39,62 +39,79 @@ class SteeredResponse:
         self.cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         self.levels = max(0, int(np.ceil(np.log2(2.0 * self.half_cell.max() / resolution))))
         self.children = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        self.lag_count = 2 * self.half_lags + 1
+        self.rows = np.arange(len(first))[:, None] * self.lag_count
+        # Which rung of the ladder a run of so many lags stands on: floor(log2(length)), as high as coarse cells need.
+        self.rung = np.frexp(np.arange(self.lag_count + 1))[1] - 1
+        lowest, highest = self._runs(self.cells, self.half_cell)
+        self.ladder = int(self.rung[(highest - lowest).max() + 1])
+        self.rung = np.minimum(self.rung, self.ladder)
         self.coarse = self._spans(self.cells, self.half_cell)
-        self.ladder = int(self.coarse[1].max())
 
     def lags(self, points: np.ndarray) -> np.ndarray:
-        """Return the lag steps (n, pairs) that sound from points (n, 3) m causes."""
+        """Return the lag steps (pairs, n) that sound from points (n, 3) m causes; none exceeds `half_lags` - 2."""
         ranges = self._ranges(points)
-        return (ranges[:, self.first] - ranges[:, self.second]) * self.steps_per_metre
+        return (ranges[self.first] - ranges[self.second]) * self.steps_per_metre
 
     def _ranges(self, points: np.ndarray) -> np.ndarray:
-        squares = (points**2).sum(axis=1)[:, None] + (self.microphones**2).sum(axis=1)
-        return np.sqrt(np.maximum(squares - 2.0 * points @ self.microphones.T, 0.0))
+        squares = (self.microphones**2).sum(axis=1)[:, None] + (points**2).sum(axis=1)
+        return np.sqrt(np.maximum(squares - 2.0 * self.microphones @ points.T, 0.0))
 
-    def _spans(self, centres: np.ndarray, half: np.ndarray):
-        """Return where each cell's lags lie: flat index into the ladder's rung, rung, and the last run's flat index."""
-        offsets = centres[:, None, :] - self.microphones
-        ranges = np.sqrt((offsets**2).sum(axis=2))
-        units = offsets / np.maximum(ranges, 1e-9)[:, :, None]
-        gradient = np.abs(units[:, self.first] - units[:, self.second]) @ half
-        middle = (ranges[:, self.first] - ranges[:, self.second]) * self.steps_per_metre
-        reach = gradient * self.steps_per_metre + 0.5
-        size = 2 * self.half_lags + 1
-        lowest = np.clip(np.rint(middle - reach).astype(np.int32) + self.half_lags, 0, size - 1)
-        highest = np.clip(np.rint(middle + reach).astype(np.int32) + self.half_lags, 0, size - 1)
-        rung = np.frexp(highest - lowest + 1)[1] - 1  # floor(log2(length))
-        row = np.arange(len(self.first), dtype=np.int32) * size
-        return lowest + row, rung, highest - (1 << rung) + 1 + row
+    def _runs(self, centres: np.ndarray, half: np.ndarray):
+        """Return the first and the last lag, from 0, that points of each cell can cause, two (pairs, cells)."""
+        offsets = (centres.T[:, None, :] - self.microphones.T[:, :, None]).astype(np.float32)
+        ranges = np.sqrt(offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2)
+        units = offsets / np.maximum(ranges, np.float32(1e-9))
+        gradient = np.abs(units[:, self.first] - units[:, self.second])
+        scale = np.float32(self.steps_per_metre)
+        x, y, z = (scale * half).astype(np.float32)
+        middle = (ranges[self.first] - ranges[self.second]) * scale + np.float32(self.half_lags)
+        reach = gradient[0] * x + gradient[1] * y + gradient[2] * z + np.float32(0.5)
+        last = self.lag_count - 1
+        lowest = np.clip(np.rint(middle - reach), 0, last).astype(np.intp)
+        return lowest, np.clip(np.rint(middle + reach), 0, last).astype(np.intp)
+
+    def _spans(self, centres: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the two places in the flat ladder whose maxima cover each cell's lags, two (pairs, cells)."""
+        lowest, highest = self._runs(centres, half)
+        rung = self.rung[highest - lowest + 1]
+        base = rung * (len(self.first) * self.lag_count) + self.rows
+        return base + lowest, base + highest + 1 - (1 << rung)
 
     def _ladder(self, gcc: np.ndarray) -> np.ndarray:
-        """Return running maxima over 1, 2, 4... lags, (rungs, pairs * lags): two of them cover any run."""
-        rungs = [gcc]
+        """Return running maxima over 1, 2, 4... lags, (rungs, pairs, lags): two of them cover any run."""
+        rungs = np.empty((self.ladder + 1, *gcc.shape), gcc.dtype)
+        rungs[0] = gcc
         for level in range(self.ladder):
             step = 1 << level
-            wider = rungs[-1].copy()
-            np.maximum(rungs[-1][:, :-step], rungs[-1][:, step:], out=wider[:, :-step])
-            rungs.append(wider)
-        return np.stack(rungs).reshape(len(rungs), -1)
+            np.maximum(rungs[level, :, :-step], rungs[level, :, step:], out=rungs[level + 1, :, :-step])
+            rungs[level + 1, :, -step:] = rungs[level, :, -step:]
+        return rungs
 
     def bound(self, ladder: np.ndarray, spans) -> np.ndarray:
         """Return for each cell the mean over pairs of the largest GCC in it, (cells,)."""
-        lowest, rung, last = spans
-        offset = np.minimum(rung, self.ladder) * ladder.shape[1]
         flat = ladder.ravel()
-        return np.maximum(flat[lowest + offset], flat[last + offset]).mean(axis=1)
+        return np.maximum(flat.take(spans[0]), flat.take(spans[1])).mean(axis=0)
 
     def response(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the response at points (n, 3) m, (n,): GCC interpolated linearly between lag steps."""
-        lag = np.clip(self.lags(points) + self.half_lags, 0.0, 2.0 * self.half_lags - 1e-6)
-        index = lag.astype(np.int64)
-        fraction = lag - index
-        row = np.arange(gcc.shape[0])
-        return (gcc[row, index] * (1.0 - fraction) + gcc[row, index + 1] * fraction).mean(axis=1)
+        return self._responses(gcc[None], points[None])
+
+    def _responses(self, gccs: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return the mean response (n,) of windows (w, pairs, lags), each at its own points (w, n, 3) m."""
+        windows, count = points.shape[:2]
+        lag = self.lags(points.reshape(-1, 3)) + self.half_lags
+        index = lag.astype(np.intp)
+        fraction = (lag - index).astype(np.float32)
+        flat = gccs.ravel()
+        at = index + self.rows + np.repeat(np.arange(windows) * gccs[0].size, count)
+        here = flat.take(at)
+        value = here + (flat.take(at + 1) - here) * fraction
+        return value.mean(axis=0, dtype=np.float64).reshape(windows, count).mean(axis=0)
 
     def at(self, gcc: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Return each pair's GCC at the lag of a place (3,) m, (pairs,)."""
-        lag = np.clip(self.lags(position[None])[0] + self.half_lags, 0.0, 2.0 * self.half_lags)
-        return _cubic(gcc, lag[:, None])[:, 0]
+        return _cubic(gcc, self.lags(position[None]) + self.half_lags)[:, 0]
 
     def search(self, gcc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,)."""
@@ -116,7 +133,7 @@ class SteeredResponse:
         A talker who walks is elsewhere in each window: without the velocity the loudest window would win.
 
         Args:
-            gccs: (pairs, lags) correlations of the windows.
+            gccs: (windows, pairs, lags) correlations.
             offsets: (windows,) s of each window from the one that is asked about.
             start: (3,) m.
             max_speed: m/s along each axis.
@@ -134,11 +151,10 @@ class SteeredResponse:
         def best(places, velocities):
             points = np.clip(np.tile(places, (len(velocities), 1)), self.low, self.high)
             velocities = np.repeat(velocities, len(places), axis=0)
-            total = np.zeros(len(points))
-            for gcc, offset in zip(gccs, offsets, strict=True):
-                total += self.response(gcc, np.clip(points + velocities * offset, self.low, self.high))
+            moved = points + offsets[:, None, None] * velocities
+            total = self._responses(gccs, np.clip(moved, self.low, self.high))
             index = int(np.argmax(total))
-            return points[index], velocities[index], float(total[index]) / len(gccs)
+            return points[index], velocities[index], float(total[index])
 
         position, velocity, _ = best(position + 0.03 * _CUBE, velocity + changes)
         position, velocity, _ = best(position + 0.015 * _CUBE, velocity[None])
@@ -152,43 +168,32 @@ class SteeredResponse:
         A walker's windows add up at a wrong height too, so that those which the middle window answers are tried.
         """
         step, reach, speeds = 0.04, 3, max_speed * np.linspace(-1.0, 1.0, 5)
-        furthest = int(np.ceil(max_speed * np.abs(offsets).max() / step))
         # The lattice is wider than a peak: each lag stands for its neighbours within 3 steps too.
-        pooled = [_dilate(gcc, 3) for gcc in gccs]
-        around = step * np.array([[x, y] for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
+        pooled = _dilate(gccs, 3)
         heights = np.linspace(self.low[2], self.high[2], max(2, round((self.high[2] - self.low[2]) / 0.1)))
-        columns = np.column_stack([np.tile(start[:2] + around, (len(heights), 1)), np.repeat(heights, len(around))])
-        middle = pooled[int(np.argmin(np.abs(offsets)))]
-        order = np.argsort(-self._nearest(middle, columns).reshape(len(heights), -1).max(axis=1), kind="stable")
+        middle = int(np.argmin(np.abs(offsets)))
+        seen = self._nearest(pooled[middle], _lattice(start, step, reach, heights)).reshape(len(heights), -1)
+        order = np.argsort(-seen.max(axis=1), kind="stable")
+        heights = np.array([start[2], *heights[order[:3]]])
         side = np.arange(2 * reach + 1)
-        axis = step * np.arange(-reach - furthest, reach + furthest + 1)
-        level = np.array([[x, y] for y in axis for x in axis])
+        total = np.float32(0.0)  # (height, vy, vx, y, x)
+        for gcc, offset in zip(pooled, offsets, strict=True):
+            shifts = np.rint(speeds * (offset / step)).astype(np.intp)
+            furthest = int(np.abs(shifts).max())
+            values = self._nearest(gcc, _lattice(start, step, reach + furthest, heights))
+            values = values.reshape(len(heights), 2 * (reach + furthest) + 1, -1)
+            at = furthest + shifts[:, None] + side
+            total = total + values[:, at[:, None, :, None], at[None, :, None, :]]
         # Of nearly equal velocities the slower: noise must not make a still talker walk.
-        slow = 1e-4 * np.hypot(speeds[:, None], speeds)[:, :, None, None]
-        best, found = -np.inf, (start, np.zeros(3))
-        for height in (start[2], *heights[order[:3]]):
-            points = np.column_stack([start[:2] + level, np.full(len(level), height)])
-            total = 0.0  # (vy, vx, y, x)
-            for gcc, offset in zip(pooled, offsets, strict=True):
-                values = self._nearest(gcc, points).reshape(len(axis), len(axis))
-                shifts = furthest + np.rint(speeds * (offset / step)).astype(np.int64)
-                row, column = shifts[:, None, None, None] + side[:, None], shifts[None, :, None, None] + side
-                total = total + values[row, column]
-            total = total / len(gccs) - slow
-            place = int(np.argmax(total))
-            if total.flat[place] > best:
-                best = total.flat[place]
-                vy, vx, y, x = np.unravel_index(place, total.shape)
-                moved = np.array([start[0] + step * (x - reach), start[1] + step * (y - reach), height])
-                found = (np.clip(moved, self.low, self.high), np.array([speeds[vx], speeds[vy], 0.0]))
-        return found
+        total = total / len(gccs) - 1e-4 * np.hypot(speeds[:, None], speeds)[:, :, None, None]
+        height, vy, vx, y, x = np.unravel_index(int(np.argmax(total)), total.shape)
+        moved = np.array([start[0] + step * (x - reach), start[1] + step * (y - reach), heights[height]])
+        return np.clip(moved, self.low, self.high), np.array([speeds[vx], speeds[vy], 0.0])
 
     def _nearest(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return the response at points (n, 3) m inside the volume, (n,), without interpolation."""
-        size = 2 * self.half_lags + 1
-        lag = np.rint(self.lags(np.clip(points, self.low, self.high))).astype(np.int64) + self.half_lags
-        lag = np.clip(lag, 0, size - 1) + size * np.arange(len(self.first))
-        return gcc.ravel()[lag].mean(axis=1)
+        """Return the response at points (n, 3) m, or at those of the volume nearest to them, without interpolation."""
+        lag = np.rint(self.lags(np.clip(points, self.low, self.high))).astype(np.intp)
+        return gcc.ravel().take(lag + (self.rows + self.half_lags)).mean(axis=0)
 
     def ambiguity(self, gccs, offsets, position, velocity, sharpness: float) -> np.ndarray:
         """Return what other heights that are answered nearly as well add to a place's covariance, (3, 3) m².
@@ -204,25 +209,24 @@ class SteeredResponse:
         """
         step = 0.08
         below, above = int((position[2] - self.low[2]) / step), int((self.high[2] - position[2]) / step)
-        away = np.zeros((below + 1 + above, 49, 3))
-        away[:, :, :2] = 0.03 * np.array([[x, y] for y in range(-3, 4) for x in range(-3, 4)])
-        away[:, :, 2] = step * np.arange(-below, above + 1)[:, None]
-        places = (position + away).reshape(-1, 3)
-        total = sum(self._nearest(gcc, places + velocity * offset) for gcc, offset in zip(gccs, offsets, strict=True))
-        total = total.reshape(away.shape[:2]) / len(gccs)
+        away = _lattice(np.zeros(3), 0.03, 3, step * np.arange(-below, above + 1))
+        if velocity.any():
+            each = [self._nearest(gcc, position + velocity * t + away) for gcc, t in zip(gccs, offsets, strict=True)]
+            total = np.mean(each, axis=0)
+        else:
+            total = self._nearest(gccs.mean(axis=0), position + away)
+        away, total = away.reshape(-1, 49, 3), total.reshape(-1, 49)
         best = total.argmax(axis=1)
-        away, profile = away[np.arange(len(away)), best], total.max(axis=1)
+        away, profile = away[np.arange(len(away)), best], total.max(axis=1).astype(np.float64)
         likelihood = np.exp(sharpness * (profile - profile.max()))
         return np.einsum("n,ni,nj->ij", likelihood / likelihood.sum(), away, away)
 
     def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""
-        total = 0.0
-        around = np.arange(-reach, reach + 1)
-        for gcc, offset in zip(gccs, offsets, strict=True):
-            lag = self.lags((position + velocity * offset)[None])[0] + self.half_lags
-            total = total + _cubic(gcc, np.clip(lag, reach, 2 * self.half_lags - reach)[:, None] + around)
-        return total / len(gccs)
+        lag = self.lags(position + velocity * offsets[:, None]).T + self.half_lags
+        lag = np.clip(lag, reach, 2 * self.half_lags - reach)[:, :, None] + np.arange(-reach, reach + 1)
+        rows = gccs.reshape(-1, self.lag_count)
+        return _cubic(rows, lag.reshape(len(rows), -1)).reshape(lag.shape).mean(axis=0)
 
     def differences(self, aligned: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the range differences (pairs,) m of the peaks near a place's lags, and the peaks' heights."""
@@ -230,25 +234,34 @@ class SteeredResponse:
         row = np.arange(len(aligned))
         peak = 1 + np.argmax(aligned[:, 1:-1], axis=1)
         offset = correlation.interpolate_peak(aligned[row, peak - 1], aligned[row, peak], aligned[row, peak + 1])
-        steps = self.lags(position[None])[0] + peak - reach + offset
+        steps = self.lags(position[None])[:, 0] + peak - reach + offset
         return steps / self.steps_per_metre, aligned[row, peak]
 
     def aligned_at(self, aligned: np.ndarray, position: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Return each pair's GCC (pairs,) at `moved` (3,) m, given `aligned` for `position`; 0 out of reach."""
         reach = aligned.shape[1] // 2
-        lag = (self.lags(moved[None]) - self.lags(position[None]))[0] + reach
+        before, after = self.lags(np.stack([position, moved])).T
+        lag = after - before + reach
         if lag.min() < 0.0 or lag.max() > 2 * reach:
             return np.zeros(len(aligned))
         return _cubic(aligned, lag[:, None])[:, 0]
 
-    def notch(self, gcc: np.ndarray, position: np.ndarray, width: float) -> np.ndarray:
-        """Return the GCC without what a place (3,) m adds: 0 up to `width` m from its lag, whole from twice that."""
-        lag = self.lags(position[None])[0]
-        distance = np.abs(np.arange(-self.half_lags, self.half_lags + 1) - lag[:, None]) / self.steps_per_metre
-        return gcc * np.clip(distance / width - 1.0, 0.0, 1.0).astype(np.float32)
+    def notch(self, gccs: np.ndarray, places: np.ndarray, width: float) -> np.ndarray:
+        """Return GCCs without what a place adds: 0 up to `width` m from its lag, whole from twice that.
 
-    def notch_echoes(self, gcc: np.ndarray, position: np.ndarray, room: np.ndarray, width: float) -> np.ndarray:
-        """Return the GCC without what the first echoes of a place add, each notched as by `notch`.
+        Args:
+            gccs: (windows, pairs, lags).
+            places: (windows, 3) m, or (1, 3) for all windows.
+            width: m.
+        """
+        lag = self.lags(places).T[:, :, None].astype(np.float32)
+        distance = np.abs(np.arange(-self.half_lags, self.half_lags + 1, dtype=np.float32) - lag)
+        distance *= np.float32(1.0 / (self.steps_per_metre * width))
+        distance -= np.float32(1.0)
+        return gccs * np.clip(distance, 0.0, 1.0, out=distance)
+
+    def notch_echoes(self, gccs: np.ndarray, places: np.ndarray, room: np.ndarray, width: float) -> np.ndarray:
+        """Return GCCs without what the first echoes of a place add, each notched as by `notch`.
 
         Where an echo stands in one channel and the direct sound, or an echo, in the other, pairs come to agree on
         places at which nobody is. Such a ghost is as still as its talker and lasts as long, so that no time tells the
@@ -256,24 +269,22 @@ class SteeredResponse:
         sound and echoes with no more than two reflections together are taken away.
 
         Args:
-            gcc: (pairs, lags).
-            position: (3,) m.
+            gccs, places, width: as for `notch`.
             room: (3,) m, the far corner of a room whose near corner is the origin.
-            width: m.
         """
-        images = np.where(_IMAGES % 2 == 0, position, room - position) + _IMAGES * room
-        ranges = self._ranges(images) * self.steps_per_metre
         one, other = _MEETINGS
-        lags = np.rint(ranges[one][:, self.first] - ranges[other][:, self.second]).astype(np.int64) + self.half_lags
-        inside = (lags >= 0) & (lags <= 2 * self.half_lags)
-        lag, row = lags[inside], np.broadcast_to(np.arange(len(gcc)), lags.shape)[inside]
-        gain = np.ones_like(gcc)
         reach = int(2.0 * width * self.steps_per_metre)
-        for distance in range(reach, -1, -1):  # the nearest last, so that the deepest notch holds
-            depth = max(distance / (width * self.steps_per_metre) - 1.0, 0.0)
-            for side in (-distance, distance):
-                gain[row, np.clip(lag + side, 0, 2 * self.half_lags)] = depth
-        return gcc * gain
+        gain = np.ones((len(places), len(self.first), self.lag_count + 2 * reach), np.float32)
+        rows = np.arange(len(self.first))[:, None] * gain.shape[2] + reach + self.half_lags
+        for place, flat in zip(places, gain.reshape(len(places), -1), strict=True):
+            images = np.where(_IMAGES % 2 == 0, place, room - place) + _IMAGES * room
+            ranges = self._ranges(images) * self.steps_per_metre
+            lag = np.rint(ranges[self.first][:, one] - ranges[self.second][:, other]).astype(np.intp)
+            at = (lag + rows)[np.abs(lag) <= self.half_lags]
+            for distance in range(reach, -1, -1):  # the nearest last, so that the deepest notch holds
+                depth = max(distance / (width * self.steps_per_metre) - 1.0, 0.0)
+                flat[at - distance] = flat[at + distance] = depth
+        return gccs * gain[:, :, reach : reach + self.lag_count]
 
 
 _IMAGES = np.array([[x, y, z] for x in range(-2, 3) for y in range(-2, 3) for z in range(-2, 3)])
@@ -287,22 +298,31 @@ _MEETINGS = np.nonzero(np.isin(_REFLECTIONS[:, None] + _REFLECTIONS, (1, 2)))
 _CUBE = np.array([[x, y, z] for z in (0, -1, 1) for y in (0, -1, 1) for x in (0, -1, 1)], dtype=np.float64)
 
 
+def _lattice(centre: np.ndarray, step: float, reach: int, heights: np.ndarray) -> np.ndarray:
+    """Return for each height (n,) m the points around (x, y), `step` m apart, (n (2 reach + 1)², 3): x varies first."""
+    side = step * np.arange(-reach, reach + 1)
+    points = np.empty((len(heights), len(side), len(side), 3))
+    points[..., 0], points[..., 1] = centre[0] + side, centre[1] + side[:, None]
+    points[..., 2] = heights[:, None, None]
+    return points.reshape(-1, 3)
+
+
 def _cubic(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Interpolate each row (n, lags) at fractional indices (n, k) by the cubic of Catmull & Rom (1974)."""
-    whole = np.clip(at.astype(np.int64), 1, rows.shape[1] - 3)
+    whole = np.clip(at.astype(np.intp), 1, rows.shape[1] - 3)
     t = at - whole
-    row = np.arange(len(rows))[:, None]
-    before, here, there, after = (rows[row, whole + i] for i in (-1, 0, 1, 2))
+    flat, index = rows.ravel(), whole + np.arange(len(rows))[:, None] * rows.shape[1]
+    before, here, there, after = (flat.take(index + i) for i in (-1, 0, 1, 2))
     slope, next_slope = 0.5 * (there - before), 0.5 * (after - here)
     return here + t * (
         slope + t * (3.0 * (there - here) - 2.0 * slope - next_slope + t * (2.0 * (here - there) + slope + next_slope))
     )
 
 
-def _dilate(gcc: np.ndarray, reach: int) -> np.ndarray:
+def _dilate(gccs: np.ndarray, reach: int) -> np.ndarray:
     """Return each lag's maximum within ± reach lags."""
-    wide = gcc.copy()
+    wide = gccs.copy()
     for step in range(1, reach + 1):
-        np.maximum(wide[:, step:], gcc[:, :-step], out=wide[:, step:])
-        np.maximum(wide[:, :-step], gcc[:, step:], out=wide[:, :-step])
+        np.maximum(wide[..., step:], gccs[..., :-step], out=wide[..., step:])
+        np.maximum(wide[..., :-step], gccs[..., step:], out=wide[..., :-step])
     return wide

@@ -98,7 +98,7 @@ class _Peak:
     own: float = 1.0
     velocity: np.ndarray | None = None
     normal: np.ndarray | None = None
-    gccs: list[np.ndarray] | None = None
+    gccs: np.ndarray | None = None
 
 
 class SteeredLocalizer:
@@ -161,28 +161,31 @@ class SteeredLocalizer:
     # --- windows ------------------------------------------------------------------------------------------------------
 
     def correlate(self, samples: np.ndarray, taper: np.ndarray) -> _Window:
-        """Correlate one window of samples (size, m): what sounds in it, and which channels cannot be believed."""
-        finite = np.isfinite(samples)
+        """Correlate one window of samples (m, size): what sounds in it, and which channels cannot be believed."""
         notices = []
-        broken = np.zeros(samples.shape[1], bool)
-        if not finite.all():
-            count = (~finite).sum(axis=0)
-            broken |= count > 0.01 * len(samples)
+        broken = np.zeros(len(samples), bool)
+        peak = np.maximum(samples.max(axis=1), -samples.min(axis=1))
+        if not np.isfinite(peak).all():
+            finite = np.isfinite(samples)
+            count = (~finite).sum(axis=1)
+            broken |= count > 0.01 * samples.shape[1]
             samples = np.where(finite, samples, 0.0)
+            peak = np.abs(samples).max(axis=1)
             notices += [f"channel {c + 1}: samples that are no number are taken for 0" for c in np.flatnonzero(count)]
-        peak = np.abs(samples).max(axis=0)
         scale = peak.max()
         if scale == 0.0:
             return _Window(None, notices=tuple(notices))
-        tapered = (samples * (taper[:, None] / scale)).astype(np.float32)
-        spectra = np.fft.rfft(tapered, axis=0).T[:, self.bins]
+        spectra = self.spectra((samples * (taper / scale)).astype(np.float32))
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
         dead = level <= 1e-6 * np.median(level)
-        clipped = (np.abs(samples) >= 0.9999 * peak).mean(axis=0) > 0.005
-        clipped &= peak > 0.05
-        shift = np.abs(samples.mean(axis=0))
-        shifted = (shift > samples.std(axis=0)) & (shift > 0.01)
+        clipped = peak > 0.05
+        if clipped.any():
+            clipped &= (np.abs(samples) >= 0.9999 * peak[:, None]).mean(axis=1) > 0.005
+        shift = np.abs(samples.mean(axis=1))
+        shifted = shift > 0.01
+        if shifted.any():
+            shifted &= shift > samples.std(axis=1)
         notices += [f"channel {c + 1} is dead and left out" for c in np.flatnonzero(dead)]
         notices += [f"channel {c + 1} is clipped" for c in np.flatnonzero(clipped)]
         good = ~(dead | broken)
@@ -195,7 +198,7 @@ class SteeredLocalizer:
         if spared:
             good &= ~shifted
         whitened = correlation.whiten(spectra, self.settings.beta)
-        gcc = correlation.gcc(whitened, self.bins, self.size, self.response.half_lags, self.oversampling, self.weight)
+        gcc = self.gcc(whitened)
         first, second = self.response.first, self.response.second
         twins = (gcc[:, self.response.half_lags] > 0.99) & (self.baseline > 0.01) & good[first] & good[second]
         for pair in np.flatnonzero(twins):
@@ -205,6 +208,14 @@ class SteeredLocalizer:
         use = occupancy(power[~dead].mean(axis=0)) if not dead.all() else 0.0
         part = float(np.count_nonzero(taper)) / self.size
         return _Window(gcc, whitened, good, part, energy, use, tuple(notices))
+
+    def spectra(self, tapered: np.ndarray) -> np.ndarray:
+        """Return the band's bins of tapered samples (m, size), (m, bins)."""
+        return np.fft.rfft(tapered, axis=1)[:, self.bins]
+
+    def gcc(self, whitened: np.ndarray) -> np.ndarray:
+        """Return the GCC of every pair, (pairs, lags), of whitened spectra (m, bins)."""
+        return correlation.gcc(whitened, self.bins, self.size, self.response.half_lags, self.oversampling, self.weight)
 
     def heard(self, window: _Window) -> tuple[np.ndarray, np.ndarray, float] | None:
         """Return a window's GCC without the channels that are left out, its good channels, and how much it counts.
@@ -230,9 +241,10 @@ class SteeredLocalizer:
         if self.null is None:
             hop, draws, all_windows = round(self.hop * self.array.sample_rate), 32, len(self.offsets)
             length = self.size + hop * (draws + all_windows - 2)
-            noise = self.rng.standard_normal((length, len(self.array.microphones)))
-            taper = correlation.hann(self.size)
-            gccs = [self.correlate(noise[i * hop :][: self.size], taper).gcc for i in range(draws + all_windows - 1)]
+            noise = self.rng.standard_normal((len(self.array.microphones), length), np.float32)
+            taper = correlation.hann(self.size).astype(np.float32)
+            windows = (noise[:, i * hop :][:, : self.size] * taper for i in range(draws + all_windows - 1))
+            gccs = [self.gcc(correlation.whiten(self.spectra(window), self.settings.beta)) for window in windows]
             means = [sum(gccs[i : i + all_windows]) / all_windows for i in range(draws)]
             peaks = [self.response.search(mean)[1][0] for mean in means]
             scale = float(np.std(peaks) * np.sqrt(6.0) / np.pi)
@@ -258,8 +270,8 @@ class SteeredLocalizer:
             return []
         weights = np.array([weight for (_, _, weight), _, _ in heard])
         scales = (weights / weights.mean()).astype(np.float32)
-        gccs = [gcc * scale for ((gcc, _, _), _, _), scale in zip(heard, scales, strict=True)]
-        spectra = [window.whitened * good[:, None] for (_, good, _), window, _ in heard]
+        gccs = np.stack([gcc for (gcc, _, _), _, _ in heard]) * scales[:, None, None]
+        spectra = np.stack([window.whitened * good[:, None] for (_, good, _), window, _ in heard])
         noise = self.noise(weights.sum())
         offsets = np.array([offset for _, _, offset in heard])
         judged = self.judge(self.peaks(gccs, spectra, offsets, noise), noise)
@@ -305,7 +317,7 @@ class SteeredLocalizer:
         threshold = noise.threshold(self.settings.false_alarm)
         known = [(place, self.reached(age)) for place, lasting, age in self.before if lasting > 0.3]
         for _ in range(self.settings.max_speakers + 1):
-            mean = sum(gccs) / len(gccs)
+            mean = gccs.mean(axis=0)
             known = [(place, reach) for place, reach in known if all(_level(p.position, place) > reach for p in found)]
             again, reach = known.pop(0) if found and known else (None, 0.0)
             start = steered.search(np.minimum(mean, 7.0 * noise.deviation))[0][0] if again is None else again
@@ -324,11 +336,10 @@ class SteeredLocalizer:
                 break
             if all(_level(peak.position, other.position) > self.settings.separation for other in found):
                 found.append(peak)
-            places = [peak.position + velocity * offset for offset in offsets]
-            gccs = [steered.notch(gcc, place, 0.1) for gcc, place in zip(gccs, places, strict=True)]
+            places = peak.position + velocity * offsets[:, None] if velocity.any() else peak.position[None]
+            gccs = steered.notch(gccs, places, 0.1)
             if len(found) == 1:
-                room = self.array.room
-                gccs = [steered.notch_echoes(gcc, place, room, 0.012) for gcc, place in zip(gccs, places, strict=True)]
+                gccs = steered.notch_echoes(gccs, places, self.array.room, 0.012)
         return found
 
     def coherence(self, spectra, offsets, position, velocity) -> np.ndarray:
@@ -336,17 +347,24 @@ class SteeredLocalizer:
 
         0 is what chance gives; neighbouring bins are averaged.
         """
-        frequency = np.arange(self.bins.start, self.bins.stop) * (self.array.sample_rate / self.size)
-        result = []
-        for whitened, offset in zip(spectra, offsets, strict=True):
-            ranges = np.linalg.norm(position + velocity * offset - self.array.microphones, axis=1)
-            delays = (ranges - ranges.mean()) / self.array.speed_of_sound
-            steered = (whitened * np.exp(2j * np.pi * delays[:, None] * frequency).astype(np.complex64)).sum(axis=0)
-            power = (np.abs(whitened) ** 2).sum(axis=0)
-            excess = np.abs(steered) ** 2 - power
-            smooth = np.convolve(excess, np.ones(5), "same") / np.maximum(np.convolve(power, np.ones(5), "same"), 1e-12)
-            result.append(np.maximum(smooth, 0.0))
-        return self.weight * np.array(result)
+        places = position + velocity * offsets[:, None]
+        ranges = np.linalg.norm(places[:, None] - self.array.microphones, axis=2)
+        delays = (ranges - ranges.mean(axis=1, keepdims=True)) / self.array.speed_of_sound
+        steered = (spectra * self.turned(delays)).sum(axis=1)
+        power = (spectra.real**2 + spectra.imag**2).sum(axis=1)
+        excess = steered.real**2 + steered.imag**2 - power
+        return self.weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
+
+    def turned(self, delays: np.ndarray) -> np.ndarray:
+        """Return by how much the band's bins turn in so many s (...), (..., bins) complex64.
+
+        A bin's turn is that of a multiple of 32 bins times that of the rest: fewer exponentials.
+        """
+        count = self.bins.stop - self.bins.start
+        turn = 2j * np.pi * self.array.sample_rate / self.size * delays[..., None]
+        far = np.exp(turn * (self.bins.start + 32 * np.arange(-(-count // 32)))).astype(np.complex64)
+        near = np.exp(turn * np.arange(32)).astype(np.complex64)
+        return (far[..., :, None] * near[..., None, :]).reshape(*delays.shape, -1)[..., :count]
 
     def features(self, peak: _Peak, first: bool, before: float, noise: _Noise) -> uncertainty.Features:
         """Return what tells a right peak, the decision's first or a further one, from a wrong one."""
@@ -487,31 +505,48 @@ def _level(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.hypot(*(one - other)[:2]))
 
 
+def _smooth(rows: np.ndarray) -> np.ndarray:
+    """Return the sums of five neighbours in each row (n, bins); beyond the ends are zeros."""
+    wide = np.pad(rows, ((0, 0), (2, 2)))
+    count = rows.shape[1]
+    return wide[:, :count] + wide[:, 1:-3] + wide[:, 2:-2] + wide[:, 3:-1] + wide[:, 4:]
+
+
 class _Stream:
     """The last samples of a stream; outside of what was received there is silence."""
 
     def __init__(self, begin: int, channels: int):
         self.origin = self.end = begin
-        self.samples = np.zeros((0, channels))
+        self.blocks = [np.zeros((channels, 0))]
 
     def append(self, block: np.ndarray) -> None:
-        self.samples = np.concatenate([self.samples, block])
+        self.blocks.append(np.ascontiguousarray(block.T, dtype=np.float64))
         self.end += len(block)
 
+    @property
+    def samples(self) -> np.ndarray:
+        """What is kept of the stream, (channels, n)."""
+        if len(self.blocks) > 1:
+            self.blocks = [np.concatenate(self.blocks, axis=1)]
+        return self.blocks[0]
+
     def window(self, begin: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return samples (size, channels) and a taper (size,) over those that were received.
+        """Return samples (channels, size) and a taper (size,) over those that were received.
 
         At the ends of a stream the taper is narrower: a step there, at once in all channels, would be a source.
         """
-        samples, taper = np.zeros((size, self.samples.shape[1])), np.zeros(size)
+        received = self.samples
         first, last = max(begin, self.origin), min(begin + size, self.end)
+        if last - first == size:
+            return received[:, first - self.origin : last - self.origin], correlation.hann(size)
+        samples, taper = np.zeros((len(received), size)), np.zeros(size)
         if last - first > size // 8:
-            samples[first - begin : last - begin] = self.samples[first - self.origin : last - self.origin]
+            samples[:, first - begin : last - begin] = received[:, first - self.origin : last - self.origin]
             taper[first - begin : last - begin] = correlation.hann(last - first)
         return samples, taper
 
     def forget(self, before: int) -> None:
         excess = min(before, self.end) - self.origin
         if excess > 0:
-            self.samples = self.samples[excess:]
+            self.blocks = [self.samples[:, excess:]]
             self.origin += excess
