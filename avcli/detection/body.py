@@ -106,7 +106,7 @@ def locate(
     direction = centre - view.origin[:2]
     direction = direction / max(np.linalg.norm(direction), 1e-9)
     hidden = (1 - fraction) ** 2
-    radial, tangential = 0.040**2 + 0.18**2 * hidden, 0.033**2 + 0.135**2 * hidden  # fitted to renders of random scenes
+    radial, tangential = 0.035**2 + 0.07**2 * hidden, 0.03**2 + 0.07**2 * hidden  # fitted to renders of random scenes
     covariance = tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
     return centre, covariance, fraction
 
@@ -122,8 +122,8 @@ def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarra
             crossing = view.origin[:2] + rays[:, :2] * ((view.origin[2] - height) / -rays[:, 2:])
         hidden = (_POINTS[:, 2] < height - 0.02) & (np.linalg.norm(crossing - centre, axis=1) < radius)
         facing[hidden] = 0.0
+    total = facing.sum()  # of a whole adult: where the border cuts off all but the legs, these are little of somebody
     facing[_POINTS[:, 2] > max(top, 0.5) + 0.05] = 0.0
-    total = facing.sum()
     pixels = view.project(body)
     inside = view.inside(pixels)
     samples = view.sample_indices(pixels[inside])
