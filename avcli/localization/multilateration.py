@@ -85,20 +85,21 @@ def refine(position, microphones, first, second, differences, weights, *, scale=
         return (weights * np.log1p((residual / scale) ** 2)).sum()
 
     jacobian, residual, robust = linearized(position)
+    least = cost(residual)
     damping = 1e-9
     for _ in range(iterations):
         normal = jacobian.T @ (jacobian * robust[:, None])
-        step = np.linalg.solve(
-            normal + (damping * np.trace(normal) + 1e-12) * np.eye(3), jacobian.T @ (robust * residual)
-        )
+        ridge = damping * np.trace(normal) + 1e-12
+        step = np.linalg.solve(normal + np.diag([ridge] * 3), jacobian.T @ (robust * residual))
         if not np.isfinite(step).all():
             break
         candidate = linearized(position + step)
-        if cost(candidate[1]) <= cost(residual):
-            position = position + step
+        reached = cost(candidate[1])
+        if reached <= least:
+            position, least = position + step, reached
             jacobian, residual, robust = candidate
             damping *= 0.1
-            if np.abs(step).max() < 1e-6:
+            if np.abs(step).max() < 1e-5:
                 break
         else:
             damping = max(damping * 100.0, 1e-6)

@@ -62,14 +62,16 @@ class SteeredResponse:
         offsets = (centres.T[:, None, :] - self.microphones.T[:, :, None]).astype(np.float32)
         ranges = np.sqrt(offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2)
         units = offsets / np.maximum(ranges, np.float32(1e-9))
-        gradient = np.abs(units[:, self.first] - units[:, self.second])
+        gradient = units[:, self.first]
+        gradient -= units[:, self.second]
+        np.abs(gradient, out=gradient)
         scale = np.float32(self.steps_per_metre)
         x, y, z = (scale * half).astype(np.float32)
         middle = (ranges[self.first] - ranges[self.second]) * scale + np.float32(self.half_lags)
         reach = gradient[0] * x + gradient[1] * y + gradient[2] * z + np.float32(0.5)
         last = self.lag_count - 1
-        lowest = np.clip(np.rint(middle - reach), 0, last).astype(np.intp)
-        return lowest, np.clip(np.rint(middle + reach), 0, last).astype(np.intp)
+        lowest = np.maximum(np.rint(middle - reach).astype(np.intp), 0)
+        return lowest, np.minimum(np.rint(middle + reach).astype(np.intp), last)
 
     def _spans(self, centres: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the two places in the flat ladder whose maxima cover each cell's lags, two (pairs, cells)."""
@@ -91,7 +93,8 @@ class SteeredResponse:
     def bound(self, ladder: np.ndarray, spans) -> np.ndarray:
         """Return for each cell the mean over pairs of the largest GCC in it, (cells,)."""
         flat = ladder.ravel()
-        return np.maximum(flat.take(spans[0]), flat.take(spans[1])).mean(axis=0)
+        largest = flat.take(spans[0])
+        return np.maximum(largest, flat.take(spans[1]), out=largest).mean(axis=0)
 
     def response(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the response at points (n, 3) m, (n,): GCC interpolated linearly between lag steps."""
@@ -149,10 +152,10 @@ class SteeredResponse:
             changes = np.array([[x, y, 0.0] for y in speeds for x in speeds])
 
         def best(places, velocities):
-            points = np.clip(np.tile(places, (len(velocities), 1)), self.low, self.high)
+            points = self._inside(np.tile(places, (len(velocities), 1)))
             velocities = np.repeat(velocities, len(places), axis=0)
             moved = points + offsets[:, None, None] * velocities
-            total = self._responses(gccs, np.clip(moved, self.low, self.high))
+            total = self._responses(gccs, self._inside(moved))
             index = int(np.argmax(total))
             return points[index], velocities[index], float(total[index])
 
@@ -188,11 +191,15 @@ class SteeredResponse:
         total = total / len(gccs) - 1e-4 * np.hypot(speeds[:, None], speeds)[:, :, None, None]
         height, vy, vx, y, x = np.unravel_index(int(np.argmax(total)), total.shape)
         moved = np.array([start[0] + step * (x - reach), start[1] + step * (y - reach), heights[height]])
-        return np.clip(moved, self.low, self.high), np.array([speeds[vx], speeds[vy], 0.0])
+        return self._inside(moved), np.array([speeds[vx], speeds[vy], 0.0])
+
+    def _inside(self, points: np.ndarray) -> np.ndarray:
+        """Return the points of the volume that are nearest to points (..., 3) m."""
+        return np.minimum(np.maximum(points, self.low), self.high)
 
     def _nearest(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the response at points (n, 3) m, or at those of the volume nearest to them, without interpolation."""
-        lag = np.rint(self.lags(np.clip(points, self.low, self.high))).astype(np.intp)
+        lag = np.rint(self.lags(self._inside(points))).astype(np.intp)
         return gcc.ravel().take(lag + (self.rows + self.half_lags)).mean(axis=0)
 
     def ambiguity(self, gccs, offsets, position, velocity, sharpness: float) -> np.ndarray:
@@ -321,8 +328,10 @@ def _cubic(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def _dilate(gccs: np.ndarray, reach: int) -> np.ndarray:
     """Return each lag's maximum within ± reach lags."""
-    wide = gccs.copy()
-    for step in range(1, reach + 1):
-        np.maximum(wide[..., step:], gccs[..., :-step], out=wide[..., step:])
-        np.maximum(wide[..., :-step], gccs[..., step:], out=wide[..., :-step])
+    wide = np.pad(gccs, ((0, 0), (0, 0), (reach, reach)))
+    width = 1  # of the runs whose maxima there are; the next are no more than twice as wide
+    while width < 2 * reach + 1:
+        step = min(width, 2 * reach + 1 - width)
+        wide = np.maximum(wide[..., :-step], wide[..., step:])
+        width += step
     return wide
