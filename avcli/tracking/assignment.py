@@ -36,19 +36,20 @@ def ranked(priors, options, budget=1000, span=11.5):
             greedy = max(greedy, _greedy(weight, number, row, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
-        grown, moves = [], {-1: (0.0, [(0.0, (-1,), 0)])}
-        for bound, number, taken, used in beam:
-            leaf = priors[number][1][depth]
+        grown, moves, steps = [], {-1: [(0.0, (-1,), 0)]}, []
+        for _, row in priors:
+            leaf = row[depth]
             if leaf not in moves:
-                choice = options[leaf]
-                moves[leaf] = choice[0][0], [(gain, (j,), 0 if j < 0 else 1 << j) for gain, j in choice]
-            best, choice = moves[leaf]
-            for gain, step, bit in choice:
-                reached = bound + gain - best
-                if reached < floor:
+                best = options[leaf][0][0]
+                moves[leaf] = [(gain - best, (j,), 0 if j < 0 else 1 << j) for gain, j in options[leaf]]
+            steps.append(moves[leaf])
+        for bound, number, taken, used in beam:
+            least = floor - bound
+            for loss, step, bit in steps[number]:
+                if loss < least:
                     break
                 if not used & bit:
-                    grown.append((reached, number, taken + step, used | bit))
+                    grown.append((bound + loss, number, taken + step, used | bit))
         if len(grown) > budget:
             grown.sort(key=FIRST, reverse=True)
             del grown[budget:]

@@ -117,6 +117,5 @@ def noise_of(covariances, sigma, floor, area):
             noise[unseen, k, k] = (area[1][k] - area[0][k]) ** 2 / (2 * math.pi)
     axes[:] = np.minimum(np.maximum(axes, FLOOR), CEILING)
     most = 0.999 * np.sqrt(axes[:, 0] * axes[:, 1])
-    cross = np.minimum(np.maximum((noise[:, 0, 1] + noise[:, 1, 0]) / 2, -most), most)
-    noise[:, 0, 1] = noise[:, 1, 0] = cross
+    noise[:, 0, 1] = noise[:, 1, 0] = np.minimum(np.maximum((noise[:, 0, 1] + noise[:, 1, 0]) / 2, -most), most)
     return noise

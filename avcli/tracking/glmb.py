@@ -64,6 +64,8 @@ class GLMB:
         people = self.people
         people.found = np.column_stack([people.found, np.full(len(people), sensor.findable())])
         self.unseen_found = np.append(self.unseen_found, sensor.findable())
+        self.findable = np.array([one.findable() for one in self.sensors])
+        self.turnover = np.array([one.hide + one.show for one in self.sensors])
 
     def advance(self, time):
         """Predict to a time (s); a time in the past counts as the present."""
@@ -88,10 +90,9 @@ class GLMB:
                 people.node = Node.steps(people, before, half, mixed, survive, time)
             people.exist = people.exist * survive
         if self.sensors:
-            mix = np.array([math.exp(-(s.hide + s.show) * dt) for s in self.sensors])
-            rest = np.array([s.findable() for s in self.sensors])
-            self.unseen_found = rest + (self.unseen_found - rest) * mix
-            people.found = rest + (people.found - rest) * mix
+            mix = np.exp(-dt * self.turnover)
+            self.unseen_found = self.findable + (self.unseen_found - self.findable) * mix
+            people.found = self.findable + (people.found - self.findable) * mix
 
     def _stop_at_walls(self, before):
         """Hold predictions inside the room that were inside it before: before (n, M, 4) mean states."""
@@ -516,7 +517,7 @@ class GLMB:
             return []
         rows = [leaf for _, leaf, *_ in found]
         people = self.people
-        mean, cov = gaussian.moments(people.mean[rows], people.cov[rows], people.mode[rows])
+        mean, cov = gaussian.moments(*(state.take(rows, 0) for state in (people.mean, people.cov, people.mode)))
         return [
             Track(label, mean[k], cov[k], exists, dict(zip(self.column, people.found[leaf].tolist(), strict=True)))
             for k, (label, leaf, exists, _) in enumerate(found)

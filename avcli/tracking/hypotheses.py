@@ -6,6 +6,7 @@ import numpy as np
 
 INDEPENDENT = 0.15  # total variation of two labels' joint weights from their product that passes for independence
 ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; densities of a label as near as this pass for one
+BOTH = np.ones(2)
 
 
 class Densities:
@@ -64,6 +65,9 @@ class Cluster:
 
     def marginals(self, at, exist):
         """Of the label in column `at`: {density: its probability}, and the probability that the label exists."""
+        if len(self.rows) == 1:
+            leaf = self.rows[0][at]
+            return {leaf: 1.0}, float(exist[leaf]) if leaf >= 0 else 0.0
         shares = {}
         for row, share in zip(self.rows, self.shares, strict=True):
             leaf = row[at]
@@ -85,15 +89,15 @@ class Cluster:
 
     def parts(self):
         """Columns in parts, between which no two labels depend on each other but for INDEPENDENT: a list of lists."""
-        rows = np.array(self.rows) + 1
-        count, stride = len(self.labels), int(rows.max()) + 1
-        keys, at = np.unique(rows + stride * np.arange(count), return_inverse=True)
-        held = np.zeros((len(rows), len(keys)))
-        held[np.arange(len(rows))[:, None], at.reshape(rows.shape)] = 1.0
-        weighted = held * np.array(self.shares)[:, None]
-        alone = weighted.sum(0)
-        owner = (keys[:, None] // stride == np.arange(count)).astype(float)
-        linked = owner.T @ np.abs(weighted.T @ held - np.outer(alone, alone)) @ owner > 2 * INDEPENDENT
+        count, shares, held, owner = len(self.labels), np.array(self.shares), [], []
+        for column, leaves in enumerate(zip(*self.rows, strict=True)):
+            distinct = set(leaves)
+            if len(distinct) > 1:  # whoever is the same in all rows depends on nobody
+                held += [[leaf == one for leaf in leaves] for one in sorted(distinct)]
+                owner += [column] * len(distinct)
+        held, owner = np.array(held, float).reshape(-1, len(shares)), np.array(owner)[:, None] == np.arange(count)
+        alone = held @ shares
+        linked = owner.T @ abs(held * shares @ held.T - alone[:, None] * alone) @ owner > 2 * INDEPENDENT
         parts, left = [], set(range(count))
         while left:
             part = reach = {min(left)}
@@ -114,8 +118,8 @@ class Cluster:
         leaves = sorted(shares, key=lambda leaf: (people.label[leaf], -shares[leaf], leaf))
         if len(leaves) <= len(self.labels):
             return self
-        state = people.centres(leaves) / ALIKE
-        near = (np.square(state[:, None] - state).sum(-1) < 1).tolist()
+        state = (people.centres(leaves) / ALIKE).view(complex)
+        near = (np.square(abs(state[:, None] - state)) @ BOTH < 1).tolist()
         heads = {}  # number of the likeliest of some densities that are alike: the numbers of all of them
         for k, leaf in enumerate(leaves):
             head = next((h for h in heads if near[h][k] and people.label[leaves[h]] == people.label[leaf]), k)

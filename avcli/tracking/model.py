@@ -96,17 +96,18 @@ class Settings:
 
     def leaving(self, places):
         """Rate per second at which people at these places, (n, 2) m, leave the room: (n,)."""
-        low, high = self.corners
-        inside = np.minimum(places - low, high - places).min(1)
-        return np.where(inside < self.edge, 1.0 / self.pass_by, 1.0 / self.stay)
+        return np.where(self._near_walls(places), 1.0 / self.pass_by, 1.0 / self.stay)
 
     def whereabouts(self, places):
         """Densities per m^2, at places (n, 2) m, of someone anywhere and of someone near the walls: (n, 2)."""
-        low, high = self.corners
-        density = np.empty((len(places), 2))
-        density[:, 0] = 1 / self.surface
-        density[:, 1] = (np.minimum(places - low, high - places).min(1) < self.edge) / self.strip
+        density = np.full((len(places), 2), 1 / self.surface)
+        density[:, 1] = self._near_walls(places) / self.strip
         return density
+
+    def _near_walls(self, places):
+        low, high = self.corners
+        away = abs(places - (low + high) / 2) > (high - low) / 2 - self.edge
+        return away[:, 0] | away[:, 1]
 
     @cached_property
     def surface(self):
