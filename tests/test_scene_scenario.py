@@ -109,6 +109,18 @@ def test_random_scenarios_are_valid_and_seeded(count):
         assert 1.5 <= person.height <= 1.95
 
 
+@pytest.mark.parametrize("count", [4, 10, 25])
+def test_nobody_meets_in_a_random_crowd(count):
+    scene = scenario.parse(crowd.random(count, 20.0, np.random.default_rng(5)))
+    assert scene.warnings == ()  # of meetings and of furniture
+    t = np.arange(0.0, 20.0, 0.05)
+    tracks = np.array([person.motion.position(t) for person in scene.people])
+    away = np.linalg.norm(tracks[:, None] - tracks[None], axis=3) + np.eye(count)[:, :, None]
+    assert away.min() > (0.48 if count <= 10 else 0.3)
+    walked = np.linalg.norm(np.diff(tracks, axis=1), axis=2).sum(axis=1)
+    assert np.median(walked) > 5.0
+
+
 def test_meshes(tmp_path):
     import trimesh
 

@@ -1,10 +1,12 @@
 """Random scenarios: people who walk between places of their choice, sit, and take turns to speak."""
 
+import heapq
+
 import numpy as np
 
 from avcli.scene.people import LOOKS
 
-_APART_M = 0.5  # that two walkers keep
+_APART_M = 0.5  # that two walkers keep, less in a crowd
 _CLEAR_M = 0.3  # that a walker keeps from furniture and walls
 _STEP_S = 0.1
 
@@ -25,8 +27,7 @@ def random(people, duration, generator, room=(4.66, 4.66, 3.0)):
     tables, chairs = _furnish(width, depth, generator)
     obstacles = [(*t["position_m"], 0.5 * t["size_m"][0], 0.5 * t["size_m"][1]) for t in tables]
     obstacles += [(*c["position_m"], 0.23, 0.23) for c in chairs]
-    times = np.arange(0.0, duration + _STEP_S, _STEP_S)
-    tracks, persons = [], []
+    persons, seats = [], np.full((people, 2), np.nan)
     names = list(LOOKS)
     order = generator.permutation(max(people, 1))
     for number in range(people):
@@ -35,19 +36,12 @@ def random(people, duration, generator, room=(4.66, 4.66, 3.0)):
         person["height_m"] = round(float(np.clip(generator.normal(LOOKS[look].height, 0.04), 1.5, 1.95)), 2)
         if number < len(chairs) and number % 3 == 2:
             chair = chairs[number]
-            person["waypoints"] = [
-                {
-                    "position_m": chair["position_m"],
-                    "heading_deg": chair["rotation_deg"],
-                    "pose": "sit",
-                    "stay_s": duration,
-                }
-            ]
-            tracks.append(np.tile(chair["position_m"], (len(times), 1)))
-        else:
-            person["waypoints"], track = _wander(times, tracks, obstacles, width, depth, generator)
-            tracks.append(track)
+            seats[number] = chair["position_m"]
+            seat = {"position_m": chair["position_m"], "heading_deg": chair["rotation_deg"], "pose": "sit"}
+            person["waypoints"] = [seat | {"stay_s": duration}]
         persons.append(person)
+    for number, waypoints in _walks(seats, duration, obstacles, width, depth, generator).items():
+        persons[number]["waypoints"] = waypoints
     for person, turns in zip(persons, _turns(people, duration, generator), strict=True):
         person["speech_s"] = turns
     return {
@@ -73,45 +67,59 @@ def _furnish(width, depth, generator):
     return tables, chairs
 
 
-def _wander(times, tracks, obstacles, width, depth, generator):
-    """Waypoints of one walk that keeps clear of furniture and of the tracks so far, and its track (n, 2)."""
+def _walks(seats, duration, obstacles, width, depth, generator):
+    """Waypoints of everybody who has no seat (people, 2), NaN, by number.
+
+    Whoever has arrived chooses where to go next, in the order of arrival. All others are then on a way that they will
+    keep to, or stand at its end, and the new way, with the stay at its end, keeps clear of them: nobody ever meets.
+    """
     low, high = [_CLEAR_M, _CLEAR_M], [width - _CLEAR_M, depth - _CLEAR_M]
-    starts = np.round(generator.uniform(low, high, (200, 2)), 2)
-    place = max(starts, key=lambda p: _clearance(p[None], np.zeros(1, int), tracks, obstacles))
-    waypoints = [{"position_m": place.tolist(), "t_s": 0.0}]
-    track, clock, filled = np.tile(place, (len(times), 1)), 0.0, 1
-    while filled < len(times):
-        best = None
-        for attempt in range(60):
-            # Now and then one stays for a moment; who finds no way waits for a second.
-            waits = attempt == 0 and generator.uniform() < 0.3
-            target = place if waits else np.round(generator.uniform(low, high), 2)
-            distance = float(np.linalg.norm(target - place))
-            if not waits and distance < 0.8:
+    times = np.arange(0.0, duration + _STEP_S, _STEP_S)
+    tracks = np.repeat(seats[:, None], len(times), axis=1)
+    apart = min(_APART_M, 0.5 * np.sqrt(width * depth / max(len(seats), 1)) - 0.1)
+    walks = {int(number): [] for number in np.flatnonzero(np.isnan(seats[:, 0]))}
+    for number, waypoints in walks.items():
+        starts = np.round(generator.uniform(low, high, (400, 2)), 2)
+        others = tracks[~np.isnan(tracks[:, 0, 0]), :1]
+        place = max(starts, key=lambda p: _clearance(p[None], others, obstacles))
+        tracks[number] = place
+        waypoints.append({"position_m": place.tolist(), "t_s": 0.0})
+    arrivals = [(0.0, number) for number in walks]
+    still = 0.0  # from then on, as ways are chosen now, everybody stands
+    while arrivals:
+        clock, number = heapq.heappop(arrivals)
+        if clock >= duration:
+            continue
+        place, others = np.array(walks[number][-1]["position_m"]), np.delete(tracks, number, axis=0)
+        first = int(np.ceil(clock / _STEP_S - 1e-9))
+        enough = min(apart, _clearance(place[None], others[:, first:], obstacles))
+        arrival = round(clock + float(generator.uniform(0.5, 2.0)), 2)  # who finds no way waits, as some do anyway
+        target = place
+        for _ in range(0 if generator.uniform() < 0.3 else 60):
+            goal = np.round(generator.uniform(low, high), 2)
+            distance = float(np.linalg.norm(goal - place))
+            if distance < min(0.8, 2 * apart) or _clearance(goal[None], others[:, -1:], obstacles) <= enough:
                 continue
             speed = float(np.clip(generator.normal(1.05, 0.25), 0.5, 1.7))
-            arrival = round(clock + (generator.uniform(0.5, 2.0) if waits else distance / speed), 2)
-            index = np.arange(filled, min(int(arrival / _STEP_S) + 1, len(times)))
-            way = place + ((times[index] - clock) / (arrival - clock))[:, None] * (target - place)
-            clearance = _clearance(way, index, tracks, obstacles)
-            if best is None or clearance > best[0]:
-                best = clearance, target, arrival, index, way
-            if clearance > _APART_M:
+            end = round(clock + distance / speed, 2)
+            last = min(int(np.ceil(max(end, still) / _STEP_S)) + 1, len(times))
+            part = np.clip((times[first:last] - clock) / (end - clock), 0, 1)[:, None]
+            way = place + part * (goal - place)
+            if _clearance(way, others[:, first:last], obstacles) > enough:
+                target, arrival, still = goal, end, max(still, end)
+                tracks[number, first:], tracks[number, first:last] = goal, way
                 break
-        _, place, clock, index, way = best
-        track[index] = way
-        track[index[-1] + 1 if len(index) else filled :] = place
-        filled = index[-1] + 1 if len(index) else filled
-        waypoints.append({"position_m": place.tolist(), "t_s": clock})
-    return waypoints, track
+        walks[number].append({"position_m": target.tolist(), "t_s": arrival})
+        heapq.heappush(arrivals, (arrival, number))
+    return walks
 
 
-def _clearance(way, index, tracks, obstacles):
-    """The least distance that a way (n, 2) at times of the given index keeps from other tracks, -1 in furniture."""
+def _clearance(way, others, obstacles):
+    """The least distance that a way (n, 2) keeps from others' tracks (m, n, 2), -1 in furniture."""
     for x, y, half_x, half_y in obstacles:
         if (np.maximum(np.abs(way[:, 0] - x) - half_x, np.abs(way[:, 1] - y) - half_y) < _CLEAR_M).any():
             return -1.0
-    return min((float(np.linalg.norm(way - track[index], axis=1).min(initial=9.0)) for track in tracks), default=9.0)
+    return float(np.sqrt(((way - others) ** 2).sum(axis=2).min(initial=81.0)))
 
 
 def _turns(people, duration, generator):
