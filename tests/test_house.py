@@ -1,6 +1,7 @@
 """The rules of the house: who imports whom, what starts up fast, what is documented."""
 
 import ast
+import importlib
 import itertools
 import os
 import re
@@ -58,6 +59,14 @@ def test_help_and_version_import_nothing_heavy(command):
         assert result.returncode == 0
         assert result.stdout.strip()
         assert result.stderr.strip() == ""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_ends_with_a_line_to_type(command):
+    main = importlib.import_module("avcli.commands." + command.replace("-", "_")).main
+    for name, one in {command: main, **getattr(main, "commands", {})}.items():
+        assert one.epilog.startswith(f"Example: {command} {name if one is not main else ''}".strip())
+        assert len(one.epilog) <= 78  # else it is broken in two
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))

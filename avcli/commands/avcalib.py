@@ -77,7 +77,7 @@ def _fit_options(function):
     return with_options(function, options)
 
 
-@main.command("calibrate")
+@main.command("calibrate", epilog="Example: avcalib calibrate film.mp4 --board 6x9 --square 90 -o camera.json")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
 @board_options()
 @rate_option()
@@ -158,7 +158,7 @@ def _draw(session, seen, result, plot, html):
 # --- check ------------------------------------------------------------------------------------------------------------
 
 
-@main.command("check")
+@main.command("check", epilog="Example: avcalib check camera.json new/ --board 6x9 --square 90")
 @click.argument("camera", metavar="CONFIG")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
 @board_options()
@@ -187,7 +187,7 @@ def check_command(session, camera, sources, board_text, square, charuco, rate, f
 # --- live -------------------------------------------------------------------------------------------------------------
 
 
-@main.command("live")
+@main.command("live", epilog="Example: avcalib live /dev/video0 --board 7x10 --square 95 -C lab")
 @click.argument("source", default="/dev/video0", metavar="[CAMERA]")
 @board_options()
 @rate_option()
@@ -239,7 +239,7 @@ def live_command(session, source, board_text, square, charuco, rate, port, enoug
 # --- target -----------------------------------------------------------------------------------------------------------
 
 
-@main.command("target")
+@main.command("target", epilog="Example: avcalib target --board 7x10 --square 25 --paper A4 -o board.pdf")
 @board_options("7x10", 25.0)
 @click.option(
     "--paper",

@@ -28,7 +28,7 @@ def _known_camera(session):
 # --- undistort --------------------------------------------------------------------------------------------------------
 
 
-@click.command("undistort")
+@click.command("undistort", epilog="Example: avcalib undistort film.mp4 -c camera.json --to straight.mp4")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
 @click.option(
     "--to",
@@ -106,7 +106,7 @@ def undistort_command(session, sources, target, projection, balance, fov, size, 
 # --- pose -------------------------------------------------------------------------------------------------------------
 
 
-@click.command("pose")
+@click.command("pose", epilog="Example: avcalib pose floor.png -C lab --board 7x10 --square 95")
 @click.argument("sources", nargs=-1, metavar="[SOURCE]...")
 @click.option(
     "--points",
@@ -173,7 +173,7 @@ def pose_command(session, sources, points, board_text, square, charuco, at, yaw,
 # --- microphones ------------------------------------------------------------------------------------------------------
 
 
-@click.command("microphones")
+@click.command("microphones", epilog="Example: avcalib microphones -C lab smooth.jsonl")
 @click.argument("tracks", metavar="TRACKS")
 @click.option(
     "--audio",
