@@ -46,7 +46,7 @@ def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
 
 
 @click.command(
-    "avsim-audio", cls=Filter, epilog="Example: avsim-audio -C out/s1 out/s1/groundtruth_sources.jsonl -o audio.jsonl"
+    "avsim-audio", cls=Filter, epilog="Example: avsim-audio -C out/s1 scene.jsonl -o audio.jsonl"
 )
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option(
