@@ -136,3 +136,14 @@ def test_predictions_stop_at_the_walls_and_only_from_inside():
     for k in range(12):
         tracker.scan(6 + k / 10, "video", np.array([[5.0 + 0.1 * k, 2.3]]), noise)
     assert tracker.tracks(7.1)[-1].state[0] > 5.9
+
+
+def test_names_that_nothing_can_tell_apart_any_more_are_decided():
+    here, there, near = [1, 1, 0.5, 0], [3, 3, 0, 0.5], [1.02, 1.01, 0.45, 0]
+    crowd = people([here, there, there, near, [2, 2, 0, 0]], [0, 0, 1, 1, 1])
+    either = cluster({(0, 2): 0.55, (1, 3): 0.35, (0, 4): 0.1})  # somebody at (2, 2) is another matter
+    decided = either.decided(crowd)
+    assert decided.rows == [(0, 2), (0, 4)]
+    assert decided.shares == pytest.approx([0.9, 0.1])
+    crowd.found[3] = 0.5  # one speaks and the other does not: that may yet tell who is who
+    assert either.decided(crowd).rows == [(0, 2), (1, 3), (0, 4)]

@@ -372,7 +372,11 @@ class GLMB:
         for labels, hypotheses in groups:
             rows = [tuple([place[pair] for pair in h[1]]) for h in hypotheses]
             cluster = Cluster(labels, rows, [h[0] for h in hypotheses])
-            self._settle(cluster.condensed(people) if len(rows) > 1 else cluster)
+            if len(rows) > 1:
+                cluster = cluster.condensed(people)
+            if len(labels) > 1 and len(cluster.rows) > 1:
+                cluster = cluster.decided(people)
+            self._settle(cluster)
         self.leaves = sorted({leaf for cluster in self.clusters for row in cluster.rows for leaf in row if leaf >= 0})
         self.likeliest = [leaf for cluster in self.clusters for leaf in cluster.rows[0] if leaf >= 0]
 

@@ -6,6 +6,8 @@ import numpy as np
 
 INDEPENDENT = 0.15  # total variation of two labels' joint weights from their product that passes for independence
 ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; densities of a label as near as this pass for one
+TWINS = np.array([0.05, 0.05, 0.2, 0.2])  # m, m/s; densities of two labels as near as this are of the same person
+TWIN_FOUND = 0.2  # as far as the probabilities that sensors find them are as near as this
 BOTH = np.ones(2)
 
 
@@ -133,3 +135,27 @@ class Cluster:
             if len(members) > 1:
                 people.match(members, [shares[leaf] for leaf in members])
         return self.merged(self.labels, [tuple([same[leaf] for leaf in row]) for row in self.rows])
+
+    def decided(self, people):
+        """The cluster without hypotheses that differ from a likelier one in who is who alone, in people: Densities.
+
+        Where the same people stand in the same places under other names, no later record can tell which is right: the
+        likelier names stay, so that they do not come and go with the last digits of the weights.
+        """
+        leaves = sorted({leaf for row in self.rows for leaf in row if leaf >= 0})
+        if len(leaves) <= len(self.labels):
+            return self
+        state = people.centres(leaves) / TWINS
+        apart = np.square(state[:, None] - state).sum(-1)
+        found = people.found.take(leaves, 0) / TWIN_FOUND
+        apart += np.square(found[:, None] - found).sum(-1)
+        twin = (apart < 1).argmax(1).tolist()
+        place = {-1: -1, **dict(zip(leaves, twin, strict=True))}
+        shares, first = {}, {}
+        for row, share in zip(self.rows, self.shares, strict=True):
+            row = first.setdefault(tuple(sorted([place[leaf] for leaf in row])), row)
+            shares[row] = shares.get(row, 0.0) + share
+        if len(shares) == len(self.rows):
+            return self
+        rows = sorted(shares, key=lambda row: -shares[row])
+        return Cluster(self.labels, rows, [math.log(shares[row]) for row in rows])
