@@ -36,6 +36,7 @@ class Settings:
         occupancy: least share of the band's bins within 40 dB of the strongest; a tone has less.
         false_alarm: probability that a decision on noise alone reports something.
         min_score: least probability of being right that is reported.
+        candidate: probability that noise alone makes a further peak worth remembering; it is reported if it lasts.
     """
 
     rate: float = 10.0
@@ -54,6 +55,7 @@ class Settings:
     occupancy: float = 0.03
     false_alarm: float = 0.01
     min_score: float = 0.5
+    candidate: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -292,7 +294,7 @@ class SteeredLocalizer:
         judged, left = [], self.before
         for peak in peaks:
             near = [_level(place, peak.position) < self.reached(age) for place, _, age in left]
-            before = max((trace[1] for trace, same in zip(left, near, strict=True) if same), default=0.0)
+            before = max((trace[1] for trace, same in zip(left, near, strict=True) if same), default=0.0, key=abs)
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             features = self.features(peak, peak is peaks[0], before, noise)
             judged.append((uncertainty.probability(features), peak, features))
@@ -315,11 +317,13 @@ class SteeredLocalizer:
         explained = 0.0  # coherence, (windows, bins), that the peaks so far have
         steered = self.response
         threshold = noise.threshold(self.settings.false_alarm)
-        known = [(place, self.reached(age)) for place, lasting, age in self.before if lasting > 0.3]
+        known = [(place, self.reached(age)) for place, lasting, age in self.before if lasting > 0.5]
         for _ in range(self.settings.max_speakers + 1):
             mean = gccs.mean(axis=0)
             known = [(place, reach) for place, reach in known if all(_level(p.position, place) > reach for p in found)]
             again, reach = known.pop(0) if found and known else (None, 0.0)
+            if found:
+                threshold = noise.threshold(self.settings.candidate)
             start = steered.search(np.minimum(mean, 7.0 * noise.deviation))[0][0] if again is None else again
             peak = _Peak(start, float(steered.response(mean, start[None])[0]))
             velocity = np.zeros(3)
@@ -402,7 +406,7 @@ class SteeredLocalizer:
         self.before = [(place, lasting, 1) for place, lasting in peaks] + [
             (place, self.kept * lasting, age + 1)
             for place, lasting, age in self.before
-            if lasting > 0.05 and all(_level(place, peak) > self.reached(age) for peak, _ in peaks)
+            if abs(lasting) > 0.05 and all(_level(place, peak) > self.reached(age) for peak, _ in peaks)
         ]
 
     def reached(self, age: int) -> float:

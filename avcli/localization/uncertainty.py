@@ -11,13 +11,10 @@ import numpy as np
 FLOOR = 0.003
 """m: the standard deviation that no localization undercuts (where the microphones are, how warm the air is)."""
 
-FIRST = {"one": 4.86, "response": 3.07, "agreement": 6.12}
-FURTHER = {"one": 1.14, "response": 3.06, "own": 9.03}
+FIRST = {"one": 1.23, "response": 4.41, "agreement": 4.89, "before": 0.63}
+FURTHER = {"one": 1.82, "response": 2.37, "own": 9.07, "support": 3.57, "before": 1.25}
 """Logit of the probability that a decision's first peak, or a further one, is within half a metre (x, y) of a talker,
-on the logarithms of its features, were it not new."""
-
-NEW, LASTING = -2.0, {"first": 0.91, "further": 2.05}
-"""What is added to it: for every peak, and for how lasting it is."""
+on the logarithms of its features, and on how lasting it is."""
 
 MEMORY = 0.28
 """s: how long a decision counts in the later ones."""
@@ -63,27 +60,34 @@ class Features:
     speed: float
 
 
-def alone(features: Features) -> float:
-    """Return the logit of the probability that a peak is right, were it not new (logistic regression)."""
-    weights = FIRST if features.first else FURTHER
-    names = [name for name in weights if name != "one"]
-    return weights["one"] + sum(weights[name] * float(np.log(max(getattr(features, name), 1e-3))) for name in names)
+def terms(features: Features) -> list[float]:
+    """Return what the weights of FIRST, or of FURTHER, are multiplied by, in their order."""
+    names = [name for name in (FIRST if features.first else FURTHER) if name not in ("one", "before")]
+    return [1.0, *(float(np.log(max(getattr(features, name), 1e-3))) for name in names), features.before]
+
+
+def logit(features: Features) -> float:
+    """Return the logit of the probability that a peak is within half a metre (x, y) of a talker."""
+    weights = (FIRST if features.first else FURTHER).values()
+    return sum(weight * term for weight, term in zip(weights, terms(features), strict=True))
 
 
 def remembered(features: Features, kept: float) -> float:
-    """Return how lasting a peak is: a mean over the decisions of what each says for it alone, 0 to 4.
+    """Return how lasting a peak is: a mean over the decisions of the logits that it is right, from -4 to 2, plus 2.4.
+
+    Who is weak but there again and again comes to count; what stays without ever being likely, as a talker's echoes
+    do, counts against itself.
 
     Args:
         features: its own, and what was nearby before.
         kept: how much of that is kept, 0 to 1.
     """
-    return kept * features.before + (1.0 - kept) * float(np.clip(alone(features), 0.0, 4.0))
+    return kept * features.before + (1.0 - kept) * float(np.clip(logit(features), -4.0, 2.0) + 2.4)
 
 
 def probability(features: Features) -> float:
     """Return the probability that a peak is within half a metre (x, y) of a talker."""
-    value = alone(features) + NEW + LASTING["first" if features.first else "further"] * features.before
-    return float(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))))
+    return float(1.0 / (1.0 + np.exp(-np.clip(logit(features), -30.0, 30.0))))
 
 
 def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:

@@ -394,12 +394,7 @@ def fit(count):
         chosen = np.array([row[2].first == first for row in rows])
         mine = [row for row, is_mine in zip(rows, chosen, strict=True) if is_mine]
         right = np.array([row[0] for row in mine], float)
-        terms = np.array(
-            [
-                [1.0, *(np.log(max(getattr(f, name), 1e-3)) for name in names if name != "one"), f.before]
-                for _, _, f, _, _ in mine
-            ]
-        )
+        terms = np.array([uncertainty.terms(features) for _, _, features, _, _ in mine])
         counts = np.array([row[4] for row in mine])
         weights = np.zeros(terms.shape[1])
         for _ in range(50):  # Newton's method on the logistic likelihood
@@ -409,8 +404,7 @@ def fit(count):
         chance[chosen] = p
         loss = -np.mean(right * np.log(p + 1e-12) + (1 - right) * np.log(1 - p + 1e-12))
         print(f"{len(mine)} peaks, {right.mean():.3f} of them right, log loss {loss:.4f}")
-        weights[0] -= uncertainty.NEW
-        found = dict(zip([*names, "LASTING"], weights.round(2).tolist(), strict=True))
+        found = dict(zip(names, weights.round(2).tolist(), strict=True))
         print("FIRST =" if first else "FURTHER =", found)
     sure = [row for row, p in zip(rows, chance, strict=True) if row[0] and p > 0.5]
     fit_spread(sure)
