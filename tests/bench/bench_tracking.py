@@ -35,9 +35,10 @@ MORE = {  # seeds of the default tracker and the ceiling alone, where chance wei
     **dict.fromkeys(("turning-back", "crossing", "comings-goings", "weak", "asynchronous", "damaged"), 10),
     **dict.fromkeys(("gaps", "dim-edge"), 24),
     "clutter": 6,
-    "ten": 8,
-    "long-pair": 6,
+    "ten": 6,
+    "long-pair": 5,
 }
+TOO_MUCH = {"jpda": ("clutter", "ten", "long-pair")}  # it enumerates all joint associations: hours, or minutes
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
 TRACKERS = {
     "ms-glmb": {},
@@ -150,7 +151,8 @@ def main():
         main_rows = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
         if case in EASY and "ms-glmb" in names:
             main_rows += [("ms-glmb", (eye,)) for eye in ("audio", "video")]
-        all_rows[case] = main_rows[:1] + [(name, ()) for name in names if name != "ms-glmb"] + main_rows[1:]
+        others = [(name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())]
+        all_rows[case] = main_rows[:1] + others + main_rows[1:]
         count = max(options.seeds, MORE[case]) if "ms-glmb" in names and not options.no_more else options.seeds
         tasks += [(case, options.first + k, all_rows[case] if k < len(seeds) else main_rows) for k in range(count)]
     with ProcessPoolExecutor(options.jobs) as pool:
