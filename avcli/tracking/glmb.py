@@ -9,7 +9,7 @@ person. Every record updates the filter at its own time, so sensors may have any
 """
 
 import math
-from itertools import chain
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -154,10 +154,11 @@ class GLMB:
         at = self.tentative
         spread = (noise[:, 0, 0] + noise[:, 1, 1]) / 2
         if at:
-            axes = people.cov[at, 0]
-            places = np.concatenate([z, people.mean[at, 0, :2]])
+            axes = people.cov[:, 0].take(at, 0)
+            places = np.concatenate([z, people.mean[:, 0, :2].take(at, 0)])
             room = self._elbow_room(places, np.concatenate([spread, (axes[:, 0, 0] + axes[:, 1, 1]) / 2]))
-            from_tentative = (people.exist[at] * chance[at] * room[len(z) :])[:, None] * gain[at]
+            number = people.exist.take(at) * chance.take(at) * room[len(z) :]
+            from_tentative = number[:, None] * gain.take(at, 0)
             strangers = strangers * room[: len(z)]
         else:
             from_tentative = gain[:0]
@@ -196,8 +197,8 @@ class GLMB:
         if not self.likeliest:
             return 1.0
         leaves, people = np.array(self.likeliest), self.people
-        present = people.exist[leaves] * people.found[leaves, column] * self.rates[column].detection
-        return math.prod(np.minimum(1 - present + present * (gain[leaves] / kappa).sum(1), 1e3).tolist())
+        present = people.exist.take(leaves) * people.found[:, column].take(leaves) * self.rates[column].detection
+        return math.prod(np.minimum(1 - present + present * (gain.take(leaves, 0) / kappa).sum(1), 1e3).tolist())
 
     def _elbow_room(self, places, spread):
         """Probability (n,) that someone new at places (n, 2), known to variances (n,), is not inside a known person."""
@@ -545,8 +546,9 @@ def distinct(z, noise, score):
     """Detections in a defined order, without exact repetitions: the same arguments, (J, 2), (J, 2, 2), (J,) or None."""
     if len(z) < 2:
         return z, noise, score
-    order = np.lexsort((z[:, 1], z[:, 0]))
-    same = (z[order[1:]] == z[order[:-1]]).all(1)
-    if same.any():
-        order = np.lexsort((*noise.reshape(-1, 4).T, z[:, 1], z[:, 0]))[np.r_[True, ~same]]
-    return z[order], noise[order], None if score is None else score[order]
+    places = z.tolist()
+    order = sorted(range(len(places)), key=places.__getitem__)
+    if any(places[a] == places[b] for a, b in pairwise(order)):
+        order = np.lexsort((*noise.reshape(-1, 4).T, z[:, 1], z[:, 0])).tolist()
+        order = order[:1] + [b for a, b in pairwise(order) if places[a] != places[b]]
+    return z.take(order, 0), noise.take(order, 0), None if score is None else score.take(order)
