@@ -320,7 +320,7 @@ class GLMB:
         return births
 
     def _rebuild(self, column, z, noise, groups, births, detection):
-        """Compute each density that is needed once, and make clusters and tentative people of them."""
+        """Compute each density that is needed once, and make tentative people and clusters of them."""
         people, sensor = self.people, self.sensors[column]
         pairs = dict.fromkeys(chain.from_iterable(h[1] for _, hs in groups for h in hs))
         hidden = people.found[:, column]
@@ -361,7 +361,7 @@ class GLMB:
         place[-1, -1] = -1
         newcomer = {j: old + len(found) + k for k, j in enumerate(fresh)}
         self.tentative = list(range(n, old))
-        self.clusters, labels_taken = [], {label for labels, _ in groups for label in labels}
+        labels_taken = {label for labels, _ in groups for label in labels}
         for j, at, number, existence in births:
             row = place[at, j] if at >= 0 else newcomer[j]
             people.exist[row] = existence
@@ -370,6 +370,11 @@ class GLMB:
             else:
                 people.exist[row] = number
                 self.tentative.append(row)
+        self._recluster(groups, place)
+
+    def _recluster(self, groups, place):
+        """Make clusters of updated hypotheses; place: (density, detection) -> row of the updated density."""
+        people, self.clusters = self.people, []
         for labels, hypotheses in groups:
             rows = [tuple([place[pair] for pair in h[1]]) for h in hypotheses]
             cluster = Cluster(labels, rows, [h[0] for h in hypotheses])
