@@ -100,6 +100,7 @@ class _Peak:
     own: float = 1.0
     velocity: np.ndarray | None = None
     normal: np.ndarray | None = None
+    residual: float = 0.0
     gccs: np.ndarray | None = None
 
 
@@ -294,9 +295,9 @@ class SteeredLocalizer:
         judged, left = [], self.before
         for peak in peaks:
             near = [_level(place, peak.position) < self.reached(age) for place, _, age in left]
-            before = max((trace[1] for trace, same in zip(left, near, strict=True) if same), default=0.0, key=abs)
+            traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
-            features = self.features(peak, peak is peaks[0], before, noise)
+            features = self.features(peak, peak is peaks[0], traces, noise)
             judged.append((uncertainty.probability(features), peak, features))
         return sorted(judged, key=lambda item: -item[0])
 
@@ -370,16 +371,26 @@ class SteeredLocalizer:
         near = np.exp(turn * np.arange(32)).astype(np.complex64)
         return (far[..., :, None] * near[..., None, :]).reshape(*delays.shape, -1)[..., :count]
 
-    def features(self, peak: _Peak, first: bool, before: float, noise: _Noise) -> uncertainty.Features:
-        """Return what tells a right peak, the decision's first or a further one, from a wrong one."""
+    def features(self, peak: _Peak, first: bool, traces: list, noise: _Noise) -> uncertainty.Features:
+        """Return what tells a right peak, the decision's first or a further one, from a wrong one.
+
+        Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was.
+        """
+        velocity = np.zeros(3) if peak.velocity is None else peak.velocity
+        strayed = np.zeros(3)
+        if traces:
+            place, _, age = min(traces, key=lambda trace: trace[2])
+            strayed = peak.position - place - velocity * (age / self.settings.rate)
         return uncertainty.Features(
             response=peak.response / noise.location,
             agreement=peak.agreement,
             support=peak.support,
-            before=before,
+            before=max((lasting for _, lasting, _ in traces), default=0.0, key=abs),
             first=first,
             own=peak.own,
-            speed=0.0 if peak.velocity is None else float(np.hypot(*peak.velocity[:2])),
+            speed=float(np.hypot(*velocity[:2])),
+            residual=peak.residual,
+            strayed=strayed,
         )
 
     def refined(self, gccs, offsets, position, velocity, response: float, noise: _Noise) -> _Peak:
@@ -396,10 +407,22 @@ class SteeredLocalizer:
             gain = float(moved.mean() - value.mean())
             if gain > 0.0:
                 position, response, value = fitted, response + gain, moved
+        ranges = np.linalg.norm(position - self.array.microphones, axis=1)
+        misfit = differences - (ranges[steered.first] - ranges[steered.second])
+        residual = float(np.sqrt(np.minimum(misfit**2, 0.02**2).mean()))
         agreement = max(float(np.clip(value / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.0)
         support = float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean())
         scale = max(np.maximum(height, 0.0).mean(), 1e-9)
-        return _Peak(position, response, agreement, support, velocity=velocity, normal=normal / scale, gccs=gccs)
+        return _Peak(
+            position,
+            response,
+            agreement,
+            support,
+            velocity=velocity,
+            normal=normal / scale,
+            residual=residual,
+            gccs=gccs,
+        )
 
     def remember(self, peaks: list[tuple[np.ndarray, float]]) -> None:
         """Keep the places (3,) m of a decision's peaks and how lasting they are, and of those before it what fades."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FLOOR = 0.003
-"""m: the standard deviation that no localization undercuts (where the microphones are, how warm the air is)."""
+FLOOR = 0.001
+"""m: the standard deviation that no localization undercuts."""
 
 FIRST = {"one": 1.23, "response": 4.41, "agreement": 4.89, "before": 0.63}
 FURTHER = {"one": 1.82, "response": 2.37, "own": 9.07, "support": 3.57, "before": 1.25}
@@ -19,13 +19,17 @@ on the logarithms of its features, and on how lasting it is."""
 MEMORY = 0.28
 """s: how long a decision counts in the later ones."""
 
-SPREAD = {"one": -2.67, "response": -0.80, "support": -4.77}
+SPREAD = {"one": 3.73, "response": 1.21, "agreement": -4.36, "residual": 2.27}
 """Logarithm of the standard deviation (m) of a range difference, on the logarithms of the features."""
 
-MOTION = 0.044
+MOTION = 0.054
 """s: standard deviation in x and y of a walker's place over his speed: he is elsewhere at the windows' ends."""
 
-SHARPNESS = 3.0
+STRAYED = 0.34
+"""Share of how far a peak is from where it was a decision ago, had it moved as it seems to: the velocity is wrong, or
+one of the places is."""
+
+SHARPNESS = 8.0
 """Logarithm of a height's likelihood over the response there, in standard deviations of a GCC of noise."""
 
 CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
@@ -49,6 +53,9 @@ class Features:
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
         speed: m/s.
+        residual: m, root mean square of how far the pairs' peaks are from the place in range difference, each cut off
+            at 2 cm: where few pairs agree, a robust fit to them alone would seem perfect.
+        strayed: (3,) m, from where it was in the decision before, had it moved as it seems to; 0 where it is new.
     """
 
     response: float
@@ -58,6 +65,8 @@ class Features:
     first: bool
     own: float
     speed: float
+    residual: float
+    strayed: np.ndarray
 
 
 def terms(features: Features) -> list[float]:
@@ -90,6 +99,12 @@ def probability(features: Features) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(logit(features), -30.0, 30.0))))
 
 
+def spread_terms(features: Features) -> list[float]:
+    """Return what the weights of SPREAD are multiplied by, in their order."""
+    response, agreement = max(features.response, 1e-3), max(features.agreement, 0.02)
+    return [1.0, float(np.log(response)), float(np.log(agreement)), float(np.log(max(features.residual, 3e-4)))]
+
+
 def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:
     """Return the covariance (3, 3) m² of a position.
 
@@ -98,14 +113,11 @@ def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:
         features: see Features; they set the standard deviation of one range difference.
         low, high: (3,) m, corners of the searched volume: an axis that was not observed is as uncertain as the volume.
     """
-    sigma = np.exp(
-        SPREAD["one"]
-        + SPREAD["response"] * np.log(max(features.response, 1e-3))
-        + SPREAD["support"] * np.log(max(features.support, 1e-3))
-    )
+    sigma = np.exp(np.clip(np.dot(list(SPREAD.values()), spread_terms(features)), -12.0, 3.0))
     extent = np.maximum((np.asarray(high) - np.asarray(low)) / np.sqrt(12.0), FLOOR)
     spread = np.linalg.inv(normal / sigma**2 + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
-    spread[[0, 1], [0, 1]] += (MOTION * features.speed) ** 2
+    level = (MOTION * features.speed) ** 2 + STRAYED**2 * (features.strayed[0] ** 2 + features.strayed[1] ** 2)
+    spread[[0, 1, 2], [0, 1, 2]] += [level, level, (STRAYED * features.strayed[2]) ** 2]
     return 0.5 * (spread + spread.T)
 
 

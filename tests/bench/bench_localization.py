@@ -342,20 +342,30 @@ def bounds(prepared):
 
 
 class Witness(SteeredLocalizer):
-    """A localizer that keeps what it judged: (time in s, peak, features), the most probable of a decision first."""
+    """A localizer that keeps what it judged: (time in s, peak, features, what other heights add to the covariance)."""
 
     def step(self, step, windows):
         self.moment = step / self.settings.rate
         return super().step(step, windows)
 
+    def peaks(self, gccs, spectra, offsets, noise):
+        self.offsets_heard = offsets
+        return super().peaks(gccs, spectra, offsets, noise)
+
     def judge(self, peaks, noise):
         judged = super().judge(peaks, noise)
-        self.seen += [(self.moment, peak, features) for _, peak, features in judged if peak.normal is not None]
+        sharpness = uncertainty.SHARPNESS / noise.deviation
+        for _, peak, features in judged:
+            if peak.normal is not None:
+                motion = peak.position, peak.velocity
+                others = self.response.ambiguity(peak.gccs, self.offsets_heard, *motion, sharpness)
+                self.seen.append((self.moment, peak, features, others))
         return judged
 
 
 def witnessed(scene):
-    """For each peak: whether it is right, its error (3,), its features, its normal matrix, its weight.
+    """For each peak: whether it is right, its error (3,), its features, its normal matrix and what other heights add to
+    the covariance, its weight.
 
     Right is within half a metre (x, y) of a talker who is not taken and sounds, or did 0.15 s ago or will 0.15 s later:
     who fell silent is not to be reported from memory. Two at once are rarer in a room than among these scenes: what
@@ -366,7 +376,7 @@ def witnessed(scene):
     for _ in localizer.localize(scene.samples[i : i + 4096] for i in range(0, len(scene.samples), 4096)):
         pass
     rows, taken = [], set()
-    for moment, peak, features in localizer.seen:
+    for moment, peak, features, others in localizer.seen:
         errors = np.array([peak.position - talker.at(moment) for talker in scene.talkers])
         nearest = int(np.argmin(np.hypot(errors[:, 0], errors[:, 1])))
         begin, end = (int(max(moment + margin, 0.0) * FS) for margin in (-0.15, 0.15))
@@ -375,7 +385,7 @@ def witnessed(scene):
             taken.add((moment, nearest))
         right = near and bool(scene.talkers[nearest].sounding[begin:end].any())
         weight = 2.0 if not features.first and sum(talker.sounding[begin] for talker in scene.talkers) < 2 else 1.0
-        rows.append((right, errors[nearest], features, peak.normal, weight))
+        rows.append((right, errors[nearest], features, (peak.normal, others), weight))
     return rows
 
 
@@ -411,26 +421,31 @@ def fit(count):
 
 
 def fit_spread(rows):
-    """Fit SPREAD and MOTION on rows of `witnessed` that are right; what other heights add is not in them."""
+    """Fit SPREAD, MOTION and STRAYED by maximum likelihood on rows of `witnessed` that are right."""
     from scipy.optimize import minimize
 
-    terms = np.array([[1.0, np.log(f.response), np.log(max(f.support, 1e-3))] for _, _, f, _, _ in rows])
+    terms = np.array([uncertainty.spread_terms(row[2]) for row in rows])
     errors = np.array([row[1] for row in rows])
-    normals = np.array([row[3] for row in rows])
+    normals, others = (np.array(matrices) for matrices in zip(*(row[3] for row in rows), strict=True))
     speed = np.array([row[2].speed for row in rows])
+    strayed = np.array([row[2].strayed for row in rows])
     extent = np.diag(12.0 / np.array([ROOM[0], ROOM[1], 1.2]) ** 2)
 
     def loss(parameters):
-        sigma = np.exp(terms @ parameters[:3])
-        spread = np.linalg.inv(normals / sigma[:, None, None] ** 2 + extent) + uncertainty.FLOOR**2 * np.eye(3)
-        for axis in (0, 1):
-            spread[:, axis, axis] += (parameters[3] * speed) ** 2
+        *weights, motion, share = parameters
+        sigma = np.exp(np.clip(terms @ weights, -12.0, 3.0))
+        spread = np.linalg.inv(normals / sigma[:, None, None] ** 2 + extent) + uncertainty.FLOOR**2 * np.eye(3) + others
+        level = (motion * speed) ** 2 + share**2 * (strayed[:, :2] ** 2).sum(axis=1)
+        for axis, added in enumerate((level, level, (share * strayed[:, 2]) ** 2)):
+            spread[:, axis, axis] += added
         squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(spread), errors)
         return float(np.mean(0.5 * np.linalg.slogdet(spread)[1] + 0.5 * squared))
 
-    best = minimize(loss, [-0.9, -1.3, -2.0, 0.05], method="Nelder-Mead", options={"maxiter": 3000}).x
-    names = list(uncertainty.SPREAD)
-    print("SPREAD =", dict(zip(names, best[:3].round(2).tolist(), strict=True)), "MOTION =", round(abs(best[3]), 3))
+    best = [*uncertainty.SPREAD.values(), uncertainty.MOTION, uncertainty.STRAYED]
+    for _ in range(3):
+        best = minimize(loss, best, method="Nelder-Mead", options={"maxiter": 600, "adaptive": True}).x
+    *weights, motion, share = np.round(best, 3).tolist()
+    print("SPREAD =", dict(zip(uncertainty.SPREAD, weights, strict=True)), "MOTION =", motion, "STRAYED =", share)
 
 
 # --- the report -------------------------------------------------------------------------------------------------------
