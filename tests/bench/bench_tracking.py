@@ -36,7 +36,7 @@ MORE = {  # seeds of the default tracker and the ceiling alone, where chance wei
     **dict.fromkeys(("gaps", "dim-edge"), 24),
     "clutter": 6,
     "ten": 6,
-    "long-pair": 5,
+    "long-pair": 10,
 }
 TOO_MUCH = {"jpda": ("clutter", "ten", "long-pair")}  # it enumerates all joint associations: hours, or minutes
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
