@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
-from avcli.localization import correlation, events, multilateration
+from avcli.localization import correlation, events, multilateration, uncertainty
 from avcli.localization.array import Array, time_steps
 from avcli.localization.srp import SteeredResponse
 
@@ -281,3 +281,43 @@ def test_simulated_delays_are_the_geometry():
     window = samples[4000:8096] * correlation.hann(4096)[:, None]
     delays = multilateration.time_differences(window, FS, 2, np.full(8, 300.0), beta=0.7)
     np.testing.assert_allclose(delays * 343.0, ranges(place) - ranges(place)[2], atol=0.004)
+
+
+# --- how far a detection may be believed ------------------------------------------------------------------------------
+
+
+def features(**changed):
+    usual = {"response": 1.3, "agreement": 0.3, "support": 0.4, "before": 0.0, "first": False, "own": 0.8, "speed": 0.0}
+    return uncertainty.Features(**(usual | {"residual": 0.01, "strayed": np.zeros(3)} | changed))
+
+
+def lasting(steps, **changed):
+    """The scores of a peak that is as it is for so many decisions."""
+    before, scores = 0.0, []
+    for _ in range(steps):
+        peak = features(before=before, **changed)
+        scores.append(uncertainty.probability(peak))
+        before = uncertainty.remembered(peak, 0.7)
+    return np.array(scores)
+
+
+def test_what_is_weak_but_lasts_comes_to_count_and_what_is_unlikely_never_does():
+    weak, ghost = lasting(8, response=1.6, support=0.5), lasting(8, own=0.6)
+    assert weak[0] < 0.5 < weak[-1]
+    assert (np.diff(weak) > 0).all()
+    assert ghost.max() < 0.2
+    assert ghost[-1] <= ghost[0]
+
+
+def test_the_covariance_grows_with_all_that_speaks_against_a_place():
+    normal, low, high = np.diag([20.0, 20.0, 5.0]), np.array([0, 0, 0.8]), np.array([4.66, 4.66, 2.0])
+
+    def level(**changed):
+        spread = uncertainty.covariance(normal, features(**changed), low, high)
+        assert np.linalg.eigvalsh(spread)[0] >= uncertainty.FLOOR**2
+        return np.sqrt(spread[0, 0])
+
+    usual = level(agreement=0.8)
+    for changed in ({"residual": 0.019}, {"agreement": 0.3}, {"speed": 1.5}, {"strayed": np.array([0.2, 0.0, 0.0])}):
+        assert level(**({"agreement": 0.8} | changed)) > 1.5 * usual, changed
+    assert level(agreement=0.0, residual=1.0) < 4.66 / np.sqrt(12.0) + 0.01, "no wider than the room"
