@@ -45,9 +45,7 @@ def _noise(_context, _parameter, texts: tuple[str, ...]) -> dict[str, float]:
     return levels
 
 
-@click.command(
-    "avsim-audio", cls=Filter, epilog="Example: avsim-audio -C out/s1 scene.jsonl -o audio.jsonl"
-)
+@click.command("avsim-audio", cls=Filter, epilog="Example: avsim-audio -C out/s1 scene.jsonl -o audio.jsonl")
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option(
     "--speech",

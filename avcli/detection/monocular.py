@@ -96,17 +96,21 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
         if np.abs(step).max() < 1e-3:
             break
     cost = float(weights @ error**2)
-    if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6 or not _agree(predicted[:4], measured[:4]):
+    if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6:
+        return None
+    # What is half hidden is not explained by one body; who sits fills another box, but has the parts where they belong.
+    astray = np.sqrt(np.mean(error[4:] ** 2)) / extent if parts else np.inf
+    if _shared(predicted[:4], measured[:4]) < (0.35 if astray < 0.15 else 0.5):
         return None
     surplus = max(cost / max(np.count_nonzero(told) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
     covariance = surplus * np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)
     return state, (covariance + covariance.T) / 2, cost
 
 
-def _agree(box: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two boxes (4,) overlap well enough that one body explains both: what is half hidden is not explained."""
+def _shared(box: np.ndarray, other: np.ndarray) -> float:
+    """The fraction of their union that two boxes (4,) share."""
     shared = np.maximum(np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2]), 0).prod()
-    return bool(shared > 0.5 * ((box[2:] - box[:2]).prod() + (other[2:] - other[:2]).prod() - shared))
+    return float(shared / max((box[2:] - box[:2]).prod() + (other[2:] - other[:2]).prod() - shared, 1e-9))
 
 
 def _on_plane(pixel: np.ndarray, view: View, z: float) -> np.ndarray | None:

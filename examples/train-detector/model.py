@@ -100,13 +100,17 @@ def targets(boxes, parts, anchors, visible, height: int, width: int) -> tuple:
 
 
 def loss(maps, heat, negative, regression, weight) -> tuple:
-    """CenterNet's focal loss (Zhou et al., 2019, eq. 1), GIoU of the boxes and L1 of the parts, all per person."""
+    """CenterNet's focal loss (Zhou et al., 2019, eq. 1) of each picture (n,), GIoU of the boxes and L1 of the parts.
+
+    All are per person of the batch.
+    """
     logit = maps[:, 0]
     p = torch.sigmoid(logit)
     peak = heat == 1
     people = peak.sum().clamp(min=1)
-    positive = -((1 - p) ** 2 * F.logsigmoid(logit))[peak].sum()
-    other = -((1 - heat) ** 4 * p**2 * F.logsigmoid(-logit) * negative)[~peak].sum()
+    positive = -((1 - p) ** 2 * F.logsigmoid(logit)) * peak
+    other = -((1 - heat) ** 4 * p**2 * F.logsigmoid(-logit) * negative) * ~peak
+    scores = (positive + other).sum((1, 2))
     share = weight / weight.sum().clamp(min=1e-6)
     guess, true = maps[:, 1:5].clamp(-3, 4.5).exp(), regression[:, :4].exp()
     inner = torch.minimum(guess, true)
@@ -119,4 +123,4 @@ def loss(maps, heat, negative, regression, weight) -> tuple:
     scale = area[1].clamp(min=1).sqrt()
     boxes = ((1 - giou) * share).sum()
     points = ((maps[:, 5:] - regression[:, 4:]).abs().mean(1) / scale * share).sum()
-    return (positive + other) / people, boxes, points
+    return scores / people, boxes, points

@@ -161,10 +161,12 @@ class Library:
         each: frames of one scene.
         plain: leave out the camera's effects and the mirror (for judging).
         people: how many there are in each scene; None draws it.
+        pieces: least and largest number of pieces of furniture; None draws a few, and for training many.
     """
 
-    def __init__(self, seed: int, each: int = 12, plain: bool = False, people: int | None = None):
-        self.rng, self.each, self.plain, self.people = np.random.default_rng([seed, 7]), each, plain, people
+    def __init__(self, seed: int, each: int = 12, plain: bool = False, people: int | None = None, pieces=None):
+        self.rng, self.each, self.plain = np.random.default_rng([seed, 7]), each, plain
+        self.people, self.pieces = people, pieces
         self.context = render.open_context()
         self.context.gc_mode = "auto"  # one scene after another: what the last one drew with goes with it
         self._shots = iter(())
@@ -173,9 +175,12 @@ class Library:
         shot = next(self._shots, None)
         while shot is None:
             size = SHAPES[self.rng.integers(len(SHAPES))]
-            each, people, pieces = self.each, self.people, None
-            if not self.plain and people is None and self.rng.random() < 0.8:  # to learn what is furniture
-                each, people, pieces = 2, 0, int(self.rng.integers(4, 11))
+            each, people, span = self.each, self.people, self.pieces
+            if not self.plain and people is None:  # to learn what is furniture
+                span = (0, 10)
+                if self.rng.random() < 0.7:
+                    each, people, span = 2, 0, (4, 11)
+            pieces = None if span is None else int(self.rng.integers(*span))
             try:
                 self._shots = shots(self.rng, *size, each, self.context, people, pieces)
                 shot = next(self._shots, None)

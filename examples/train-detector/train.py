@@ -40,6 +40,25 @@ def pictures(queue, seed: int, batch: int, renders: float) -> None:
         queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
 
 
+def deceptive_rooms(queue, seed: int, weights: Path, least: float = 0.15) -> None:
+    """Put furnished rooms without people in which a network of these weights sees somebody into the queue, for ever."""
+    from generate import HEIGHT, WIDTH
+    from renders import Library
+
+    os.nice(6)
+    torch.set_num_threads(1)
+    network = Detector().eval()
+    network.load_state_dict({name: value.float() for name, value in torch.load(weights).items()})
+    library = Library(seed, each=1, people=0, pieces=(6, 18))
+    empty = [item.numpy() for item in targets([], [], [], [], HEIGHT, WIDTH)]
+    while True:
+        picture = library().picture
+        with torch.no_grad():
+            maps = network(torch.from_numpy(picture).permute(2, 0, 1)[None].float().div_(255))
+        if torch.sigmoid(maps[:, 0]).max() > least:
+            queue.put((picture, empty))
+
+
 def mirrored(chance, image, maps) -> tuple:
     """A picture and its maps as they are, or mirrored left to right, top to bottom, or both."""
     heat, negative, regression, weight = maps
@@ -65,9 +84,14 @@ def main() -> None:
     parser.add_argument(
         "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
     )
+    parser.add_argument(
+        "--hard", type=int, default=0, help="of a batch, how many are empty rooms in which --start sees somebody"
+    )
     parser.add_argument("--echo", type=int, default=6, help="how often a picture is learnt from")
     parser.add_argument("--memory", type=int, default=2400, help="pictures that are kept for it")
     options = parser.parse_args()
+    if options.hard and not options.start:
+        parser.error("--hard wants --start")
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     torch.manual_seed(options.seed)
@@ -91,8 +115,13 @@ def main() -> None:
         target=pictures, args=(queue, options.seed * 1000 + step, options.batch, options.renders), daemon=True
     )
     worker.start()
+    if options.hard:
+        rooms = multiprocessing.Queue(64)
+        mining = (rooms, options.seed * 1000 + step, options.start)
+        multiprocessing.Process(target=deceptive_rooms, args=mining, daemon=True).start()
     started, saved, sums = time.time() - spent, time.time(), np.zeros(3)
     chance, memory = np.random.default_rng([options.seed, step]), []
+    badly, deceptive = [], []
     while step < options.steps:
         progress = step / options.steps
         warm = min(1.0, (step + 1) / 100)
@@ -102,8 +131,17 @@ def main() -> None:
         if step % options.echo == 0 or len(memory) < 60 * options.batch:
             images, maps = queue.get()
             memory += [(image, [item[k] for item in maps]) for k, image in enumerate(images)]
-            del memory[: -options.memory]
-        chosen = [mirrored(chance, *memory[k]) for k in chance.integers(len(memory), size=options.batch)]
+            badly += [max(badly, default=1.0)] * options.batch
+            del memory[: -options.memory], badly[: -options.memory]
+        if options.hard and (step % 8 == 0 or len(deceptive) < 30):
+            deceptive.append(rooms.get())
+        # What was learnt badly comes more often (hard example mining, Shrivastava et al., 2016), but not by itself.
+        odds = np.sqrt(badly)
+        drawn = chance.choice(len(memory), options.batch - options.hard, p=odds / odds.sum())
+        chosen = [memory[k] for k in drawn]
+        if options.hard:
+            chosen += [deceptive[k] for k in chance.integers(len(deceptive), size=options.hard)]
+        chosen = [mirrored(chance, *item) for item in chosen]
         images = np.stack([image for image, _ in chosen])
         maps = [np.stack(item) for item in zip(*(item for _, item in chosen), strict=True)]
         batch = torch.from_numpy(images).permute(0, 3, 1, 2).float().div_(255)
@@ -111,6 +149,9 @@ def main() -> None:
         with torch.autocast("cpu", torch.bfloat16):
             guess = model(batch)
         parts = loss(guess.float(), *(torch.from_numpy(item) for item in maps))
+        for k, score in zip(drawn, parts[0].tolist(), strict=False):  # the last are the deceptive rooms
+            badly[k] = score + 0.02
+        parts = parts[0].sum(), *parts[1:]
         total = parts[0] + 2.0 * parts[1] + 2.0 * parts[2]
         optimizer.zero_grad(set_to_none=True)
         total.backward()
@@ -135,7 +176,8 @@ def main() -> None:
             torch.save(state | {"step": step, "spent": spent}, f"{checkpoint}.new")
             os.replace(f"{checkpoint}.new", checkpoint)
             saved = time.time()
-    worker.terminate()
+    for process in multiprocessing.active_children():
+        process.terminate()
 
 
 if __name__ == "__main__":
