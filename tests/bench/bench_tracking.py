@@ -252,6 +252,7 @@ def plot(table, path):
         return
     matplotlib.use("svg")
     import matplotlib.pyplot as plt
+    from matplotlib import ticker
 
     cases = [c for c in {**EASY, **HARD} if any(row["case"] == c for row in table)]
     figure, axes = plt.subplots(3, math.ceil(len(cases) / 3), figsize=(18, 10), squeeze=False)
@@ -264,6 +265,9 @@ def plot(table, path):
             else:
                 axis.plot(row["ms"], 100 - row["HOTA"], "o", label=row["tracker"])
         axis.set(title=case, xscale="log", xlabel="ms a frame", ylabel="100 - HOTA", ylim=(0, None))
+        axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(ticker.NullFormatter())
     axes.flat[0].legend(fontsize=6)
     for axis in axes.flat[len(cases) :]:
         axis.remove()
