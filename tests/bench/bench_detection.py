@@ -187,6 +187,7 @@ def plot(tallies: dict, path: Path) -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(8, 5))
+    axes.set_prop_cycle(color=pyplot.colormaps["tab20"].colors)
     for tally in tallies.values():
         if tally.errors:
             axes.plot(np.sort(tally.errors), np.linspace(0, 1, len(tally.errors)), label=tally.name)
