@@ -99,8 +99,9 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
     if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6:
         return None
     # What is half hidden is not explained by one body; who sits fills another box, but has the parts where they belong.
-    astray = np.sqrt(np.mean(error[4:] ** 2)) / extent if parts else np.inf
-    if _shared(predicted[:4], measured[:4]) < (0.35 if astray < 0.15 else 0.5):
+    side = np.sqrt((measured[2:4] - measured[:2]).prod())
+    in_place = parts and np.sqrt(np.mean(error[4:] ** 2)) < 0.1 * side
+    if _shared(predicted[:4], measured[:4]) < (0.4 if in_place else 0.5):
         return None
     surplus = max(cost / max(np.count_nonzero(told) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
     covariance = surplus * np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)
