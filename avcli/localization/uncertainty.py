@@ -33,7 +33,8 @@ SHARPNESS = 8.0
 """Logarithm of a height's likelihood over the response there, in standard deviations of a GCC of noise."""
 
 CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
-"""The same for a mean of closed forms, without and with their refinement: constant, spread, valid share, events."""
+"""Logit of the probability that a mean of closed forms is right, without and with their refinement: constant, and
+weights of the logarithms of spread, valid share and events."""
 
 CLOSED_FORM_FLOOR = 0.1
 """m: the standard deviation that a mean of closed-form solutions does not undercut, whatever their scatter says."""
