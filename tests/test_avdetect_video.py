@@ -222,6 +222,12 @@ def test_colour_pictures_of_other_kinds(folder, network, channels):
     assert len(found(run("avdetect-video", "-C", folder, *options))[2]["objects"]) == 1
 
 
+def test_colour_alone_needs_no_picture_of_the_empty_room(folder, network):
+    (folder / experiment.Layout.background_depth).unlink()
+    records = found(run("avdetect-video", "-C", folder, "--model", network, folder / "video" / "rgb"))
+    assert [len(record["objects"]) for record in records] == [1, 1, 1]
+
+
 def test_depth_pictures_without_their_detector_are_noticed(made, network):
     depth = (made / experiment.Layout.depth(0.0)).parent
     ran = run("avdetect-video", "-C", made, "--model", network, depth)

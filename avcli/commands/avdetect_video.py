@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 
@@ -151,10 +152,16 @@ class _Watcher:
         self.view = View(self.camera.lens, self.camera.T_room_camera, self.size, self.camera.theta_max)
         self.network = self._network(model, options) if network else None
         self.gate, self.last = Gate(options["refresh"]), []
-        background = None if options["monocular"] else self._background(needed=not network)
-        self.detector = DepthDetector(self.view, background)
+        self.by_box = DepthDetector(self.view, None)
         known = "room_dimensions_m" in session.config.raw.get("room_config", {})
         self.room = session.config.room.dimensions if known else None
+
+    @cached_property
+    def detector(self):
+        """The detector that knows the empty room, whose picture is read when there is depth to compare with it."""
+        from avcli.detection.depth import DepthDetector
+
+        return DepthDetector(self.view, self._background(needed=self.network is None))
 
     def people(self, shot: Shot, rgb, depth) -> list | None:
         """The people of a shot, None where its pictures cannot be read and --skip-invalid passes over them."""
@@ -202,7 +209,7 @@ class _Watcher:
 
         if self.position == "centre" and metres is not None:
             return place_centre(found, metres, self.view)
-        return self.detector.place(found, metres)
+        return (self.by_box if metres is None else self.detector).place(found, metres)
 
     def _network(self, model: str | None, options: dict):
         from avcli import media
