@@ -105,17 +105,16 @@ def noise_of(covariances, sigma, floor, area):
     distribution over the area.
     Returns (J, 2, 2) m^2, positive definite.
     """
-    noise = covariances.copy()
-    axes = noise.reshape(-1, 4)[:, ::3]  # a view of the variances
-    axes += floor * floor * (axes > 0)
-    if np.isnan(noise).any():
-        noise[np.isnan(noise).any((1, 2))] = np.diag(np.square(sigma))
-    if not axes.all():
-        for k in (0, 1):
-            unseen = axes[:, k] == 0
-            noise[unseen, k, :] = noise[unseen, :, k] = 0.0
-            noise[unseen, k, k] = (area[1][k] - area[0][k]) ** 2 / (2 * math.pi)
-    axes[:] = np.minimum(np.maximum(axes, FLOOR), CEILING)
-    most = 0.999 * np.sqrt(axes[:, 0] * axes[:, 1])
-    noise[:, 0, 1] = noise[:, 1, 0] = np.minimum(np.maximum((noise[:, 0, 1] + noise[:, 1, 0]) / 2, -most), most)
-    return noise
+    noise = []
+    for (xx, xy), (yx, yy) in covariances.tolist():
+        xx, yy, cross = xx + floor * floor * (xx > 0), yy + floor * floor * (yy > 0), (xy + yx) / 2
+        if math.isnan(xx + yy + cross):
+            xx, yy, cross = sigma[0] ** 2, sigma[1] ** 2, 0.0
+        if not (xx and yy):
+            cross = 0.0
+            xx, yy = (v or (high - low) ** 2 / (2 * math.pi) for v, low, high in zip((xx, yy), *area, strict=True))
+        xx, yy = min(max(xx, FLOOR), CEILING), min(max(yy, FLOOR), CEILING)
+        most = 0.999 * math.sqrt(xx * yy)
+        cross = min(max(cross, -most), most)
+        noise.append(((xx, cross), (cross, yy)))
+    return np.array(noise).reshape(-1, 2, 2)

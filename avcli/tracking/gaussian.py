@@ -31,69 +31,57 @@ def predict(mean, cov, mode, motion, dt):
     return moved, (cov + cov.swapaxes(-1, -2)) / 2, mode, half.swapaxes(-1, -2), mean
 
 
-def heading(mean, cov):
-    """Expected walking direction: velocity over its root mean square, so that it vanishes for someone who stands.
+def detected(mean, cov, lead):
+    """Where a sensor should find people, `lead` metres in front of the body's axis (a mouth).
 
-    mean (n, M, 4), cov (n, M, 4, 4). Returns (n, M, 2), length at most 1.
+    The direction is that of walking as far as it is known: velocity over its root mean square, so that it vanishes for
+    someone who stands. mean (n, M, 4), cov (n, M, 4, 4).
+    Returns place (n, M, 2) and the variance (n, M) per axis that the unknown part of the direction adds.
     """
-    v = mean[..., 2:]
-    return v / np.sqrt((v * v).sum(-1) + cov[..., 2, 2] + cov[..., 3, 3] + 1e-12)[..., None]
-
-
-def innovation(mean, cov, z, noise, lead=0.0):
-    """Residuals and their covariances for all pairs of densities and detections.
-
-    mean (n, M, 4), cov (n, M, 4, 4), z (J, 2) m, noise (J, 2, 2) m^2; lead: metres that what is detected is in front
-    of the body's axis (a mouth), along the walking direction as far as that is known.
-    Returns residual (n, M, J, 2) and s11, s12, s22 (n, M, J).
-    """
-    place = mean[..., :2]
-    s11, s12, s22 = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
-    if lead:
-        ahead = heading(mean, cov)
-        place = place + lead * ahead
-        unknown = lead * lead / 2 * (1 - (ahead * ahead).sum(-1))
-        s11, s22 = s11 + unknown, s22 + unknown
-    residual = z - place[:, :, None]
-    return residual, s11[..., None] + noise[:, 0, 0], s12[..., None] + noise[:, 0, 1], s22[..., None] + noise[:, 1, 1]
+    vx, vy = mean[..., 2], mean[..., 3]
+    unknown = cov[..., 2, 2] + cov[..., 3, 3] + 1e-12
+    energy = vx * vx + vy * vy + unknown
+    return mean[..., :2] + mean[..., 2:] * (lead / np.sqrt(energy))[..., None], lead * lead / 2 * unknown / energy
 
 
 def loglikelihood(mean, cov, z, noise, lead=0.0):
     """Log likelihood of each detection under each model of each density, and its squared Mahalanobis distance.
 
-    Arguments as `innovation`. Returns two (n, M, J) arrays.
+    mean (n, M, 4), cov (n, M, 4, 4), z (J, 2) m, noise (J, 2, 2) m^2; lead: m, see `detected`.
+    Returns two (n, M, J) arrays.
     """
-    d, s11, s12, s22 = innovation(mean, cov, z, noise, lead)
-    dx, dy = d[..., 0], d[..., 1]
+    place, s11, s12, s22 = mean, cov[..., 0, 0], cov[..., 0, 1, None], cov[..., 1, 1]
+    if lead:
+        place, unknown = detected(mean, cov, lead)
+        s11, s22 = s11 + unknown, s22 + unknown
+    dx, dy = z[:, 0] - place[..., 0, None], z[:, 1] - place[..., 1, None]
+    s11, s12, s22 = s11[..., None] + noise[:, 0, 0], s12 + noise[:, 0, 1], s22[..., None] + noise[:, 1, 1]
     det = s11 * s22 - s12 * s12
     distance = (s22 * dx * dx - 2 * s12 * dx * dy + s11 * dy * dy) / det
     return -0.5 * (distance + np.log(det)) - 1.8378770664093453, distance
 
 
-def update(mean, cov, mode, z, noise, lead=0.0):
+def update(mean, cov, mode, z, noise, lead=0.0, log=None):
     """Kalman update of density k by detection k, in Joseph's form.
 
-    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M), z (n, 2) m, noise (n, 2, 2) m^2. Returns (mean, cov, mode).
+    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M), z (n, 2) m, noise (n, 2, 2) m^2; lead: m, see `detected`; log
+    (n, M): what `loglikelihood` says of them, if that is known. Returns (mean, cov, mode).
     """
-    place, ahead = mean[..., :2], None
+    place, noise = mean[..., :2], noise[:, None]
     if lead:
-        ahead = heading(mean, cov)
-        place = place + lead * ahead
-        unknown = lead * lead / 2 * (1 - (ahead * ahead).sum(-1))
-        noise = noise[:, None] + unknown[..., None, None] * EYE2
-    else:
-        noise = noise[:, None]
-    d = z[:, None] - place
+        place, unknown = detected(mean, cov, lead)
+        noise = noise + unknown[..., None, None] * EYE2
+    d = (z[:, None] - place)[..., None]
     s = cov[..., :2, :2] + noise
     det = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] * s[..., 1, 0]
     inverse = s[..., ::-1, ::-1] * COFACTOR / det[..., None, None]
     gain = cov[..., :, :2] @ inverse  # (n, M, 4, 2)
     if mode.shape[1] > 1:
-        distance = (d[..., None, :] @ inverse @ d[..., None])[..., 0, 0]
-        log = -0.5 * (distance + np.log(det))
+        if log is None:
+            log = -0.5 * ((d.swapaxes(-1, -2) @ inverse @ d)[..., 0, 0] + np.log(det))
         mode = mode * np.exp(log - log.max(1, keepdims=True)) + 1e-12
         mode /= mode.sum(1, keepdims=True)
-    mean = mean + (gain @ d[..., None])[..., 0]
+    mean = mean + (gain @ d)[..., 0]
     keep = cov - gain @ cov[..., :2, :]
     cov = keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2)
     return mean, (cov + cov.swapaxes(-1, -2)) / 2, mode

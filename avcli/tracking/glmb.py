@@ -21,7 +21,8 @@ from avcli.tracking.rates import Rates, logit
 from avcli.tracking.smoothing import Node
 
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
-LOG_PRUNE = math.log(1e-3)  # weight of a joint hypothesis relative to the best
+PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
+LOG_PRUNE = math.log(PRUNE)
 BUDGET = 3
 PROMOTE, RECYCLE = 0.1, 0.03  # existence at which a tentative person becomes labelled, and a labelled one tentative
 TWICE = 0.05  # detections of a person that a sensor has found in the same record already, expected
@@ -76,7 +77,7 @@ class GLMB:
             return
         self.time = time
         settings, people = self.settings, self.people
-        survive = np.exp(-dt * settings.leaving(people.mean[:, 0, :2]))
+        survive = settings.staying(people.mean[:, 0, :2], dt)
         inside = settings.arrivals * settings.appear
         come = np.array([inside, settings.arrivals - inside])
         self.unseen = self.unseen * math.exp(-dt / settings.stay) + come * dt
@@ -96,8 +97,7 @@ class GLMB:
 
     def _stop_at_walls(self, before):
         """Hold predictions inside the room that were inside it before: before (n, M, 4) mean states."""
-        low, high = self.settings.corners
-        centre, half = (low + high) / 2, (high - low) / 2 - BODY
+        centre, half = self.settings.centre, self.settings.half - BODY
         place, pace = self.people.mean[..., :2], self.people.mean[..., 2:]
         over = abs(place - centre) > half
         if over.any():
@@ -114,8 +114,12 @@ class GLMB:
         rate, turn, people = self.settings.evade, self.settings.motion.turn, self.people
         if len(self.likeliest) < 2 or turn < 0 or not rate:
             return
-        own, other = plane(people.centres(self.leaves)), plane(people.centres(self.likeliest))
+        own = plane(people.centres(self.leaves))
+        other = own.take([self.leaves.index(leaf) for leaf in self.likeliest], 0)
         place, pace = (own[:, None] - other).transpose(2, 0, 1)
+        fastest = 2 * abs(own[:, 1]).max()
+        if np.count_nonzero(abs(place) < BUMP + SOON * fastest) == len(other):  # everybody is near himself alone
+            return
         soon = -(place * pace.conj()).real / (np.square(abs(pace)) + 1e-9)  # seconds until they are nearest
         bump = (abs(soon - (SOON - JUST) / 2) < (SOON + JUST) / 2) & (abs(place + pace * np.maximum(soon, 0.0)) < BUMP)
         if not bump.any():
@@ -141,109 +145,122 @@ class GLMB:
         z, noise, score = distinct(z, noise, score)
         column = self.column[name]
         sensor, rates = self.sensors[column], self.rates[column]
-        people, surface = self.people, self.settings.surface
-        gain = gains(people, z, noise, sensor.lead)
+        people, settings = self.people, self.settings
+        gain, log = gains(people, z, noise, sensor.lead)
+        exist, found, likely = people.exist.tolist(), people.found[:, column].tolist(), gain.tolist()
 
-        odds = None if score is None or np.isnan(score).all() else logit(score)
-        kappa = max(rates.clutter, 1e-9) / surface * rates.doubt(odds)
-        detection = rates.detection * (1 - rates.blindness(self.time, self._recognised(column, gain, kappa)))
-        chance = people.found[:, column] * detection
-        strangers = detection * self.unseen_found[column] * (self.settings.whereabouts(z) @ self.unseen)
-        if self.settings.birth != "poisson":
-            strangers = strangers * 0.0
-        at = self.tentative
-        spread = (noise[:, 0, 0] + noise[:, 1, 1]) / 2
-        if at:
-            axes = people.cov[:, 0].take(at, 0)
-            places = np.concatenate([z, people.mean[:, 0, :2].take(at, 0)])
-            room = self._elbow_room(places, np.concatenate([spread, (axes[:, 0, 0] + axes[:, 1, 1]) / 2]))
-            number = people.exist.take(at) * chance.take(at) * room[len(z) :]
-            from_tentative = number[:, None] * gain.take(at, 0)
-            strangers = strangers * room[: len(z)]
-        else:
-            from_tentative = gain[:0]
-            strangers = strangers * self._elbow_room(z, spread)
-        rho = from_tentative.sum(0) + strangers
-        background = kappa + rho
-        free = np.ones(len(z))  # probability that no labelled person caused the detection
-        options = self._options(people.exist, chance, gain, background)
+        # What is small is reckoned in lists: numbers for each detection (J) or density (n) cost less so than in arrays.
+        odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
+        kappa = max(rates.clutter, 1e-9) / settings.surface
+        kappa = [kappa * doubt for doubt in rates.doubt(odds)]
+        ratio = self._recognised(exist, found, likely, kappa, rates.detection)
+        detection = rates.detection * (1 - rates.blindness(self.time, ratio))
+        chance = [findable * detection for findable in found]
+
+        finds = detection * self.unseen_found[column]
+        from_tentative, strangers = self._unclaimed(z, noise, exist, chance, gain, finds)
+        rho = (from_tentative.sum(0) + strangers).tolist()
+        background = [k + r for k, r in zip(kappa, rho, strict=True)]
+        options = self._options(exist, chance, likely, background)
+        free = [1.0] * len(z)  # probability that no labelled person caused the detection
         groups = [self._associate(members, options, free) for members in self._groups(options)]
-        free = np.minimum(np.maximum(free, 0.0), 1.0)
-        room, twice = self._seen_already(z, spread, free, rho / background)
-        rho = rho * room
-        background = kappa + rho + twice
-        existence = rho / background
+        free = [min(max(f, 0.0), 1.0) for f in free]
+        real = [r / b for r, b in zip(rho, background, strict=True)]
+        room, twice = self._seen_already(z, noise, free, real)
+        rho = [r * left for r, left in zip(rho, room, strict=True)]
+        background = [k + r + t for k, r, t in zip(kappa, rho, twice, strict=True)]
+        existence = [r / b for r, b in zip(rho, background, strict=True)]
+        false = [f * k / b for f, k, b in zip(free, kappa, background, strict=True)]
 
-        false = free * kappa / background
-        if self.settings.adapt:
-            rates.learn(float(false.sum()), *self._hits_and_misses(groups, chance, detection))
-        rates.learn_score(odds, 1 - false)
+        if settings.adapt:
+            rates.learn(math.fsum(false), *self._hits_and_misses(groups, exist, chance, detection))
+        rates.learn_score(odds, [1 - f for f in false])
         births = self._births(free, existence, from_tentative, strangers)
         self.born, self.died = [], []
         if self.journal is not None:
             account = self._account(name, z, groups, free, existence, kappa, rho)
-        self._rebuild(column, z, noise, groups, births, detection)
+        self._rebuild(column, z, noise, groups, births, detection, exist, found, log)
         if self.journal is not None:
             self.journal.append({**account, "born": self.born, "died": self.died})
-        missed = self.unseen_found[column] * detection
-        self.unseen *= 1 - missed
-        self.unseen_found[column] *= (1 - detection) / max(1 - missed, 1e-12)
+        self.unseen *= 1 - finds
+        self.unseen_found[column] *= (1 - detection) / max(1 - finds, 1e-12)
 
-    def _recognised(self, column, gain, kappa):
+    def _recognised(self, exist, found, likely, kappa, detection):
         """How much likelier a record is with the people that are known than as clutter alone.
 
-        gain (n, J): likelihoods of the detections; kappa: density of clutter, a number or (J,).
+        exist, found: probabilities of each density; likely: its likelihoods of the detections; kappa: their densities
+        as clutter; detection: probability of finding whoever can be found.
         """
-        if not self.likeliest:
-            return 1.0
-        leaves, people = np.array(self.likeliest), self.people
-        present = people.exist.take(leaves) * people.found[:, column].take(leaves) * self.rates[column].detection
-        return math.prod(np.minimum(1 - present + present * (gain.take(leaves, 0) / kappa).sum(1), 1e3).tolist())
+        ratio = 1.0
+        for leaf in self.likeliest:
+            present = exist[leaf] * found[leaf] * detection
+            more = math.fsum(g / k for g, k in zip(likely[leaf], kappa, strict=True) if g)
+            ratio *= min(1 - present + present * more, 1e3)
+        return ratio
+
+    def _unclaimed(self, z, noise, exist, chance, gain, finds):
+        """Densities of detecting, at z, each tentative person, (T, J), and anybody never seen before, (J,).
+
+        exist, chance: lists of n; gain (n, J); finds: probability of finding somebody never seen who is there.
+        """
+        spread, at, people = (noise[:, 0, 0] + noise[:, 1, 1]) / 2, self.tentative, self.people
+        strangers = self.settings.crowd(z, *(finds * self.unseen).tolist())
+        if self.settings.birth != "poisson":
+            strangers = strangers * 0.0
+        if not at:
+            return gain[:0], strangers * self._elbow_room(z, spread)
+        axes = people.cov[:, 0].take(at, 0)
+        places = np.concatenate([z, people.mean[:, 0, :2].take(at, 0)])
+        room = self._elbow_room(places, np.concatenate([spread, (axes[:, 0, 0] + axes[:, 1, 1]) / 2]))
+        number = np.array([exist[i] * chance[i] for i in at]) * room[len(z) :]
+        return number[:, None] * gain.take(at, 0), strangers * room[: len(z)]
 
     def _elbow_room(self, places, spread):
         """Probability (n,) that someone new at places (n, 2), known to variances (n,), is not inside a known person."""
         if not self.likeliest or not len(places):
             return np.ones(len(places))
         known = plane(self.people.centres(self.likeliest))[:, 0]
-        taken = self._overlap(abs(plane(places) - known), spread) * self.people.exist.take(self.likeliest)
+        apart, width = abs(plane(places) - known), 2 * (self.settings.body**2 + spread)
+        taken = np.exp(-apart * apart / width[:, None]) * self.people.exist.take(self.likeliest)
         return (1 - taken).prod(1)
 
-    def _seen_already(self, z, spread, free, real):
+    def _seen_already(self, z, noise, free, real):
         """What other detections of a record say of each as a stranger: they may be of the same person.
 
-        z (J, 2) m, known to variances (J,); free (J,): probability of being no known person's; real (J,): of being a
-        stranger's then. Returns the probability (J,) of room for somebody else beside whom the others found, and the
-        density (J,) of finding one of those a second time.
+        z (J, 2) m in order of x, noise (J, 2, 2) m^2; free: probabilities of being no known person's; real: of being a
+        stranger's then. Returns the probability of room for somebody else beside whom the others found, and the
+        density of finding one of those a second time, a list of J each.
         """
-        count = len(z)
-        if count < 2:
-            return np.ones(count), np.zeros(count)
-        spots, order = plane(z)[:, 0], np.arange(count)
-        apart, width = abs(spots[:, None] - spots), spread[:, None] + spread
-        again = TWICE / (2 * math.pi) * np.exp(-apart * apart / (2 * width)) / width
-        found = np.minimum((1 - free) / np.maximum(free, 1e-9)[:, None], 1.0)  # if j is nobody's, k may well be
-        later = order[:, None] > order
-        found = np.where(later, np.maximum(found, free * real), found)  # the first of two strangers counts
-        found[order, order] = 0.0
-        return (1 - self._overlap(apart, spread) * found).prod(1), (again * found).sum(1)
+        room, twice = [1.0] * len(z), [0.0] * len(z)
+        if len(z) < 2:
+            return room, twice
+        places, spread, body = z.tolist(), (noise[:, 0, 0] + noise[:, 1, 1]).tolist(), 2 * self.settings.body**2
+        reach = GATE * (body + 2 * max(spread))  # m^2
+        for k, (x, y) in enumerate(places):
+            for j in range(k - 1, -1, -1):
+                if (x - places[j][0]) ** 2 > reach:
+                    break
+                apart = (x - places[j][0]) ** 2 + (y - places[j][1]) ** 2
+                width = spread[j] + spread[k]
+                again = TWICE / math.pi * math.exp(-apart / width) / width
+                for one, other in ((j, k), (k, j)):
+                    found = min((1 - free[other]) / max(free[one], 1e-9), 1.0)  # if one is nobody's, the other may be
+                    if one == k:
+                        found = max(found, free[j] * real[j])  # the first of two strangers counts
+                    room[one] *= 1 - found * math.exp(-apart / (body + spread[one]))
+                    twice[one] += again * found
+        return room, twice
 
-    def _overlap(self, apart, spread):
-        """How far a body, known to variances (n,), is inside others at distances apart (n, k) m: (n, k)."""
-        return np.exp(-apart * apart / (2 * (self.settings.body**2 + spread))[:, None])
-
-    def _options(self, exist, chance, gain, background):
+    def _options(self, exist, chance, likely, background):
         """What each labelled density may have caused: index -> [(log weight, detection or -1)], best first."""
-        rows = self.leaves
-        if not rows:
-            return {}
-        present = exist.take(rows) * chance.take(rows)
-        missed = np.log(np.maximum(1 - present, 1e-12)).tolist()
-        hits = (present[:, None] * gain.take(rows, 0) / background).tolist()
         options = {}
-        for leaf, miss, hit in zip(rows, missed, hits, strict=True):
-            least = math.exp(miss + LOG_PRUNE)  # the same hypothesis but for a miss is likelier by so much
-            found = [(math.log(h), j) for j, h in enumerate(hit) if h > least]
-            options[leaf] = sorted([(miss, -1), *found], reverse=True) if found else [(miss, -1)]
+        for leaf in self.leaves:
+            present = exist[leaf] * chance[leaf]
+            missed = max(1 - present, 1e-12)
+            least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
+            hits = enumerate(zip(likely[leaf], background, strict=True))
+            found = [(math.log(present * g / b), j) for j, (g, b) in hits if present * g > least * b]
+            options[leaf] = sorted([(math.log(missed), -1), *found], reverse=True)
         return options
 
     def _groups(self, options):
@@ -289,12 +306,12 @@ class GLMB:
                 used ^= low
         return [label for cluster in members for label in cluster.labels], kept
 
-    def _hits_and_misses(self, groups, chance, detection):
+    def _hits_and_misses(self, groups, exist, chance, detection):
         """Expected numbers of people found, and of those missed who could be found, among who surely exists."""
         hits = misses = 0.0
         for _, hypotheses in groups:
             for leaf, j in hypotheses[0][1]:
-                if leaf >= 0 and self.people.exist[leaf] > 0.9:
+                if leaf >= 0 and exist[leaf] > 0.9:
                     if j >= 0:
                         hits += 1
                     else:
@@ -305,26 +322,29 @@ class GLMB:
 
     def _births(self, free, existence, from_tentative, strangers):
         """People that detections may reveal: [(detection, tentative density or -1, number, existence)]."""
-        number, least, poisson = existence * free, 10 * TENTATIVE, self.settings.birth == "poisson"
+        least, poisson = 10 * TENTATIVE, self.settings.birth == "poisson"
         births = []
-        for j in np.flatnonzero(number > least).tolist():
-            source = from_tentative[:, j].argmax() if self.tentative else -1
-            known = source >= 0 and from_tentative[source, j] > strangers[j]
-            if known or poisson:
-                at = self.tentative[source] if known else -1
-                births.append((j, at, float(number[j]), float(existence[j])))
+        for j, (f, e) in enumerate(zip(free, existence, strict=True)):
+            if f * e > least:
+                source = from_tentative[:, j].argmax() if self.tentative else -1
+                known = source >= 0 and from_tentative[source, j] > strangers[j]
+                if known or poisson:
+                    births.append((j, self.tentative[source] if known else -1, f * e, e))
         if not poisson:  # strangers are born for the next record, as many as are expected (Trezza et al. 2022)
-            stranger = free * (1 - existence)
-            share = np.minimum(self.settings.newborn, stranger / max(stranger.sum(), 1e-12) * self.settings.newborn)
-            births += [(j, -1, float(share[j]), 0.0) for j in np.flatnonzero(share > least).tolist()]
+            stranger = [f * (1 - e) for f, e in zip(free, existence, strict=True)]
+            share = self.settings.newborn / max(math.fsum(stranger), 1e-12)
+            births += [(j, -1, share * s, 0.0) for j, s in enumerate(stranger) if share * s > least]
         return births
 
-    def _rebuild(self, column, z, noise, groups, births, detection):
-        """Compute each density that is needed once, and make tentative people and clusters of them."""
+    def _rebuild(self, column, z, noise, groups, births, detection, exist, found, log):
+        """Compute each density that is needed once, and make tentative people and clusters of them.
+
+        births: as `_births` returns them; detection: probability of finding whoever can be found; exist, found: lists
+        of n, the probabilities of existing and of being such a person; log (n, M, J): loglikelihoods.
+        """
         people, sensor = self.people, self.sensors[column]
         pairs = dict.fromkeys(chain.from_iterable(h[1] for _, hs in groups for h in hs))
-        hidden = people.found[:, column]
-        left = people.exist * (1 - hidden * detection)
+        left = {i: exist[i] * (1 - found[i] * detection) for i in self.tentative}
         stay = [i for i in self.tentative if left[i] > TENTATIVE]
         for i in stay:
             if left[i] < FORGET:
@@ -336,17 +356,18 @@ class GLMB:
         renewed = [(at, j) for j, at, _, _ in births if at >= 0]
         fresh = [j for j, at, _, _ in births if at < 0]
 
-        parents, found, n, old = miss + stay, hit + renewed, len(miss), len(miss) + len(stay)
-        new = people.take(parents + [leaf for leaf, _ in found])
-        seen = new.found[:old, column]
-        overlooked = 1 - seen * detection
-        explained = np.maximum(1 - new.exist[:n] * seen[:n] * detection, 1e-12)
-        new.exist[:old] *= overlooked
-        new.exist[:n] /= explained
-        new.found[:old, column] = seen * (1 - detection) / np.maximum(overlooked, 1e-12)
-        if found:
-            js, states = [j for _, j in found], (new.mean, new.cov, new.mode)
-            updated = gaussian.update(*(s[old:] for s in states), z.take(js, 0), noise.take(js, 0), sensor.lead)
+        parents, seen, n, old = miss + stay, hit + renewed, len(miss), len(miss) + len(stay)
+        new = people.take(parents + [leaf for leaf, _ in seen])
+        overlooked = [1 - found[i] * detection for i in parents]
+        kept = [exist[i] * o for i, o in zip(parents, overlooked, strict=True)]
+        new.exist[:old] = [e / max(1 - exist[i] + e, 1e-12) for i, e in zip(miss, kept, strict=False)] + kept[n:]
+        new.found[:old, column] = [
+            found[i] * (1 - detection) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
+        ]
+        if seen:
+            js, states = [j for _, j in seen], (new.mean, new.cov, new.mode)
+            found_in = z.take(js, 0), noise.take(js, 0), sensor.lead, log[[leaf for leaf, _ in seen], :, js]
+            updated = gaussian.update(*(state[old:] for state in states), *found_in)
             for state, now in zip(states, updated, strict=True):
                 state[old:] = now
             new.exist[old:], new.found[old:, column] = 1.0, 1.0
@@ -357,9 +378,9 @@ class GLMB:
         self.people = people = new
 
         place = {(leaf, -1): k for k, leaf in enumerate(miss)}
-        place.update((pair, old + k) for k, pair in enumerate(found))
+        place.update((pair, old + k) for k, pair in enumerate(seen))
         place[-1, -1] = -1
-        newcomer = {j: old + len(found) + k for k, j in enumerate(fresh)}
+        newcomer = {j: old + len(seen) + k for k, j in enumerate(fresh)}
         self.tentative = list(range(n, old))
         labels_taken = {label for labels, _ in groups for label in labels}
         for j, at, number, existence in births:
@@ -487,14 +508,7 @@ class GLMB:
                     "clutter_density": k,
                     "stranger_density": s,
                 }
-                for place, f, r, k, s in zip(
-                    z.tolist(),
-                    free.tolist(),
-                    existence.tolist(),
-                    np.broadcast_to(kappa, free.shape).tolist(),
-                    rho.tolist(),
-                    strict=True,
-                )
+                for place, f, r, k, s in zip(z.tolist(), free, existence, kappa, rho, strict=True)
             ],
             "people": [found[label] for label in sorted(found)],
             "clusters": hypotheses,
@@ -540,11 +554,9 @@ def plane(rows):
 
 
 def gains(people, z, noise, lead):
-    """Likelihood of each detection under each density, 0 outside the gate: (n, J)."""
-    if not len(people) or not len(z):
-        return np.zeros((len(people), len(z)))
+    """Likelihood of each detection under each density, 0 outside the gate, (n, J), and its logarithm in each model."""
     log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, lead)
-    return (people.mode[:, None] @ np.where(distance < GATE, np.exp(log), 0.0))[:, 0]
+    return (people.mode[:, None] @ np.where(distance < GATE, np.exp(log), 0.0))[:, 0], log
 
 
 def distinct(z, noise, score):

@@ -8,7 +8,6 @@ INDEPENDENT = 0.15  # total variation of two labels' joint weights from their pr
 ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; densities of a label as near as this pass for one
 TWINS = np.array([0.05, 0.05, 0.2, 0.2])  # m, m/s; densities of two labels as near as this are of the same person
 TWIN_FOUND = 0.2  # as far as the probabilities that sensors find them are as near as this
-BOTH = np.ones(2)
 
 
 class Densities:
@@ -120,20 +119,25 @@ class Cluster:
         leaves = sorted(shares, key=lambda leaf: (people.label[leaf], -shares[leaf], leaf))
         if len(leaves) <= len(self.labels):
             return self
-        state = (people.centres(leaves) / ALIKE).view(complex)
-        near = (np.square(abs(state[:, None] - state)) @ BOTH < 1).tolist()
-        heads = {}  # number of the likeliest of some densities that are alike: the numbers of all of them
-        for k, leaf in enumerate(leaves):
-            head = next((h for h in heads if near[h][k] and people.label[leaves[h]] == people.label[leaf]), k)
-            heads.setdefault(head, []).append(k)
-        if len(heads) == len(leaves):
+        states = (people.centres(leaves) / ALIKE).view(complex).tolist()
+        heads, groups, label = [], [], None  # of one label: likeliest densities, and which are like each of them
+        for leaf, (place, pace) in zip(leaves, states, strict=True):
+            if people.label[leaf] != label:
+                heads, label = [], people.label[leaf]
+            for there, that, group in heads:
+                if abs(place - there) ** 2 + abs(pace - that) ** 2 < 1:
+                    group.append(leaf)
+                    break
+            else:
+                groups.append([leaf])
+                heads.append((place, pace, groups[-1]))
+        if len(groups) == len(leaves):
             return self
         same = {-1: -1}
-        for head, members in heads.items():
-            members = [leaves[k] for k in members]
-            same.update(dict.fromkeys(members, leaves[head]))
-            if len(members) > 1:
-                people.match(members, [shares[leaf] for leaf in members])
+        for group in groups:
+            same.update(dict.fromkeys(group, group[0]))
+            if len(group) > 1:
+                people.match(group, [shares[leaf] for leaf in group])
         return self.merged(self.labels, [tuple([same[leaf] for leaf in row]) for row in self.rows])
 
     def decided(self, people):

@@ -1,5 +1,6 @@
 """What a tracker is told (sensors, settings) and what it tells (tracks)."""
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -94,19 +95,27 @@ class Settings:
         """The area's corners, (2, 2) m."""
         return np.array(self.area, float)
 
-    def leaving(self, places):
-        """Rate per second at which people at these places, (n, 2) m, leave the room: (n,)."""
-        return np.where(self._near_walls(places), 1.0 / self.pass_by, 1.0 / self.stay)
+    @cached_property
+    def centre(self):
+        """The area's centre, (2,) m."""
+        return self.corners.mean(0)
 
-    def whereabouts(self, places):
-        """Densities per m^2, at places (n, 2) m, of someone anywhere and of someone near the walls: (n, 2)."""
-        density = np.full((len(places), 2), 1 / self.surface)
-        density[:, 1] = self._near_walls(places) / self.strip
-        return density
+    @cached_property
+    def half(self):
+        """Half the sides of the area, (2,) m."""
+        return (self.corners[1] - self.corners[0]) / 2
+
+    def staying(self, places, dt):
+        """Probability that people at these places, (n, 2) m, are still in the room dt seconds later: (n,)."""
+        return np.where(self._near_walls(places), math.exp(-dt / self.pass_by), math.exp(-dt / self.stay))
+
+    def crowd(self, places, anywhere, near_walls):
+        """Density per m^2, at places (n, 2) m, of so many people anywhere and so many near the walls: (n,)."""
+        spread = anywhere / self.surface
+        return np.where(self._near_walls(places), spread + near_walls / self.strip, spread)
 
     def _near_walls(self, places):
-        low, high = self.corners
-        away = abs(places - (low + high) / 2) > (high - low) / 2 - self.edge
+        away = abs(places - self.centre) > self.half - self.edge
         return away[:, 0] | away[:, 1]
 
     @cached_property

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 BLIND, SIGHTED = 0.05, 0.5  # rates per second at which a sensor loses sight of everybody, and finds people again
 
 
@@ -40,25 +38,24 @@ class Rates:
         self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
 
     def learn_score(self, odds, real):
-        """Take in the scores' log odds (J,) of one record, each as far as it probably was a person: real (J,)."""
-        if odds is None:
-            return
-        known = ~np.isnan(odds)
-        weight = float(real[known].sum())
+        """Take in the scores' log odds, a list of J, of one record, each as far as it probably was a person: real."""
+        known = [(odd, share) for odd, share in zip(odds, real, strict=True) if odd == odd]
+        weight = math.fsum(share for _, share in known)
         if weight > 1e-3:
             share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
-            now = float(odds[known] @ real[known]) / weight
+            now = math.fsum(odd * real for odd, real in known) / weight
             self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
 
     def doubt(self, odds):
-        """How much more clutter than usual each detection stands for, by its log odds (J,) against people's: (J,)."""
-        if odds is None:
-            return 1.0
-        typical = float(np.nanmean(odds)) if self.typical is None else self.typical
-        return np.exp(np.minimum(np.maximum(np.where(np.isnan(odds), 0.0, typical - odds), -1.0), 4.0))
+        """How much more clutter than usual each detection stands for, by its log odds (NaN: 1) against people's."""
+        typical = self.typical
+        if typical is None:
+            known = [odd for odd in odds if odd == odd]
+            typical = math.fsum(known) / len(known) if known else 0.0
+        return [math.exp(min(max(typical - odd, -1.0), 4.0)) if odd == odd else 1.0 for odd in odds]
 
 
 def logit(score):
-    """Log odds of probabilities, held within 0.01 % and 99.99 %."""
-    score = np.minimum(np.maximum(score, 1e-4), 1 - 1e-4)
-    return np.log(score / (1 - score))
+    """Log odds of a probability (NaN: NaN), held within 0.01 % and 99.99 %."""
+    score = min(max(score, 1e-4), 1 - 1e-4)
+    return math.log(score / (1 - score))
