@@ -203,7 +203,7 @@ class SteeredResponse:
         return gcc.ravel().take(lag + (self.rows + self.half_lags)).mean(axis=0)
 
     def ambiguity(self, gccs, offsets, position, velocity, sharpness: float) -> np.ndarray:
-        """Return what other heights that are answered nearly as well add to a place's covariance, (3, 3) m².
+        """Return how far around a place those spread that are answered nearly as well, as a covariance (3, 3) m².
 
         The microphones hang in one layer, so that heights far apart can be nearly equal; the curvature at one of them
         knows nothing of the others, nor of where in x and y they would have the source.
@@ -214,19 +214,16 @@ class SteeredResponse:
             velocity: (3,) m/s.
             sharpness: logarithm of the likelihood over the response.
         """
-        step = 0.08
+        step = 0.1
         below, above = int((position[2] - self.low[2]) / step), int((self.high[2] - position[2]) / step)
-        away = _lattice(np.zeros(3), 0.03, 3, step * np.arange(-below, above + 1))
+        away = _lattice(np.zeros(3), 0.03, 4, step * np.arange(-below, above + 1))
         if velocity.any():
             each = [self._nearest(gcc, position + velocity * t + away) for gcc, t in zip(gccs, offsets, strict=True)]
             total = np.mean(each, axis=0)
         else:
             total = self._nearest(gccs.mean(axis=0), position + away)
-        away, total = away.reshape(-1, 49, 3), total.reshape(-1, 49)
-        best = total.argmax(axis=1)
-        away, profile = away[np.arange(len(away)), best], total.max(axis=1).astype(np.float64)
-        likelihood = np.exp(sharpness * (profile - profile.max()))
-        return np.einsum("n,ni,nj->ij", likelihood / likelihood.sum(), away, away)
+        likelihood = np.exp(sharpness * (total.astype(np.float64) - total.max()))
+        return (away.T * (likelihood / likelihood.sum())) @ away
 
     def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""

@@ -61,12 +61,14 @@ class Settings:
 @dataclass(frozen=True)
 class _Window:
     """One window: its GCC (pairs, lags), None where nothing sounds; the whitened spectra (m, bins) that it is of; which
-    channels (m,) are good; and which part of a whole window the stream held of it."""
+    channels (m,) are good; which part of a whole window the stream held of it; and how far in s after its middle the
+    middle of its energy is: of a talker who walks the window tells where he was then."""
 
     gcc: np.ndarray | None
     whitened: np.ndarray | None = None
     good: np.ndarray | None = None
     part: float = 1.0
+    centre: float = 0.0
     energy: float = 0.0
     occupancy: float = 0.0
     notices: tuple[str, ...] = ()
@@ -101,6 +103,7 @@ class _Peak:
     velocity: np.ndarray | None = None
     normal: np.ndarray | None = None
     residual: float = 0.0
+    strongest: float = 1.0
     gccs: np.ndarray | None = None
 
 
@@ -153,7 +156,8 @@ class SteeredLocalizer:
         self.votes = np.zeros(len(array.microphones))
         self.ballots = 0
         self.kept = float(np.exp(-1.0 / (settings.rate * uncertainty.MEMORY)))  # by one decision of those before it
-        self.before: list[tuple[np.ndarray, float, int]] = []  # where, how lasting, how many decisions ago
+        # Where, how lasting, how many decisions ago, and with which velocity so far.
+        self.before: list[tuple[np.ndarray, float, int, np.ndarray]] = []
         self.null: _Noise | None = None
 
     @property
@@ -178,7 +182,8 @@ class SteeredLocalizer:
         scale = peak.max()
         if scale == 0.0:
             return _Window(None, notices=tuple(notices))
-        spectra = self.spectra((samples * (taper / scale)).astype(np.float32))
+        tapered = (samples * (taper / scale)).astype(np.float32)
+        spectra = self.spectra(tapered)
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
         dead = level <= 1e-6 * np.median(level)
@@ -210,7 +215,9 @@ class SteeredLocalizer:
         energy = float(np.median(level[~dead])) * float(scale) ** 2 if not dead.all() else 0.0
         use = occupancy(power[~dead].mean(axis=0)) if not dead.all() else 0.0
         part = float(np.count_nonzero(taper)) / self.size
-        return _Window(gcc, whitened, good, part, energy, use, tuple(notices))
+        heard = (tapered[good if good.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
+        centre = float(heard @ np.arange(self.size) / heard.sum() - 0.5 * (self.size - 1)) / self.array.sample_rate
+        return _Window(gcc, whitened, good, part, centre, energy, use, tuple(notices))
 
     def spectra(self, tapered: np.ndarray) -> np.ndarray:
         """Return the band's bins of tapered samples (m, size), (m, bins)."""
@@ -278,14 +285,23 @@ class SteeredLocalizer:
         noise = self.noise(weights.sum())
         offsets = np.array([offset for _, _, offset in heard])
         judged = self.judge(self.peaks(gccs, spectra, offsets, noise), noise)
-        self.remember([(peak.position, uncertainty.remembered(features, self.kept)) for _, peak, features in judged])
+        self.remember(
+            [
+                (
+                    peak.position,
+                    uncertainty.remembered(features, self.kept),
+                    0.6 * features.gait + 0.4 * features.velocity,
+                )
+                for _, peak, features in judged
+            ]
+        )
         found = []
         low, high = self.response.low, self.response.high
         for score, peak, features in judged[: self.settings.max_speakers]:
             if score >= self.settings.min_score:
                 sharpness = uncertainty.SHARPNESS / noise.deviation
                 others = self.response.ambiguity(peak.gccs, offsets, peak.position, peak.velocity, sharpness)
-                covariance = uncertainty.covariance(peak.normal, features, low, high) + others
+                covariance = uncertainty.covariance(peak.normal, others, features, low, high)
                 covariance += uncertainty.beyond(self.on_the_edge(peak.position))
                 found.append((peak.position, covariance, score))
         return found
@@ -294,7 +310,7 @@ class SteeredLocalizer:
         """Return a decision's peaks with their scores and what these rest on, the most probable first."""
         judged, left = [], self.before
         for peak in peaks:
-            near = [_level(place, peak.position) < self.reached(age) for place, _, age in left]
+            near = [_level(place, peak.position) < self.reached(age) for place, _, age, _ in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             features = self.features(peak, peak is peaks[0], traces, noise)
@@ -318,7 +334,7 @@ class SteeredLocalizer:
         explained = 0.0  # coherence, (windows, bins), that the peaks so far have
         steered = self.response
         threshold = noise.threshold(self.settings.false_alarm)
-        known = [(place, self.reached(age)) for place, lasting, age in self.before if lasting > 0.5]
+        known = [(place, self.reached(age)) for place, lasting, age, _ in self.before if lasting > 0.5]
         for _ in range(self.settings.max_speakers + 1):
             mean = gccs.mean(axis=0)
             known = [(place, reach) for place, reach in known if all(_level(p.position, place) > reach for p in found)]
@@ -377,20 +393,24 @@ class SteeredLocalizer:
         Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was.
         """
         velocity = np.zeros(3) if peak.velocity is None else peak.velocity
-        strayed = np.zeros(3)
+        strayed, pace, gait = np.zeros(3), velocity, velocity
         if traces:
-            place, _, age = min(traces, key=lambda trace: trace[2])
+            place, _, age, gait = min(traces, key=lambda trace: trace[2])
             strayed = peak.position - place - velocity * (age / self.settings.rate)
+            pace = (peak.position - place) * [1.0, 1.0, 0.0] * (self.settings.rate / age)
         return uncertainty.Features(
             response=peak.response / noise.location,
             agreement=peak.agreement,
             support=peak.support,
-            before=max((lasting for _, lasting, _ in traces), default=0.0, key=abs),
+            before=max((lasting for _, lasting, _, _ in traces), default=0.0, key=abs),
             first=first,
             own=peak.own,
-            speed=float(np.hypot(*velocity[:2])),
+            velocity=velocity,
             residual=peak.residual,
             strayed=strayed,
+            pace=pace,
+            gait=gait,
+            strongest=peak.strongest,
         )
 
     def refined(self, gccs, offsets, position, velocity, response: float, noise: _Noise) -> _Peak:
@@ -413,6 +433,8 @@ class SteeredLocalizer:
         agreement = max(float(np.clip(value / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.0)
         support = float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean())
         scale = max(np.maximum(height, 0.0).mean(), 1e-9)
+        places = position + velocity * offsets[:, None]
+        each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
         return _Peak(
             position,
             response,
@@ -421,15 +443,20 @@ class SteeredLocalizer:
             velocity=velocity,
             normal=normal / scale,
             residual=residual,
+            strongest=float(max(each) / max(np.mean(each), 0.1 * noise.deviation)),
             gccs=gccs,
         )
 
-    def remember(self, peaks: list[tuple[np.ndarray, float]]) -> None:
-        """Keep the places (3,) m of a decision's peaks and how lasting they are, and of those before it what fades."""
-        self.before = [(place, lasting, 1) for place, lasting in peaks] + [
-            (place, self.kept * lasting, age + 1)
-            for place, lasting, age in self.before
-            if abs(lasting) > 0.05 and all(_level(place, peak) > self.reached(age) for peak, _ in peaks)
+    def remember(self, peaks: list[tuple[np.ndarray, float, np.ndarray]]) -> None:
+        """Keep a decision's peaks, and of those before it what fades.
+
+        Args:
+            peaks: the place (3,) m of each, how lasting it is, and its velocity (3,) m/s so far.
+        """
+        self.before = [(place, lasting, 1, gait) for place, lasting, gait in peaks] + [
+            (place, self.kept * lasting, age + 1, gait)
+            for place, lasting, age, gait in self.before
+            if abs(lasting) > 0.05 and all(_level(place, peak) > self.reached(age) for peak, _, _ in peaks)
         ]
 
     def reached(self, age: int) -> float:
@@ -520,7 +547,8 @@ class SteeredLocalizer:
             self.remember([])
         else:
             heard = [i for i, window in enumerate(around) if window.gcc is not None]
-            found = self.decide([around[i] for i in heard], self.offsets[heard])
+            centres = np.array([around[i].centre for i in heard])
+            found = self.decide([around[i] for i in heard], self.offsets[heard] + centres)
             if found and found[0][2] > 0.9:
                 notices += self.poll(around[self.reach].gcc, found[0][0])
                 if self.on_the_edge(found[0][0])[:2].any():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FLOOR = 0.001
+FLOOR = 0.0005
 """m: the standard deviation that no localization undercuts."""
 
 FIRST = {"one": 1.23, "response": 4.41, "agreement": 4.89, "before": 0.63}
@@ -19,18 +19,30 @@ on the logarithms of its features, and on how lasting it is."""
 MEMORY = 0.28
 """s: how long a decision counts in the later ones."""
 
-SPREAD = {"one": 3.73, "response": 1.21, "agreement": -4.36, "residual": 2.27}
-"""Logarithm of the standard deviation (m) of a range difference, on the logarithms of the features."""
+SPREAD = {
+    "peaks": {"one": 2.20, "residual": 1.20, "dilution": 0.55, "pace": 0.17},
+    "lattice": {"one": 0.09, "heights": 0.09},
+    "motion": {"one": -5.21, "strongest": 0.78, "agreement": -1.54},
+    "level": {
+        "one": 5.06,
+        "heights": 1.00,
+        "places": -0.87,
+        "strayed": 0.23,
+        "new": 2.58,
+        "residual": 2.25,
+        "moves": 0.30,
+        "agreement": -0.85,
+    },
+    "height": {"one": 0.32, "heights": 0.46, "climbed": 0.79, "support": 1.54},
+}
+"""A covariance is the sum of five parts, and this the logarithm of each part's standard deviation on its terms: m of a
+range difference, a factor of what other places nearby add, s along the path, m in x and y, m in z.
 
-MOTION = 0.054
-"""s: standard deviation in x and y of a walker's place over his speed: he is elsewhere at the windows' ends."""
-
-STRAYED = 0.34
-"""Share of how far a peak is from where it was a decision ago, had it moved as it seems to: the velocity is wrong, or
-one of the places is."""
+Errors have heavier tails than the Gaussian that is fitted: so that the ellipses of who walks hold what they should,
+`motion` is a fifth and `level` a seventh wider than the likelihood has them."""
 
 SHARPNESS = 8.0
-"""Logarithm of a height's likelihood over the response there, in standard deviations of a GCC of noise."""
+"""Logarithm of a place's likelihood over the response there, in standard deviations of a GCC of noise."""
 
 CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
 """Logit of the probability that a mean of closed forms is right, without and with their refinement: constant, and
@@ -53,10 +65,15 @@ class Features:
         first: whether it is the decision's first peak.
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
-        speed: m/s.
+        velocity: (3,) m/s.
         residual: m, root mean square of how far the pairs' peaks are from the place in range difference, each cut off
             at 2 cm: where few pairs agree, a robust fit to them alone would seem perfect.
         strayed: (3,) m, from where it was in the decision before, had it moved as it seems to; 0 where it is new.
+        pace: (3,) m/s, the level velocity at which it came here from where it was in the decision before; its velocity
+            where it is new.
+        gait: (3,) m/s, its velocity as the decisions before have it, the latest counting most; its own where it is new.
+            What still sounds of one who fell silent stands where he was, and he walks on.
+        strongest: the best of the windows' responses over their mean: where one window alone answers, nothing averages.
     """
 
     response: float
@@ -65,9 +82,12 @@ class Features:
     before: float
     first: bool
     own: float
-    speed: float
+    velocity: np.ndarray
     residual: float
     strayed: np.ndarray
+    pace: np.ndarray
+    gait: np.ndarray
+    strongest: float
 
 
 def terms(features: Features) -> list[float]:
@@ -100,26 +120,68 @@ def probability(features: Features) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(logit(features), -30.0, 30.0))))
 
 
-def spread_terms(features: Features) -> list[float]:
-    """Return what the weights of SPREAD are multiplied by, in their order."""
-    response, agreement = max(features.response, 1e-3), max(features.agreement, 0.02)
-    return [1.0, float(np.log(response)), float(np.log(agreement)), float(np.log(max(features.residual, 3e-4)))]
+def spread_terms(normal: np.ndarray, others: np.ndarray, features: Features) -> dict[str, np.ndarray]:
+    """Return what the weights of each part of SPREAD are multiplied by, in their order.
+
+    Args:
+        normal, others: as for `covariance`.
+        features: see Features.
+    """
+    dilution = np.linalg.inv(normal + 1e-6 * np.eye(3))
+    speed, pace = np.hypot(*features.velocity[:2]), np.hypot(*features.pace[:2])
+    term = {
+        "one": 1.0,
+        "residual": np.log(max(features.residual, 3e-4)),
+        "dilution": 0.5 * np.log(0.5 * (dilution[0, 0] + dilution[1, 1])),
+        "heights": np.log(np.sqrt(others[2, 2]) + 0.003),
+        "places": np.log(np.sqrt(0.5 * (others[0, 0] + others[1, 1])) + 0.003),
+        "strayed": np.log(max(np.hypot(*features.strayed[:2]), 0.002)),
+        "climbed": np.log(max(abs(features.strayed[2]), 0.002)),
+        "new": float(not features.strayed.any()),
+        "agreement": np.log(max(features.agreement, 0.02)),
+        "support": np.log(max(features.support, 0.02)),
+        "strongest": features.strongest,
+        "pace": np.log(max(speed, pace) + 0.1),
+        "moves": float(speed > 0.05),
+    }
+    return {part: np.array([term[name] for name in weights]) for part, weights in SPREAD.items()}
 
 
-def covariance(normal: np.ndarray, features: Features, low, high) -> np.ndarray:
+def paths(features: Features) -> np.ndarray:
+    """Return v vᵀ summed over the velocities that a peak seems to have, (3, 3) m²/s²."""
+    return sum(np.outer(velocity, velocity) for velocity in (features.velocity, features.pace, features.gait))
+
+
+def spread(weights: dict, terms: dict, normal, others, motion, extent) -> np.ndarray:
+    """Return covariances (..., 3, 3) m², the sums of the parts that SPREAD names.
+
+    Args:
+        weights: (k,) for each part.
+        terms: (..., k) for each part.
+        normal, others: (..., 3, 3) as for `covariance`.
+        motion: (..., 3, 3) m²/s², see `paths`.
+        extent: (3,) m, the standard deviation of what was not observed.
+    """
+    factor = {part: np.exp(2.0 * np.clip(terms[part] @ weights[part], -12.0, 3.0))[..., None, None] for part in weights}
+    result = np.linalg.inv(normal / factor["peaks"] + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
+    result = result + factor["lattice"] * others + factor["motion"] * motion
+    return result + factor["level"] * np.diag([1.0, 1.0, 0.0]) + factor["height"] * np.diag([0.0, 0.0, 1.0])
+
+
+def covariance(normal: np.ndarray, others: np.ndarray, features: Features, low, high) -> np.ndarray:
     """Return the covariance (3, 3) m² of a position.
 
     Args:
         normal: (3, 3) JᵀWJ of the range differences about the position, with weights of mean 1.
-        features: see Features; they set the standard deviation of one range difference.
-        low, high: (3,) m, corners of the searched volume: an axis that was not observed is as uncertain as the volume.
+        others: (3, 3) m², the spread of the places nearby and above that are answered nearly as well.
+        features: see Features.
+        low, high: (3,) m, corners of the searched volume: nothing is more uncertain than where in it the source is.
     """
-    sigma = np.exp(np.clip(np.dot(list(SPREAD.values()), spread_terms(features)), -12.0, 3.0))
     extent = np.maximum((np.asarray(high) - np.asarray(low)) / np.sqrt(12.0), FLOOR)
-    spread = np.linalg.inv(normal / sigma**2 + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
-    level = (MOTION * features.speed) ** 2 + STRAYED**2 * (features.strayed[0] ** 2 + features.strayed[1] ** 2)
-    spread[[0, 1, 2], [0, 1, 2]] += [level, level, (STRAYED * features.strayed[2]) ** 2]
-    return 0.5 * (spread + spread.T)
+    weights = {part: np.array(list(names.values())) for part, names in SPREAD.items()}
+    found = spread(weights, spread_terms(normal, others, features), normal, others, paths(features), extent)
+    found = np.linalg.inv(np.linalg.inv(found) + np.diag((3.0 * extent) ** -2.0))
+    return 0.5 * (found + found.T)
 
 
 def beyond(edge: np.ndarray) -> np.ndarray:
