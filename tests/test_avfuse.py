@@ -211,6 +211,22 @@ def test_options_of_a_sensor_reach_it():
     assert not fuse(lines, "--detection", "video=0", "--no-adapt")[-1]["objects"]
 
 
+def test_without_hidden_states_a_few_misses_end_a_track():
+    lines = walk(steps=40)
+    lines = lines[:30] + [line(k / 10) for k in range(30, 40)]
+    assert fuse(lines)[32]["objects"]
+    assert not fuse(lines, "--no-hidden", "--no-adapt")[32]["objects"]
+
+
+def test_a_config_with_half_a_camera_tracks_without_one(experiment):
+    (experiment / "config.json").write_text(
+        '{"room_config": {"room_dimensions_m": [4.66, 4.66, 3.0]}, "camera_config": {"fx_px": 700}}'
+    )
+    result = run("avfuse", "-C", experiment, "-v", stdin="".join(walk()))
+    assert result.returncode == 0
+    assert "camera" in result.stderr
+
+
 def test_lag_delays_smooths_and_keeps_every_step():
     lines = walk(steps=40, sigma=0.15, people=2)
     online, late, offline = (fuse(lines, "--lag", n) for n in ("0", "5", "inf"))

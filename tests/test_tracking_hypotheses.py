@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.tracking import gaussian
+from avcli.experiment import Config
+from avcli.tracking import coverage, gaussian
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.hypotheses import Cluster, Densities
 from avcli.tracking.model import Sensor, Settings, sensor
@@ -147,3 +148,47 @@ def test_names_that_nothing_can_tell_apart_any_more_are_decided():
     assert decided.shares == pytest.approx([0.9, 0.1])
     crowd.found[3] = 0.5  # one speaks and the other does not: that may yet tell who is who
     assert either.decided(crowd).rows == [(0, 2), (1, 3), (0, 4)]
+
+
+def camera(focal, **more):
+    values = {"camera_position_m": [2.33, 2.33, 2.5], "lens_model": "kannala_brandt", "fx_px": focal, "fy_px": focal}
+    values |= {"cx_px": 959.5, "cy_px": 539.5, "image_width_px": 1920, "image_height_px": 1080} | more
+    return Config({"camera_config": values}).camera
+
+
+def test_a_camera_sees_who_stands_below_it_and_not_the_corners_that_its_picture_cuts():
+    room = ((0.0, 0.0), (4.66, 4.66))
+    below, wall, corner = coverage.of_camera(camera(1000.0), room).at(np.array([[2.33, 2.33], [0.5, 2.33], [0.1, 0.1]]))
+    assert below == 1.0
+    assert corner == coverage.LEAST < wall <= 1.0
+    assert min(coverage.of_camera(camera(150.0), room).at(np.array([[0.1, 0.1], [4.6, 4.6], [9.0, -3.0]]))) == 1.0
+
+
+@given(st.floats(100.0, 1500.0), st.floats(1.0, 80.0), st.floats(0.3, 9.0), st.floats(0.3, 9.0))
+@settings(max_examples=30, deadline=None)
+def test_coverage_is_a_share_everywhere_and_a_longer_lens_sees_no_more(focal, valid, width, depth):
+    room, places = ((0.0, 0.0), (width, depth)), np.random.default_rng(0).uniform(-1.0, 10.0, (50, 2))
+    wide, long = (coverage.of_camera(camera(f, theta_max_valid_deg=valid), room).at(places) for f in (focal, 2 * focal))
+    assert all(coverage.LEAST <= b <= a <= 1.0 for a, b in zip(wide, long, strict=True))
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_whoever_walks_where_the_camera_sees_nobody_is_kept_and_found_again(seen):
+    share = np.ones((47, 47))
+    share[30:] = coverage.LEAST  # nobody is found beyond x = 3 m
+    one = sensor("video", coverage=None if seen else coverage.Coverage(np.zeros(2), share))
+    tracker = GLMB(Settings(), [one])
+    for k in range(80):
+        x = 1.0 + 0.1 * min(k, 25) - 0.1 * max(k - 50, 0)
+        z = np.array([[x, 0.5]] if x < 3.0 else []).reshape(-1, 2)
+        tracker.scan(k / 10, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+        if k == 40:
+            assert bool(tracker.tracks(k / 10)) != seen
+    assert len(tracker.tracks(7.9)) == 1
+
+
+def test_who_stands_at_a_wall_leaves_less_readily_than_who_walks_there():
+    states = np.array([[0.3, 2.3, 0.0, 0.0], [0.3, 2.3, 0.0, -1.0], [2.3, 2.3, 0.0, 0.0], [2.3, 2.3, 1.0, 0.0]])
+    still, walks, amid, through = Settings(stay=100.0, pass_by=10.0).staying(states, 1.0)
+    assert walks == pytest.approx(math.exp(-0.1))
+    assert still == amid == through == pytest.approx(math.exp(-0.01))

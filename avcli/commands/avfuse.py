@@ -241,7 +241,7 @@ def main(session, files, named, rate, max_wait, room_margin, lag, tracker, expla
                     _settings(config, options),
                     tracker,
                     lag,
-                    _sensors(options),
+                    _sensors(session, config, options),
                     room_margin if config else None,
                     bool(explain),
                 )
@@ -327,23 +327,40 @@ def _settings(config, options):
     return Settings(motion=motion, birth=options["birth"], adapt=options["adapt"], stay=stay, **anywhere, **area)
 
 
-def _sensors(options):
+def _sensors(session, config, options):
     known = {}
     for key in ("sigma", "detection", "clutter"):
         for name, value in options[key]:
             known.setdefault(name, {})[key] = value
-    return _Known(known, {} if options["hidden"] else {"hide": 0.0})
+    if options["hidden"]:
+        return _Known(known, lambda name: {"coverage": _coverage(session, config)} if "video" in name else {})
+    return _Known(known, lambda name: {"hide": 0.0})
 
 
 class _Known(dict):
-    """What is known of each sensor, with what holds for all."""
+    """What is known of each sensor, with what its name says."""
 
-    def __init__(self, known, everywhere):
+    def __init__(self, known, by_name):
         super().__init__(known)
-        self.everywhere = everywhere
+        self.by_name = by_name
 
     def get(self, name, default=None):
-        return {**self.everywhere, **super().get(name, default or {})}
+        return {**self.by_name(name), **super().get(name, default or {})}
+
+
+def _coverage(session, config):
+    """Where the camera of config.json, if it is described there, can see people."""
+    if config is None or "camera_config" not in config.raw:
+        return None
+    from avcli.experiment import ConfigError
+    from avcli.tracking.coverage import of_camera
+
+    try:
+        x, y, _ = config.room.dimensions.tolist()
+        return of_camera(config.camera, ((0.0, 0.0), (x, y)))
+    except ConfigError as error:
+        session.note(f"where the camera sees nobody is not known: {error}")
+        return None
 
 
 def _tell_laggards(session, merger, max_wait):

@@ -20,7 +20,8 @@ class Fusion:
         end. sensors: name -> what is known of it (see `model.sensor`). margin: m beyond the area where detections are
         still taken, None: everywhere. explain: keep an account of every record, see `accounts`.
         """
-        self.settings, self.known, self.margin = settings, sensors or {}, margin
+        self.settings, self.margin = settings, margin
+        self.known = {} if sensors is None else sensors
         if tracker in ("gnn", "jpda"):
             if lag or explain:
                 raise ValueError(f"the {tracker} tracker can neither smooth nor explain")

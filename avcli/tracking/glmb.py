@@ -77,7 +77,7 @@ class GLMB:
             return
         self.time = time
         settings, people = self.settings, self.people
-        survive = settings.staying(people.mean[:, 0, :2], dt)
+        survive = settings.staying(people.mean[:, 0], dt)
         inside = settings.arrivals * settings.appear
         come = np.array([inside, settings.arrivals - inside])
         self.unseen = self.unseen * math.exp(-dt / settings.stay) + come * dt
@@ -153,9 +153,14 @@ class GLMB:
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         kappa = max(rates.clutter, 1e-9) / settings.surface
         kappa = [kappa * doubt for doubt in rates.doubt(odds)]
-        ratio = self._recognised(exist, found, likely, kappa, rates.detection)
+        if sensor.coverage:
+            covered = sensor.coverage.at(people.mean[:, 0, :2])
+            reach = [findable * share for findable, share in zip(found, covered, strict=True)]
+        else:
+            reach = found
+        ratio = self._recognised(exist, reach, likely, kappa, rates.detection)
         detection = rates.detection * (1 - rates.blindness(self.time, ratio))
-        chance = [findable * detection for findable in found]
+        chance = [one * detection for one in reach]
 
         finds = detection * self.unseen_found[column]
         from_tentative, strangers = self._unclaimed(z, noise, exist, chance, gain, finds)
@@ -179,21 +184,21 @@ class GLMB:
         self.born, self.died = [], []
         if self.journal is not None:
             account = self._account(name, z, groups, free, existence, kappa, rho)
-        self._rebuild(column, z, noise, groups, births, detection, exist, found, log)
+        self._rebuild(column, z, noise, groups, births, exist, found, chance, log)
         if self.journal is not None:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.unseen *= 1 - finds
         self.unseen_found[column] *= (1 - detection) / max(1 - finds, 1e-12)
 
-    def _recognised(self, exist, found, likely, kappa, detection):
+    def _recognised(self, exist, reach, likely, kappa, detection):
         """How much likelier a record is with the people that are known than as clutter alone.
 
-        exist, found: probabilities of each density; likely: its likelihoods of the detections; kappa: their densities
-        as clutter; detection: probability of finding whoever can be found.
+        exist, reach: probabilities that each density exists and can be found; likely: its likelihoods of the
+        detections; kappa: their densities as clutter; detection: probability of finding whoever can be found.
         """
         ratio = 1.0
         for leaf in self.likeliest:
-            present = exist[leaf] * found[leaf] * detection
+            present = exist[leaf] * reach[leaf] * detection
             more = math.fsum(g / k for g, k in zip(likely[leaf], kappa, strict=True) if g)
             ratio *= min(1 - present + present * more, 1e3)
         return ratio
@@ -336,15 +341,15 @@ class GLMB:
             births += [(j, -1, share * s, 0.0) for j, s in enumerate(stranger) if share * s > least]
         return births
 
-    def _rebuild(self, column, z, noise, groups, births, detection, exist, found, log):
+    def _rebuild(self, column, z, noise, groups, births, exist, found, chance, log):
         """Compute each density that is needed once, and make tentative people and clusters of them.
 
-        births: as `_births` returns them; detection: probability of finding whoever can be found; exist, found: lists
-        of n, the probabilities of existing and of being such a person; log (n, M, J): loglikelihoods.
+        births: as `_births` returns them; exist, found, chance: lists of n, probabilities of existing, and of those who
+        exist: that they can be found, and that they are; log (n, M, J): loglikelihoods.
         """
         people, sensor = self.people, self.sensors[column]
         pairs = dict.fromkeys(chain.from_iterable(h[1] for _, hs in groups for h in hs))
-        left = {i: exist[i] * (1 - found[i] * detection) for i in self.tentative}
+        left = {i: exist[i] * (1 - chance[i]) for i in self.tentative}
         stay = [i for i in self.tentative if left[i] > TENTATIVE]
         for i in stay:
             if left[i] < FORGET:
@@ -358,11 +363,11 @@ class GLMB:
 
         parents, seen, n, old = miss + stay, hit + renewed, len(miss), len(miss) + len(stay)
         new = people.take(parents + [leaf for leaf, _ in seen])
-        overlooked = [1 - found[i] * detection for i in parents]
+        overlooked = [1 - chance[i] for i in parents]
         kept = [exist[i] * o for i, o in zip(parents, overlooked, strict=True)]
         new.exist[:old] = [e / max(1 - exist[i] + e, 1e-12) for i, e in zip(miss, kept, strict=False)] + kept[n:]
         new.found[:old, column] = [
-            found[i] * (1 - detection) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
+            (found[i] - chance[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
         ]
         if seen:
             js, states = [j for _, j in seen], (new.mean, new.cov, new.mode)

@@ -1,12 +1,14 @@
 """What a tracker is told (sensors, settings) and what it tells (tracks)."""
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from avcli.tracking.coverage import Coverage
 from avcli.tracking.motion import WALKING, Motion
+
+WALK = 0.5  # m/s, the least pace of somebody who is walking
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,9 @@ class Sensor:
         calibration, sound and light that do not quite behave as modelled.
     hide, show: rates per second at which people become hidden from it (fall silent) and findable again; hide 0: never.
     lead: metres that what it localizes is in front of the body's axis (a mouth).
+    doubt: how many nats a low score speaks against a detection at most. More than a single record can tell if false
+        detections come again in the same place, as echoes do.
+    coverage: Coverage, where it finds people at all; None: everywhere alike.
     """
 
     name: str
@@ -31,6 +36,8 @@ class Sensor:
     hide: float = 0.1
     show: float = 0.6
     lead: float = 0.0
+    doubt: float = 4.0
+    coverage: Coverage | None = field(default=None, compare=False)
 
     def findable(self):
         """Long-run probability that a person can be found."""
@@ -48,6 +55,7 @@ def sensor(name, **known):
             "hide": 1.0,
             "show": 1.0,
             "lead": 0.1,
+            "doubt": 6.0,
         }
     else:
         usual = {}
@@ -60,8 +68,8 @@ class Settings:
 
     area: ((x0, y0), (x1, y1)) m, where people can be. walls: whether nobody who is inside walks out unseen.
     motion: Motion.
-    stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same within `edge`
-        metres of a wall, where the doors are.
+    stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same of somebody who
+        walks within `edge` metres of a wall, where the doors are (up to ten times that for who hardly moves).
     arrivals: people that come per second, through the walls but for a share `appear`, which may turn up anywhere.
     present: people expected in the room before the first record.
     speed: standard deviation of each velocity component of someone first seen, m/s.
@@ -105,9 +113,11 @@ class Settings:
         """Half the sides of the area, (2,) m."""
         return (self.corners[1] - self.corners[0]) / 2
 
-    def staying(self, places, dt):
-        """Probability that people at these places, (n, 2) m, are still in the room dt seconds later: (n,)."""
-        return np.where(self._near_walls(places), math.exp(-dt / self.pass_by), math.exp(-dt / self.stay))
+    def staying(self, states, dt):
+        """Probability that people in these states, (n, 4) m and m/s, are still in the room dt seconds later: (n,)."""
+        walks = np.minimum(np.maximum(np.hypot(states[:, 2], states[:, 3]) / WALK, 0.1), 1.0)
+        rate = np.where(self._near_walls(states[:, :2]), np.maximum(walks / self.pass_by, 1 / self.stay), 1 / self.stay)
+        return np.exp(-dt * rate)
 
     def crowd(self, places, anywhere, near_walls):
         """Density per m^2, at places (n, 2) m, of so many people anywhere and so many near the walls: (n,)."""

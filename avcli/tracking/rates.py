@@ -9,7 +9,8 @@ class Rates:
     """A sensor's clutter, detection probability and blindness as believed now; how sure its detections usually are."""
 
     def __init__(self, sensor):
-        self.clutter, self.detection, self.typical = sensor.clutter, sensor.detection, None
+        self.clutter, self.detection, self.doubtful = sensor.clutter, sensor.detection, sensor.doubt
+        self.typical = None
         self.clutter_sum, self.clutter_count = 3.0 * sensor.clutter, 3.0
         self.hit_sum, self.hit_count = 60.0 * sensor.detection, 60.0
         self.blind, self.time, self.goes_blind = 0.0, None, sensor.hide > 0
@@ -52,7 +53,7 @@ class Rates:
         if typical is None:
             known = [odd for odd in odds if odd == odd]
             typical = math.fsum(known) / len(known) if known else 0.0
-        return [math.exp(min(max(typical - odd, -1.0), 4.0)) if odd == odd else 1.0 for odd in odds]
+        return [math.exp(min(max(typical - odd, -1.0), self.doubtful)) if odd == odd else 1.0 for odd in odds]
 
 
 def logit(score):
