@@ -17,12 +17,12 @@ def ranked(priors, options, budget=1000, span=11.5):
 
     priors: list of (log weight, row), row a tuple of one density index per target (-1: target not there).
     options: density index -> list of (log weight, detection), detection -1 for "missed"; best first.
-    Returns a list of (log weight, prior number, tuple of detections, bit set of the used detections), best first.
+    Returns a list of (log weight, ((density, detection), ...), bit set of the used detections), best first.
     """
     if len(priors[0][1]) == 1:  # one target alone competes with nobody
         found = [
-            (weight + gain, number, (j,), 0 if j < 0 else 1 << j)
-            for number, (weight, (leaf,)) in enumerate(priors)
+            (weight + gain, ((leaf, j),), 0 if j < 0 else 1 << j)
+            for weight, (leaf,) in priors
             for gain, j in (options[leaf] if leaf >= 0 else ABSENT)
         ]
         found.sort(key=FIRST, reverse=True)
@@ -33,15 +33,15 @@ def ranked(priors, options, budget=1000, span=11.5):
         bound = weight + math.fsum(options[leaf][0][0] for leaf in row if leaf >= 0)
         beam.append((bound, number, (), 0))
         if bound > greedy[0]:
-            greedy = max(greedy, _greedy(weight, number, row, options), key=FIRST)
+            greedy = max(greedy, _greedy(weight, row, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
-        grown, moves, steps = [], {-1: [(0.0, (-1,), 0)]}, []
+        grown, moves, steps = [], {-1: [(0.0, ((-1, -1),), 0)]}, []
         for _, row in priors:
             leaf = row[depth]
             if leaf not in moves:
                 best = options[leaf][0][0]
-                moves[leaf] = [(gain - best, (j,), 0 if j < 0 else 1 << j) for gain, j in options[leaf]]
+                moves[leaf] = [(gain - best, ((leaf, j),), 0 if j < 0 else 1 << j) for gain, j in options[leaf]]
             steps.append(moves[leaf])
         for bound, number, taken, used in beam:
             least = floor - bound
@@ -55,10 +55,11 @@ def ranked(priors, options, budget=1000, span=11.5):
             del grown[budget:]
         beam = grown
     beam.sort(key=FIRST, reverse=True)
-    return beam or [greedy]  # all that the budget kept may have ended in conflicts
+    # all that the budget kept may have ended in conflicts
+    return [(weight, taken, used) for weight, _, taken, used in beam] or [greedy]
 
 
-def _greedy(weight, number, row, options):
+def _greedy(weight, row, options):
     """One feasible association: each target in turn takes its best detection that is left."""
     taken, used = [], 0
     for leaf in row:
@@ -70,8 +71,8 @@ def _greedy(weight, number, row, options):
                     break
             weight += gain
             used |= 0 if j < 0 else 1 << j
-        taken.append(j)
-    return weight, number, tuple(taken), used
+        taken.append((leaf, j))
+    return weight, tuple(taken), used
 
 
 def cheapest(cost):

@@ -19,7 +19,7 @@ def predict(mean, cov, mode, motion, dt):
     f, q, switch = motion.step(dt)
     if mode.shape[1] > 1:
         joint = mode[:, :, None] * switch  # (n, from, to)
-        after = joint.sum(1)
+        after = mode @ switch
         weight = (joint / after[:, None]).transpose(0, 2, 1)  # (n, to, from)
         mixed = weight @ mean
         spread = (mean[:, None] - mixed[:, :, None]) * np.sqrt(weight)[..., None]  # (n, to, from, 4)
@@ -61,11 +61,11 @@ def loglikelihood(mean, cov, z, noise, lead=0.0):
     return -0.5 * (distance + np.log(det)) - 1.8378770664093453, distance
 
 
-def update(mean, cov, mode, z, noise, lead=0.0, log=None):
+def update(mean, cov, mode, z, noise, lead=0.0, likelihood=None):
     """Kalman update of density k by detection k, in Joseph's form.
 
-    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M), z (n, 2) m, noise (n, 2, 2) m^2; lead: m, see `detected`; log
-    (n, M): what `loglikelihood` says of them, if that is known. Returns (mean, cov, mode).
+    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M), z (n, 2) m, noise (n, 2, 2) m^2; lead: m, see `detected`; likelihood
+    (n, M): of the detections in each model, if that is known. Returns (mean, cov, mode).
     """
     place, noise = mean[..., :2], noise[:, None]
     if lead:
@@ -77,10 +77,11 @@ def update(mean, cov, mode, z, noise, lead=0.0, log=None):
     inverse = s[..., ::-1, ::-1] * COFACTOR / det[..., None, None]
     gain = cov[..., :, :2] @ inverse  # (n, M, 4, 2)
     if mode.shape[1] > 1:
-        if log is None:
+        if likelihood is None:
             log = -0.5 * ((d.swapaxes(-1, -2) @ inverse @ d)[..., 0, 0] + np.log(det))
-        mode = mode * np.exp(log - log.max(1, keepdims=True)) + 1e-12
-        mode /= mode.sum(1, keepdims=True)
+            likelihood = np.exp(log - log.max(1, keepdims=True)) + 1e-12
+        mode = mode * likelihood
+        mode = mode / (mode @ np.ones((mode.shape[1], 1))) + 1e-12
     mean = mean + (gain @ d)[..., 0]
     keep = cov - gain @ cov[..., :2, :]
     cov = keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2)

@@ -78,9 +78,7 @@ class GLMB:
         self.time = time
         settings, people = self.settings, self.people
         survive = settings.staying(people.mean[:, 0], dt)
-        inside = settings.arrivals * settings.appear
-        come = np.array([inside, settings.arrivals - inside])
-        self.unseen = self.unseen * math.exp(-dt / settings.stay) + come * dt
+        self.unseen = self.unseen * math.exp(-dt / settings.stay) + settings.coming * dt
         if len(people):
             self._evade(dt)
             before = people.mean, people.cov, people.mode
@@ -100,7 +98,7 @@ class GLMB:
         centre, half = self.settings.centre, self.settings.half - BODY
         place, pace = self.people.mean[..., :2], self.people.mean[..., 2:]
         over = abs(place - centre) > half
-        if over.any():
+        if np.count_nonzero(over):
             over &= abs(before[..., :2] - centre) <= half
             pace[over] = 0.0
             place[over] = np.clip(place, centre - half, centre + half)[over]
@@ -117,12 +115,12 @@ class GLMB:
         own = plane(people.centres(self.leaves))
         other = own.take([self.leaves.index(leaf) for leaf in self.likeliest], 0)
         place, pace = (own[:, None] - other).transpose(2, 0, 1)
-        fastest = 2 * abs(own[:, 1]).max()
+        fastest = 2 * max(abs(own[:, 1]).tolist())
         if np.count_nonzero(abs(place) < BUMP + SOON * fastest) == len(other):  # everybody is near himself alone
             return
         soon = -(place * pace.conj()).real / (np.square(abs(pace)) + 1e-9)  # seconds until they are nearest
         bump = (abs(soon - (SOON - JUST) / 2) < (SOON + JUST) / 2) & (abs(place + pace * np.maximum(soon, 0.0)) < BUMP)
-        if not bump.any():
+        if not np.count_nonzero(bump):
             return
         own, other = own[:, 1:], other[:, 1]
         bump &= (own * other.conj()).real < FACING * abs(own) * abs(other)  # never somebody and himself
@@ -146,7 +144,7 @@ class GLMB:
         column = self.column[name]
         sensor, rates = self.sensors[column], self.rates[column]
         people, settings = self.people, self.settings
-        gain, log = gains(people, z, noise, sensor.lead)
+        gain, in_model = gains(people, z, noise, sensor.lead)
         exist, found, likely = people.exist.tolist(), people.found[:, column].tolist(), gain.tolist()
 
         # What is small is reckoned in lists: numbers for each detection (J) or density (n) cost less so than in arrays.
@@ -184,7 +182,7 @@ class GLMB:
         self.born, self.died = [], []
         if self.journal is not None:
             account = self._account(name, z, groups, free, existence, kappa, rho)
-        self._rebuild(column, z, noise, groups, births, exist, found, chance, log)
+        self._rebuild(column, z, noise, groups, births, exist, found, chance, in_model)
         if self.journal is not None:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.unseen *= 1 - finds
@@ -208,24 +206,23 @@ class GLMB:
 
         exist, chance: lists of n; gain (n, J); finds: probability of finding somebody never seen who is there.
         """
-        spread, at, people = (noise[:, 0, 0] + noise[:, 1, 1]) / 2, self.tentative, self.people
-        strangers = self.settings.crowd(z, *(finds * self.unseen).tolist())
-        if self.settings.birth != "poisson":
-            strangers = strangers * 0.0
-        if not at:
-            return gain[:0], strangers * self._elbow_room(z, spread)
-        axes = people.cov[:, 0].take(at, 0)
-        places = np.concatenate([z, people.mean[:, 0, :2].take(at, 0)])
-        room = self._elbow_room(places, np.concatenate([spread, (axes[:, 0, 0] + axes[:, 1, 1]) / 2]))
-        number = np.array([exist[i] * chance[i] for i in at]) * room[len(z) :]
-        return number[:, None] * gain.take(at, 0), strangers * room[: len(z)]
+        at, people = self.tentative, self.people
+        places = np.concatenate([z, people.mean[at, 0, :2]])
+        spread = np.concatenate([noise, people.cov[at, 0, :2, :2]])
+        room = self._elbow_room(places, spread[:, 0, 0] + spread[:, 1, 1])
+        number = room[len(z) :] * [exist[i] * chance[i] for i in at]
+        strangers = room[: len(z)] * self.settings.crowd(z, *(finds * self.unseen).tolist())
+        return number[:, None] * gain[at], strangers if self.settings.birth == "poisson" else 0.0 * strangers
 
     def _elbow_room(self, places, spread):
-        """Probability (n,) that someone new at places (n, 2), known to variances (n,), is not inside a known person."""
+        """Probability (n,) that someone new at places (n, 2) m is not inside a known person.
+
+        spread: (n,) m^2, the sum of the variances along x and y to which the places are known.
+        """
         if not self.likeliest or not len(places):
             return np.ones(len(places))
         known = plane(self.people.centres(self.likeliest))[:, 0]
-        apart, width = abs(plane(places) - known), 2 * (self.settings.body**2 + spread)
+        apart, width = abs(plane(places) - known), 2 * self.settings.body**2 + spread
         taken = np.exp(-apart * apart / width[:, None]) * self.people.exist.take(self.likeliest)
         return (1 - taken).prod(1)
 
@@ -287,8 +284,8 @@ class GLMB:
 
         Returns (labels, [[log weight, ((density, detection), ...), used bits]]), normalised, best first.
         """
-        settings, priors = self.settings, [(0.0, ())]
-        for cluster in members:
+        settings, priors = self.settings, list(zip(members[0].weights, members[0].rows, strict=True))
+        for cluster in members[1:]:
             pairs = list(zip(cluster.weights, cluster.rows, strict=True))
             priors = [(w + v, left + right) for w, left in priors for v, right in pairs]
             if len(priors) > settings.hypotheses:
@@ -296,11 +293,7 @@ class GLMB:
                 del priors[settings.hypotheses :]
         kept = ranked(priors, options, BUDGET * settings.hypotheses, -LOG_PRUNE)[: settings.hypotheses]
         top = kept[0][0]
-        kept = [
-            [weight, tuple(zip(priors[number][1], taken, strict=True)), used]
-            for weight, number, taken, used in kept
-            if weight - top > LOG_PRUNE
-        ]
+        kept = [list(one) for one in kept if one[0] - top > LOG_PRUNE]
         total = top + math.log(math.fsum(math.exp(h[0] - top) for h in kept))
         for hypothesis in kept:
             hypothesis[0] -= total
@@ -341,11 +334,11 @@ class GLMB:
             births += [(j, -1, share * s, 0.0) for j, s in enumerate(stranger) if share * s > least]
         return births
 
-    def _rebuild(self, column, z, noise, groups, births, exist, found, chance, log):
+    def _rebuild(self, column, z, noise, groups, births, exist, found, chance, in_model):
         """Compute each density that is needed once, and make tentative people and clusters of them.
 
         births: as `_births` returns them; exist, found, chance: lists of n, probabilities of existing, and of those who
-        exist: that they can be found, and that they are; log (n, M, J): loglikelihoods.
+        exist: that they can be found, and that they are; in_model (n, M, J): likelihoods in each model.
         """
         people, sensor = self.people, self.sensors[column]
         pairs = dict.fromkeys(chain.from_iterable(h[1] for _, hs in groups for h in hs))
@@ -371,7 +364,7 @@ class GLMB:
         ]
         if seen:
             js, states = [j for _, j in seen], (new.mean, new.cov, new.mode)
-            found_in = z.take(js, 0), noise.take(js, 0), sensor.lead, log[[leaf for leaf, _ in seen], :, js]
+            found_in = z.take(js, 0), noise.take(js, 0), sensor.lead, in_model[[leaf for leaf, _ in seen], :, js]
             updated = gaussian.update(*(state[old:] for state in states), *found_in)
             for state, now in zip(states, updated, strict=True):
                 state[old:] = now
@@ -559,9 +552,10 @@ def plane(rows):
 
 
 def gains(people, z, noise, lead):
-    """Likelihood of each detection under each density, 0 outside the gate, (n, J), and its logarithm in each model."""
+    """Likelihood of each detection under each density, 0 outside the gate: (n, J), and (n, M, J) in each model."""
     log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, lead)
-    return (people.mode[:, None] @ np.where(distance < GATE, np.exp(log), 0.0))[:, 0], log
+    gain = np.where(distance < GATE, np.exp(log), 0.0)
+    return (people.mode[:, None] @ gain)[:, 0], gain
 
 
 def distinct(z, noise, score):

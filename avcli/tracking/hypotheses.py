@@ -45,9 +45,9 @@ class Densities:
     def match(self, rows, shares):
         """Give the first of some rows (a list of n) the moments of all, by their shares (n,), model by model."""
         share, first = np.array(shares) / math.fsum(shares), rows[0]
-        weight = share[:, None] * self.mode.take(rows, 0)
-        self.mode[first] = mode = weight.sum(0)
-        weight = (weight / mode).T[:, None]  # (M, 1, n)
+        modes = self.mode.take(rows, 0)
+        self.mode[first] = mode = share @ modes
+        weight = (share[:, None] * modes / mode).T[:, None]  # (M, 1, n)
         means = self.mean.take(rows, 0).swapaxes(0, 1)
         self.mean[first] = mean = (weight @ means)[:, 0]
         away = (means - mean[:, None]) * np.sqrt(weight).swapaxes(1, 2)

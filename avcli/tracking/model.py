@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class Settings:
     area: ((x0, y0), (x1, y1)) m, where people can be. walls: whether nobody who is inside walks out unseen.
     motion: Motion.
     stay: mean time in s that a person stays in the room while away from its walls; pass_by: the same of somebody who
-        walks within `edge` metres of a wall, where the doors are (up to ten times that for who hardly moves).
+        walks within `edge` metres of a wall, where the doors are; who hardly moves there stays as anywhere.
     arrivals: people that come per second, through the walls but for a share `appear`, which may turn up anywhere.
     present: people expected in the room before the first record.
     speed: standard deviation of each velocity component of someone first seen, m/s.
@@ -113,11 +114,20 @@ class Settings:
         """Half the sides of the area, (2,) m."""
         return (self.corners[1] - self.corners[0]) / 2
 
+    @cached_property
+    def coming(self):
+        """People that come per second anywhere and through the walls, (2,)."""
+        return self.arrivals * np.array([self.appear, 1 - self.appear])
+
+    @cached_property
+    def middle(self):
+        """Half the sides of the part of the area that is not near the walls, (2,) m."""
+        return self.half - self.edge
+
     def staying(self, states, dt):
         """Probability that people in these states, (n, 4) m and m/s, are still in the room dt seconds later: (n,)."""
-        walks = np.minimum(np.maximum(np.hypot(states[:, 2], states[:, 3]) / WALK, 0.1), 1.0)
-        rate = np.where(self._near_walls(states[:, :2]), np.maximum(walks / self.pass_by, 1 / self.stay), 1 / self.stay)
-        return np.exp(-dt * rate)
+        walks = np.minimum(np.hypot(states[:, 2], states[:, 3]) * (self._near_walls(states) / WALK), 1.0)
+        return np.exp(-dt * np.maximum(walks / self.pass_by, 1 / self.stay))
 
     def crowd(self, places, anywhere, near_walls):
         """Density per m^2, at places (n, 2) m, of so many people anywhere and so many near the walls: (n,)."""
@@ -125,7 +135,7 @@ class Settings:
         return np.where(self._near_walls(places), spread + near_walls / self.strip, spread)
 
     def _near_walls(self, places):
-        away = abs(places - self.centre) > self.half - self.edge
+        away = abs(places[:, :2] - self.centre) > self.middle
         return away[:, 0] | away[:, 1]
 
     @cached_property
@@ -141,8 +151,7 @@ class Settings:
         return max(self.surface - (high - low - 2 * self.edge).clip(0.0).prod(), 1e-6)
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """One person at one time.
 
     label: unique, never given twice. state: (4,) x, y m, vx, vy m/s. cov: (4, 4). existence: probability.
@@ -153,4 +162,4 @@ class Track:
     state: np.ndarray
     cov: np.ndarray
     existence: float
-    found: dict = field(default_factory=dict)
+    found: dict = {}  # noqa: RUF012 (never written to)
