@@ -22,7 +22,7 @@ MEMORY = 0.28
 SPREAD = {
     "peaks": {"one": 2.20, "residual": 1.20, "dilution": 0.55, "pace": 0.17},
     "lattice": {"one": 0.09, "heights": 0.09},
-    "motion": {"one": -5.21, "strongest": 0.78, "agreement": -1.54},
+    "motion": {"one": -5.00, "strongest": 0.78, "agreement": -1.54},
     "level": {
         "one": 5.06,
         "heights": 1.00,
@@ -39,7 +39,7 @@ SPREAD = {
 range difference, a factor of what other places nearby add, s along the path, m in x and y, m in z.
 
 Errors have heavier tails than the Gaussian that is fitted: so that the ellipses of who walks hold what they should,
-`motion` is a fifth and `level` a seventh wider than the likelihood has them."""
+`motion` is a half and `level` a seventh wider than the likelihood has them."""
 
 SHARPNESS = 8.0
 """Logarithm of a place's likelihood over the response there, in standard deviations of a GCC of noise."""
