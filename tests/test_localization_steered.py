@@ -162,6 +162,27 @@ def test_who_falls_silent_is_not_reported_from_memory():
     assert not any((errors([d]) < 0.5).any() for d in decisions[14:])
 
 
+def test_the_mask_keeps_the_frequencies_that_another_talker_has():
+    """Of two talkers who share the frequencies between them nothing of the first is left, and all of the second."""
+    localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), Settings(), np.random.default_rng(0))
+    other = np.array([3.4, 1.0, 1.7])
+    frequencies = np.arange(localizer.bins.start, localizer.bins.stop) * FS / localizer.size
+    delays = np.linalg.norm(np.stack([PLACE, other])[:, None] - MICROPHONES, axis=2) / 343.0
+    both = np.exp(-2j * np.pi * frequencies * delays[..., None]).astype(np.complex64)
+    spectra = np.where(np.arange(len(frequencies)) // 40 % 2, both[0], both[1])[None]
+    explained = localizer.coherence(spectra, np.zeros(1), PLACE, np.zeros(3))
+
+    def answers(gccs):
+        return localizer.response.response(gccs[0], np.stack([PLACE, other]))
+
+    before = answers(localizer.masked(spectra, np.zeros_like(explained)))
+    after = answers(localizer.masked(spectra, explained))
+    assert min(before) > 0.4
+    assert after[0] < 0.15 * before[0]
+    assert after[1] > 0.8 * before[1]
+    assert not localizer.masked(0 * spectra, explained).any()
+
+
 def test_a_talker_is_heard_again_in_the_pauses_of_another():
     """Who is masked for a fifth of a second is not lost, and comes back at once."""
     rng = np.random.default_rng(16)

@@ -228,17 +228,17 @@ class SteeredLocalizer:
         return correlation.gcc(whitened, self.bins, self.size, self.response.half_lags, self.oversampling, self.weight)
 
     def heard(self, window: _Window) -> tuple[np.ndarray, np.ndarray, float] | None:
-        """Return a window's GCC without the channels that are left out, its good channels, and how much it counts.
+        """Return a window's GCC and spectra without the channels that are left out, and the share of pairs that stay.
 
-        The other pairs are scaled up for those that are missing.
+        The other pairs are to be scaled up for those that are missing.
         """
         good = window.good & ~self.outvoted
         if good.sum() < 4:
             return None
+        if good.all():
+            return window.gcc, window.whitened, 1.0
         kept = good[self.response.first] & good[self.response.second]
-        share = kept.sum() / len(kept)
-        gcc = window.gcc if good.all() else window.gcc * (kept / share).astype(np.float32)[:, None]
-        return gcc, good, share * window.part
+        return window.gcc * kept[:, None], window.whitened * good[:, None], kept.sum() / len(kept)
 
     # --- one decision -------------------------------------------------------------------------------------------------
 
@@ -278,13 +278,14 @@ class SteeredLocalizer:
         if not heard:
             self.remember([])
             return []
-        weights = np.array([weight for (_, _, weight), _, _ in heard])
-        scales = (weights / weights.mean()).astype(np.float32)
-        gccs = np.stack([gcc for (gcc, _, _), _, _ in heard]) * scales[:, None, None]
-        spectra = np.stack([window.whitened * good[:, None] for (_, good, _), window, _ in heard])
+        shares = np.array([share for (_, _, share), _, _ in heard])
+        weights = shares * [window.part for _, window, _ in heard]
+        gains = (weights / weights.mean() / shares).astype(np.float32)
+        gccs = np.stack([gcc for (gcc, _, _), _, _ in heard]) * gains[:, None, None]
+        spectra = np.stack([whitened for (_, whitened, _), _, _ in heard])
         noise = self.noise(weights.sum())
         offsets = np.array([offset for _, _, offset in heard])
-        judged = self.judge(self.peaks(gccs, spectra, offsets, noise), noise)
+        judged = self.judge(self.peaks(gccs, spectra, gains, offsets, noise), noise)
         self.remember(
             [
                 (
@@ -322,7 +323,7 @@ class SteeredLocalizer:
         margin = 0.5 * self.settings.resolution
         return (position - self.response.low < margin) | (self.response.high - position < margin)
 
-    def peaks(self, gccs, spectra, offsets: np.ndarray, noise: _Noise) -> list[_Peak]:
+    def peaks(self, gccs, spectra, gains, offsets: np.ndarray, noise: _Noise) -> list[_Peak]:
         """Return the places that are answered better than noise would, each without those before it.
 
         They are sought in GCCs that are cut off well above their noise, so that many pairs must agree: two talkers
@@ -332,10 +333,16 @@ class SteeredLocalizer:
         """
         found: list[_Peak] = []
         explained = 0.0  # coherence, (windows, bins), that the peaks so far have
+        taken: list[np.ndarray] = []  # their places, (windows, 3) m or (1, 3) m each
         steered = self.response
         threshold = noise.threshold(self.settings.false_alarm)
         known = [(place, self.reached(age)) for place, lasting, age, _ in self.before if lasting > 0.5]
         for _ in range(self.settings.max_speakers + 1):
+            if taken:
+                gccs = self.masked(spectra, explained) * gains[:, None, None]
+                for places in taken:
+                    gccs = steered.notch(gccs, places, 0.1)
+                gccs = steered.notch_echoes(gccs, taken[0], self.array.room, 0.012)
             mean = gccs.mean(axis=0)
             known = [(place, reach) for place, reach in known if all(_level(p.position, place) > reach for p in found)]
             again, reach = known.pop(0) if found and known else (None, 0.0)
@@ -357,11 +364,29 @@ class SteeredLocalizer:
                 break
             if all(_level(peak.position, other.position) > self.settings.separation for other in found):
                 found.append(peak)
-            places = peak.position + velocity * offsets[:, None] if velocity.any() else peak.position[None]
-            gccs = steered.notch(gccs, places, 0.1)
-            if len(found) == 1:
-                gccs = steered.notch_echoes(gccs, places, self.array.room, 0.012)
+            taken.append(peak.position + velocity * offsets[:, None] if velocity.any() else peak.position[None])
         return found
+
+    def masked(self, spectra: np.ndarray, explained: np.ndarray) -> np.ndarray:
+        """Return GCCs (windows, pairs, lags) of those times and frequencies that are not explained yet.
+
+        Speech is sparse: of two talkers one or the other is the louder in most bins (Yilmaz and Rickard 2004). A bin
+        counts the less, the better the channels agree there on the peaks so far: whole where they agree by chance, not
+        at all where by a half. What is left keeps its amplitude.
+
+        Args:
+            spectra: (windows, m, bins), whitened.
+            explained: (windows, bins), see `coherence`.
+        """
+        agreed = explained / (self.weight * (spectra.shape[1] - 1))
+        weights = self.weight * np.clip((0.475 - agreed) / 0.35, 0.0, 1.0).astype(np.float32)
+        lags = self.response.half_lags
+        gccs = [
+            correlation.gcc(each, self.bins, self.size, lags, self.oversampling, weight)
+            * (weight.sum() / self.weight.sum())
+            for each, weight in zip(spectra, weights, strict=True)
+        ]
+        return np.stack(gccs)
 
     def coherence(self, spectra, offsets, position, velocity) -> np.ndarray:
         """Return how far the channels agree, bin by bin, on sound from a place that moves, (windows, bins).
