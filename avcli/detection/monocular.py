@@ -104,7 +104,7 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
     if _shared(predicted[:4], measured[:4]) < (0.4 if in_place else 0.5):
         return None
     surplus = max(cost / max(np.count_nonzero(told) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
-    covariance = surplus * np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)
+    covariance = 1.4 * surplus * np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)  # 1.4: people sit and bend
     return state, (covariance + covariance.T) / 2, cost
 
 
