@@ -172,11 +172,18 @@ def test_coverage_is_a_share_everywhere_and_a_longer_lens_sees_no_more(focal, va
     assert all(coverage.LEAST <= b <= a <= 1.0 for a, b in zip(wide, long, strict=True))
 
 
+@pytest.mark.parametrize("side", [1e-3, 300.0, 1e6])
+def test_the_coverage_of_a_hall_costs_no_more_than_that_of_a_room(side):
+    seen = coverage.of_camera(camera(500.0), ((0.0, 0.0), (side, side / 2)))
+    assert max(seen.share.shape) <= coverage.CELLS
+    assert all(coverage.LEAST <= s <= 1.0 for s in seen.at(np.array([[0.0, 0.0], [side, side], [-1e300, 1e300]])))
+
+
 @pytest.mark.parametrize("seen", [False, True])
 def test_whoever_walks_where_the_camera_sees_nobody_is_kept_and_found_again(seen):
     share = np.ones((47, 47))
     share[30:] = coverage.LEAST  # nobody is found beyond x = 3 m
-    one = sensor("video", coverage=None if seen else coverage.Coverage(np.zeros(2), share))
+    one = sensor("video", coverage=None if seen else coverage.Coverage(np.zeros(2), coverage.STEP, share))
     tracker = GLMB(Settings(), [one])
     for k in range(80):
         x = 1.0 + 0.1 * min(k, 25) - 0.1 * max(k - 50, 0)
