@@ -81,7 +81,7 @@ def update(mean, cov, mode, z, noise, lead=0.0, likelihood=None):
             log = -0.5 * ((d.swapaxes(-1, -2) @ inverse @ d)[..., 0, 0] + np.log(det))
             likelihood = np.exp(log - log.max(1, keepdims=True)) + 1e-12
         mode = mode * likelihood
-        mode = mode / (mode @ np.ones((mode.shape[1], 1))) + 1e-12
+        mode = mode / np.add.reduce(mode, 1, keepdims=True) + 1e-12
     mean = mean + (gain @ d)[..., 0]
     keep = cov - gain @ cov[..., :2, :]
     cov = keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2)

@@ -104,13 +104,13 @@ class GLMB:
             place[over] = np.clip(place, centre - half, centre + half)[over]
 
     def _evade(self, dt):
-        """Let those who walk into each other face to face change course, within the next dt seconds.
+        """Let those who walk into each other face to face stop, within the next dt seconds.
 
         Two bodies cannot pass through each other, and what is seen of two people near each other hardly tells whether
         they did; who comes from the side may pass behind.
         """
-        rate, turn, people = self.settings.evade, self.settings.motion.turn, self.people
-        if len(self.likeliest) < 2 or turn < 0 or not rate:
+        rate, stand, people = self.settings.evade, self.settings.motion.stand, self.people
+        if len(self.likeliest) < 2 or stand < 0 or not rate:
             return
         own = plane(people.centres(self.leaves))
         other = own.take([self.leaves.index(leaf) for leaf in self.likeliest], 0)
@@ -126,9 +126,10 @@ class GLMB:
         bump &= (own * other.conj()).real < FACING * abs(own) * abs(other)  # never somebody and himself
         if bump.any():
             rows = np.array(self.leaves)[bump.any(1)]
-            share = people.mode[rows, 0] * -math.expm1(-rate * dt)
-            people.mode[rows, 0] -= share
-            people.mode[rows, turn] += share
+            left = math.exp(-rate * dt)
+            mode = people.mode[rows] * left
+            mode[:, stand] += 1 - left
+            people.mode[rows] = mode
 
     # --- one record ---------------------------------------------------------------------------------------------------
 

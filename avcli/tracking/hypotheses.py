@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-INDEPENDENT = 0.15  # total variation of two labels' joint weights from their product that passes for independence
+INDEPENDENT = 0.05  # total variation of two labels' joint weights from their product that passes for independence
 ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; densities of a label as near as this pass for one
-TWINS = np.array([0.05, 0.05, 0.2, 0.2])  # m, m/s; densities of two labels as near as this are of the same person
+TWINS = np.array([0.035, 0.035, 0.14, 0.14])  # m, m/s; densities of two labels as near as this are of the same person
 TWIN_FOUND = 0.2  # as far as the probabilities that sensors find them are as near as this
 
 

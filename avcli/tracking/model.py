@@ -79,7 +79,7 @@ class Settings:
     adapt: whether clutter and detection probability are estimated on the way.
     newborn: with adaptive birth, people expected to be born in each record.
     hypotheses: joint hypotheses kept in each cluster of interacting people.
-    evade: rate per second at which people who are about to walk into each other face to face change course.
+    evade: rate per second at which people who are about to walk into each other face to face stop.
     """
 
     area: tuple = ((0.0, 0.0), (4.66, 4.66))

@@ -49,13 +49,13 @@ class Model:
 class Motion:
     """Interacting motion models that switch as a continuous-time Markov chain.
 
-    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). turn: number
-    of the model of who changes course, -1: none.
+    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). stand: number
+    of the model of who stands, -1: none.
     """
 
     models: tuple
     rates: tuple = ((0.0,),)
-    turn: int = -1
+    stand: int = -1
 
     def _generator(self):
         q = np.array(self.rates, float)
@@ -84,10 +84,17 @@ class Motion:
         return np.array([f for f, _ in steps]), np.array([q for _, q in steps]), switch
 
 
-# straight on; strolling; turning on the spot, to anywhere at any pace, which is standing if it lasts. The numbers are
-# near those of greatest likelihood for people who walk straight, turn back and stroll between places.
+# Straight on for long; just turned; turned a while ago; turning, to anywhere at any pace; standing. Who has just turned is
+# a model of its own because his velocity is not known yet: mixed with that of somebody who walks on, it would blur both.
+# The numbers are near those of greatest likelihood for people who walk straight, turn back and stroll between places.
 WALKING = Motion(
-    (Model(0.05), Model(0.7, 2.0), Model(8.5, 0.01)),
-    ((0.0, 0.05, 0.15), (0.95, 0.0, 0.05), (0.3, 1.0, 0.0)),
-    turn=2,
+    (Model(0.01), Model(0.07), Model(0.01), Model(2.7, 0.19), Model(1.5, 0.01)),
+    (
+        (0.0, 0.0, 0.0, 0.015, 0.35),
+        (0.0, 0.0, 2.2, 0.155, 0.055),
+        (1.4, 0.0, 0.0, 0.155, 0.055),
+        (0.0, 6.3, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, 1.65, 0.0),
+    ),
+    stand=4,
 )

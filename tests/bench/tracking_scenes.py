@@ -98,7 +98,7 @@ class Look:
         owner = np.r_[ids[found], np.full(len(ghosts), -1)].astype(int)
         z = np.vstack([z, ghosts])
         order = rng.permutation(len(z))
-        return (time if shown is None else shown, self.name, z[order], self.sigma, owner[order])
+        return (float(time if shown is None else shown), self.name, z[order], self.sigma, owner[order])
 
 
 VIDEO = Look("video", 0.12, 0.9, 0.02)
@@ -113,7 +113,7 @@ def clock(duration, rate=RATE):
 def assemble(rng, people, duration, looks=(VIDEO, AUDIO), **how):
     """Truth at 10 Hz and each sensor's records, in order of time."""
     times = clock(duration)
-    truth = [(t, *people.at(t)[:2]) for t in times]
+    truth = [(t, *people.at(t)[:2]) for t in times.tolist()]
     hidden = how.get("hidden", lambda name, t: ())
     records = [
         look.record(rng, people, t, hidden=hidden(look.name, t), detection=how.get("detection"))
