@@ -49,8 +49,8 @@ class Model:
 class Motion:
     """Interacting motion models that switch as a continuous-time Markov chain.
 
-    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). stand: number
-    of the model of who stands, -1: none.
+    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). stand:
+    number of the model of who stands, -1: none.
     """
 
     models: tuple
@@ -84,9 +84,9 @@ class Motion:
         return np.array([f for f, _ in steps]), np.array([q for _, q in steps]), switch
 
 
-# Straight on for long; just turned; turned a while ago; turning, to anywhere at any pace; standing. Who has just turned is
-# a model of its own because his velocity is not known yet: mixed with that of somebody who walks on, it would blur both.
-# The numbers are near those of greatest likelihood for people who walk straight, turn back and stroll between places.
+# Straight on for long; just turned; turned a while ago; turning, to anywhere at any pace; standing. Who has just turned
+# has a model of his own because his velocity is not known yet: mixed with that of who walks on, it would blur both. The
+# numbers are near those of greatest likelihood for people who walk straight, turn back and stroll between places.
 WALKING = Motion(
     (Model(0.01), Model(0.07), Model(0.01), Model(2.7, 0.19), Model(1.5, 0.01)),
     (
