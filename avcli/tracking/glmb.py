@@ -31,6 +31,8 @@ TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentat
 BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
 SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
 BODY = 0.2  # m; nobody's axis is nearer to a wall
+INWARD = 0.8  # m/s, mean pace away from a wall of who turns at it; in proportion less towards the middle of the room
+HALT = 10.0  # rate per second at which who has come to a wall turns
 FACING = -0.9  # cosine of the angle between the courses of people who walk face to face
 
 
@@ -84,7 +86,7 @@ class GLMB:
             before = people.mean, people.cov, people.mode
             people.mean, people.cov, people.mode, half, mixed = gaussian.predict(*before, settings.motion, dt)
             if settings.walls:
-                self._stop_at_walls(before[0])
+                self._meet_walls(before[0], dt)
             if self.record:
                 people.node = Node.steps(people, before, half, mixed, survive, time)
             people.exist = people.exist * survive
@@ -93,15 +95,26 @@ class GLMB:
             self.unseen_found = self.findable + (self.unseen_found - self.findable) * mix
             people.found = self.findable + (people.found - self.findable) * mix
 
-    def _stop_at_walls(self, before):
-        """Hold predictions inside the room that were inside it before: before (n, M, 4) mean states."""
-        centre, half = self.settings.centre, self.settings.half - BODY
-        place, pace = self.people.mean[..., :2], self.people.mean[..., 2:]
-        over = abs(place - centre) > half
+    def _meet_walls(self, before, dt):
+        """Hold predictions inside the room that were inside it before, and turn those who come to a wall inwards.
+
+        before: (n, M, 4) mean states dt seconds ago.
+        """
+        centre, half, motion = self.settings.centre, self.settings.half, self.settings.motion
+        place, pace, mode = self.people.mean[..., :2], self.people.mean[..., 2:], self.people.mode
+        away = place - centre
+        if motion.turn >= 0:
+            drawn = -INWARD * math.expm1(-dt / motion.models[motion.turn].memory)
+            pace[:, motion.turn] -= away[:, motion.turn] * (drawn / half)
+        over = abs(away) > half - BODY
         if np.count_nonzero(over):
-            over &= abs(before[..., :2] - centre) <= half
+            over &= abs(before[..., :2] - centre) <= half - BODY
             pace[over] = 0.0
-            place[over] = np.clip(place, centre - half, centre + half)[over]
+            place[over] = np.clip(place, centre - half + BODY, centre + half - BODY)[over]
+            if motion.turn >= 0:
+                share = mode * over.any(2) * -math.expm1(-HALT * dt)
+                mode -= share
+                mode[:, motion.turn] += share.sum(1)
 
     def _evade(self, dt):
         """Let those who walk into each other face to face stop, within the next dt seconds.

@@ -49,12 +49,13 @@ class Model:
 class Motion:
     """Interacting motion models that switch as a continuous-time Markov chain.
 
-    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). stand:
-    number of the model of who stands, -1: none.
+    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). turn, stand:
+    numbers of the models of who is turning and of who stands, -1: none.
     """
 
     models: tuple
     rates: tuple = ((0.0,),)
+    turn: int = -1
     stand: int = -1
 
     def _generator(self):
@@ -88,13 +89,14 @@ class Motion:
 # has a model of his own because his velocity is not known yet: mixed with that of who walks on, it would blur both. The
 # numbers are near those of greatest likelihood for people who walk straight, turn back and stroll between places.
 WALKING = Motion(
-    (Model(0.01), Model(0.07), Model(0.01), Model(2.7, 0.19), Model(1.5, 0.01)),
+    (Model(0.01), Model(0.07), Model(0.01), Model(2.3, 0.19), Model(1.5, 0.01)),
     (
-        (0.0, 0.0, 0.0, 0.015, 0.35),
+        (0.0, 0.0, 0.0, 0.015, 0.1),
         (0.0, 0.0, 2.2, 0.155, 0.055),
         (1.4, 0.0, 0.0, 0.155, 0.055),
         (0.0, 6.3, 0.0, 0.0, 0.0),
         (0.0, 0.0, 0.0, 1.65, 0.0),
     ),
+    turn=3,
     stand=4,
 )
