@@ -147,7 +147,7 @@ def test_who_comes_to_a_wall_unseen_is_expected_to_turn_inwards():
     ahead = [tracker.tracks(1.4 + k / 10)[0].state for k in range(1, 31)]
     x, vx = np.array(ahead)[:, [0, 2]].T
     assert walking.state[2] > 0.8
-    assert 4.2 < x.max() <= 4.66
+    assert 4.0 < x.max() <= 4.66
     assert -0.8 < vx[-1] < 0
     assert x[-1] < x.max() - 0.05
 

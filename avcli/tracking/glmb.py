@@ -32,7 +32,8 @@ BUMP = 0.2  # m; people whose courses come nearer to one another than this would
 SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
 BODY = 0.2  # m; nobody's axis is nearer to a wall
 INWARD = 0.8  # m/s, mean pace away from a wall of who turns at it; in proportion less towards the middle of the room
-HALT = 10.0  # rate per second at which who has come to a wall turns
+AHEAD = 0.5  # s; who would be at a wall so soon turns at TURN a second, who is there at HALT a second
+TURN, HALT = 1.0, 10.0
 FACING = -0.9  # cosine of the angle between the courses of people who walk face to face
 
 
@@ -96,7 +97,7 @@ class GLMB:
             people.found = self.findable + (people.found - self.findable) * mix
 
     def _meet_walls(self, before, dt):
-        """Hold predictions inside the room that were inside it before, and turn those who come to a wall inwards.
+        """Hold predictions inside the room that were inside it before, and let those who come to a wall turn inwards.
 
         before: (n, M, 4) mean states dt seconds ago.
         """
@@ -106,13 +107,15 @@ class GLMB:
         if motion.turn >= 0:
             drawn = -INWARD * math.expm1(-dt / motion.models[motion.turn].memory)
             pace[:, motion.turn] -= away[:, motion.turn] * (drawn / half)
-        over = abs(away) > half - BODY
-        if np.count_nonzero(over):
-            over &= abs(before[..., :2] - centre) <= half - BODY
+        near = abs(away + pace * AHEAD) > half - BODY
+        if np.count_nonzero(near):
+            inside = abs(before[..., :2] - centre) <= half - BODY
+            near &= inside
+            over = inside & (abs(away) > half - BODY)
             pace[over] = 0.0
             place[over] = np.clip(place, centre - half + BODY, centre + half - BODY)[over]
             if motion.turn >= 0:
-                share = mode * over.any(2) * -math.expm1(-HALT * dt)
+                share = mode * -np.expm1(-dt * (TURN * near.any(2) + HALT * over.any(2)))
                 mode -= share
                 mode[:, motion.turn] += share.sum(1)
 

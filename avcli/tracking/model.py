@@ -34,8 +34,8 @@ class Sensor:
     clutter: float = 0.05
     sigma: tuple = (0.15, 0.15)
     floor: float = 0.05
-    hide: float = 0.1
-    show: float = 0.6
+    hide: float = 0.2
+    show: float = 1.0
     lead: float = 0.0
     doubt: float = 4.0
     coverage: Coverage | None = field(default=None, compare=False)

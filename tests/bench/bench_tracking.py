@@ -33,10 +33,10 @@ from avcli.tracking.motion import WALKING
 MORE = {  # seeds of the default tracker and the ceiling alone, where chance weighs heavily
     **dict.fromkeys(EASY, 10),
     **dict.fromkeys(("turning-back", "crossing", "comings-goings", "weak", "asynchronous", "damaged"), 10),
-    **dict.fromkeys(("gaps", "dim-edge"), 24),
+    **dict.fromkeys(("gaps", "dim-edge"), 100),
     "clutter": 6,
-    "ten": 6,
-    "long-pair": 10,
+    "ten": 10,
+    "long-pair": 30,
 }
 TOO_MUCH = {"jpda": ("clutter", "ten", "long-pair")}  # it enumerates all joint associations: hours, or minutes
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
