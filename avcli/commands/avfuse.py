@@ -111,7 +111,7 @@ def _count(text):
     type=click.Choice(["imm", "cv"]),
     default="imm",
     show_default=True,
-    help="imm: people walk on, turn and stop (interacting models); cv: constant velocity with --process-noise.",
+    help="imm: people walk on, stop and turn (interacting models); cv: constant velocity with --process-noise.",
 )
 @click.option(
     "--process-noise",
