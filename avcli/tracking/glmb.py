@@ -27,7 +27,7 @@ BUDGET = 3
 PROMOTE, RECYCLE = 0.1, 0.03  # existence at which a tentative person becomes labelled, and a labelled one tentative
 TWICE = 0.05  # detections of a person that a sensor has found in the same record already, expected
 FORGET = 5e-3  # expected number of people below which a tentative person who was labelled loses the label
-TENTATIVE, TENTATIVES = 1e-5, 150  # least expected number of people in a tentative Gaussian; how many are kept
+TENTATIVE, TENTATIVES = 1e-4, 150  # least expected number of people in a tentative Gaussian; how many are kept
 BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
 SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
 BODY = 0.2  # m; nobody's axis is nearer to a wall
@@ -337,7 +337,7 @@ class GLMB:
 
     def _births(self, free, existence, from_tentative, strangers):
         """People that detections may reveal: [(detection, tentative density or -1, number, existence)]."""
-        least, poisson = 10 * TENTATIVE, self.settings.birth == "poisson"
+        least, poisson = TENTATIVE, self.settings.birth == "poisson"
         births = []
         for j, (f, e) in enumerate(zip(free, existence, strict=True)):
             if f * e > least:
