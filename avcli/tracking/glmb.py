@@ -101,19 +101,20 @@ class GLMB:
 
         before: (n, M, 4) mean states dt seconds ago.
         """
-        centre, half, motion = self.settings.centre, self.settings.half, self.settings.motion
+        centre, inner, motion = self.settings.centre, self.settings.half - BODY, self.settings.motion
         place, pace, mode = self.people.mean[..., :2], self.people.mean[..., 2:], self.people.mode
         away = place - centre
         if motion.turn >= 0:
             drawn = -INWARD * math.expm1(-dt / motion.models[motion.turn].memory)
-            pace[:, motion.turn] -= away[:, motion.turn] * (drawn / half)
-        near = abs(away + pace * AHEAD) > half - BODY
+            pace[:, motion.turn] -= away[:, motion.turn] * (drawn / self.settings.half)
+        near = abs(away + pace * AHEAD) > inner
         if np.count_nonzero(near):
-            inside = abs(before[..., :2] - centre) <= half - BODY
+            inside = abs(before[..., :2] - centre) <= inner
             near &= inside
-            over = inside & (abs(away) > half - BODY)
-            pace[over] = 0.0
-            place[over] = np.clip(place, centre - half + BODY, centre + half - BODY)[over]
+            over = inside & (abs(away) > inner)
+            if np.count_nonzero(over):
+                pace[over] = 0.0
+                place[over] = np.clip(place, centre - inner, centre + inner)[over]
             if motion.turn >= 0:
                 share = mode * -np.expm1(-dt * (TURN * near.any(2) + HALT * over.any(2)))
                 mode -= share
@@ -557,9 +558,10 @@ class GLMB:
         rows = [leaf for _, leaf, *_ in found]
         people = self.people
         mean, cov = gaussian.moments(*(state.take(rows, 0) for state in (people.mean, people.cov, people.mode)))
+        findable = people.found.take(rows, 0).tolist()
         return [
-            Track(label, mean[k], cov[k], exists, dict(zip(self.column, people.found[leaf].tolist(), strict=True)))
-            for k, (label, leaf, exists, _) in enumerate(found)
+            Track(label, mean[k], cov[k], exists, dict(zip(self.column, findable[k], strict=True)))
+            for k, (label, _, exists, _) in enumerate(found)
         ]
 
 

@@ -1,5 +1,6 @@
 """What a tracker is told (sensors, settings) and what it tells (tracks)."""
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -126,7 +127,10 @@ class Settings:
 
     def staying(self, states, dt):
         """Probability that people in these states, (n, 4) m and m/s, are still in the room dt seconds later: (n,)."""
-        walks = np.minimum(np.hypot(states[:, 2], states[:, 3]) * (self._near_walls(states) / WALK), 1.0)
+        near = self._near_walls(states)
+        if not np.count_nonzero(near):
+            return np.full(len(states), math.exp(-dt / self.stay))
+        walks = np.minimum(np.hypot(states[:, 2], states[:, 3]) * (near / WALK), 1.0)
         return np.exp(-dt * np.maximum(walks / self.pass_by, 1 / self.stay))
 
     def crowd(self, places, anywhere, near_walls):
