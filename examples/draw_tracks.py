@@ -12,7 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from avcli import experiment, media, pose, records
+from avcli import pose
+from avcli.formats import experiment, media, records
 
 COLOURS = [(255, 176, 0), (100, 143, 255), (220, 38, 127), (254, 97, 0), (120, 94, 240)]  # told apart by all eyes
 VIDEO, AUDIO = (255, 255, 255), (60, 255, 160)

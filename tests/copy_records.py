@@ -15,7 +15,7 @@ from avcli.commands.filter import Filter, common
 @common(seed=True, skip_invalid=True, presets={"thesis": {"number": 42}})
 def main(session, files, pause, number):
     """Copy records."""
-    from avcli import records
+    from avcli.formats import records
 
     def parse(record, bad):
         return record, records.detections(record, bad)

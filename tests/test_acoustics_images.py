@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli import acoustics
-from avcli.acoustics.images import NEAREST_M, fast_length, image_microphones
+from avcli.acoustics.images import NEAREST_M, image_microphones
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array(
@@ -167,7 +167,6 @@ def test_sabine_by_hand():
     mean = acoustics.eyring_absorption(ROOM, 0.35)[0]
     assert 0.161 * ROOM.prod() / (-acoustics.wall_areas(ROOM).sum() * np.log(1 - mean)) == pytest.approx(0.35)
     assert acoustics.schroeder_frequency(ROOM, 0.35) == pytest.approx(146.6, abs=0.05)
-    assert acoustics.speed_of_sound(20.0) == pytest.approx(343.2)
 
 
 @pytest.mark.parametrize("rate", [8000, 44100, 192000])
@@ -225,14 +224,3 @@ def test_what_makes_no_sense_is_refused(change, message):
     } | change
     with pytest.raises(ValueError, match=message):
         acoustics.shoebox_rir(**arguments)
-
-
-@given(st.integers(1, 3_000_000))
-def test_fast_lengths(least):
-    length = fast_length(least)
-    assert least <= length < 2 * least + 2
-    assert length % 2 == 0
-    for prime in (2, 3, 5):
-        while length % prime == 0:
-            length //= prime
-    assert length == 1

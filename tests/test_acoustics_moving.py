@@ -10,7 +10,7 @@ from avcli.acoustics.sampling import Switching, interpolation
 from avcli.acoustics.signals import power_spectrum
 from avcli.acoustics.speakers import Speakers
 from avcli.acoustics.trajectory import Trajectory
-from avcli.records import Sources
+from avcli.formats.records import Sources
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array([[0.115, 4.545, 2.493], [2.386, 2.253, 2.489]])

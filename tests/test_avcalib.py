@@ -11,11 +11,12 @@ from calibration_boards import BOARD, film, photograph
 from conftest import BIN, run
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli import footage, pose
+from avcli import pose
 from avcli.calibration import corners, place
 from avcli.calibration.target import Board
 from avcli.commands import mjpeg
-from avcli.media import write_png
+from avcli.formats import footage
+from avcli.formats.media import write_png
 
 
 @pytest.fixture(scope="session")

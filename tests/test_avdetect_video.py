@@ -10,8 +10,8 @@ from conftest import run
 from detection_people import KB8, cast, ceiling_view
 from test_detection_network import model, rows
 
-from avcli import experiment, media
 from avcli.detection.network import Letterbox
+from avcli.formats import experiment, media
 
 PEOPLE = [(1.2, 2.3, 0.0, 0.3, 1.75), (3.4, 2.6, 2.0, -0.3, 1.65)]
 STEP = 1e-4

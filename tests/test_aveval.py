@@ -320,7 +320,7 @@ def test_all_records_follow_the_schema(tmp_path):
 
     from test_metrics_report import experiment
 
-    schema = json.loads(files("avcli").joinpath("schemas/metrics.schema.json").read_text())
+    schema = json.loads(files("avcli").joinpath("formats/schemas/metrics.schema.json").read_text())
     experiment(tmp_path / "s3")
     experiment(tmp_path / "s1", people=1)
     (tmp_path / "s1" / "tracking" / "audio_tracking.jsonl").write_text("")

@@ -269,7 +269,7 @@ def test_stone_soup_is_asked_for_by_name():
 
 
 def test_an_explanation_is_as_its_schema_says(tmp_path):
-    schema = json.loads((ROOT / "avcli" / "schemas" / "explain.schema.json").read_text())
+    schema = json.loads((ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     rng, lines = np.random.default_rng(4), []
     for k in range(120):  # two people, one of whom vanishes; the other is silent at times; false detections

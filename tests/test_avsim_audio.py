@@ -9,7 +9,8 @@ import orjson
 import pytest
 from conftest import BIN, ROOT, run
 
-from avcli import acoustics, media
+from avcli import acoustics
+from avcli.formats import media
 
 MICROPHONES = [
     [0.115, 4.545, 2.493],
@@ -81,7 +82,7 @@ def test_one_file_for_the_scene_and_its_reverberation(experiment):
         "num_channels": 8,
     }
     assert sound.shape == (8, round(1.2 * RATE))
-    jsonschema.validate(records[0], orjson.loads((ROOT / "avcli/schemas/audio.schema.json").read_bytes()))
+    jsonschema.validate(records[0], orjson.loads((ROOT / "avcli/formats/schemas/audio.schema.json").read_bytes()))
     assert 0.001 < np.sqrt(np.mean(sound**2)) < 0.1
     path = experiment / records[0]["audio"]["path"]
     before = path.read_bytes()

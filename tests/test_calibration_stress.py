@@ -8,11 +8,11 @@ from calibration_boards import film, photograph
 from conftest import run
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli import footage
 from avcli.calibration import corners
 from avcli.calibration.target import Board
+from avcli.formats import footage
+from avcli.formats.media import MediaError
 from avcli.lens import KannalaBrandt
-from avcli.media import MediaError
 
 BOARD = Board(6, 8, 0.095)
 

@@ -14,7 +14,8 @@ from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli import atomic, experiment, lens, media, records
+from avcli import lens
+from avcli.formats import atomic, experiment, media, records
 
 LISTING_1 = """
 {
@@ -54,7 +55,7 @@ LISTING_1 = """
 
 
 def schema(name):
-    return orjson.loads((ROOT / "avcli" / "schemas" / f"{name}.schema.json").read_bytes())
+    return orjson.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
 
 
 def config(**changes):

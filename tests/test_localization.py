@@ -23,18 +23,6 @@ def ranges(place, microphones=MICROPHONES):
 # --- spectra and correlation ------------------------------------------------------------------------------------------
 
 
-@given(st.integers(2, 300_000))
-def test_fft_sizes_are_even_smooth_and_tight(least):
-    size = correlation.fft_size(least)
-    assert size >= least
-    assert size % 2 == 0
-    assert size <= 1 << max(least - 1, 1).bit_length()
-    for prime in (2, 3, 5):
-        while size % prime == 0:
-            size //= prime
-    assert size == 1
-
-
 def test_hann_is_symmetric_and_sums_to_half():
     window = correlation.hann(1001)
     np.testing.assert_allclose(window, window[::-1])

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli.metrics import clear, hota, identity
-from avcli.metrics.assignment import assign, assign_each
+from avcli.metrics.assignment import assign_each
 from avcli.metrics.sequence import Sequence
+from avcli.numeric import assign
 
 EMPTY = ([], np.zeros((0, 2)))
 

@@ -124,8 +124,8 @@ class Browser:
 
 def experiment(folder, sequence="s3", people=3):
     """An experiment with all that a report can show: truth with voices, three trackers, two sensors, camera frames."""
-    from avcli.experiment import Layout
-    from avcli.media import write_png
+    from avcli.formats.experiment import Layout
+    from avcli.formats.media import write_png
 
     for name in ("tracking", "localization", "video/rgb"):
         (folder / name).mkdir(parents=True)

@@ -23,7 +23,7 @@ def lines(path):
 
 
 def schema(name):
-    return orjson.loads((ROOT / "avcli" / "schemas" / f"{name}.schema.json").read_bytes())
+    return orjson.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
 
 
 def scores(truth, *tracks):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import BIN, ROOT, run
 
-from avcli import experiment, media, records
+from avcli.formats import experiment, media, records
 
 SMALL = {
     "name": "small",

@@ -228,7 +228,7 @@ def test_every_look_and_key_is_in_the_manual():
 def test_the_schema_takes_what_the_parser_takes():
     import jsonschema
 
-    schema = json.loads((ROOT / "avcli" / "schemas" / "scenario.schema.json").read_bytes())
+    schema = json.loads((ROOT / "avcli" / "formats" / "schemas" / "scenario.schema.json").read_bytes())
     check = jsonschema.Draft202012Validator(schema)
     built_in = sorted((ROOT / "avcli" / "scene" / "scenarios").glob("*.json"))
     examples = sorted((ROOT / "examples" / "scenarios").glob("*.json"))
@@ -263,7 +263,7 @@ def test_the_schema_takes_what_the_parser_takes():
 def test_the_schema_refuses_what_the_parser_refuses(raw):
     import jsonschema
 
-    schema = json.loads((ROOT / "avcli" / "schemas" / "scenario.schema.json").read_bytes())
+    schema = json.loads((ROOT / "avcli" / "formats" / "schemas" / "scenario.schema.json").read_bytes())
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(raw, schema)
     with pytest.raises(scenario.ScenarioError):

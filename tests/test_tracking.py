@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.records import Detections
+from avcli.formats.records import Detections
 from avcli.tracking import gaussian
-from avcli.tracking.assignment import cheapest, ranked
+from avcli.tracking.assignment import ranked
 from avcli.tracking.fusion import Fusion, noise_of
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.merging import Merger
@@ -177,18 +177,6 @@ def test_ranked_associations_are_those_of_brute_force(seed):
     few = ranked(priors, options, 1, 7.0)
     assert few
     assert few[0][0] <= expected[0][0] + 1e-9
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(0, 3))
-@settings(max_examples=60, deadline=None)
-def test_the_cheapest_assignment_is_that_of_scipy(seed, n, more):
-    from scipy.optimize import linear_sum_assignment
-
-    cost = np.random.default_rng(seed).normal(size=(n, n + more))
-    columns = cheapest(cost.tolist())
-    assert len(set(columns)) == n
-    rows, best = linear_sum_assignment(cost)
-    assert cost[range(n), columns].sum() == pytest.approx(cost[rows, best].sum())
 
 
 # --- the filter -------------------------------------------------------------------------------------------------------

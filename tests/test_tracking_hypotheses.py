@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.experiment import Config
+from avcli.formats.experiment import Config
 from avcli.tracking import coverage, gaussian
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.hypotheses import Cluster, Densities

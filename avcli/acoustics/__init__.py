@@ -12,7 +12,6 @@ from avcli.acoustics.room import (
     sabine_absorption,
     sabine_rt60,
     schroeder_frequency,
-    speed_of_sound,
     wall_areas,
 )
 from avcli.acoustics.sampling import Switching, interpolation
@@ -43,6 +42,5 @@ __all__ = [
     "sabine_rt60",
     "schroeder_frequency",
     "shoebox_rir",
-    "speed_of_sound",
     "wall_areas",
 ]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.room import audible_time
+from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length
 
 NEAREST_M = 0.05
 """m; a source nearer to a microphone than this is not louder than at this distance."""
@@ -182,22 +183,6 @@ def audible(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> np.n
     return levels >= level
 
 
-def fast_length(least: int) -> int:
-    """Return the smallest even length of at least `least` whose FFT is fast: 2^a 3^b 5^c with a > 0."""
-    best = 1 << max(1, int(least - 1).bit_length())
-    five = 1
-    while five < best:
-        three = five
-        while three < best:
-            length = three * 2
-            while length < least:
-                length *= 2
-            best = min(best, length)
-            three *= 3
-        five *= 5
-    return best
-
-
 class DelaySpectrum:
     """Sums of delayed impulses as spectra: H[b] = Σᵢ aᵢ exp(−2πi b τᵢ / length) by a type 1 non-uniform FFT.
 
@@ -279,7 +264,7 @@ def shoebox_rir(
     sample_rate_hz: float,
     num_samples: int,
     *,
-    speed_of_sound_m_s: float = 343.0,
+    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
     sign: int = -1,
     error_db: float | None = None,
 ) -> np.ndarray:
@@ -333,7 +318,7 @@ def shoebox_rir(
     _refuse_too_many(room, reflection, reach_m)
     # The FFT's kernel is periodic: over four lengths it differs from the sinc by less than -70 dB, over two by -60.
     coarse = error_db is not None and error_db > -45
-    spectrum = _plan(fast_length(max((2 if coarse else 4) * num_samples, 1 << 15)), -60.0 if coarse else -80.0)
+    spectrum = _plan(fft_length(max((2 if coarse else 4) * num_samples, 1 << 15)), -60.0 if coarse else -80.0)
     impulses = []
     for microphone in microphones:
         images = image_microphones(room, microphone, sign * reflection, source, reach_m)

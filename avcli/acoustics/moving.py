@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from avcli.acoustics.images import fast_length
 from avcli.acoustics.responses import MARGIN, Responses, Surroundings
 from avcli.acoustics.sampling import Interpolation, Switching
+from avcli.numeric import fft_length
 
 
 class MovingSource:
@@ -47,7 +47,7 @@ class MovingSource:
         self._surroundings, self._nodes = surroundings, nodes
         longest = surroundings.longest_delay
         window = int(nodes.window_s * surroundings.sample_rate_hz)
-        self._length = fast_length(longest + 2 * MARGIN + min(max(window, longest // 4), 4 * longest + 4096))
+        self._length = fft_length(longest + 2 * MARGIN + min(max(window, longest // 4), 4 * longest + 4096))
         self._block = self._length - longest - 2 * MARGIN
         self._responses = Responses(surroundings, self._length, band, error_db, rng, isinstance(nodes, Switching))
 

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.numeric import SPEED_OF_SOUND_M_S
+
 FRAME = 4096
 """samples of a frame of room noise; frames overlap by half."""
 BLOCK = 8192
@@ -32,7 +34,7 @@ class Noise:
         sample_rate_hz: float,
         sensor_pa: float = 0.0,
         room_pa: float = 0.0,
-        speed_of_sound_m_s: float = 343.0,
+        speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
         seed: int = 0,
     ):
         microphones = np.asarray(microphones_m, dtype=float)

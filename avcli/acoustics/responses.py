@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, fast_length, image_microphones
+from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, image_microphones
 from avcli.acoustics.trajectory import Trajectory
+from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length
 
 STRIDE_M = 0.5
 """m; the images that are audible are chosen anew when source and microphones have gone so far."""
@@ -43,7 +44,7 @@ class Surroundings:
     sample_rate_hz: float
     reach_m: float
     error_db: float | None = None
-    speed_of_sound_m_s: float = 343.0
+    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
     directivities: np.ndarray | None = None
     orientations: np.ndarray | None = None
     source_directivity: float = 1.0
@@ -218,10 +219,10 @@ def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np
         positions_m: (k, 3) m.
     """
     samples = surroundings.longest_delay
-    spectrum = DelaySpectrum(fast_length(4 * samples))
+    spectrum = DelaySpectrum(fft_length(4 * samples))
     places, copies = np.unique(positions_m, axis=0, return_inverse=True)
     responses = np.empty((len(places), len(surroundings.microphones_m), samples))
-    images = Responses(surroundings, fast_length(samples + 2 * MARGIN), 0.5, -60.0)
+    images = Responses(surroundings, fft_length(samples + 2 * MARGIN), 0.5, -60.0)
     for response, place in zip(responses, places, strict=True):
         impulses = images.impulses(place, np.array([1.0, 0.0, 0.0]), surroundings.microphones_m[None])
         response[:] = np.fft.irfft(spectrum(impulses), spectrum.length)[:, :samples]

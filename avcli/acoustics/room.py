@@ -6,6 +6,8 @@ Walls are counted x0, x1, y0, y1, z0, z1: x = 0, x = length, and so on; z0 is th
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.numeric import SPEED_OF_SOUND_M_S
+
 SABINE = 0.161
 """s/m, the constant of Sabine's equation as the thesis writes it (eq. 4.1); 24 ln 10 / c is 0.1611."""
 
@@ -106,7 +108,9 @@ def image_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Array
     return high * weights
 
 
-def image_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sound_m_s: float = 343.0) -> float:
+def image_rt60(
+    room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+) -> float:
     """Return the reverberation time (T30) of image sources, s: see `image_absorption`.
 
     Args:
@@ -124,7 +128,7 @@ def image_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sou
 
 
 def decay_rates(
-    room_dimensions_m: ArrayLike, reflection: ArrayLike, speed_of_sound_m_s: float = 343.0
+    room_dimensions_m: ArrayLike, reflection: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how the energy of image sources decays: the part after t is about Σ sharesᵢ exp(−ratesᵢ t).
 
@@ -148,7 +152,7 @@ def decay_rates(
 
 
 def audible_time(
-    room_dimensions_m: ArrayLike, reflection: ArrayLike, error_db: float, speed_of_sound_m_s: float = 343.0
+    room_dimensions_m: ArrayLike, reflection: ArrayLike, error_db: float, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
 ) -> float:
     """Return the time, s, after which the energy of image sources is below an error (dB) relative to all of it.
 
@@ -187,14 +191,3 @@ def schroeder_frequency(room_dimensions_m: ArrayLike, rt60_s: float) -> float:
         rt60_s: reverberation time, s.
     """
     return float(2000.0 * np.sqrt(rt60_s / np.prod(room_dimensions_m)))
-
-
-def speed_of_sound(temperature_c: float) -> float:
-    """Return the speed of sound in dry air, m/s, at a temperature in °C (343.2 at 20 °C; ISO 9613-1:1993).
-
-    Raises:
-        ValueError: the temperature is at or below absolute zero.
-    """
-    if not temperature_c > -273.15:
-        raise ValueError(f"a temperature of {temperature_c:g} °C is below absolute zero")
-    return float(343.2 * np.sqrt((temperature_c + 273.15) / 293.15))

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.numeric import SPEED_OF_SOUND_M_S
+
 SLOWEST_M_S = 0.3
 """m/s; a node is made at least as often as at this speed, so that turning round is followed in time."""
 
@@ -46,7 +48,11 @@ class Interpolation:
 
 
 def interpolation(
-    power: ArrayLike, frequencies_hz: ArrayLike, error_db: float, speed_of_sound_m_s: float = 343.0, half_width: int = 6
+    power: ArrayLike,
+    frequencies_hz: ArrayLike,
+    error_db: float,
+    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
+    half_width: int = 6,
 ) -> Interpolation:
     """Choose the widest spacing of nodes at which a signal is interpolated within an error.
 

@@ -19,7 +19,7 @@ from avcli.acoustics.signals import (
     power_spectrum,
 )
 from avcli.acoustics.trajectory import FASTEST_M_S
-from avcli.records import Sources
+from avcli.formats.records import Sources
 
 WALL_M = 0.05
 """m; a mouth is kept this far from walls, floor and ceiling, and inside the room."""

@@ -127,8 +127,8 @@ def _finish(session, seen, *, procedure, max_rms, board_shape, details, plot, ht
 
 def _write_details(path, seen, result):
     if path:
-        from avcli import records
-        from avcli.atomic import write_bytes
+        from avcli.formats import records
+        from avcli.formats.atomic import write_bytes
 
         write_bytes(path, b"".join(map(records.encode, seen.records(result))))
 
@@ -146,8 +146,8 @@ def _report(session, seen, result):
 
 
 def _draw(session, seen, result, plot, html):
-    from avcli.atomic import write_bytes
     from avcli.calibration import report
+    from avcli.formats.atomic import write_bytes
 
     if plot:
         write_bytes(plot, report.picture(result, seen.sample, plot.rsplit(".", 1)[-1].lower()))

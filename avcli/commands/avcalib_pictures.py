@@ -86,7 +86,7 @@ def parse_board(session, text: str, square: float, charuco: bool):
 
 def check_sources(session, sources) -> list[str]:
     """Check that all sources exist; usage error where one does not."""
-    from avcli import footage
+    from avcli.formats import footage
 
     if not sources:
         session.usage("nothing to read: name pictures, a video, a camera (/dev/video0), or - for JPEGs on stdin")
@@ -134,9 +134,9 @@ def collect(session, sources, board, rate, size=None, after=None):
 
     `after(seen, grey, view)` is called after each picture and ends the filming by returning True.
     """
-    from avcli import footage
     from avcli.calibration import corners, gather
-    from avcli.media import MediaError
+    from avcli.formats import footage
+    from avcli.formats.media import MediaError
 
     endless = any(source == "-" or footage.is_camera(source) for source in sources)
     total = None if endless else footage.count_pictures(sources, rate)
@@ -215,7 +215,7 @@ def read_camera(session, path):
     """Read a lens from a config.json or from a line that `calibrate` wrote: lens, (width, height) px, raw keys."""
     import orjson
 
-    from avcli import experiment
+    from avcli.formats import experiment
 
     try:
         with session.open(str(path)) as stream:
@@ -234,7 +234,7 @@ def read_camera(session, path):
 def write_camera(session, found: dict) -> None:
     """Write keys of camera_config into config.json (-C, -c), and as one line to -o; without either to stdout."""
     if session.has_config:
-        from avcli import experiment
+        from avcli.formats import experiment
 
         path = session.config_path
         raw = dict(experiment.read_config(path).raw) if path.exists() else {}

@@ -63,8 +63,8 @@ def undistort_command(session, sources, target, projection, balance, fov, size, 
 
     A perspective picture is a camera of its own, brown_conrady without distortion. The other projections have none.
     """
-    from avcli import footage
     from avcli.calibration import undistort
+    from avcli.formats import footage
 
     lens, native, values = _known_camera(session)
     sources = check_sources(session, sources)
@@ -198,8 +198,8 @@ def microphones_command(session, tracks, audio, mouth_height, write_config):
     TRACKS are records with one person in the room (tracks, or ground truth). Says for each microphone how far it seems
     to hang from where it was measured, and how sure that is.
     """
-    from avcli import records
     from avcli.calibration import microphones
+    from avcli.formats import records
     from avcli.localization import tdoa
 
     track = session.records([tracks], lambda record, bad: (record, records.identified(record, bad)))
@@ -227,7 +227,7 @@ def microphones_command(session, tracks, audio, mouth_height, write_config):
 
 def _sounds(session, audio):
     """Yield (start in s, samples (n, channels), Hz) of each sound file."""
-    from avcli import media
+    from avcli.formats import media
 
     if audio:
         start = 0.0
@@ -250,7 +250,7 @@ def _sounds(session, audio):
 def _write_microphones(session, result):
     import copy
 
-    from avcli import experiment
+    from avcli.formats import experiment
 
     if not result.improves:
         session.warn("config.json is left as it was: the found positions are no better than those in it")

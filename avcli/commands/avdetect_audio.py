@@ -223,9 +223,10 @@ def _with_first(first, rest: Iterator) -> Iterator:
 def _array(session, temperature: float | None):
     """The microphones and the room that the config describes."""
     from avcli.localization.array import Array
+    from avcli.numeric import speed_of_sound
 
     microphones, room = session.config.microphones, session.config.room
-    speed = room.speed_of_sound_m_s if temperature is None else 331.3 * (1.0 + temperature / 273.15) ** 0.5
+    speed = room.speed_of_sound_m_s if temperature is None else speed_of_sound(temperature)
     return Array(microphones.positions, microphones.sample_rate_hz, room.dimensions, speed)
 
 
@@ -284,7 +285,7 @@ class _Sound:
 
     def sound(self, path: str, name: str, stream: BinaryIO) -> Iterator:
         """Yield the samples of a sound file, or of a WAV on standard input."""
-        from avcli import media
+        from avcli.formats import media
 
         if path != "-":
             stream.close()
@@ -301,7 +302,7 @@ class _Sound:
 
     def recorded(self, stream: BinaryIO, name: str) -> Iterator:
         """Yield the samples that the audio records of a stream point at, each at its place on the scene's clock."""
-        from avcli import records
+        from avcli.formats import records
 
         seen = found = 0
         for chunk in self.session.stream_records(stream, name, lambda record, _bad: records.audio(record)):
@@ -316,7 +317,7 @@ class _Sound:
         """Yield the samples of one record: silence where some were left out before it, none that were there already."""
         import numpy as np
 
-        from avcli import media
+        from avcli.formats import media
 
         _ = self.session.config.microphones  # a config that is missing or wrong is named before the sound is
         path = self.session.media_root / chunk.path

@@ -165,7 +165,7 @@ class _Watcher:
 
     def people(self, shot: Shot, rgb, depth) -> list | None:
         """The people of a shot, None where its pictures cannot be read and --skip-invalid passes over them."""
-        from avcli.media import MediaError
+        from avcli.formats.media import MediaError
 
         try:
             if self.network is None:
@@ -212,8 +212,8 @@ class _Watcher:
         return (self.by_box if metres is None else self.detector).place(found, metres)
 
     def _network(self, model: str | None, options: dict):
-        from avcli import media
         from avcli.detection.network import ModelError, Network
+        from avcli.formats import media
 
         try:
             if model is None:
@@ -228,7 +228,7 @@ class _Watcher:
             self.session.fail(f"{model}: {error}")
 
     def _background(self, *, needed: bool):
-        from avcli import media
+        from avcli.formats import media
 
         path = self.camera.background_depth
         if path is None:
@@ -248,7 +248,7 @@ class _Watcher:
         return self.view.radial_depth(picture, self.camera.depth_step_m, self.camera.depth_kind)
 
     def _check_size(self, picture, shot: Shot, kind: str) -> None:
-        from avcli.media import MediaError
+        from avcli.formats.media import MediaError
 
         if picture.shape[1::-1] != self.size:
             raise MediaError(f"t = {shot.timestamp:.4f} s: the {kind} picture {self._other_size(picture)}")
@@ -275,7 +275,7 @@ def _object(person) -> dict:
 
 def _shots(session, files: tuple[str, ...], rate: float | None, *, pictures_are_depth: bool) -> Iterator[Shot]:
     """Yield the time steps of all files: records, pictures, a video or a camera, told apart by name."""
-    from avcli import footage
+    from avcli.formats import footage
 
     files = files or ("-",)
     moving = [file for file in files if footage.is_camera(file) or Path(file).suffix.lower() in VIDEOS]
@@ -297,7 +297,7 @@ def _shots(session, files: tuple[str, ...], rate: float | None, *, pictures_are_
 
 
 def _record_shots(session, files: tuple[str, ...]) -> Iterator[Shot]:
-    from avcli import media, records
+    from avcli.formats import media, records
 
     root = session.media_root
     for frame in session.records(files, lambda record, _bad: records.frame(record)):
@@ -311,7 +311,7 @@ def _record_shots(session, files: tuple[str, ...]) -> Iterator[Shot]:
 
 def _picture_shots(session, files: list[str], rate: float | None, are_depth: bool) -> Iterator[Shot]:
     """Pictures in the order given; a time in every name ("RGB_frame_0.1000000000.png") is taken, else k / rate."""
-    from avcli import footage, media
+    from avcli.formats import footage, media
 
     background = session.config.camera.background_depth  # lies beside the frames, and is none
     background = session.media_root / background if background else None
@@ -369,8 +369,8 @@ class _Overlay:
             self.writer.release()
 
     def add(self, timestamp: float, picture, people: list, view) -> None:
-        from avcli import media, records
         from avcli.detection.overlay import draw
+        from avcli.formats import media, records
 
         if picture is None:
             self.session.warn("--overlay: there is no colour picture to draw on")

@@ -194,7 +194,7 @@ def _files(session, paths: tuple[str, ...], detections: tuple[str, ...]) -> list
 
 def _experiments(session, directories: tuple[str, ...], detections: tuple[str, ...]) -> list[_Input]:
     """What experiment directories hold, the thesis's three trackers first."""
-    from avcli.experiment import Layout
+    from avcli.formats.experiment import Layout
 
     if not directories:
         session.usage("--experiments needs at least one experiment directory")
@@ -309,7 +309,7 @@ def _identified(session, path: str, rate: float) -> _Identified:
     """Read a file of ground truth or tracks: JSON Lines, or MOTChallenge's rows in a .txt or .csv."""
     import numpy as np
 
-    from avcli import records
+    from avcli.formats import records
     from avcli.metrics import mot
 
     if Path(path).suffix.lower() in (".txt", ".csv"):
@@ -390,7 +390,7 @@ def _detected(session, entry: _Input, path: str, truth: _Identified, speaking, s
     """
     import numpy as np
 
-    from avcli import records
+    from avcli.formats import records
     from avcli.metrics import detections
     from avcli.metrics.run import Detected
     from avcli.metrics.sequence import align
@@ -472,7 +472,7 @@ def _with_surroundings(session, entry: _Input, run, frames: bool):
     """The run with its room, microphones and camera, as far as there is a config.json that says them."""
     import numpy as np
 
-    from avcli.experiment import ConfigError, read_config
+    from avcli.formats.experiment import ConfigError, read_config
 
     try:
         config = session.config if session.has_config else read_config(entry.experiment / "config.json")
@@ -493,7 +493,7 @@ def _with_surroundings(session, entry: _Input, run, frames: bool):
 
 
 def _plot(session, runs: list, path: Path) -> None:
-    from avcli.atomic import write_bytes
+    from avcli.formats.atomic import write_bytes
     from avcli.metrics.plots import plot
 
     for run in runs:
@@ -505,7 +505,7 @@ def _plot(session, runs: list, path: Path) -> None:
 
 
 def _report(session, runs: list, records: list[dict], compare: bool, path: Path) -> None:
-    from avcli.atomic import write_bytes
+    from avcli.formats.atomic import write_bytes
     from avcli.metrics.report import report
 
     with session.timing("report"):
@@ -515,8 +515,8 @@ def _report(session, runs: list, records: list[dict], compare: bool, path: Path)
 
 def _frames(session, directory: Path, times: list[float]) -> dict[float, bytes]:
     """Small JPEGs of the camera frames of an experiment, at most so many that the report stays light."""
-    from avcli.experiment import Layout
-    from avcli.media import MediaError, read_rgb
+    from avcli.formats.experiment import Layout
+    from avcli.formats.media import MediaError, read_rgb
     from avcli.metrics.report import thumbnail
 
     there = [time for time in times if (directory / Layout.rgb(time)).is_file()]
@@ -532,7 +532,7 @@ def _frames(session, directory: Path, times: list[float]) -> dict[float, bytes]:
 
 
 def _write_mot(runs: list, directory: Path) -> None:
-    from avcli.atomic import write_bytes
+    from avcli.formats.atomic import write_bytes
     from avcli.metrics import mot
 
     sequences = {run.name: {name: tracked.sequence for name, tracked in run.trackers.items()} for run in runs}

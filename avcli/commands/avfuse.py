@@ -271,8 +271,8 @@ def _accounts(path):
     if not path:
         yield None
         return
-    from avcli.atomic import replacing
-    from avcli.records import encode
+    from avcli.formats.atomic import replacing
+    from avcli.formats.records import encode
 
     with replacing(path) as whole, open(whole, "wb") as stream:
         yield lambda accounts: stream.writelines(map(encode, accounts))
@@ -285,7 +285,7 @@ def _sensor_name(path):
 
 def _readers(session, sources):
     """For each source an iterator of (sensor name, detections)."""
-    from avcli import records
+    from avcli.formats import records
 
     streams = [(name, path, session.open(path)) for name, path in sources]
 
@@ -352,7 +352,7 @@ def _coverage(session, config):
     """Where the camera of config.json, if it is described there, can see people."""
     if config is None or "camera_config" not in config.raw:
         return None
-    from avcli.experiment import ConfigError
+    from avcli.formats.experiment import ConfigError
     from avcli.tracking.coverage import of_camera
 
     try:

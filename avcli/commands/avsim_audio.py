@@ -200,7 +200,7 @@ def main(session: Session, files, **options):
     last = -math.inf
 
     def people_at(record, bad):
-        from avcli import records
+        from avcli.formats import records
 
         nonlocal last
         people = records.sources(record, bad)
@@ -275,7 +275,8 @@ def _check(session: Session, options) -> None:
 
 def _recordings(session: Session, paths):
     """Read the voices: [((n,) samples, rate in Hz)]."""
-    from avcli import acoustics, media
+    from avcli import acoustics
+    from avcli.formats import media
 
     built_in = Path(acoustics.__file__).with_name("voices")
     recordings = []
@@ -296,7 +297,7 @@ def _recordings(session: Session, paths):
 
 def _microphone_paths(session: Session, path: str | None):
     """Read where microphones go: {channel: (times, positions)}."""
-    from avcli import records
+    from avcli.formats import records
 
     paths: dict[int, tuple[list[float], list]] = {}
 
@@ -344,13 +345,14 @@ def _surroundings(session: Session, paths, options):
     """Return the room with its microphones, and how long its reverberation lasts, s."""
     import numpy as np
 
-    from avcli import acoustics, experiment
+    from avcli import acoustics, numeric
+    from avcli.formats import experiment
 
     room, microphones = session.config.room, session.config.microphones
     places, trajectories = _microphones(session, paths)
     speed = options["speed_of_sound"] or room.speed_of_sound_m_s
     if options["temperature"] is not None:
-        speed = acoustics.speed_of_sound(options["temperature"])
+        speed = numeric.speed_of_sound(options["temperature"])
     rt60, absorption = _absorption_of(session, room, options)
 
     direct_m = float(np.linalg.norm(room.dimensions))
@@ -491,7 +493,7 @@ class _Tape:
 
     def roll(self, until: int) -> None:
         """Write all samples before `until`."""
-        from avcli import experiment, media
+        from avcli.formats import experiment, media
 
         while self._now < until:
             if self._file is None:
@@ -530,7 +532,8 @@ def _write_responses(session: Session, path: str, surroundings, places) -> None:
     """Write the impulse responses of all places, [(time, object id, mouth)], to a .npz or a .sofa file."""
     import numpy as np
 
-    from avcli import acoustics, atomic
+    from avcli import acoustics
+    from avcli.formats import atomic
 
     mouths = np.array([mouth for _, _, mouth in places]).reshape(-1, 3)
     content = {

@@ -199,7 +199,7 @@ def _renderer(session, scene, samples, step):
 
 def _prepare(session, directory, force):
     """Make the directory and clear what an earlier run wrote; refuse one whose config.json is somebody else's."""
-    from avcli.experiment import Layout
+    from avcli.formats.experiment import Layout
 
     layout = Layout(directory)
     if directory.exists() and not directory.is_dir():
@@ -227,7 +227,7 @@ def _write_config(session, directory, scene, step, *, background, video):
     import math
 
     from avcli import __version__
-    from avcli.experiment import Layout, write_config
+    from avcli.formats.experiment import Layout, write_config
 
     camera = dict(scene.raw["camera_config"])
     camera["theta_max_valid_deg"] = math.degrees(scene.config.camera.lens.theta_max)
@@ -248,7 +248,7 @@ class _GroundTruth:
         self.path = directory / "groundtruth_sources.jsonl"
 
     def __enter__(self):
-        from avcli import atomic
+        from avcli.formats import atomic
 
         self._replacing = atomic.replacing(self.path)
         self._stream = open(self._replacing.__enter__(), "wb")
@@ -263,7 +263,7 @@ class _GroundTruth:
         self._replacing.__exit__(*error)
 
     def write(self, record):
-        from avcli import records
+        from avcli.formats import records
 
         self._stream.write(records.encode(record))
 
@@ -286,13 +286,13 @@ class _Saver:
 
     def background(self, depth):
         """Write the empty room's depth, always as PNG."""
-        from avcli.experiment import Layout
+        from avcli.formats.experiment import Layout
 
         self._write(Layout.background_depth, self._bits(depth), "png")
 
     def save(self, time, rgb, frame):
         """Begin to write a frame; returns the record's "frame" and a function that waits until its files are there."""
-        from avcli.experiment import Layout
+        from avcli.formats.experiment import Layout
 
         pictures = {}
         if self.kind != "none":
@@ -319,7 +319,7 @@ class _Saver:
 
         import numpy as np
 
-        from avcli import atomic, media
+        from avcli.formats import atomic, media
 
         path = self.directory / path
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -338,7 +338,7 @@ class _Coco:
         self.scene, self.path, self.images, self.annotations = scene, path, [], []
 
     def add(self, time, record, rgb, frame):
-        from avcli.experiment import Layout
+        from avcli.formats.experiment import Layout
         from avcli.scene import annotations
 
         number = len(self.images) + 1
@@ -352,7 +352,7 @@ class _Coco:
                 self.annotations.append({**entry, "keypoints": flat, "num_keypoints": seen})
 
     def finish(self):
-        from avcli import atomic
+        from avcli.formats import atomic
         from avcli.scene import annotations
 
         content = {"images": self.images, "annotations": self.annotations, "categories": annotations.COCO_CATEGORIES}
@@ -384,7 +384,7 @@ class _Sheet:
     def finish(self):
         import numpy as np
 
-        from avcli import media
+        from avcli.formats import media
 
         if not self.pictures:
             return
@@ -395,7 +395,7 @@ class _Sheet:
 
 
 def _write_gltf(scene, path):
-    from avcli import atomic
+    from avcli.formats import atomic
     from avcli.scene import mesh, people
 
     bodies = people.pose(scene.people, [scene.times[len(scene.times) // 2]])

@@ -247,8 +247,8 @@ class Session:
 
     @functools.cached_property
     def config(self):
-        """The experiment's config.json (avcli.experiment.Config), read when first asked for: after the first record."""
-        from avcli import experiment
+        """The experiment's config.json, read when it is first asked for: after the first record."""
+        from avcli.formats import experiment
 
         path = self.config_path
         try:
@@ -283,7 +283,7 @@ class Session:
     def records(self, files: Iterable[str] = (), parse: Callable[[dict, Callable], Any] | None = None) -> Iterator[Any]:
         """Yield the records of the files one after another, stdin where none is named.
 
-        `parse(record, bad)` turns a decoded record into what the command works with (avcli.records); what it refuses
+        `parse(record, bad)` turns a decoded record into what the command works with; what it refuses
         gets the place of its line. With --skip-invalid a bad line is dropped and counted, and so is a bad object that
         `parse` reports by `bad`. All files are opened at once, so that a missing one is known before any work is done.
         """
@@ -294,7 +294,7 @@ class Session:
 
     def stream_records(self, stream: BinaryIO, name: str, parse: Callable | None = None) -> Iterator[Any]:
         """Yield the records of one open stream, as `records` does."""
-        from avcli import records
+        from avcli.formats import records
 
         for number, text in _texts(stream):
             place = f"{name}:{number}"
@@ -324,8 +324,8 @@ class Session:
 
         A regular file appears whole when the block ends well, and otherwise not at all.
         """
-        from avcli import records
-        from avcli.atomic import replacing
+        from avcli.formats import records
+        from avcli.formats.atomic import replacing
 
         def writer(stream: BinaryIO) -> Callable:
             def write(item: Mapping | bytes | str) -> None:
@@ -357,7 +357,7 @@ class Session:
 
 
 def _strict(reason: str) -> None:
-    from avcli.records import RecordError
+    from avcli.formats.records import RecordError
 
     raise RecordError(reason)
 

@@ -5,6 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+from avcli.numeric import SPEED_OF_SOUND_M_S
+
 
 @dataclass(frozen=True)
 class Array:
@@ -20,7 +22,7 @@ class Array:
     microphones: np.ndarray
     sample_rate: float
     room: np.ndarray
-    speed_of_sound: float = 343.0
+    speed_of_sound: float = SPEED_OF_SOUND_M_S
 
     @cached_property
     def spread(self) -> np.ndarray:

@@ -4,6 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from avcli.numeric import fft_length
+
 
 @lru_cache(maxsize=8)
 def hann(size: int) -> np.ndarray:
@@ -16,22 +18,6 @@ def pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and second microphone of every pair, two (count (count - 1) / 2,) integer arrays."""
     first, second = np.triu_indices(count, 1)
     return first, second
-
-
-def fft_size(least: int) -> int:
-    """Return the smallest even 2^a 3^b 5^c that is not below `least`: a length for which numpy.fft is fast."""
-    best = 1 << max(least - 1, 1).bit_length()
-    five = 1
-    while five < best:
-        three = five
-        while three < best:
-            size = three * 2
-            while size < least:
-                size *= 2
-            best = min(best, size)
-            three *= 3
-        five *= 5
-    return best
 
 
 def high_pass(samples: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:
@@ -51,7 +37,7 @@ def high_pass(samples: np.ndarray, sample_rate: float, cutoff: float) -> np.ndar
     margin = min(len(samples) - 1, int(np.ceil(4.0 * sample_rate / cutoff)))
     head, tail = samples[margin:0:-1], samples[-2 : -2 - margin : -1]
     extended = np.concatenate([2.0 * samples[0] - head, samples, 2.0 * samples[-1] - tail]) if margin else samples
-    size = fft_size(len(extended))
+    size = fft_length(len(extended))
     frequency = np.fft.rfftfreq(size, 1.0 / sample_rate)
     gain = 0.5 - 0.5 * np.cos(np.pi * np.clip(2.0 * frequency / cutoff - 1.0, 0.0, 1.0))
     filtered = np.fft.irfft(np.fft.rfft(extended, size, axis=0) * gain[:, None], size, axis=0)

@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 
 from avcli.localization import correlation
+from avcli.numeric import fft_length
 
 
 def short_time_energy(samples: np.ndarray, window_size: int) -> np.ndarray:
@@ -19,7 +20,7 @@ def short_time_energy(samples: np.ndarray, window_size: int) -> np.ndarray:
     """
     samples = np.asarray(samples, dtype=np.float64)
     taper = correlation.hann(window_size)
-    size = correlation.fft_size(len(samples) + window_size)
+    size = fft_length(len(samples) + window_size)
     spectrum = np.fft.rfft(samples**2, size, axis=0) * np.fft.rfft(taper / taper.sum(), size)[:, None]
     smoothed = np.fft.irfft(spectrum, size, axis=0)
     begin = window_size // 2

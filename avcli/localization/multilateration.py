@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from avcli.localization import correlation
+from avcli.numeric import fft_length
 
 
 def closed_form(microphones, reference: int, differences, *, combination_size: int = 4):
@@ -122,7 +123,7 @@ def time_differences(window, sample_rate: float, reference: int, max_lags, *, be
     Returns:
         (m,) s; 0 for the reference itself.
     """
-    size = correlation.fft_size(2 * len(window))
+    size = fft_length(2 * len(window))
     whitened = correlation.whiten(np.fft.rfft(window, size, axis=0).T, beta)
     correlated = np.fft.irfft(whitened * whitened[reference].conj(), size, axis=1)
     delays = np.zeros(window.shape[1])

@@ -14,6 +14,7 @@ from avcli.localization import correlation, multilateration, uncertainty
 from avcli.localization.array import Array, Decision, time_steps
 from avcli.localization.events import Gate, occupancy
 from avcli.localization.srp import SteeredResponse
+from avcli.numeric import fft_length
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class SteeredLocalizer:
         array.require(count=4, dimensions=2)
         self.array, self.settings, self.rng = array, settings, rng
         fs = array.sample_rate
-        self.size = correlation.fft_size(max(round(settings.window * fs), 16))
+        self.size = fft_length(max(round(settings.window * fs), 16))
         low = np.array([0.0, 0.0, min(settings.heights[0], array.room[2])])
         high = np.array([*array.room[:2], min(settings.heights[1], array.room[2])])
         self.delay = array.mean_delay(low, high)
@@ -131,7 +132,7 @@ class SteeredLocalizer:
         self.bins = slice(first, last + 1)
         self.weight = ((np.arange(first, last + 1) / first) ** -settings.tilt).astype(np.float32)
         # The lag step is as long as the band allows (2.75 steps a period of the highest frequency), whatever the rate.
-        transform = correlation.fft_size(int(np.ceil(5.5 * last)))
+        transform = fft_length(int(np.ceil(5.5 * last)))
         self.oversampling = transform / self.size
         self.response = SteeredResponse(
             array.microphones,

@@ -6,8 +6,8 @@ from math import log10
 
 import numpy as np
 
-from avcli.metrics.assignment import solver
 from avcli.metrics.sequence import Sequence
+from avcli.numeric import assignment_solver
 
 SUMMED = ("CLR_TP", "CLR_FN", "CLR_FP", "IDSW", "MT", "PT", "ML", "Frag", "CLR_Frames", "MOTP_sum")
 RATES = ("MOTA", "MOTP", "MODA", "CLR_Re", "CLR_Pr", "CLR_F1", "MTR", "PTR", "MLR", "sMOTA", "MOTAL", "FP_per_frame")
@@ -57,7 +57,7 @@ def match(sequence: Sequence, d0: float = 2.0) -> Matches:
             score[row, column] = similarity
             score[row[kept], column[kept]] += 1000
             chosen = np.zeros(score.shape, dtype=bool)
-            chosen[solver(work)(-score)] = True
+            chosen[assignment_solver(work)(-score)] = True
             kept = np.flatnonzero(chosen[row, column]).tolist()
         before = {identities[0][i]: identities[1][i] for i in kept}
         found.append((true[kept], tracked[kept], similarity[kept]))

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from avcli.metrics.assignment import solver
 from avcli.metrics.sequence import Sequence
+from avcli.numeric import assignment_solver
 
 THRESHOLD = 0.5
 
@@ -36,7 +36,9 @@ def identity(sequence: Sequence, d0: float = 2.0) -> dict[str, float]:
     # is least where the shared points are most.
     matched = 0
     if together.any():
-        matched = int(together[solver(float(together.size * min(together.shape)))(-together.astype(float))].sum())
+        matched = int(
+            together[assignment_solver(float(together.size * min(together.shape)))(-together.astype(float))].sum()
+        )
     return _finish({"IDTP": matched, "IDFN": truth.identity.size - matched, "IDFP": track.identity.size - matched})
 
 

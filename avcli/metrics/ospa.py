@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.metrics.assignment import assign_each, solver
+from avcli.metrics.assignment import assign_each
 from avcli.metrics.sequence import Points, Sequence, length
+from avcli.numeric import assignment_solver
 
 _FRAMES_A_CHUNK = 256
 
@@ -110,7 +111,7 @@ def ospa2(sequence: Sequence, cutoff: float, order: float = 1.0, window: int = 1
         total, union = _windowed(distance, window), _windowed(either, window)
         apart = (total / np.maximum(1, union))[first - begin :]
         exists = _windowed(here, window)[first - begin :] > 0, _windowed(there, window)[first - begin :] > 0
-        solve = solver(float((end - first) * apart.shape[1] * apart.shape[2] * min(apart.shape[1:])))
+        solve = assignment_solver(float((end - first) * apart.shape[1] * apart.shape[2] * min(apart.shape[1:])))
         for t in range(end - first):
             cost = apart[t][np.ix_(exists[0][t], exists[1][t])]
             n, m = cost.shape

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli import experiment
+from avcli.formats import experiment
 from avcli.scene import furniture
 from avcli.scene.motion import Motion
 from avcli.scene.people import LOOKS, Person

@@ -1,4 +1,4 @@
-"""Joint associations of targets and detections: ranked, exact where few and bounded where many; and the best one."""
+"""Joint associations of targets and detections: ranked, exact where few and bounded where many."""
 
 import math
 from operator import itemgetter
@@ -73,42 +73,3 @@ def _greedy(weight, row, options):
             used |= 0 if j < 0 else 1 << j
         taken.append((leaf, j))
     return weight, tuple(taken), used
-
-
-def cheapest(cost):
-    """The one-to-one assignment of least total cost (Jonker and Volgenant 1987, shortest augmenting paths).
-
-    cost: list of n rows of m >= n finite numbers. Returns a list of n column numbers.
-    """
-    n, m = len(cost), len(cost[0]) if cost else 0
-    u, v = [0.0] * (n + 1), [0.0] * (m + 1)
-    owner, way = [0] * (m + 1), [0] * (m + 1)  # column 0 is the root of each search
-    for i in range(1, n + 1):
-        owner[0] = i
-        j0 = 0
-        least, done = [math.inf] * (m + 1), [False] * (m + 1)
-        while owner[j0]:
-            done[j0] = True
-            i0, delta, j1 = owner[j0], math.inf, 0
-            for j in range(1, m + 1):
-                if not done[j]:
-                    reduced = cost[i0 - 1][j - 1] - u[i0] - v[j]
-                    if reduced < least[j]:
-                        least[j], way[j] = reduced, j0
-                    if least[j] < delta:
-                        delta, j1 = least[j], j
-            for j in range(m + 1):
-                if done[j]:
-                    u[owner[j]] += delta
-                    v[j] -= delta
-                else:
-                    least[j] -= delta
-            j0 = j1
-        while j0:
-            owner[j0] = owner[way[j0]]
-            j0 = way[j0]
-    columns = [0] * n
-    for j in range(1, m + 1):
-        if owner[j]:
-            columns[owner[j] - 1] = j - 1
-    return columns

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from avcli.numeric import assign
 from avcli.tracking import gaussian
-from avcli.tracking.assignment import cheapest
 from avcli.tracking.model import Track
 
 GATE = 13.8  # chi-squared with two degrees of freedom, 0.1 % of a track's own detections lie outside
@@ -75,7 +75,7 @@ class GNN:
                 continue
             reward = np.where(inside, 1e3 + log, 0.0)[np.ix_(rows, columns)]
             cost = np.hstack([-reward, np.zeros((len(rows), len(rows)))])  # a track may go without
-            for row, k in zip(rows, cheapest(cost.tolist()), strict=True):
+            for row, k in zip(rows, assign(cost)[1].tolist(), strict=True):
                 if k < len(columns) and inside[row, columns[k]]:
                     pairs.append((row, columns[k]))
                     taken.add(columns[k])

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from avcli import pose
-from avcli.experiment import lens_from_config
+from avcli.formats.experiment import lens_from_config
 
 COLUMNS, ROWS, SQUARE = 7, 10, 0.095
 MIDDLE = np.array([2.33, 2.33, 0.02])

@@ -172,7 +172,8 @@ def responses(out: Path, peers: str | None, quick: bool) -> list[dict]:
 
 
 def voice(path: str | None) -> np.ndarray:
-    from avcli import acoustics, media
+    from avcli import acoustics
+    from avcli.formats import media
 
     path = path or sorted(Path(acoustics.__file__).with_name("voices").glob("*.flac"))[0]
     samples, rate = media.read_audio(path)
@@ -182,7 +183,7 @@ def voice(path: str | None) -> np.ndarray:
 def scene(people: int = 1, *, dry, error_db: float, rt60=RT60, rate=RATE, microphones=MICROPHONES, **options):
     """Render the thesis's walk and return (sound, CPU seconds)."""
     from avcli import acoustics
-    from avcli.records import Sources
+    from avcli.formats.records import Sources
 
     followed = rt60 * min(15 - error_db, options.pop("decay", 999.0)) / 60
     count, seconds_moving = options.pop("moving", 0), np.linspace(0, 2, 21)

@@ -21,7 +21,8 @@ from pathlib import Path
 import moderngl
 import numpy as np
 
-from avcli import media, pose
+from avcli import pose
+from avcli.formats import media
 from avcli.scene import crowd, mesh, people, render, scenario
 
 REAL, VIRTUAL = scenario.CAMERAS["real"], scenario.CAMERAS["thesis"]

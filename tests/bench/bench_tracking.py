@@ -22,9 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from tracking_scenes import EASY, HARD
 
+from avcli.formats.records import Detections
 from avcli.metrics.score import score
 from avcli.metrics.sequence import Sequence
-from avcli.records import Detections
 from avcli.tracking import gaussian
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.model import Settings, sensor

@@ -17,8 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from avcli import records
-from avcli.experiment import read_config
+from avcli.formats import records
+from avcli.formats.experiment import read_config
 from avcli.metrics.score import score
 from avcli.metrics.sequence import Sequence
 from avcli.tracking.fusion import Fusion

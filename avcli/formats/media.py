@@ -6,16 +6,47 @@ Writing is whole or not at all. Times and other chance stay out of the files: th
 import os
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from avcli import atomic
+from avcli.formats import atomic
 
 
 class MediaError(ValueError):
     """A file that is no picture or sound, or not the one that was expected."""
+
+
+@dataclass(frozen=True)
+class Sound:
+    """What microphones heard.
+
+    Attributes:
+        samples: (n, channels), full scale 1; sample 0 is time 0 of the scene.
+        sample_rate_hz: Hz.
+        tail_samples: how many of the samples come after the scene's end.
+    """
+
+    samples: np.ndarray
+    sample_rate_hz: int
+    tail_samples: int = 0
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What a camera saw at one time.
+
+    Attributes:
+        timestamp: s.
+        rgb: (height, width, 3) uint8, None where there is none.
+        depth: (height, width) uint16, in steps of the camera's `depth_step_m`; 0: unknown. None where there is none.
+    """
+
+    timestamp: float
+    rgb: np.ndarray | None
+    depth: np.ndarray | None
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------

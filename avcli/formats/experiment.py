@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import orjson
 
-from avcli import atomic, lens, pose
-from avcli.records import format_timestamp
-
-SPEED_OF_SOUND_M_S = 343.0
-"""m/s, dry air at 20 °C; the thesis's Table 5.1."""
+from avcli import lens, pose
+from avcli.formats import atomic
+from avcli.formats.records import format_timestamp
+from avcli.formats.sensors import KINDS
+from avcli.numeric import SPEED_OF_SOUND_M_S
 
 DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
 """Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
@@ -158,6 +158,20 @@ class Config:
             directivities=np.array([DIRECTIVITIES[kind] for kind in kinds]),
             orientations=orientations / lengths,
         )
+
+    @functools.cached_property
+    def sensors(self) -> dict[str, str]:
+        """What each named sensor is: name -> "camera" or "microphones"."""
+        listed = self.raw.get("sensors", {})
+        if not isinstance(listed, Mapping):
+            raise ConfigError(f'{self.name}: "sensors" must be an object')
+        kinds = {}
+        for name, known in listed.items():
+            kind = known.get("kind") if isinstance(known, Mapping) else None
+            if kind not in KINDS:
+                raise ConfigError(f"{self.name}: sensors.{name}.kind must be one of {', '.join(KINDS)}")
+            kinds[name] = kind
+        return kinds
 
     @functools.cached_property
     def room(self) -> Room:

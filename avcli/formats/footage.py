@@ -10,8 +10,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from avcli.atomic import replacing, write_bytes
-from avcli.media import MediaError, read_bytes
+from avcli.formats.atomic import replacing, write_bytes
+from avcli.formats.media import MediaError, read_bytes
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2", ".npy"}
 """Extensions of single pictures."""

@@ -112,6 +112,12 @@ def _shown(value) -> str:
 # --- objects ----------------------------------------------------------------------------------------------------------
 
 
+def _fill_with_nan(item, **shapes: tuple[int, ...]) -> None:
+    for name, shape in shapes.items():
+        if getattr(item, name) is None:
+            object.__setattr__(item, name, np.full((len(item.positions), *shape), np.nan))
+
+
 @dataclass(frozen=True)
 class Detections:
     """What one sensor found at one time.
@@ -122,6 +128,9 @@ class Detections:
         positions: (n, 3) m in the room frame; z is NaN where it was not given.
         covariances: (n, 3, 3) m²; NaN where none was given; a zero variance means "not observed".
         scores: (n,) probability that the detection is right; NaN where none was given.
+        kind: "camera" or "microphones", None where the record does not say it.
+        boxes_px: (n, 4) x0, y0, x1, y1 in the full image; NaN where none was given.
+        heights: (n,) m, of people; NaN where none was given.
     """
 
     timestamp: float
@@ -129,6 +138,12 @@ class Detections:
     positions: np.ndarray
     covariances: np.ndarray
     scores: np.ndarray
+    kind: str | None = None
+    boxes_px: np.ndarray = None  # type: ignore[assignment]  # NaN of the right shape where it is left out
+    heights: np.ndarray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        _fill_with_nan(self, boxes_px=(4,), heights=())
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -142,11 +157,27 @@ class Identified:
         timestamp: s.
         ids: (n,) int64, unique.
         positions: (n, 3) m in the room frame; z is NaN where it was not given.
+        mouths: (n, 3) m.
+        speaking: (n,) of ground truth 0 or 1, of tracks a probability.
+        boxes_px: (n, 4) x0, y0, x1, y1 in the full image.
+        velocities: (n, 3) m/s.
+        covariances: (n, 3, 3) m².
+        existence: (n,) probability.
+    Each from `mouths` on is NaN where the record does not give it.
     """
 
     timestamp: float
     ids: np.ndarray
     positions: np.ndarray
+    mouths: np.ndarray = None  # type: ignore[assignment]  # NaN of the right shape where it is left out
+    speaking: np.ndarray = None  # type: ignore[assignment]
+    boxes_px: np.ndarray = None  # type: ignore[assignment]
+    velocities: np.ndarray = None  # type: ignore[assignment]
+    covariances: np.ndarray = None  # type: ignore[assignment]
+    existence: np.ndarray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        _fill_with_nan(self, mouths=(3,), speaking=(), boxes_px=(4,), velocities=(3,), covariances=(3, 3), existence=())
 
     def __len__(self) -> int:
         return len(self.ids)

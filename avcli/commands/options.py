@@ -1,0 +1,100 @@
+"""Command-line options made from a stage's settings, so that default, range and help cannot differ from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import click
+
+from avcli.settings import Setting, settings_of
+
+
+def from_settings(kind: type, *names: str, leave_out: tuple[str, ...] = ()) -> Callable:
+    """Add an option for each setting of a stage, in the order of declaration.
+
+    Args:
+        kind: a dataclass whose fields were declared by `avcli.settings.setting`.
+        names: the fields to take; none: all that are declared.
+        leave_out: fields to leave out.
+
+    Returns:
+        A decorator. The command gets each value by the field's name.
+    """
+    known = settings_of(kind)
+    chosen = [name for name in names or known if name not in leave_out]
+
+    def decorate(function: Callable) -> Callable:
+        for name in reversed(chosen):
+            field, setting = known[name]
+            function = _option(kind, field, setting)(function)
+        return function
+
+    return decorate
+
+
+def settings_from(kind: type, values: Mapping[str, Any]) -> Any:
+    """Make the settings of a stage from a command's values; an option that is None keeps the field's default."""
+    names = {field.name for field in dataclasses.fields(kind)}
+    return kind(**{name: value for name, value in values.items() if name in names and value is not None})
+
+
+def refuse_without_effect(names: typing.Iterable[str], why: str) -> None:
+    """End with a usage error that names the first of these options that was given: it would have no effect.
+
+    Args:
+        names: parameter names of the running command.
+        why: the end of the sentence: "with --method 3d-ssl".
+    """
+    context = click.get_current_context()
+    unused = set(names)
+    for parameter in context.command.params:
+        if parameter.name in unused and was_given(parameter.name):
+            raise click.UsageError(f"{max(parameter.opts, key=len)} has no effect {why}", context)
+
+
+def was_given(name: str) -> bool:
+    """Tell whether an option stood on the command line (a default or a preset is not given)."""
+    source = click.get_current_context().get_parameter_source(name)
+    return source in (click.core.ParameterSource.COMMANDLINE, click.core.ParameterSource.ENVIRONMENT)
+
+
+def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
+    default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    annotation = typing.get_type_hints(kind)[field.name]
+    parts = [part for part in typing.get_args(annotation) if part is not type(None)]
+    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
+        annotation = parts[0]
+    flag = setting.flag or "--" + field.name.replace("_", "-")
+    words: dict[str, Any] = {"default": default, "help": setting.text}
+    words["show_default"] = setting.default_text or (default is not None and annotation is not bool)
+    if setting.unit:
+        words["metavar"] = setting.unit
+    if annotation is bool:
+        return click.option(flag, field.name, is_flag=True, **words)
+    if setting.choices:
+        words["type"] = click.Choice(setting.choices)
+    elif typing.get_origin(annotation) is tuple:
+        sides = typing.get_args(annotation)
+        words["nargs"], words["type"] = len(sides), _range(sides[0], setting)
+        words["default"] = default
+    else:
+        words["type"] = _range(annotation, setting)
+    return click.option(flag, field.name, **words)
+
+
+def _range(annotation: type, setting: Setting) -> click.ParamType:
+    if annotation is str:
+        return click.STRING
+    kind = click.IntRange if annotation is int else click.FloatRange
+    low, high = setting.least, setting.most
+    low_open, high_open = low is None and setting.above is not None, high is None and setting.below is not None
+    return kind(
+        setting.above if low_open else low,
+        setting.below if high_open else high,
+        min_open=low_open,
+        max_open=high_open,
+    )

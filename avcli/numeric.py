@@ -1,0 +1,131 @@
+"""What several stages compute: FFT lengths, the speed of sound, optimal assignment. It imports numpy alone."""
+
+import math
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+SPEED_OF_SOUND_M_S = 343.0
+"""m/s, where neither a speed nor a temperature is stated; the thesis's Table 5.1."""
+
+_WORK_WORTH_SCIPY = 3_000_000
+"""Inner steps of `assign` that take as long as the import of scipy.optimize (about 0.15 s)."""
+
+Assignment = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def fft_length(least: int) -> int:
+    """Return the smallest even length of at least `least` whose FFT is fast: 2^a 3^b 5^c with a > 0.
+
+    scipy.fft.next_fast_len knows more factors and odd lengths too, but its import takes 0.15 s, which is a third of the
+    time that a command needs for a short scene; numpy.fft, with which we transform, is as fast for these lengths.
+    """
+    best = 1 << max(1, int(least - 1).bit_length())
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            length = three * 2
+            while length < least:
+                length *= 2
+            best = min(best, length)
+            three *= 3
+        five *= 5
+    return best
+
+
+def speed_of_sound(temperature_c: float) -> float:
+    """Return the speed of sound in dry air, m/s, at a temperature in °C (343.2 at 20 °C; ISO 9613-1:1993).
+
+    Raises:
+        ValueError: the temperature is not a number above absolute zero.
+    """
+    if not -273.15 < temperature_c < math.inf:
+        raise ValueError(f"the temperature must be above -273.15 °C, not {temperature_c}")
+    return 343.2 * math.sqrt((temperature_c + 273.15) / 293.15)
+
+
+def assignment_solver(work: float) -> Assignment:
+    """Choose the assignment solver that is sooner done with a given amount of work.
+
+    Both give the same answer on the same cost matrix, so the choice is one of time alone.
+
+    Args:
+        work: sum over the problems of rows * columns * min(rows, columns).
+
+    Returns:
+        A function from a finite cost matrix (n, m) to row and column indices (min(n, m),) each, rows ascending.
+    """
+    if work < _WORK_WORTH_SCIPY and "scipy.optimize" not in sys.modules:
+        return assign
+    from scipy.optimize import linear_sum_assignment
+
+    return linear_sum_assignment
+
+
+def assign(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Assign rows to columns at the least total cost, by shortest augmenting paths in plain Python.
+
+    Ties are broken as scipy breaks them (columns are scanned from the last to the first, a later scanned one wins only
+    when it is free), and the sums are taken in its order, so that results agree where TrackEval, which uses scipy, is
+    the reference.
+
+    Args:
+        cost: finite costs (n, m).
+
+    Returns:
+        Row indices and column indices, int (min(n, m),) each, rows ascending.
+
+    Source: D. F. Crouse, "On implementing 2D rectangular assignment algorithms", IEEE TAES 52(4), 2016, section III.
+    """
+    rows, columns = cost.shape
+    if columns < rows:
+        assigned, by_row = assign(cost.T)
+        order = np.argsort(by_row)
+        return by_row[order], assigned[order]
+    costs = cost.tolist()
+    row_dual = [0.0] * rows
+    column_dual = [0.0] * columns
+    row_of = [-1] * columns
+    column_of = [-1] * rows
+    for start in range(rows):
+        distance = [np.inf] * columns
+        parent = [-1] * columns
+        open_columns = list(range(columns - 1, -1, -1))
+        tree_rows, tree_columns = [], []
+        row, reached, sink = start, 0.0, -1
+        while sink < 0:
+            tree_rows.append(row)
+            costs_of_row, dual = costs[row], row_dual[row]
+            best, nearest = -1, np.inf
+            for k, column in enumerate(open_columns):
+                through = reached + costs_of_row[column] - dual - column_dual[column]
+                if through < distance[column]:
+                    distance[column] = through
+                    parent[column] = row
+                length = distance[column]
+                if length < nearest or (length == nearest and row_of[column] < 0):
+                    best, nearest = k, length
+            reached = nearest
+            column = open_columns[best]
+            tree_columns.append(column)
+            open_columns[best] = open_columns[-1]
+            open_columns.pop()
+            if row_of[column] < 0:
+                sink = column
+            else:
+                row = row_of[column]
+        row_dual[start] += reached
+        for row in tree_rows[1:]:
+            row_dual[row] += reached - distance[column_of[row]]
+        for column in tree_columns:
+            column_dual[column] -= reached - distance[column]
+        column = sink
+        while True:
+            row = parent[column]
+            row_of[column] = row
+            column_of[row], column = column, column_of[row]
+            if row == start:
+                break
+    return np.arange(rows), np.array(column_of, dtype=int)
