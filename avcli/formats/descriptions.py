@@ -5,7 +5,9 @@ gets its kind here, and its reader finds it in the dictionary that `read` return
 """
 
 from dataclasses import dataclass
+from typing import Any
 
+from avcli import lens
 from avcli.formats.schema import (
     IDENTITY,
     Boolean,
@@ -29,8 +31,8 @@ from avcli.formats.schema import (
 from avcli.formats.sensors import KINDS
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
-# One line a lens: the registry in avcli.lens takes this over as tuple(LENSES).
-LENS_MODELS = ("kannala_brandt", "brown_conrady", "division")
+LENSES: dict[str, type[Any]] = {"kannala_brandt": lens.KannalaBrandt, "brown_conrady": lens.BrownConrady, "division": lens.Division}
+"""Lens models by their names in config.json."""
 DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
 """Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
 
@@ -300,7 +302,7 @@ _PLACE = Numbers(3)
 
 LENS_KEYS = {
     "lens_model": Key(
-        Choice(LENS_MODELS),
+        Choice(tuple(LENSES)),
         "kannala_brandt is OpenCV's fisheye model (KB-8), brown_conrady has four radial terms, "
         "division is the model of the thesis's shader",
         default="division",

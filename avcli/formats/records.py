@@ -9,6 +9,7 @@ Whatever is invalid raises RecordError, which says what was found.
     line = records.encode(records.as_record(people))
 """
 
+import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -158,7 +159,15 @@ def _unknown() -> np.ndarray:
 def _fill_unknown(item: "Detections | Identified", count: int, **shapes: tuple[int, ...]) -> None:
     for name, shape in shapes.items():
         if getattr(item, name) is _UNKNOWN:
-            object.__setattr__(item, name, np.full((count, *shape), np.nan))
+            object.__setattr__(item, name, _nan((count, *shape)))
+
+
+@functools.lru_cache(maxsize=256)
+def _nan(shape: tuple[int, ...]) -> np.ndarray:
+    """Return an array of NaN that all records share, and that nobody can write to."""
+    array = np.full(shape, np.nan)
+    array.flags.writeable = False
+    return array
 
 
 @dataclass(frozen=True)
