@@ -5,7 +5,6 @@ gets its kind here, and its reader finds it in the dictionary that `read` return
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from avcli import lens
 from avcli.formats.schema import (
@@ -31,8 +30,6 @@ from avcli.formats.schema import (
 from avcli.formats.sensors import KINDS
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
-LENSES: dict[str, type[Any]] = {"kannala_brandt": lens.KannalaBrandt, "brown_conrady": lens.BrownConrady, "division": lens.Division}
-"""Lens models by their names in config.json."""
 DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
 """Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
 
@@ -302,9 +299,9 @@ _PLACE = Numbers(3)
 
 LENS_KEYS = {
     "lens_model": Key(
-        Choice(tuple(LENSES)),
-        "kannala_brandt is OpenCV's fisheye model (KB-8), brown_conrady has four radial terms, "
-        "division is the model of the thesis's shader",
+        Choice(tuple(lens.LENSES)),
+        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
+        "the thesis's shader",
         default="division",
     ),
     "fx_px": Key(_LENGTH, "focal length, px", required=True),

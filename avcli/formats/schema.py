@@ -26,7 +26,6 @@ from typing import Any, Protocol
 import numpy as np
 import orjson
 
-_COUNTS = ("no", "one", "two", "three", "four", "five", "six")
 
 
 class Invalid(ValueError):
@@ -73,6 +72,11 @@ class Kind(Protocol):
 
 def _refuse(kind: Kind, value: Any) -> Invalid:
     return Invalid(f"must be {kind.words()}, found {shown(value)}")
+
+
+def _count(number: int) -> str:
+    words = ("no", "one", "two", "three", "four", "five", "six")
+    return words[number] if number < len(words) else str(number)
 
 
 _PLAIN = {float, int}
@@ -266,8 +270,7 @@ class Numbers:
         return {"type": "array", "items": self.item.schema(), "minItems": self.count, "maxItems": self.count}
 
     def words(self) -> str:
-        count = _COUNTS[self.count] if self.count < len(_COUNTS) else str(self.count)
-        bounds = self.item.bounds()
+        count, bounds = _count(self.count), self.item.bounds()
         return f"a list of {count} numbers {bounds}" if bounds else f"a list of {count} finite numbers"
 
 
@@ -371,7 +374,7 @@ class ListOf:
         return {"type": "array", "items": self.item.schema()} | bounds
 
     def words(self) -> str:
-        bounds = [f"at least {_COUNTS[self.least]}"] if self.least else []
+        bounds = [f"at least {_count(self.least)}"] if self.least else []
         bounds += [f"at most {self.most}"] if self.most is not None else []
         return f"a list of {' and '.join(bounds)}" if bounds else "a list"
 
