@@ -63,9 +63,8 @@ def _sentence(key: Key) -> str:
     words = key.kind.words() + (", required" if key.required else "")
     if key.default is not None:
         words += f"; default {json.dumps(key.default)}"
-    texts = [text[:1].upper() + text[1:] if text[1:2] not in ", /²" else text for text in (key.text, words) if text]
     # A line that begins with a dot or an apostrophe would be a macro; a backslash would be an escape.
-    return " ".join(f"{text}." for text in texts).replace("\\", "\\e")
+    return f"{key.text[:1].upper()}{key.text[1:]}: {words}.".replace("\\", "\\e")
 
 
 def _with_key_lists(page: str) -> str:

@@ -27,7 +27,6 @@ import numpy as np
 import orjson
 
 
-
 class Invalid(ValueError):
     """A value that does not fit its description; `path` leads to it: keys and indices from the outside in."""
 
@@ -374,6 +373,8 @@ class ListOf:
         return {"type": "array", "items": self.item.schema()} | bounds
 
     def words(self) -> str:
+        if self.least == self.most:
+            return f"a list of {self.most}"
         bounds = [f"at least {_count(self.least)}"] if self.least else []
         bounds += [f"at most {self.most}"] if self.most is not None else []
         return f"a list of {' and '.join(bounds)}" if bounds else "a list"
@@ -388,7 +389,7 @@ class Key:
 
     Attributes:
         kind: of its value.
-        text: what it means, for the schema and the manual; units first.
+        text: what it means and in which unit, for the schema and the manual.
         required: whether it must be there.
         default: what an absent or null value is read as; it must fit the kind, or be None.
         read: False: the key is described but no reader of this package looks at it, so that it is not checked either.
@@ -451,7 +452,7 @@ class Object:
             else:
                 raise Invalid(f"must be {self.keys[name].kind.words()}, found null", (name,))
         if self.exclusive and sum(value.get(name) is not None for name in self.exclusive) > 1:
-            raise Invalid(f"{' and '.join(self.exclusive)} exclude each other")
+            raise Invalid(f"has {' and '.join(self.exclusive)}; only one of them is possible")
         return checked
 
     def schema(self) -> dict[str, Any]:

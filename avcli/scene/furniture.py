@@ -18,17 +18,17 @@ _LENGTH = Number(above=0)
 
 def _kind(place: tuple[int, str], color: list[float], material: str = "", turns: str = "", **own: Key) -> Object:
     """Describe a kind of furniture: where it stands, its own keys, and those that it shares with others."""
-    keys = {"position_m": Key(Numbers(place[0]), f"m, {place[1]}", required=True), **own}
+    keys = {"position_m": Key(Numbers(place[0]), f"position {place[1]}, m", required=True), **own}
     if turns:
         keys["rotation_deg"] = Key(Number(), turns, default=0.0)
     if material:
-        keys["material"] = Key(Choice(tuple(_MATERIALS)), "how it reflects light", default=material)
-    keys["color"] = Key(Numbers(3, Number(least=0, most=1)), "sRGB fractions", default=color)
+        keys["material"] = Key(Choice(tuple(_MATERIALS)), "material of its surface", default=material)
+    keys["color"] = Key(Numbers(3, Number(least=0, most=1)), "colour, sRGB fractions", default=color)
     return Object(keys, closed=True)
 
 
-_TURNS = "counterclockwise, seen from above"
-_SIZE = "m, along its own axes"
+_TURNS = "rotation, counterclockwise seen from above"
+_SIZE = "size along its own axes, m"
 PIECE = Variants(
     {
         "table": _kind(
@@ -49,16 +49,16 @@ PIECE = Variants(
             (3, "of its middle"),
             _GREY,
             "paint",
-            radius_m=Key(_LENGTH, "m", required=True),
-            height_m=Key(_LENGTH, "m", required=True),
+            radius_m=Key(_LENGTH, "radius, m", required=True),
+            height_m=Key(_LENGTH, "height, m", required=True),
         ),
-        "sphere": _kind((3, "of its middle"), _GREY, "plastic", radius_m=Key(_LENGTH, "m", required=True)),
+        "sphere": _kind((3, "of its middle"), _GREY, "plastic", radius_m=Key(_LENGTH, "radius, m", required=True)),
         "mesh": _kind(
             (3, "of its origin"),
             _GREY,
             "paint",
             _TURNS,
-            path=Key(Text(), "of a file that trimesh reads, relative to the scenario's file", required=True),
+            path=Key(Text(), "path of a file that trimesh reads, relative to the scenario's file", required=True),
             scale=Key(_LENGTH, "length of its unit, m", default=1.0),
         ),
     }
@@ -195,7 +195,7 @@ def _boxes(rows, place, axes):
 
 def _triangles(path: str, load_mesh: Callable[[str], np.ndarray] | None) -> np.ndarray:
     if load_mesh is None:
-        raise Invalid("meshes cannot be read here", ("path",))
+        raise Invalid("cannot be read: meshes need a function that loads them", ("path",))
     try:
         triangles = np.asarray(load_mesh(path), float)
     except (ValueError, OSError) as error:

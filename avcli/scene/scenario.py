@@ -88,13 +88,13 @@ CAMERAS: dict[str, dict[str, Any]] = {
 
 _WAYPOINT = Object(
     {
-        "position_m": Key(Numbers(2), "m, on the floor", required=True),
-        "t_s": Key(Number(), "s, the time at which the person arrives; later than that of the previous waypoint"),
+        "position_m": Key(Numbers(2), "position on the floor, m", required=True),
+        "t_s": Key(Number(), "time at which the person arrives, s; later than at the previous waypoint"),
         "speed_m_s": Key(
-            Number(above=0), "m/s, speed of the walk to this waypoint, instead of t_s; 1 where neither is given"
+            Number(above=0), "speed of the walk to this waypoint, m/s, instead of t_s; 1 where neither is given"
         ),
-        "stay_s": Key(Number(least=0), "s, how long the person stays", default=0.0),
-        "pose": Key(Choice(("stand", "sit")), "what the person does while staying", default="stand"),
+        "stay_s": Key(Number(least=0), "time that the person stays, s", default=0.0),
+        "pose": Key(Choice(("stand", "sit")), "posture while staying", default="stand"),
         "heading_deg": Key(
             Number(),
             "direction that the person faces while staying, counterclockwise from +x; default: that of the walk",
@@ -105,26 +105,26 @@ _WAYPOINT = Object(
 )
 _PERSON = Object(
     {
-        "object_id": Key(IDENTITY, "identity of the person, of which each has another; default: the place in the list"),
+        "object_id": Key(IDENTITY, "identity of the person, different for each; default: the place in the list"),
         "look": Key(Choice(tuple(LOOKS)), "clothes, hair and build; default: one after another along the list"),
-        "height_m": Key(Number(least=0.5, most=2.5), "m, to the top of the head; default: that of the look"),
-        "waypoints": Key(ListOf(_WAYPOINT, 1), "where the person walks", required=True),
+        "height_m": Key(Number(least=0.5, most=2.5), "height to the top of the head, m; default: that of the look"),
+        "waypoints": Key(ListOf(_WAYPOINT, 1), "points that the person walks through", required=True),
         "speech_s": Key(
             Either((Choice((True,)), ListOf(Numbers(2)))),
-            "[start, end] in s of each turn to speak, in order; true: all the time; default: never",
+            "turns to speak, each [start, end] in s, in order; true: all the time; default: never",
         ),
         "gestures": Key(Boolean(), "whether the hands move while speaking", default=True),
     },
     closed=True,
 )
-_AS_CONFIG = "as in config.json; keys that are left out are those of the thesis's laboratory and its real camera"
+_AS_CONFIG = "section of config.json; keys that are left out have the values of the thesis's laboratory"
 SCENARIO = Format(
     "scenario",
     "A scenario of avsim-scene: who walks where and speaks when, in which room, seen by which camera",
     Object(
         {
-            "name": Key(Text(), "becomes config.json's session_id; default: the name of the file"),
-            "duration_s": Key(Number(least=0), "s; frames are taken from 0 to there", default=4.0),
+            "name": Key(Text(), "session_id of config.json; default: the name of the file"),
+            "duration_s": Key(Number(least=0), "duration, s; the last frame is at or before it", default=4.0),
             "camera_config": Key(Object({}), _AS_CONFIG),
             "microphone_config": Key(Object({}), _AS_CONFIG),
             "room_config": Key(Object({}), _AS_CONFIG),
