@@ -133,8 +133,9 @@ class Config:
         values = self._section("microphone_config", descriptions.MICROPHONES)
         listed = values["mic_positions_m"]
         positions = np.array([item["position"] if isinstance(item, dict) else item for item in listed])
-        patterns = values["directivities"] or [values["mic_directivity"]] * len(listed)
-        orientations = np.array(values["orientations"] or [[0.0, 0.0, -1.0]] * len(listed))
+        patterns, looks = values["directivities"], values["orientations"]
+        patterns = [values["mic_directivity"]] * len(listed) if patterns is None else patterns
+        orientations = np.array([[0.0, 0.0, -1.0]] * len(listed) if looks is None else looks)
         for key, given in (("directivities", patterns), ("orientations", orientations)):
             if len(given) != len(listed):
                 reason = f"must be a list of {len(listed)}, one for each microphone, found {len(given)}"
