@@ -394,7 +394,7 @@ def _written_position(position: list[float], *, null: bool) -> list[float | None
 
 def save(path: str | os.PathLike[str], items: Iterable[Detections | Identified]) -> None:
     """Write detections, ground truth or tracks as JSON Lines; the file appears whole or not at all."""
-    with atomic.replacing(path) as temporary, open(temporary, "wb") as stream:
+    with atomic.writing(path) as stream:
         stream.writelines(encode(as_record(item)) for item in items)
 
 
