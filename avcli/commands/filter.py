@@ -22,6 +22,7 @@ import stat
 import sys
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
@@ -162,8 +163,8 @@ class Session:
         self._experiment: str | None = options.get("experiment")
         self._config_path: str | None = options.get("config")
         self._stdin_used = False
-        self._warned: dict[str, int] = {}
-        self._skipped = {"record": 0, "object": 0}
+        self._warned: Counter[str] = Counter()
+        self._skipped: Counter[str] = Counter()
         self._timings: dict[str, float] = {}
         self._started = time.perf_counter()
 
@@ -172,7 +173,7 @@ class Session:
     def warn(self, text: str, kind: str | None = None) -> None:
         """Print one line on stderr; of one `kind` only the first is printed and the others are counted."""
         kind = kind or text
-        self._warned[kind] = self._warned.get(kind, 0) + 1
+        self._warned[kind] += 1
         if self._warned[kind] == 1 and not self.quiet:
             _say(self.name, text)
 
@@ -209,8 +210,7 @@ class Session:
     def finish(self) -> None:
         """Print the numbers of skipped records and of repeated warnings and, under -v, the time of each stage."""
         for what, count in self._skipped.items():
-            if count:
-                _say(self.name, f"skipped {count} invalid {what}{'s' if count > 1 else ''}")
+            _say(self.name, f"skipped {count} invalid {what}{'s' if count > 1 else ''}")
         if not self.quiet:
             for kind, count in self._warned.items():
                 if count > 1:
@@ -335,8 +335,7 @@ class Session:
 
         def writer(stream: BinaryIO) -> Write:
             def write(item: Mapping[str, Any] | bytes | str) -> None:
-                if isinstance(item, str):
-                    item = item.encode()
+                item = item.encode() if isinstance(item, str) else item
                 stream.write(item if isinstance(item, bytes) else records.encode(item))
                 stream.flush()
 
@@ -417,8 +416,6 @@ def common(
     return decorate
 
 
-def _apply_preset(
-    presets: Mapping[str, Mapping[str, Any]], context: click.Context, _parameter: object, value: str | None
-) -> None:
+def _apply_preset(presets: Mapping[str, Any], context: click.Context, _parameter: object, value: str | None) -> None:
     if value is not None:
         context.default_map = {**(context.default_map or {}), **presets[value]}
