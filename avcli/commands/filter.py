@@ -390,8 +390,7 @@ def common(
         text = "Random seed; the same inputs and seed give the same bytes."
         options.append(click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help=text))
     if skip_invalid:
-        text = "Drop invalid lines and invalid objects, and report how many."
-        options.append(click.option("--skip-invalid", is_flag=True, help=text))
+        options.append(click.option("--skip-invalid", is_flag=True, help="Drop and count invalid lines and objects."))
     options += [
         click.option("-q", "--quiet", is_flag=True, help="Print only errors on stderr."),
         click.option("-v", "--verbose", is_flag=True, help="Print details on stderr, with the time of each stage."),
