@@ -194,6 +194,13 @@ def test_numpy_is_written_as_numbers():
     assert orjson.loads(line) == {"timestamp": "0.1000000000", "a": [[1.0], [0.0]], "b": 3, "c": 0.5}
 
 
+def test_a_record_that_passes_through_keeps_its_own_keys():
+    line = b'{"timestamp":"0.1000000000","own":{"list":[1,null]},"objects":[{"position":[1,2],"own":true}]}\n'
+    record = records.decode(line)
+    assert len(records.detections(record)) == 1
+    assert records.encode(record) == line
+
+
 def test_a_height_that_was_not_observed():
     objects = b'[{"position": [1, 2, null]}, {"position": [1, 2], "covariance": [[1, 0], [0, 2]]}]'
     line = b'{"timestamp": 0, "objects": ' + objects + b"}"
@@ -467,7 +474,7 @@ def test_a_new_key_is_in_the_schema_and_in_the_manual():
         "own", "Own", schemas.Object({"voice": schemas.Key(schemas.Choice(("high", "low")), "pitch", default="low")})
     )
     assert orjson.loads(written.json_schema(described))["properties"]["voice"]["enum"] == ["high", "low", None]
-    assert '.It Va voice\nPitch: one of high, low; default "low".\n' in written.key_list(described)
+    assert '.It Va voice\nPitch. One of high, low; default "low".\n' in written.key_list(described)
 
 
 # --- pictures and sound -----------------------------------------------------------------------------------------------

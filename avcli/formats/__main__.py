@@ -60,11 +60,12 @@ def _inside(kind: Kind) -> Iterator[str]:
 
 
 def _sentence(key: Key) -> str:
-    words = key.kind.words() + (", required" if key.required else "")
+    words = key.kind.words() + ("; required" if key.required else "")
     if key.default is not None:
         words += f"; default {json.dumps(key.default)}"
-    # A line that begins with a dot or an apostrophe would be a macro; a backslash would be an escape.
-    return f"{key.text[:1].upper()}{key.text[1:]}: {words}.".replace("\\", "\\e")
+    text = " ".join(f"{part[:1].upper()}{part[1:]}." for part in (key.text, words))
+    # A backslash would be an escape, and formatters differ in what they make of other characters than ASCII.
+    return "".join(c if c.isascii() else f"\\[u{ord(c):04X}]" for c in text.replace("\\", "\\e"))
 
 
 def _with_key_lists(page: str) -> str:
