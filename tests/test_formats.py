@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from avcli import lens
 from avcli.formats import __main__ as written
-from avcli.formats import atomic, descriptions, experiment, media, records
+from avcli.formats import atomic, descriptions, experiment, media, records, sensors
 from avcli.formats import schema as schemas
 from avcli.scene.scenario import SCENARIO
 
@@ -143,6 +143,23 @@ def test_a_broken_config_is_named_with_its_place(tmp_path):
     path.write_text('{\n  "camera_config": \n}')
     with pytest.raises(experiment.ConfigError, match=r"config.json:3:\d+: invalid JSON"):
         experiment.read_config(path)
+
+
+def test_what_a_sensor_is_comes_from_its_record_then_from_config_json_then_from_its_name():
+    known = config().sensors
+    assert known == {}
+    raw = orjson.loads(LISTING_1) | {
+        "sensors": {"audio": {"kind": "camera"}, "ring": {"kind": "microphones", "own": 1}}
+    }
+    known = experiment.Config(raw).sensors
+    assert sensors.sensor_kind("audio", "microphones", known) == ("microphones", False)
+    assert sensors.sensor_kind("audio", None, known) == ("camera", False)
+    assert sensors.sensor_kind("ring", None, known) == ("microphones", False)
+    assert sensors.sensor_kind("my-Mics", None, known) == ("microphones", True)
+    assert sensors.sensor_kind("ceiling") == ("camera", True)
+    raw["sensors"]["ring"]["kind"] = "radar"
+    with pytest.raises(experiment.ConfigError, match='"sensors.ring.kind" must be one of camera, microphones, found "'):
+        _ = experiment.Config(raw).sensors
 
 
 def test_angles_that_calibration_saw_limit_the_lens():
