@@ -158,7 +158,9 @@ def test_what_a_sensor_is_comes_from_its_record_then_from_config_json_then_from_
     assert sensors.sensor_kind("my-Mics", None, known) == ("microphones", True)
     assert sensors.sensor_kind("ceiling") == ("camera", True)
     raw["sensors"]["ring"]["kind"] = "radar"
-    with pytest.raises(experiment.ConfigError, match='"sensors.ring.kind" must be one of camera, microphones, found "'):
+    with pytest.raises(
+        experiment.ConfigError, match=r'"sensors\.ring\.kind" must be one of camera, microphones, found "'
+    ):
         _ = experiment.Config(raw).sensors
 
 

@@ -92,9 +92,5 @@ def _range(annotation: type, setting: Setting) -> click.ParamType:
     kind = click.IntRange if annotation is int else click.FloatRange
     low, high = setting.least, setting.most
     low_open, high_open = low is None and setting.above is not None, high is None and setting.below is not None
-    return kind(
-        setting.above if low_open else low,
-        setting.below if high_open else high,
-        min_open=low_open,
-        max_open=high_open,
-    )
+    ends: tuple[Any, Any] = (setting.above if low_open else low, setting.below if high_open else high)
+    return kind(*ends, min_open=low_open, max_open=high_open)
