@@ -21,7 +21,6 @@ from avcli import lens
 from avcli.formats import __main__ as written
 from avcli.formats import atomic, descriptions, experiment, media, records, sensors
 from avcli.formats import schema as schemas
-from avcli.scene.scenario import SCENARIO
 
 LISTING_1 = """
 {
@@ -353,7 +352,7 @@ def _values(kinds):
 
 DESCRIBED = [
     pytest.param(each, id=f"{described.name}-{number}")
-    for described in (*descriptions.FORMATS, SCENARIO)
+    for described in written.FORMATS
     for number, each in enumerate(objects_in(described.content))
     if each.keys
 ]

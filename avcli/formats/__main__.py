@@ -10,14 +10,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from avcli.formats import descriptions
-from avcli.formats.descriptions import Format
+from avcli.formats.descriptions import RECORDS, Format
+from avcli.formats.experiment import CONFIG
 from avcli.formats.schema import Either, Key, Kind, ListOf, MapOf, Object, Variants
 from avcli.scene.scenario import SCENARIO
 
 SCHEMAS = Path(__file__).with_name("schemas")
 MANUAL = Path(__file__).parents[2] / "man" / "avcli-formats.5"
-FORMATS = (*descriptions.FORMATS, SCENARIO)
+FORMATS = (*RECORDS, CONFIG, SCENARIO)
 
 
 def json_schema(described: Format) -> str:
