@@ -262,7 +262,7 @@ def test_people_are_read_with_all_that_is_known_of_them():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ({"position": [0, 0]}, '"object_id" is missing'),
+        ({"position": [0, 0]}, '"object_id" is missing; detections have none, but tracks and ground truth do'),
         ({"object_id": 1}, '"position" is missing'),
         ({"object_id": "a", "position": [0, 0]}, '"object_id" must be an integer, found "a"'),
         ({"object_id": 2**63, "position": [0, 0]}, '"object_id" must be an integer'),

@@ -170,7 +170,7 @@ class Camera:
         depth_kind: "radial" (along the ray) or "z" (along the optical axis).
         depth_step_m: m of one step of a depth picture.
         background_depth: path of the empty room's depth picture, None where there is none.
-        theta_max: largest angle from the axis at which the lens may be believed, rad.
+        theta_max: largest angle from the axis at which the lens is valid, rad.
     """
 
     lens: lens.Lens

@@ -289,7 +289,12 @@ def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
         RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid or an identity
             occurs twice.
     """
-    rows = _rows(record, descriptions.PERSON, bad)
+
+    def bad_person(reason: str) -> None:
+        hint = "; detections have none, but tracks and ground truth do"
+        bad(reason + hint if reason.endswith('"object_id" is missing') else reason)
+
+    rows = _rows(record, descriptions.PERSON, bad_person)
     known: set[int] = set()
     for place, row in list(rows.items()):
         if row["object_id"] in known:
