@@ -1,6 +1,7 @@
 """Records, config.json, pictures and sound: what enters and what leaves, with the thesis's own listings."""
 
 import contextlib
+import doctest
 import io
 import math
 import struct
@@ -493,6 +494,14 @@ def test_a_new_key_is_in_the_schema_and_in_the_manual():
     )
     assert orjson.loads(written.json_schema(described))["properties"]["voice"]["enum"] == ["high", "low", None]
     assert '.It Va voice\nPitch. One of high, low; default "low".\n' in written.key_list(described)
+
+
+@pytest.mark.parametrize("module", [records, schemas])
+def test_the_samples_in_the_docstrings(module, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    failed, tried = doctest.testmod(module)
+    assert tried > 0
+    assert failed == 0
 
 
 # --- pictures and sound -----------------------------------------------------------------------------------------------

@@ -1,12 +1,16 @@
-"""JSON Lines records: one object a line, checked where it enters and where it leaves.
+r"""JSON Lines records: one object a line, checked where it enters and where it leaves.
 
 `texts` finds the records in a stream, `decode` and `encode` know the line, and the functions after them turn a decoded
 record into arrays and back. Readers check the keys that they know (avcli.formats.descriptions) and ignore others.
 Whatever is invalid raises RecordError, which says what was found.
 
-    people = records.identified(records.decode(line))
-    people.ids, people.positions    # (n,), (n, 3) m
-    line = records.encode(records.as_record(people))
+    >>> from avcli.formats import records
+    >>> line = b'{"timestamp": 0.1, "objects": [{"object_id": 4, "position": [1, 2, 0], "speaking": true}]}'
+    >>> people = records.identified(records.decode(line))
+    >>> people.ids, people.positions, people.speaking
+    (array([4]), array([[1., 2., 0.]]), array([1.]))
+    >>> records.encode(records.as_record(people))
+    b'{"timestamp":"0.1000000000","objects":[{"object_id":4,"position":[1.0,2.0,0.0],"speaking":true}]}\n'
 """
 
 import functools
@@ -398,7 +402,13 @@ def _written_position(position: list[float], *, null: bool) -> list[float | None
 
 
 def save(path: str | os.PathLike[str], items: Iterable[Detections | Identified]) -> None:
-    """Write detections, ground truth or tracks as JSON Lines; the file appears whole or not at all."""
+    """Write detections, ground truth or tracks as JSON Lines; the file appears whole or not at all.
+
+    >>> import numpy as np
+    >>> save("tracks.jsonl", [Identified(0.0, np.array([1]), np.array([[1.0, 2.0, 0.0]]))])
+    >>> load("tracks.jsonl")[0].positions
+    array([[1., 2., 0.]])
+    """
     with atomic.writing(path) as stream:
         stream.writelines(encode(as_record(item)) for item in items)
 

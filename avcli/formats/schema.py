@@ -2,13 +2,17 @@
 
 A format is an `Object` of `Key`s, each with a kind of value:
 
-    POINT = Object({
-        "position": Key(Numbers(2), "on the floor, m", required=True),
-        "stay_s": Key(Number(least=0), "how long the person stays", default=0.0),
-    })
-    POINT.read({"position": [1, 2]})    # {"position": [1.0, 2.0], "stay_s": 0.0}
-    POINT.read({"position": [1]})       # Invalid: "position" must be a list of two finite numbers, found [1]
-    POINT.schema()                      # {"type": "object", "required": ["position"], "properties": {…}}
+    >>> point = Object({
+    ...     "position_m": Key(Numbers(2), "position on the floor, m", required=True),
+    ...     "stay_s": Key(Number(least=0), "time that the person stays, s", default=0.0),
+    ... })
+    >>> point.read({"position_m": [1, 2]})
+    {'position_m': [1.0, 2.0], 'stay_s': 0.0}
+    >>> point.read({"position_m": [1]})
+    Traceback (most recent call last):
+    avcli.formats.schema.Invalid: "position_m" must be a list of two finite numbers, found [1]
+    >>> point.keys["stay_s"].kind.schema()
+    {'type': 'number', 'minimum': 0}
 
 Every kind has three methods: `read` returns a checked value or raises Invalid, `schema` returns the JSON Schema of the
 same values, and `words` ends the sentence "must be …" in an error and describes the value in the manual.
