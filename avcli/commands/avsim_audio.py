@@ -7,9 +7,8 @@ from pathlib import Path
 import click
 
 from avcli.commands.filter import Filter, Session, common
+from avcli.settings import DEFAULT_RT60_S
 
-DEFAULT_RT60_S = 0.35
-"""s; an office by DIN 18041, as in the thesis."""
 LONGEST_SILENCE_S = 3600.0
 """s; a scene whose first record is later begins there."""
 MANY_IMAGES = 1_000_000
