@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -86,10 +87,20 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
     return click.option(flag, field.name, **words)
 
 
+class FiniteRange(click.FloatRange):
+    """A range of numbers without NaN and infinity."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
 def _range(annotation: type, setting: Setting) -> click.ParamType:
     if annotation is str:
         return click.STRING
-    kind = click.IntRange if annotation is int else click.FloatRange
+    kind = click.IntRange if annotation is int else FiniteRange
     low, high = setting.least, setting.most
     low_open, high_open = low is None and setting.above is not None, high is None and setting.below is not None
     return kind(
