@@ -203,6 +203,22 @@ def test_very_long_reverberation_needs_noise():
         surroundings_of(CONFIG, Settings(rt60_s=5.0))
 
 
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"rt60_s": -1.0}, "rt60_s must be at least 0, not -1"),
+        ({"error_db": 5.0}, "error_db must be at most -10, not 5"),
+        ({"mouth_height_m": 0.0}, "mouth_height_m must be above 0, not 0"),
+        ({"pause_s": float("inf")}, "pause_s must be a finite number, not inf"),
+        ({"absorption_model": "sabin"}, "absorption_model must be one of sabine, eyring, image, not sabin"),
+        ({"absorption": (0.5,)}, "absorption must be six numbers from 0 to 1"),
+    ],
+)
+def test_settings_out_of_their_bounds_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        Settings(**wrong)
+
+
 def test_the_patterns_are_those_of_the_configuration():
     assert tuple(DIRECTIVITIES) == PATTERNS
 

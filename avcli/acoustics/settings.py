@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from avcli.settings import DEFAULT_RT60_S, setting
+from avcli.settings import DEFAULT_RT60_S, check, setting
 
 PATTERNS = ("omni", "subcardioid", "cardioid", "hypercardioid", "bidirectional")
 MODELS = ("sabine", "eyring", "image")
@@ -17,6 +17,9 @@ class Settings:
         sensor_noise_db: white noise of each microphone, dB below a voice of `level_db` at 1 m; None: without.
         room_noise_db: diffuse pink noise, dB SPL; None: without.
     The other attributes say what they are themselves.
+
+    Raises:
+        ValueError: a value is out of its bounds.
     """
 
     level_db: float = setting(60.0, "Level of a voice, dB SPL at 1 m.", unit="DB", least=-20, most=140, flag="--level")
@@ -93,3 +96,10 @@ class Settings:
     absorption: tuple[float, ...] | None = None
     sensor_noise_db: float | None = None
     room_noise_db: float | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.absorption is not None and (
+            len(self.absorption) != 6 or not all(0 <= value <= 1 for value in self.absorption)
+        ):
+            raise ValueError(f"absorption must be six numbers from 0 to 1, not {self.absorption}")
