@@ -1,8 +1,8 @@
 """Options that are made from a stage's settings."""
 
 import ast
-import sys
 import dataclasses
+import sys
 
 import click
 import pytest
