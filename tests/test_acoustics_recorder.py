@@ -44,8 +44,11 @@ def people(time):
 SCENE = [people(time) for time in TIMES]
 
 
-def test_the_example_in_the_documentation():
-    assert doctest.testmod(recorder).failed == 0
+@pytest.mark.parametrize("module", [recorder, walls])
+def test_the_examples_in_the_documentation(module):
+    result = doctest.testmod(module)
+    assert result.attempted > 0
+    assert result.failed == 0
 
 
 @pytest.mark.parametrize("noise", [(), ("--noise", "sensor=40", "--noise", "room=30", "--seed", "3")])

@@ -47,6 +47,11 @@ def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Arra
 
     T60 = 0.161 V / Σ αᵢ Sᵢ with αᵢ = wᵢ α (W. C. Sabine, 1898; thesis eqs. 4.1 and 4.2), solved for α.
 
+    >>> sabine_absorption([4.66, 4.66, 3.0], 0.35).round(4).tolist()
+    [0.3016, 0.3016, 0.3016, 0.3016, 0.3016, 0.3016]
+    >>> sabine_absorption([4.66, 4.66, 3.0], 0.35, weights=[0, 0, 0, 0, 1, 1]).round(4).tolist()  # floor and ceiling
+    [0.0, 0.0, 0.0, 0.0, 0.69, 0.69]
+
     Args:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time, s.

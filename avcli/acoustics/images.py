@@ -304,8 +304,7 @@ def shoebox_rir(
         source_m: (3,) m.
         microphones_m: (m, 3) or (3,) m.
         reflection: (6,) or a number, pressure reflection coefficients from 0 to 1 of the walls x0 x1 y0 y1 z0 z1.
-        sample_rate_hz: Hz.
-        num_samples: length of the responses, samples.
+        sample_rate_hz, num_samples: Hz; length of the responses.
         speed_of_sound_m_s: m/s.
         sign: −1: a reflection turns the pressure over, and the response has no build-up at low frequencies; +1: not.
         error_db: the images that can be left out for this relative error (dB, below 0) are left out; None: none are.
@@ -323,7 +322,6 @@ def shoebox_rir(
         raise ValueError("sample rate, speed of sound and number of samples must be above 0")
     if error_db is not None and not error_db < 0:
         raise ValueError(f"the error must be below 0 dB, not {error_db} dB")
-
     samples_per_m = sample_rate_hz / speed_of_sound_m_s
     reach_m = (num_samples - 1) / samples_per_m
     if error_db is not None:  # the energy after reach_m is small beside that of the faint images that are left out

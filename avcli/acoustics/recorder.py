@@ -70,7 +70,7 @@ class Recorder:
         self._say = say
         self.surroundings = surroundings_of(config, settings, trajectories, say)
         rate = self.surroundings.sample_rate_hz
-        recordings = built_in_voices() if speech is None else speech
+        recordings = speech or built_in_voices()
         self._speakers = Speakers(
             self.surroundings,
             [source_signal(recording, rate, settings.level_db) for recording in recordings],
@@ -171,9 +171,9 @@ def hear(
     >>> sound = hear(config, walk, settings=Settings(rt60_s=0.25, error_db=-20.0))
     >>> sound.samples.shape, sound.sample_rate_hz, sound.tail_samples
     ((20000, 2), 16000, 4000)
-    >>> loudness = np.sqrt((sound.samples[:8000] ** 2).mean(axis=0))  # Pa; the walk begins near the first microphone
-    >>> bool(loudness[0] > loudness[1])
-    True
+    >>> levels = 20 * np.log10(sound.samples[:8000].std(axis=0) / 2e-5)  # dB SPL; the walk starts near the first one
+    >>> levels.round().tolist()
+    [60.0, 57.0]
 
     Args:
         config: room and microphones.
@@ -187,8 +187,8 @@ def hear(
         say: called with a sentence where the user should be warned.
 
     Returns:
-        The sound, float32, as a 32-bit WAV of avsim-audio has it. 1.0 is 1 Pa. It lasts as long as the scene and its
-        reverberation, the samples of which are counted in `tail_samples`.
+        The sound in Pa, float32, the samples that avsim-audio writes to a 32-bit WAV. It lasts as long as the scene and
+        its reverberation; `tail_samples` is the length of the latter.
 
     Raises:
         ValueError: the times do not increase, the first is not within LONGEST_SILENCE_S, or the room cannot be
