@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from avcli.acoustics.responses import MARGIN, Responses
 from avcli.acoustics.sampling import Interpolation, Switching
 from avcli.acoustics.surroundings import Surroundings
+from avcli.acoustics.trajectory import cubic
 from avcli.numeric import fft_length
 
 
@@ -237,7 +238,7 @@ def _lengthened(array: np.ndarray, length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Cubic:
-    """A cubic in time through two points with two velocities (Hermite)."""
+    """A cubic in time through two points with two velocities, which goes straight on before and after them."""
 
     t0: float
     p0: np.ndarray
@@ -250,12 +251,7 @@ class _Cubic:
         step = self.t1 - self.t0
         u = ((np.asarray(times) - self.t0) / step)[:, None]
         inside = np.clip(u, 0.0, 1.0)
-        points = (
-            self.p0
-            + inside * step * self.v0
-            + inside**2 * (3 * (self.p1 - self.p0) - step * (2 * self.v0 + self.v1))
-            + inside**3 * (2 * (self.p0 - self.p1) + step * (self.v0 + self.v1))
-        )
+        points = cubic(inside, step, self.p0, self.v0, self.p1, self.v1)
         return points + np.minimum(u, 0.0) * step * self.v0 + np.maximum(u - 1.0, 0.0) * step * self.v1
 
     def velocity(self, times: np.ndarray) -> np.ndarray:

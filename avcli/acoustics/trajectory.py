@@ -13,6 +13,22 @@ FASTEST_M_S = 20.0
 """m/s; a faster speaker has jumped, and a faster microphone is refused."""
 
 
+def cubic(
+    u: np.ndarray, step: np.ndarray | float, p0: np.ndarray, v0: np.ndarray, p1: np.ndarray, v1: np.ndarray
+) -> np.ndarray:
+    """Return points of a cubic with given positions and velocities at its ends (Hermite), (n, 3) m.
+
+    Args:
+        u: (n, 1) share of the time between the ends, from 0 to 1.
+        step: the time between the ends, s.
+        p0, v0: position, m, and velocity, m/s, at u = 0.
+        p1, v1: the same at u = 1.
+    """
+    return (
+        p0 + u * step * v0 + u**2 * (3 * (p1 - p0) - step * (2 * v0 + v1)) + u**3 * (2 * (p0 - p1) + step * (v0 + v1))
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """The path of a microphone: cubics in time through its positions, with mean velocities there (Catmull-Rom).
@@ -79,12 +95,8 @@ class Trajectory:
             return self.positions_m[i]
         step = (self.times_s[i + 1] - self.times_s[i])[:, None]
         u = (times - self.times_s[i])[:, None] / step
-        p0, p1, v0, v1 = self.positions_m[i], self.positions_m[i + 1], self._velocities[i], self._velocities[i + 1]
-        return (
-            p0
-            + u * step * v0
-            + u**2 * (3 * (p1 - p0) - step * (2 * v0 + v1))
-            + u**3 * (2 * (p0 - p1) + step * (v0 + v1))
+        return cubic(
+            u, step, self.positions_m[i], self._velocities[i], self.positions_m[i + 1], self._velocities[i + 1]
         )
 
 
