@@ -237,12 +237,14 @@ def _speech(session: Session, paths: Iterable[str]) -> list[Sound] | None:
 
 def _trajectories(session: Session, path: str | None) -> dict[int, Trajectory]:
     """Read the paths of the microphones that move: channel -> trajectory."""
+    import numpy as np
+
     from avcli.acoustics.trajectory import trajectories_of
     from avcli.formats import records
 
     def moment(record: Mapping, bad: Callable[[str], None]) -> Identified:
         microphones = records.identified(record, bad)
-        known = microphones.positions[:, 2] == microphones.positions[:, 2]
+        known = ~np.isnan(microphones.positions[:, 2])
         for channel in microphones.ids[~known].tolist():
             bad(f"object_id {channel}: a microphone needs three coordinates")
         return records.Identified(microphones.timestamp, microphones.ids[known], microphones.positions[known])
