@@ -241,25 +241,6 @@ class Identified:
         return len(self.ids)
 
 
-@dataclass(frozen=True)
-class Sources:
-    """Who may sound at one time.
-
-    Attributes:
-        timestamp: s.
-        ids: (n,) int64, unique.
-        positions: (n, 3) m, the points on the floor under the people.
-        mouths: (n, 3) m; NaN where the record does not say where the mouth is.
-        speaking: (n,) bool; true where the record does not say it, as the thesis's ground truth does not.
-    """
-
-    timestamp: float
-    ids: np.ndarray
-    positions: np.ndarray
-    mouths: np.ndarray
-    speaking: np.ndarray
-
-
 _SENSOR = descriptions.LOCALIZATION.content.only("sensor", "kind")
 
 
@@ -316,12 +297,6 @@ def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
         covariances=_column(rows, "covariance", 3, 3),
         existence=_column(rows, "existence"),
     )
-
-
-def sources(record: Mapping[str, Any], bad: Bad = refuse) -> Sources:
-    """Read who may sound, and from where, of a ground-truth record; raises RecordError as `identified` does."""
-    people = identified(record, bad)
-    return Sources(people.timestamp, people.ids, people.positions, people.mouths, ~(people.speaking < 0.5))
 
 
 Row = dict[str, Any]
