@@ -317,12 +317,14 @@ def test_what_is_saved_is_loaded(tmp_path_factory, count, data):
     assert [type(item) for item in records.load(path)] == [records.Detections] * 2
 
 
-def test_ground_truth_is_written_as_it_was_read():
-    record = {
-        "timestamp": 0.1,
-        "objects": [{"object_id": 0, "position": [1.0, 2.0], "mouth_position": [1.0, 2.0, 1.5], "speaking": True}],
-    }
-    assert records.as_record(records.identified(record)) == record
+def test_records_are_written_as_they_were_read():
+    person = {"object_id": 0, "position": [1.0, 2.0], "mouth_position": [1.0, 2.0, 1.5], "speaking": True}
+    track = {"object_id": 0, "position": [1.0, 2.0, 0.0], "existence": 1.0, "speaking": 1.0}
+    for record in ({"timestamp": 0.1, "objects": [person]}, {"timestamp": 0.1, "objects": [track]}):
+        assert records.encode(records.as_record(records.identified(record))) == records.encode(record)
+    boxed = {"position": [1.0, 2.0, 0.9], "score": 0.5, "bbox_px": [1.0, 2.0, 3.0, 4.0], "height": None}
+    record = {"timestamp": 0.1, "sensor": "video", "objects": [boxed, {"position": [1.0, 2.0, None]}]}
+    assert records.encode(records.as_record(records.detections(record))) == records.encode(record)
 
 
 def test_an_invalid_line_of_a_file_is_named(tmp_path):

@@ -39,12 +39,12 @@ class RecordError(ValueError):
 
 
 def refuse(reason: str) -> NoReturn:
-    """Refuse the whole record because of one bad object (the strict way to treat it)."""
+    """Refuse the whole record because of one invalid object (the strict way to treat it)."""
     raise RecordError(reason)
 
 
 Bad = Callable[[str], None]
-"""Called with the reason for each bad object: it raises RecordError, or returns to drop that object alone."""
+"""Called with the reason for each invalid object: it raises RecordError, or returns to drop that object alone."""
 
 
 # --- lines ------------------------------------------------------------------------------------------------------------
@@ -247,6 +247,11 @@ _SENSOR = descriptions.LOCALIZATION.content.only("sensor", "kind")
 def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
     """Read the detections of a decoded record.
 
+    Args:
+        record: as `decode` returns it.
+        bad: called with the reason for each invalid object; it raises RecordError (as `refuse` does), or returns, and
+            the object is dropped.
+
     Raises:
         RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid.
     """
@@ -269,6 +274,9 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
 
 def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
     """Read the people of a ground-truth or track record.
+
+    Args:
+        record, bad: as `detections` has them.
 
     Raises:
         RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid or an identity
@@ -332,23 +340,25 @@ def _column(rows: Mapping[int, Row], key: str, *shape: int) -> np.ndarray:
 
 
 def as_record(item: Detections | Identified) -> dict[str, Any]:
-    """Turn detections or people into a record for `encode`; what is NaN is left out.
+    """Turn detections or people into a record for `encode`.
 
-    `speaking` is written as true or false where it is 0 or 1 and the people have no existence (ground truth), and as a
-    probability otherwise (tracks).
+    Values that are NaN are left out, but the unknown height of a detection with a box is null. `speaking` is written as
+    true or false where it is 0 or 1 and the person has no existence (ground truth), else as a probability (tracks).
     """
     if isinstance(item, Detections):
         named = {"sensor": item.sensor, "kind": item.kind}
         columns = {
+            "position": item.positions,
             "covariance": item.covariances,
             "score": item.scores,
             "bbox_px": item.boxes_px,
             "height": item.heights,
         }
-        firsts = [{"position": _written_position(position, null=True)} for position in item.positions.tolist()]
     else:
         named = {}
         columns = {
+            "object_id": item.ids,
+            "position": item.positions,
             "mouth_position": item.mouths,
             "velocity": item.velocities,
             "covariance": item.covariances,
@@ -356,24 +366,18 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             "speaking": item.speaking,
             "bbox_px": item.boxes_px,
         }
-        firsts = [
-            {"object_id": identity, "position": _written_position(position, null=False)}
-            for identity, position in zip(item.ids.tolist(), item.positions.tolist(), strict=True)
-        ]
-    objects: list[Row] = firsts
+    objects: list[Row] = [{} for _ in range(len(item))]
     for key, column in columns.items():
-        given = ~np.isnan(column.reshape(len(column), -1)).any(axis=1) if len(column) else ()
-        for row, value, known in zip(objects, column.tolist(), given, strict=True):
-            if known:
+        known = ~np.isnan(column.reshape(len(item), -1)).any(axis=1) if len(item) else np.empty(0, bool)
+        for row, value, given in zip(objects, column.tolist(), known.tolist(), strict=True):
+            if given:
                 row[key] = bool(value) if key == "speaking" and value in (0, 1) and "existence" not in row else value
+            elif key == "position":
+                row[key] = value[:2] if "object_id" in row else [*value[:2], None]
+            elif key == "height" and "bbox_px" in row:
+                row[key] = None
     said = {key: value for key, value in named.items() if value is not None}
     return {"timestamp": item.timestamp, **said, "objects": objects}
-
-
-def _written_position(position: list[float], *, null: bool) -> list[float | None]:
-    if not np.isnan(position[2]):
-        return list(position)
-    return [*position[:2], None] if null else list(position[:2])
 
 
 def save(path: str | os.PathLike[str], items: Iterable[Detections | Identified]) -> None:
