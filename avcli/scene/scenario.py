@@ -123,7 +123,7 @@ SCENARIO = Format(
     "A scenario of avsim-scene: who walks where and speaks when, in which room, seen by which camera",
     Object(
         {
-            "name": Key(Text(), "session_id of config.json; default: the name of the file"),
+            "name": Key(Text(), "name of the session (session_id in config.json); default: the name of the file"),
             "duration_s": Key(Number(least=0), "duration, s; the last frame is at or before it", default=4.0),
             "camera_config": Key(Object({}), _AS_CONFIG),
             "microphone_config": Key(Object({}), _AS_CONFIG),
