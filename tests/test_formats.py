@@ -487,6 +487,8 @@ def valid(kind):
 def test_what_follows_from_the_descriptions_is_up_to_date():
     check = subprocess.run([sys.executable, "-m", "avcli.formats", "--check"], capture_output=True, text=True, cwd=ROOT)
     assert (check.returncode, check.stderr) == (0, ""), "run make formats"
+    for described in written.FORMATS:
+        jsonschema.Draft202012Validator.check_schema(schema(described.name))
 
 
 def test_a_new_key_is_in_the_schema_and_in_the_manual():
