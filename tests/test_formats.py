@@ -499,6 +499,14 @@ def test_a_new_key_is_in_the_schema_and_in_the_manual():
     assert '.It Va voice\nPitch. One of high, low; default "low".\n' in written.key_list(described)
 
 
+def test_numbers_beyond_floats_are_refused_and_large_ones_are_not():
+    described = schemas.Object({"a": schemas.Key(schemas.Numbers(2)), "b": schemas.Key(schemas.Number())})
+    assert described.read({"a": [1.7e308, 1.7e308], "b": np.float64(2)}) == {"a": [1.7e308, 1.7e308], "b": 2.0}
+    for value in ({"a": [10**400, 1]}, {"b": 10**400}, {"b": math.inf}, {"a": [math.nan, 1]}, {"a": [math.inf, 1]}):
+        with pytest.raises(schemas.Invalid, match="must be"):
+            described.read(value)
+
+
 @pytest.mark.parametrize("module", [records, schemas])
 def test_the_samples_in_the_docstrings(module, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

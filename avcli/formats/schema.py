@@ -87,14 +87,21 @@ _PLAIN = {float, int}
 
 
 def _is_number(value: Any) -> bool:
-    if type(value) in _PLAIN:
-        return isfinite(value)
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+    try:
+        known = type(value) in _PLAIN or (isinstance(value, int | float) and not isinstance(value, bool))
+        return known and isfinite(value)
+    except OverflowError:  # an integer beyond the range of floats
+        return False
 
 
 def _are_numbers(values: list[Any] | tuple[Any, ...]) -> bool:
-    # One sum is quicker than a check of each; it overflows for huge numbers, and these are looked at one by one.
-    return (_PLAIN.issuperset(map(type, values)) and isfinite(sum(values))) or all(map(_is_number, values))
+    # One sum is quicker than a check of each; where it overflows, each is checked.
+    try:
+        if _PLAIN.issuperset(map(type, values)) and isfinite(sum(values)):
+            return True
+    except OverflowError:
+        pass
+    return all(map(_is_number, values))
 
 
 # --- single values ----------------------------------------------------------------------------------------------------
