@@ -254,10 +254,12 @@ def test_what_cannot_go_together_is_said(tmp_path):
         assert result.returncode == 2
         assert "--no-video" in result.stderr
     assert run("avsim-scene", "s1").returncode == 2
-    assert run("avsim-scene", "s9", "-C", tmp_path / "exp").returncode == 2
+    unknown = run("avsim-scene", "s9", "-C", tmp_path / "exp")
+    assert unknown.returncode == 2
+    assert "s1, s2, s3, s4, random" in unknown.stderr
     broken = run("avsim-scene", "-", "-C", tmp_path / "exp", stdin='{"people": [')
     assert broken.returncode == 1
-    assert "<stdin>:1:13: no JSON" in broken.stderr
+    assert "<stdin>:1:13: not valid JSON" in broken.stderr
     assert not (tmp_path / "exp").exists()
 
 
