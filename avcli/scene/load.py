@@ -75,9 +75,9 @@ def decode(text: bytes, name: str) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        raise scenario.ScenarioError(f"{name}:{error.lineno}:{error.colno}: not valid JSON: {error.msg}") from None
+        raise scenario.ScenarioError(f"{name}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
     except UnicodeDecodeError as error:
-        raise scenario.ScenarioError(f"{name}: not valid UTF-8 at byte {error.start}") from None
+        raise scenario.ScenarioError(f"{name}: invalid UTF-8 at byte {error.start}") from None
 
 
 def build(
