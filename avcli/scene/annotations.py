@@ -6,7 +6,6 @@ import numpy as np
 
 from avcli import pose
 from avcli.formats.experiment import Camera
-from avcli.formats.records import Identified
 from avcli.scene.people import KEYPOINTS, Bodies, speaking
 from avcli.scene.render import Frame
 from avcli.scene.scenario import Scenario
@@ -27,32 +26,18 @@ def truth(scenario: Scenario, bodies: Bodies, index: int, frame: Frame | None = 
     pixels = _keypoint_pixels(scenario.config.camera, bodies.keypoints[index])
     objects = []
     for number, person in enumerate(scenario.people):
-        place = person.motion.position([time])[0]
+        place = person.motion.position(np.array([time]))[0]
         item = {
             "object_id": person.object_id,
             "position": [float(place[0]), float(place[1]), 0.0],
             "mouth_position": bodies.mouths[index, number].tolist(),
-            "speaking": bool(speaking(person, [time], scenario.duration)[0]),
+            "speaking": bool(speaking(person, np.array([time]), scenario.duration)[0]),
         }
         if frame is not None:
             item |= visibility(frame, number)
             item["keypoints_px"] = _keypoints(frame, number, pixels[number], scenario.config.camera, bodies, index)
         objects.append(item)
     return {"timestamp": time, "objects": objects}
-
-
-def identified(record: dict[str, Any]) -> Identified:
-    """Turn a ground-truth record of `truth` into arrays."""
-    objects = record["objects"]
-    missing = [np.nan] * 4
-    return Identified(
-        timestamp=record["timestamp"],
-        ids=np.array([item["object_id"] for item in objects], np.int64),
-        positions=np.array([item["position"] for item in objects], float).reshape(-1, 3),
-        mouths=np.array([item["mouth_position"] for item in objects], float).reshape(-1, 3),
-        speaking=np.array([item["speaking"] for item in objects], float),
-        boxes_px=np.array([item.get("bbox_px", missing) for item in objects], float).reshape(-1, 4),
-    )
 
 
 def visibility(frame: Frame, number: int) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from avcli.formats.experiment import Config, Layout
 from avcli.formats.media import Shot
-from avcli.formats.records import Identified
+from avcli.formats.records import Identified, identified
 from avcli.scene import annotations, load, people, render, sensor
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects
@@ -154,7 +154,7 @@ class Scene:
     @cached_property
     def truth(self) -> list[Identified]:
         """Ground truth of every frame: positions, mouths, whose turn it is to speak. Nothing is drawn for it."""
-        return [annotations.identified(frame.record) for frame in Film(self._film.scenario, None).frames()]
+        return [identified(frame.record) for frame in Film(self._film.scenario, None).frames()]
 
     def shots(self) -> Iterator[Shot]:
         """Draw what the camera sees, one frame at a time; every call begins anew and gives the same pictures.
