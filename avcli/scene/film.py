@@ -162,8 +162,8 @@ class Scene:
         Raises:
             ValueError: the scene was simulated without video.
         """
-        for frame in self.frames():
-            yield Shot(frame.timestamp, frame.rgb, frame.picture.depth if frame.picture else None)
+        frames = self.frames()
+        return (Shot(frame.timestamp, frame.rgb, frame.picture.depth if frame.picture else None) for frame in frames)
 
     def frames(self) -> Iterator[Frame]:
         """Draw the frames with all that is known of them: `record` has boxes, visible fractions and keypoints too.
