@@ -3,6 +3,7 @@
 import doctest
 import json
 import os
+import shutil
 import signal
 import subprocess
 
@@ -251,10 +252,15 @@ def test_sensor_effects_are_seeded_and_leave_depth_alone(tmp_path):
 
 
 def test_what_cannot_go_together_is_said(tmp_path):
-    for options in (["--no-video", "--masks"], ["--no-video", "--coco", "x.json"]):
-        result = run("avsim-scene", "s1", "-C", tmp_path / "exp", *options)
+    for option in (["--masks"], ["--coco", "x.json"], ["--samples", "4"], ["--shutter", "0.1"], ["--jpeg", "50"]):
+        result = run("avsim-scene", "s1", "-C", tmp_path / "exp", "--no-video", *option)
         assert result.returncode == 2
-        assert "--no-video" in result.stderr
+        assert f"{option[0]} has no effect with --no-video" in result.stderr
+    assert run("avsim-scene", "s1", "-C", tmp_path / "exp", "--no-video", "--preset", "thesis").returncode == 0
+    crowd = run("avsim-scene", "s1", "-C", tmp_path / "exp", "--people", "5")
+    assert crowd.returncode == 2
+    assert "--people has no effect on a scenario that is not random" in crowd.stderr
+    shutil.rmtree(tmp_path / "exp")
     assert run("avsim-scene", "s1").returncode == 2
     unknown = run("avsim-scene", "s9", "-C", tmp_path / "exp")
     assert unknown.returncode == 2

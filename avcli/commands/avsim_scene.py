@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from avcli.commands.filter import Filter, Session, common
-from avcli.commands.options import from_settings, settings_from
+from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.scene.settings import BUILT_IN, Drawing, Effects
+from avcli.settings import settings_of
 
 if TYPE_CHECKING:
     from avcli.scene.film import Film
     from avcli.scene.scenario import Scenario
 
+PICTURES = ("frames", "masks", "coco", "sheet", *settings_of(Drawing), *settings_of(Effects))  # what only they need
 PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 
 
@@ -75,9 +77,8 @@ def main(session: Session, scenario: str, **options: Any) -> None:
         if not session.has_experiment:
             return
     directory = session.experiment
-    for name in ("masks", "coco", "sheet"):
-        if options[name] and options["no_video"]:
-            session.usage(f"--{name} needs pictures; remove --no-video")
+    if options["no_video"]:
+        refuse_without_effect(PICTURES, "with --no-video")
     if directory.exists() and not directory.is_dir():
         session.usage(f"{directory}: not a directory")
     film = _film(session, scene, options)
@@ -103,6 +104,8 @@ def _scenario(session: Session, source: str, options: dict[str, Any]) -> Scenari
     """The scenario that the command line asks for."""
     from avcli.scene import load
 
+    if source != load.RANDOM:
+        refuse_without_effect(["people"], "on a scenario that is not random")
     if source in (*BUILT_IN, load.RANDOM):
         name = source
         raw = load.named(name, seed=session.seed, people=options["people"], duration=options["duration"])

@@ -21,7 +21,7 @@ class Drawing:
         4, "Colour samples per pixel at the outlines of people; 1 draws hard edges, faster.", unit="N", least=1, most=64
     )
     depth_bits: str = setting(
-        "16", "Bits of a depth pixel: 16 in steps of 0.1 mm, 8 in steps of 20 mm.", choices=tuple(sorted(DEPTH_STEPS_M))
+        "16", "Bits of a depth pixel: 16 in steps of 0.1 mm, 8 in steps of 20 mm.", choices=tuple(DEPTH_STEPS_M)
     )
     shutter_s: float = setting(0.0, "Exposure time, s: motion blur.", unit="S", least=0.0, flag="--shutter")
 
