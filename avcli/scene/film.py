@@ -147,7 +147,7 @@ class Scene:
     """
 
     config: Config
-    background: np.ndarray | None
+    background: np.ndarray | None = field(repr=False)
     warnings: tuple[str, ...]
     _film: Film = field(repr=False)
 
