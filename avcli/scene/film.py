@@ -52,7 +52,7 @@ class Film:
     Args:
         scenario: what happens.
         drawing: how frames are drawn; None: nothing is drawn, the film is ground truth alone.
-        effects: what the sensor does to the pictures.
+        effects: what the sensor does to the pictures; None: nothing.
         seed: of the sensor's noise.
         timing: called with the name of each step, returns a context manager around it.
 
@@ -63,13 +63,13 @@ class Film:
     def __init__(
         self,
         scenario: Scenario,
-        drawing: Drawing | None = Drawing(),  # noqa: B008 - frozen
-        effects: Effects = Effects(),  # noqa: B008
+        drawing: Drawing | None,
+        effects: Effects | None = None,
         *,
         seed: int = 0,
         timing: Timing = lambda step: contextlib.nullcontext(),
     ) -> None:
-        self.scenario, self.drawing, self.effects, self.seed = scenario, drawing, effects, seed
+        self.scenario, self.drawing, self.effects, self.seed = scenario, drawing, effects or Effects(), seed
         self._timing = timing
         self._renderer: render.Renderer | None = None
         if drawing:
@@ -186,8 +186,8 @@ def simulate(
     camera: str | None = None,
     camera_config: Mapping | None = None,
     camera_height: float | None = None,
-    drawing: Drawing = Drawing(),  # noqa: B008 - frozen
-    effects: Effects = Effects(),  # noqa: B008
+    drawing: Drawing | None = None,
+    effects: Effects | None = None,
 ) -> Scene:
     """Simulate people who walk and talk in a room under a camera.
 
@@ -200,8 +200,8 @@ def simulate(
         camera: "real" or "thesis": one of the thesis's two lenses instead of the scenario's.
         camera_config: a camera_config (or an object that holds one) instead of the scenario's.
         camera_height: m, instead of the scenario's.
-        drawing: samples per pixel, depth resolution, shutter.
-        effects: what the sensor does to the pictures.
+        drawing: samples per pixel, depth resolution, shutter; None: the defaults.
+        effects: what the sensor does to the pictures; None: nothing.
 
     Returns:
         The scene: `config`, `truth`, `shots()`.
@@ -215,6 +215,6 @@ def simulate(
         scenario, seed=seed, people=people, duration=duration, camera=camera, camera_config=camera_config,
         camera_height=camera_height,
     )  # fmt: skip
-    film = Film(loaded, drawing if video else None, effects, seed=seed)
+    film = Film(loaded, (drawing or Drawing()) if video else None, effects, seed=seed)
     config = Config(film.config(background=video), loaded.name)
     return Scene(config, film.background, tuple(loaded.warnings), film)
