@@ -140,6 +140,7 @@ class _Dress:
         )  # fmt: skip
 
     def trunk(self) -> None:
+        """Add hips, belly, chest and shoulders."""
         trunk, unit, look = self.bones.trunk, self.unit, self.look
         g, w = look.girth, look.shoulders
         front, up = trunk.chest_front, trunk.chest_up
@@ -155,6 +156,7 @@ class _Dress:
             self.add(inner, arm.shoulder, 0.05, 0.056 * w, shirt, front, 0.9)
 
     def leg(self, leg: Leg, side: int, height: float) -> None:
+        """Add thigh, shin and shoe."""
         unit, look, length = self.unit, self.look, FOOT * height
         cloth = _Surface(group="legs", material=look.legwear, colour=look.trousers, front=self.bones.trunk.pelvis_front)
         self.add(leg.hip, leg.knee, 0.088 * look.girth, 0.057, cloth)
@@ -169,6 +171,7 @@ class _Dress:
         self.add(leg.ankle - 0.02 * unit * leg.rise, leg.heel + 0.02 * leg.rise, 0.041, 0.036, shoe)
 
     def arm(self, arm: Arm, side: int) -> None:
+        """Add upper arm, forearm and hand; the sleeve ends where the look says."""
         look, front = self.look, self.bones.trunk.chest_front
         sleeve = _Surface(group="shirt", material=look.cloth, colour=look.shirt, front=front)
         self.add(arm.shoulder, arm.elbow, 0.057 * look.shoulders, 0.044, sleeve, beyond=look.skin, split=look.sleeve)
@@ -180,6 +183,7 @@ class _Dress:
         self.hand(arm, side)
 
     def hand(self, arm: Arm, side: int) -> None:
+        """Add palm, fingers and thumb."""
         unit, sign, wrist = self.unit, (-1.0, 1.0)[side], arm.wrist
         along = unit_vector(wrist - arm.elbow)
         inward = -sign * self.bones.trunk.chest_left
@@ -200,6 +204,7 @@ class _Dress:
         self.add(thumb, tip, 0.014, 0.010, skin)
 
     def head(self, head: Head) -> None:
+        """Add neck, skull, jaw, nose, face and hair."""
         trunk, at = self.bones.trunk, head.at
         skin = _Surface(group="head", material=SKIN, colour=self.look.skin, front=head.front)
         self.add(trunk.neck - 0.02 * self.unit * trunk.chest_up, head.base, 0.058, 0.053, skin)
@@ -214,6 +219,7 @@ class _Dress:
             self.add(at(*a), at(*b), ra, rb, hair, head.left, flat)
 
     def face(self, head: Head) -> None:
+        """Add ears, eyes, brows and lips."""
         look, at, front = self.look, head.at, head.front
         bald = look.cut in ("bald", "scarf")
         white: Colour = (0.93, 0.92, 0.9)
