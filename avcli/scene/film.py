@@ -1,10 +1,4 @@
-"""The film of a scenario: poses, frames and ground truth, drawn one after another as they are asked for.
-
->>> from avcli.scene.film import simulate
->>> scene = simulate("s1", video=False)
->>> len(scene.truth), scene.truth[10].positions
-(41, array([[1.33, 2.33, 0.  ]]))
-"""
+"""The film of a scenario: poses, frames and ground truth, drawn one after another as they are asked for."""
 
 import contextlib
 import math
@@ -190,6 +184,14 @@ def simulate(
     effects: Effects | None = None,
 ) -> Scene:
     """Simulate people who walk and talk in a room under a camera.
+
+        >>> from avcli.scene.film import simulate
+        >>> scene = simulate("s1")
+        >>> len(scene.truth), scene.truth[10].positions
+        (41, array([[1.33, 2.33, 0.  ]]))
+        >>> shot = next(scene.shots())
+        >>> shot.rgb.shape, bool((shot.depth < scene.background).any())  # the person is nearer than the empty room
+        ((1080, 1920, 3), True)
 
     Args:
         scenario: a built-in name ("s1" to "s4"), "random", the path of a scenario file, or its JSON object.
