@@ -22,7 +22,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
 import click
 
@@ -177,11 +177,11 @@ class Session:
         if self.verbose:
             _say(self.name, text)
 
-    def fail(self, text: str) -> None:
+    def fail(self, text: str) -> NoReturn:
         """End with one line on stderr and exit 1."""
         raise Failure(text)
 
-    def usage(self, text: str) -> None:
+    def usage(self, text: str) -> NoReturn:
         """End with one line on stderr and exit 2."""
         raise click.UsageError(text, click.get_current_context(silent=True))
 

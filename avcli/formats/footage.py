@@ -6,7 +6,9 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 import numpy as np
 
 from avcli.formats.atomic import replacing, write_bytes
-from avcli.formats.media import MediaError, decode_picture, quiet_decoders, read_picture, swapped
+from avcli.formats.media import MediaError, decode_picture, encode_picture, quiet_decoders, read_picture, swapped
 
 if TYPE_CHECKING:
     import cv2
@@ -28,6 +30,8 @@ VIDEOS = {
 """Extensions of videos, and the codecs (FourCC) that we write them with."""
 _STREAM_RATE = 30.0
 """Hz; a stream of JPEGs carries no times."""
+_AHEAD = 3
+"""Shots that are read ahead of the one in hand."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,21 @@ class Picture:
     name: str
     timestamp: float
     image: np.ndarray
+
+
+@dataclass(frozen=True)
+class UnreadShot:
+    """What a camera saw at one time, with its pictures still in their files (`media.Shot` has them in memory).
+
+    Attributes:
+        timestamp: s.
+        rgb: reads the colour picture; None where there is none.
+        depth: reads the depth picture; None where there is none.
+    """
+
+    timestamp: float
+    rgb: Callable[[], np.ndarray] | None
+    depth: Callable[[], np.ndarray] | None
 
 
 # --- what a name means ------------------------------------------------------------------------------------------------
@@ -296,6 +315,26 @@ def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Pictur
         raise MediaError("<stdin>: no JPEG in this stream")
 
 
+def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Iterator[UnreadShot]:
+    """Yield the same shots while the pictures of the next few are read in threads.
+
+    A live pipeline must not be read ahead, since that holds back the shot in hand.
+
+    Args:
+        shots: in the order of time.
+        rgb, depth: which of the pictures will be needed of each shot.
+    """
+    with ThreadPoolExecutor(2) as pool:
+        waiting: deque[UnreadShot] = deque()
+        for shot in shots:
+            colour = pool.submit(shot.rgb).result if rgb and shot.rgb else shot.rgb
+            distance = pool.submit(shot.depth).result if depth and shot.depth else shot.depth
+            waiting.append(UnreadShot(shot.timestamp, colour, distance))
+            if len(waiting) > _AHEAD:
+                yield waiting.popleft()
+        yield from waiting
+
+
 # --- pictures out -----------------------------------------------------------------------------------------------------
 
 
@@ -328,7 +367,7 @@ class Sink(contextlib.ExitStack):
         self.path, self.size, self.rate_hz, self.prefix, self.whole = Path(target), size, rate_hz, prefix, whole
         suffix = self.path.suffix.lower()
         self._is_video = suffix in VIDEOS
-        self._is_picture = bool(suffix) and not self._is_video
+        self._is_picture = bool(suffix) and not self._is_video and not self.path.is_dir()
         self._count = 0
         if self._is_picture and not single:
             raise ValueError(f"{target} is one picture; several need a folder or a video")
@@ -346,14 +385,13 @@ class Sink(contextlib.ExitStack):
         Raises:
             MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written.
         """
-        import cv2
-
         self._count += 1
-        image = swapped(image)
         if self._is_video:
+            import cv2
+
             if image.dtype == np.uint16:
                 image = (image >> 8).astype(np.uint8)
-            colour = image[:, :, :3] if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+            colour = swapped(image)[:, :, :3] if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
             self._video.write(np.ascontiguousarray(colour))
             return
         path = self.path
@@ -365,12 +403,10 @@ class Sink(contextlib.ExitStack):
         elif self._count > 1:
             raise MediaError(f"{self.path} is one picture; this source has several")
         try:
-            coded, content = cv2.imencode(path.suffix, image)
-        except cv2.error:
-            coded = False
-        if not coded:
-            raise MediaError(f"{path}: pictures of this kind cannot be written")
-        write_bytes(path, content.tobytes())
+            content = encode_picture(image, path.suffix)
+        except MediaError as error:
+            raise MediaError(f"{path}: {error}") from None
+        write_bytes(path, content)
 
 
 @contextlib.contextmanager

@@ -170,6 +170,29 @@ def decode_picture(content: bytes) -> np.ndarray | None:
     return None if image is None else swapped(image)
 
 
+def encode_picture(image: np.ndarray, suffix: str) -> bytes:
+    """Encode a picture in the format of an extension, such as ".png" or ".jpg".
+
+    Args:
+        image: (height, width[, 3 RGB or 4 RGBA]) uint8 or uint16.
+        suffix: the extension, with its dot.
+
+    Raises:
+        MediaError: there is no such format, or it does not take such a picture.
+    """
+    if suffix.lower() == ".png" and (image.dtype.name, image.shape[2] if image.ndim == 3 else 1) in _PNG_KINDS:
+        return encode_png(image)
+    import cv2
+
+    try:
+        coded, content = cv2.imencode(suffix, swapped(image))
+    except cv2.error:
+        coded = False
+    if not coded:
+        raise MediaError(f"pictures of {_described(image)} cannot be written as {suffix!r}")
+    return content.tobytes()
+
+
 def swapped(image: np.ndarray) -> np.ndarray:
     """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
     import cv2
