@@ -16,8 +16,6 @@ from avcli.detection.settings import Settings
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from avcli.detection.body import Person
     from avcli.detection.detector import Detector
     from avcli.detection.view import View
@@ -98,17 +96,9 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
             "which --detector depth needs"
         )
 
-    def background() -> np.ndarray:
-        return media.read_depth(session.media_root / str(path))
-
+    empty = partial(media.read_depth, session.media_root / path) if path else None
     try:
-        detector = Detector(
-            session.config,
-            background=background if path else None,
-            model=model,
-            settings=settings,
-            timing=session.timing,
-        )
+        detector = Detector(session.config, background=empty, model=model, settings=settings, timing=session.timing)
     except media.MediaError as error:
         session.usage(str(error))
     network = detector.network
@@ -126,10 +116,9 @@ def _people(session: filter.Session, detector: Detector, shot: footage.UnreadSho
     try:
         return detector.look(shot.rgb, shot.depth)
     except MediaError as error:
-        located = MediaError(f"t = {shot.timestamp:.4f} s: {error}")
         if not session.skip_invalid:
-            raise located from None
-        session.warn(f"skipped: {located}", kind="a frame that cannot be read was skipped")
+            session.fail(f"t = {shot.timestamp:.4f} s: {error}")
+        session.warn(f"skipped: t = {shot.timestamp:.4f} s: {error}", kind="a frame that cannot be read was skipped")
         return None
 
 
@@ -177,7 +166,7 @@ def _shots(
     session: filter.Session, files: tuple[str, ...], rate: float | None, *, depth: bool
 ) -> Iterator[footage.UnreadShot]:
     """Yield the time steps of all files: picture files, one video or camera, or else frame records."""
-    from avcli.formats import footage
+    from avcli.formats import footage, media, records
 
     try:
         sources = footage.sources(files or ("-",))
@@ -196,18 +185,11 @@ def _shots(
         yield from _picture_shots(session, still, rate, depth=depth)
     else:
         refuse_without_effect(["rate"], "on frame records, which have their own times")
-        yield from _record_shots(session, files)
-
-
-def _record_shots(session: filter.Session, files: tuple[str, ...]) -> Iterator[footage.UnreadShot]:
-    from avcli.formats import media, records
-    from avcli.formats.footage import UnreadShot
-
-    root = session.media_root
-    for frame in session.records(files, lambda record, _bad: records.frame(record)):
-        if frame is not None:
-            depth = partial(media.read_depth, root / frame.depth) if frame.depth else None
-            yield UnreadShot(frame.timestamp, partial(media.read_rgb, root / frame.rgb), depth)
+        root = session.media_root
+        for frame in session.records(files, lambda record, _bad: records.frame(record)):
+            if frame is not None:
+                distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
+                yield footage.UnreadShot(frame.timestamp, partial(media.read_rgb, root / frame.rgb), distance)
 
 
 def _picture_shots(
