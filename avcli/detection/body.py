@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.detection.fitted import AXIS, AxisLaw
 from avcli.detection.view import View
 
 FLOOR_M = 0.25
@@ -33,6 +34,7 @@ class Person:
         bbox_px: (4,) [x0, y0, x1, y1] px in the full picture.
         height: m, None where the top of the head is not seen.
         method: "depth" or "monocular": what the position was measured by.
+        visible: visible fraction of the body, None where it is not known.
     """
 
     position: np.ndarray
@@ -41,6 +43,7 @@ class Person:
     bbox_px: np.ndarray
     height: float | None
     method: str
+    visible: float | None = None
 
 
 def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,12 +106,21 @@ def locate(
         observed = np.average(points[near, :2], axis=0, weights=weights[near])
         offset, fraction = _visible_offset(centre, points[near, 2].max(), view, depth)
         centre = observed - offset
-    direction = centre - view.origin[:2]
-    direction = direction / max(np.linalg.norm(direction), 1e-9)
+    return centre, axis_covariance(centre - view.origin[:2], fraction), fraction
+
+
+def axis_covariance(away: np.ndarray, fraction: float, law: AxisLaw = AXIS) -> np.ndarray:
+    """Covariance (2, 2), m², of the axis (x, y) of a body that a depth picture shows.
+
+    Args:
+        away: (2,) from the camera to the axis, on the floor.
+        fraction: visible fraction of the body.
+        law: the fitted standard deviations.
+    """
+    direction = away / max(float(np.linalg.norm(away)), 1e-9)
     hidden = (1 - fraction) ** 2
-    radial, tangential = 0.035**2 + 0.07**2 * hidden, 0.03**2 + 0.07**2 * hidden  # fitted to renders of random scenes
-    covariance = tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
-    return centre, covariance, fraction
+    radial, tangential = law.radial_m**2 + law.hidden_m**2 * hidden, law.tangential_m**2 + law.hidden_m**2 * hidden
+    return tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
 
 
 def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarray) -> tuple[np.ndarray, float]:

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, locate
+from avcli.detection.fitted import SCORE
 from avcli.detection.monocular import HEIGHT_M, locate_box
 from avcli.detection.network import Boxes
 from avcli.detection.view import View
@@ -69,7 +70,7 @@ class DepthDetector:
             surface = body.surface.sum()
             if surface < self.min_surface:
                 continue
-            person = self._person(body, depth, float(surface / (surface + 0.01)))
+            person = self._person(body, depth, float(surface / (surface + SCORE.surface_m2)))
             if person and not (body.points[:, 2].max() < self.min_height and self._free_above(person, depth)):
                 people.append(person)
         return people
@@ -87,7 +88,7 @@ class DepthDetector:
         if not len(found):
             return []
 
-        def by_box(index: int) -> tuple | None:
+        def by_box(index: int) -> tuple[np.ndarray, np.ndarray, float] | None:
             return locate_box(found.boxes[index], self.view, None if found.parts is None else found.parts[index])
 
         bodies, empty = [], np.zeros(len(found), bool)
@@ -106,7 +107,7 @@ class DepthDetector:
         for index in range(len(found)):
             chosen = self._choose([bodies[k] for k in free], inside[index], partial(by_box, index)) if bodies else None
             person = None
-            if chosen is not None:
+            if chosen is not None and depth is not None:
                 body = bodies[free.pop(chosen)]
                 person = self._person(body, depth, float(found.scores[index]))
             elif not empty[index] and (guess := by_box(index)) is not None:
@@ -139,7 +140,7 @@ class DepthDetector:
             for index in amounts:
                 away = np.average(bodies[index].points[:, :2], axis=0, weights=bodies[index].surface) - guess[0]
                 amounts[index] *= np.exp(-0.5 * (away @ away) / 0.4**2)
-        return max(amounts, key=amounts.get) if amounts else None
+        return max(amounts, key=lambda index: amounts[index]) if amounts else None
 
     def _free_above(self, person: Person, depth: np.ndarray) -> bool:
         """Whether the camera sees through the place where the body of someone who stands there would be."""
@@ -159,7 +160,7 @@ class DepthDetector:
         found = locate(body.points, body.surface, self.view, depth)
         if found is None:
             return None
-        centre, covariance, _ = found
+        centre, covariance, fraction = found
         box = np.array([body.columns.min(), body.rows.min(), body.columns.max() + 1, body.rows.max() + 1])
         return Person(
             position=np.array([*centre, MID_BODY_M]),
@@ -168,6 +169,7 @@ class DepthDetector:
             bbox_px=np.minimum(box * float(self.view.stride), [*self.view.size, *self.view.size]),
             height=self._height(body, centre),
             method="depth",
+            visible=fraction,
         )
 
     def _height(self, body: _Body, centre: np.ndarray) -> float | None:
@@ -244,15 +246,15 @@ def separate(points: np.ndarray, surface: np.ndarray) -> list[np.ndarray]:
     window = 2 * int(APART_M / 2 / CELL_M) + 1
     peaks = np.argwhere((plan == cv2.dilate(plan, np.ones((window, window), np.uint8))) & (plan > 1e-4))
     peaks = peaks[np.argsort(-plan[tuple(peaks.T)], kind="stable")]
-    kept = []
+    kept: list[np.ndarray] = []
     for peak in peaks:
         if all(_divided(plan, peak, other) for other in kept):
             kept.append(peak)
     if not kept:
         return []
-    kept = np.array(sorted(map(tuple, kept)))
-    nearest = ((cells[:, None, :] - kept[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
-    nearest = _with_their_limbs(nearest, kept, points[:, 2], surface)
+    centres = np.array(sorted(map(tuple, kept)))
+    nearest = ((cells[:, None, :] - centres[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
+    nearest = _with_their_limbs(nearest, centres, points[:, 2], surface)
     return [np.flatnonzero(nearest == index) for index in np.unique(nearest)]
 
 
@@ -274,4 +276,4 @@ def _divided(plan: np.ndarray, peak: np.ndarray, other: np.ndarray) -> bool:
     between = np.rint(peak + steps * (other - peak)).astype(int)
     distance = np.linalg.norm(peak - other) * CELL_M
     lowest = plan[tuple(between.T)].min()
-    return distance >= APART_M and lowest < 0.75 * plan[tuple(peak)]
+    return bool(distance >= APART_M and lowest < 0.75 * plan[tuple(peak)])

@@ -19,7 +19,8 @@ class Gate:
 
     def __init__(self, refresh: int = 10, coarseness: int = 3):
         self.refresh, self.coarseness = refresh, coarseness
-        self._last, self._since = None, 0
+        self._last: np.ndarray | None = None
+        self._since = 0
 
     def changes(self, picture: np.ndarray) -> np.ndarray:
         """Tell where to look at a picture (height, width, 3) uint8, and remember what is there.
@@ -37,26 +38,27 @@ class Gate:
         if self._last is None or self._last.shape != small.shape or self._since >= self.refresh:
             self._last, self._since = small, 0
             return np.array([[0, 0, width, height]])
-        regions = self._moved(small)
+        regions = _moved(small, self._last)
         for x0, y0, x1, y1 in regions:
             self._last[y0:y1, x0:x1] = small[y0:y1, x0:x1]
         return np.minimum(regions * self.coarseness, [width, height, width, height])
 
-    def _moved(self, small: np.ndarray) -> np.ndarray:
-        """Bounding boxes (n, 4) px of the groups of tiles that stand out, a tile wider on each side."""
-        import cv2
 
-        height, width = small.shape[:2]
-        rows, columns = max(height // TILE_PX, 1), max(width // TILE_PX, 1)
-        difference = cv2.resize(cv2.absdiff(small, self._last), (4 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
-        levels = cv2.resize(difference.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA).mean(axis=2)
-        noise = np.median(levels)
-        spread = 1.4826 * np.median(np.abs(levels - noise))
-        moved = levels > noise + 6 * spread + 1.0
-        if not moved.any():
-            return np.empty((0, 4), int)
-        wide = cv2.dilate(moved.astype(np.uint8), np.ones((3, 3), np.uint8))
-        boxes = cv2.connectedComponentsWithStats(wide)[2][1:]  # left, top, width, height, area; the first is the rest
-        corners = np.column_stack([boxes[:, :2], boxes[:, :2] + boxes[:, 2:4]])
-        tile = np.array([width / columns, height / rows] * 2)
-        return np.rint(corners * tile).astype(int)
+def _moved(small: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Bounding boxes (n, 4) px of the groups of tiles that stand out, a tile wider on each side."""
+    import cv2
+
+    height, width = small.shape[:2]
+    rows, columns = max(height // TILE_PX, 1), max(width // TILE_PX, 1)
+    difference = cv2.resize(cv2.absdiff(small, last), (4 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
+    levels = cv2.resize(difference.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA).mean(axis=2)
+    noise = np.median(levels)
+    spread = 1.4826 * np.median(np.abs(levels - noise))
+    moved = levels > noise + 6 * spread + 1.0
+    if not moved.any():
+        return np.empty((0, 4), int)
+    wide = cv2.dilate(moved.astype(np.uint8), np.ones((3, 3), np.uint8))
+    boxes = cv2.connectedComponentsWithStats(wide)[2][1:]  # left, top, width, height, area; the first is the rest
+    corners = np.column_stack([boxes[:, :2], boxes[:, :2] + boxes[:, 2:4]])
+    tile = np.array([width / columns, height / rows] * 2)
+    return np.rint(corners * tile).astype(int)

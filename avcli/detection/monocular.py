@@ -8,6 +8,7 @@ along the ray, short across it.
 
 import numpy as np
 
+from avcli.detection.fitted import BOX, BoxLaw
 from avcli.detection.view import View
 
 HEIGHT_M, HEIGHT_SPREAD_M = 1.70, 0.12
@@ -30,7 +31,7 @@ _OUTLINE = np.concatenate(  # a body of height 1: parts of the height, with the 
 
 
 def locate_box(
-    box: np.ndarray, view: View, parts: np.ndarray | None = None
+    box: np.ndarray, view: View, parts: np.ndarray | None = None, law: BoxLaw = BOX
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Find where the person stands whose picture fills a box.
 
@@ -38,6 +39,7 @@ def locate_box(
         box: (4,) [x0, y0, x1, y1] px, corner-based; may reach over the picture's border.
         view: the camera.
         parts: (3, 2) px of torso, head and foot, if they are known.
+        law: the fitted errors of boxes and of positions by them.
 
     Returns:
         (x, y) m; covariance (2, 2) m²; and the height, m. None where the lens sees nothing there, the ray does not meet
@@ -51,7 +53,7 @@ def locate_box(
     fits = []
     for z in (0.9, 0.3) if cut else (0.9,):  # of somebody whom the border cuts only the legs may be seen
         start = _on_plane(middle, view, z)
-        fit = None if start is None else _fit(np.array([*start, HEIGHT_M]), measured, view)
+        fit = None if start is None else _fit(np.array([*start, HEIGHT_M]), measured, view, law)
         if fit is not None:
             fits.append(fit)
     if not fits:
@@ -63,7 +65,9 @@ def locate_box(
     return state[:2], covariance, float(state[2])
 
 
-def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, float] | None:
+def _fit(
+    state: np.ndarray, measured: np.ndarray, view: View, law: BoxLaw
+) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Fit x, y and height (3,) to the measured box (4,) or box and parts (10,) px by Gauss and Newton's method.
 
     Returns the state, the covariance (2, 2) of x and y, and the cost; None where the fit leaves the lens or the room.
@@ -73,8 +77,8 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
     if predicted is None:
         return None
     extent = np.sqrt(max((predicted[2:4] - predicted[:2]).prod(), 1.0))
-    spread = np.full(len(measured), 0.10 * extent + 1.0)
-    spread[4:] *= 0.75
+    spread = np.full(len(measured), law.side * extent + 1.0)
+    spread[4:] *= law.part
     mean, prior = np.array([0.0, 0.0, HEIGHT_M]), np.diag([0.0, 0.0, HEIGHT_SPREAD_M**-2])
     for _ in range(8):
         predicted = _predict(state, view, parts)
@@ -91,7 +95,7 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
         weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
         information = jacobian.T @ (weights[:, None] * jacobian) + prior + np.eye(3)
         step = np.linalg.solve(information, jacobian.T @ (weights * error) + prior @ (mean - state))
-        step *= min(1.0, 0.3 / max(np.abs(step).max(), 1e-12))
+        step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         state = state + step
         if np.abs(step).max() < 1e-3:
             break
@@ -103,8 +107,8 @@ def _fit(state: np.ndarray, measured: np.ndarray, view: View) -> tuple[np.ndarra
     in_place = parts and np.sqrt(np.mean(error[4:] ** 2)) < 0.1 * side
     if _shared(predicted[:4], measured[:4]) < (0.4 if in_place else 0.5):
         return None
-    surplus = max(cost / max(np.count_nonzero(told) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
-    covariance = 1.4 * surplus * np.linalg.inv(information)[:2, :2] + 0.03**2 * np.eye(2)  # 1.4: people sit and bend
+    surplus = max(cost / max(int(told.sum()) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
+    covariance = law.spread * surplus * np.linalg.inv(information)[:2, :2] + law.floor_m**2 * np.eye(2)
     return state, (covariance + covariance.T) / 2, cost
 
 

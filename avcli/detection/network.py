@@ -2,8 +2,12 @@
 
 import ast
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import onnxruntime
 
 PAD = 114
 """Grey level around a letterboxed picture, as ultralytics and YOLOX pad."""
@@ -121,7 +125,8 @@ class Network:
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size)
         self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
-        self._maps, self._shape = None, None
+        self._maps: np.ndarray | None = None
+        self._shape: tuple | None = None
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
         self.head = find_head([output.shape for output in outputs], self.size, self.names, self.metadata)
 
@@ -149,27 +154,28 @@ class Network:
 
     def _maps_of(self, image: np.ndarray, shape: tuple, fit: Letterbox, regions: np.ndarray | None) -> np.ndarray:
         """The maps (1, 11, h, w) of an input, of which only what the regions reach is computed anew."""
-        known = self._maps is not None and self._shape == shape and regions is not None and self._open
-        cores = [] if not known else _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size)
+        cores, maps = [], self._maps if self._shape == shape and regions is not None and self._open else None
+        if maps is not None and regions is not None:
+            cores = _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size)
         crops = [_wider(core, self.size) for core in cores]
-        if not known or sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in crops) > WHOLE * self.size[0] * self.size[1]:
+        if maps is None or sum(map(_area, crops)) > WHOLE * self.size[0] * self.size[1]:
             self._maps, self._shape = self._run(image, bgr=False)[0], shape
             return self._maps
-        stride = self.size[0] // self._maps.shape[3]
+        stride = self.size[0] // maps.shape[3]
         for core, (left, top, right, bottom) in zip(cores, crops, strict=True):
             new = self._run(np.ascontiguousarray(image[top:bottom, left:right]), bgr=False)[0]
             x0, y0, x1, y1 = (side // stride for side in core)
-            self._maps[:, :, y0:y1, x0:x1] = new[
+            maps[:, :, y0:y1, x0:x1] = new[
                 :, :, y0 - top // stride : y1 - top // stride, x0 - left // stride : x1 - left // stride
             ]
-        return self._maps
+        return maps
 
     def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
         if bgr:
             tensor = picture[:, :, ::-1].transpose(2, 0, 1).astype(self._type)
         else:
             tensor = picture.transpose(2, 0, 1).astype(self._type)
-            tensor *= self._type(1 / 255)
+            np.multiply(tensor, self._type(1 / 255), out=tensor)
         try:
             return self._session.run(None, {self._input.name: np.ascontiguousarray(tensor[None])})
         except Exception as error:  # onnxruntime raises RuntimeError's children of many names
@@ -228,7 +234,7 @@ def _area(box: list[int]) -> int:
     return (box[2] - box[0]) * (box[3] - box[1])
 
 
-def _open(model: bytes, threads: int):
+def _open(model: bytes, threads: int) -> "onnxruntime.InferenceSession":
     import onnxruntime
 
     if model.startswith(b"version https://git-lfs"):
@@ -252,7 +258,7 @@ def _first_line(error: Exception) -> str:
 def _names(text: str | None) -> list[str] | None:
     """Class names in the order of their index, from a model's metadata."""
     try:
-        value = ast.literal_eval(text)
+        value = ast.literal_eval(text or "")
         if isinstance(value, dict):
             value = [value[index] for index in range(len(value))]
         return [str(name).lower() for name in value]
@@ -341,9 +347,9 @@ def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confide
     keep = np.isfinite(boxes).all(axis=1) & (scores >= confidence) & np.isfinite(scores)
     if parts is not None:
         keep &= np.isfinite(parts).all(axis=(1, 2))
-    keep = np.flatnonzero(keep)
-    keep = keep[np.argsort(-scores[keep], kind="stable")]
-    return boxes[keep], np.clip(scores[keep], 0.0, 1.0), None if parts is None else parts[keep]
+    kept = np.flatnonzero(keep)
+    kept = kept[np.argsort(-scores[kept], kind="stable")]
+    return boxes[kept], np.clip(scores[kept], 0.0, 1.0), None if parts is None else parts[kept]
 
 
 def _from_grid(centre: np.ndarray, extent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -356,9 +362,9 @@ def _from_grid(centre: np.ndarray, extent: np.ndarray, size: tuple[int, int]) ->
         v, u = np.mgrid[: size[1] // stride, : size[0] // stride]
         cells.append(np.stack([u.ravel(), v.ravel()], axis=1))
         strides.append(np.full(u.size, stride))
-    strides = np.concatenate(strides)[:, None]
+    scale = np.concatenate(strides)[:, None]
     with np.errstate(over="ignore"):
-        return (centre + np.concatenate(cells)) * strides, np.exp(extent) * strides
+        return (centre + np.concatenate(cells)) * scale, np.exp(extent) * scale
 
 
 def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -> tuple:
@@ -384,7 +390,7 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
     """
     order = np.argsort(-scores, kind="stable")
     area = np.maximum(boxes[:, 2:] - boxes[:, :2], 0).prod(axis=1)
-    kept = []
+    kept: list[int] = []
     while order.size and len(kept) < MOST:
         best, order = order[0], order[1:]
         kept.append(best)
