@@ -30,10 +30,10 @@ class View:
     def __init__(
         self, lens: Lens, T_room_camera: np.ndarray, size: tuple[int, int], theta_max: float = np.pi, stride: int = 4
     ):
-        self.lens, self.size, self.stride = lens, size, stride
+        self.lens, self.size, self.stride, self.theta_max = lens, size, stride, min(theta_max, np.pi)
         T_room_camera = np.asarray(T_room_camera, float)
         self.rotation, self.origin = T_room_camera[:3, :3], T_room_camera[:3, 3]
-        self._cos_max = np.cos(min(theta_max, np.pi)) - 1e-12
+        self._cos_max = np.cos(self.theta_max) - 1e-12
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project points (n, 3), m in the room, to pixels (n, 2); NaN where the lens cannot see them."""

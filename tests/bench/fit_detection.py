@@ -1,0 +1,249 @@
+"""Fit the detector's numbers (avcli/detection/fitted.json) to renders of random scenes, and judge them on others.
+
+    make fit-detection [FIT_FLAGS="--scenes 200"]
+
+Scenes, looks, lenses, camera heights and furniture are random (examples/train-detector/renders.py), pictures
+1920 × 1080. Three laws are fitted, each by greatest likelihood: the errors of positions from depth ("axis"), those of
+boxes and of positions by boxes alone ("box"), and the score of what stands before the empty room ("score"). A law of
+fitted.json is replaced only where the new one is better on the scenes that nothing was fitted to. The file also says
+how well the network's own score is calibrated; examples/train-detector/export.py fits that one.
+"""
+
+import argparse
+import dataclasses
+import json
+import subprocess
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from bench_detection import GATE_M, Tally, scenes
+from judge import overlaps
+from renders import Shot
+from scipy.optimize import minimize
+
+from avcli import __version__
+from avcli.detection import fitted
+from avcli.detection.body import axis_covariance
+from avcli.detection.depth import DepthDetector
+from avcli.detection.fitted import AXIS, BOX, SCORE, AxisLaw, BoxLaw, ScoreLaw
+from avcli.detection.monocular import locate_box
+from avcli.detection.network import Boxes, Network
+from avcli.detection.view import View
+
+OUTLIERS, SPREAD_M2 = 0.01, 10.0
+"""Share of errors that no law explains (another person's box, a wrong fit), and the area, m², that they spread over."""
+
+BETTER = 0.01
+"""nats a sample by which a law must be better on other scenes to replace the one that stands."""
+
+
+@dataclasses.dataclass
+class Samples:
+    """What a number of scenes gives to fit to.
+
+    Attributes:
+        axis: of each position from depth: error (2,) m, from the camera (2,) m, visible fraction.
+        box: of each box that the network found: box (4,) px, parts (3, 2) px, camera, where the person stood (2,) m.
+        score: of each thing before the empty room: visible surface, m², and whether it was a person.
+        network: of each of the network's detections: score, and whether it was a person.
+    """
+
+    axis: list[tuple[np.ndarray, np.ndarray, float]] = dataclasses.field(default_factory=list)
+    box: list[tuple[np.ndarray, np.ndarray, View, np.ndarray]] = dataclasses.field(default_factory=list)
+    score: list[tuple[float, bool]] = dataclasses.field(default_factory=list)
+    network: list[tuple[float, bool]] = dataclasses.field(default_factory=list)
+
+
+def collect(count: int, frames: int, seed: int) -> Samples:
+    """Look at `frames` pictures of each of `count` random scenes."""
+    samples = Samples()
+    content = (resources.files("avcli.detection") / "people.onnx").read_bytes()
+    network = Network(content, confidence=0.02)
+    for drawn, view in scenes(count, frames, seed):
+        detector = DepthDetector(view, view.sampled(drawn[0].background))
+        tally = Tally("network")
+        for shot in drawn:
+            _add_depth(samples, shot, view, detector)
+            found = network.detect(shot.picture)
+            tally.rank(shot, found)
+            _add_boxes(samples, shot, view, found)
+        samples.network += zip(tally.scores, map(bool, tally.right), strict=True)
+    return samples
+
+
+def _add_depth(samples: Samples, shot: Shot, view: View, detector: DepthDetector) -> None:
+    taken: set[int] = set()
+    for person in sorted(detector.detect(view.sampled(shot.depth)), key=lambda one: -one.score):
+        away = np.linalg.norm(shot.places - person.position[:2], axis=1)
+        away[list(taken)] = np.inf
+        right = bool(len(away)) and bool(away.min() < GATE_M)
+        samples.score.append((SCORE.surface_m2 * person.score / (1 - person.score), right))
+        if right and person.visible is not None:
+            best = int(away.argmin())
+            taken.add(best)
+            place = person.position[:2]
+            samples.axis.append((place - shot.places[best], place - view.origin[:2], person.visible))
+
+
+def _add_boxes(samples: Samples, shot: Shot, view: View, found: Boxes) -> None:
+    taken: set[int] = set()
+    if found.parts is None or not len(shot.boxes):
+        return
+    for index in np.flatnonzero(found.scores >= 0.5):
+        overlap = overlaps(found.boxes[index], shot.boxes)
+        overlap[list(taken)] = 0.0
+        best = int(overlap.argmax())
+        if overlap[best] >= 0.5:
+            taken.add(best)
+            samples.box.append((found.boxes[index], found.parts[index], view, shot.places[best]))
+
+
+# --- losses, in nats a sample -----------------------------------------------------------------------------------------
+
+
+def surprise(errors: np.ndarray, covariances: np.ndarray) -> float:
+    """Mean negative log likelihood of errors (n, 2) m under covariances (n, 2, 2) m², a few outliers allowed."""
+    squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
+    density = np.exp(-squares / 2) / (2 * np.pi * np.sqrt(np.linalg.det(covariances)))
+    return float(-np.log((1 - OUTLIERS) * density + OUTLIERS / SPREAD_M2).mean())
+
+
+def axis_loss(law: AxisLaw, samples: list[tuple[np.ndarray, np.ndarray, float]]) -> float:
+    """Surprise of the positions from depth under a law."""
+    return surprise(
+        np.array([error for error, _, _ in samples]),
+        np.array([axis_covariance(away, visible, law) for _, away, visible in samples]),
+    )
+
+
+def box_loss(law: BoxLaw, samples: list[tuple[np.ndarray, np.ndarray, View, np.ndarray]]) -> float:
+    """Surprise of the positions by boxes alone, each with and without the parts; a failed fit costs most."""
+    errors, covariances = [], []
+    for box, parts, view, place in samples:
+        for known in (parts, None):
+            found = locate_box(box, view, known, law)
+            errors.append(np.full(2, 1e3) if found is None else found[0] - place)
+            covariances.append(np.eye(2) if found is None else found[1])
+    return surprise(np.array(errors), np.array(covariances))
+
+
+def score_loss(law: ScoreLaw, samples: list[tuple[float, bool]]) -> float:
+    """Log loss of the depth detector's score."""
+    surface, right = np.array([surface for surface, _ in samples]), np.array([right for _, right in samples])
+    return log_loss(surface / (surface + law.surface_m2), right)
+
+
+def log_loss(probability: np.ndarray, right: np.ndarray) -> float:
+    """Mean negative log of the probability (n,) of what turned out to be so (n,)."""
+    probability = np.clip(probability, 1e-6, 1 - 1e-6)
+    return float(-np.log(np.where(right, probability, 1 - probability)).mean())
+
+
+# --- the fit ----------------------------------------------------------------------------------------------------------
+
+LAWS: dict[str, tuple[Any, Callable[[Any, list], float]]] = {
+    "axis": (AXIS, axis_loss),
+    "box": (BOX, box_loss),
+    "score": (SCORE, score_loss),
+}
+
+
+def fit(start: Any, loss: Callable[[Any, list], float], samples: list, evaluations: int = 200) -> Any:
+    """Find the law of least loss, from the one that stands, over the logarithms of its numbers (Nelder and Mead)."""
+    kind = type(start)
+
+    def law(logarithms: np.ndarray) -> Any:
+        return kind(*np.exp(logarithms).tolist())
+
+    begin = np.log(dataclasses.astuple(start))
+    simplex = np.vstack([begin, begin + 0.3 * np.eye(len(begin))])
+    options: Any = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.01, "fatol": 1e-4}
+    found = minimize(lambda logarithms: loss(law(logarithms), samples), begin, method="Nelder-Mead", options=options)
+    return kind(*(float(f"{number:.3g}") for number in np.exp(found.x)))
+
+
+def report(fitted_to: Samples, others: Samples, evaluations: int) -> dict[str, dict[str, Any]]:
+    """Fit each law, judge it on other samples, and keep the better of it and the one that stands."""
+    out: dict[str, dict[str, Any]] = {"laws": {}, "losses": {}}
+    for name, (standing, loss) in LAWS.items():
+        mine, theirs = getattr(fitted_to, name), getattr(others, name)
+        new = fit(standing, loss, mine, evaluations)
+        before, after = loss(standing, theirs), loss(new, theirs)
+        kept = standing if after > before - BETTER else new
+        out["laws"][name] = dataclasses.asdict(kept)
+        out["losses"][name] = {
+            "samples": len(mine),
+            "refitted": dataclasses.asdict(new),
+            "replaced": kept is new,
+            "loss_before": round(loss(standing, mine), 4),
+            "loss_refitted": round(loss(new, mine), 4),
+            "other_samples": len(theirs),
+            "other_loss_before": round(before, 4),
+            "other_loss_refitted": round(after, 4),
+        }
+        print(name, json.dumps(out["losses"][name]), flush=True)
+    out["losses"]["network"] = calibration(others.network)
+    return out
+
+
+def calibration(samples: list[tuple[float, bool]]) -> dict[str, float]:
+    """How the network's score stands to how often it is right: log loss as it is, and with a new slope and shift."""
+    score, right = np.array([score for score, _ in samples]), np.array([right for _, right in samples])
+    logit = np.log(score / (1 - score))
+
+    def loss(law: np.ndarray) -> float:
+        return log_loss(1 / (1 + np.exp(-(law[0] * logit + law[1]))), right)
+
+    best = minimize(loss, [1.0, 0.0], method="Nelder-Mead").x
+    return {
+        "other_samples": len(samples),
+        "other_loss": round(log_loss(score, right), 4),
+        "best_loss": round(loss(best), 4),
+        "best_slope": round(float(best[0]), 3),
+        "best_shift": round(float(best[1]), 3),
+    }
+
+
+def commit() -> str | None:
+    """The commit that this runs on, None where there is no git."""
+    place = Path(__file__).parent
+    found = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=place, capture_output=True, text=True)
+    return found.stdout.strip() or None
+
+
+def main() -> None:
+    """Fit, judge, and write fitted.json."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path(fitted.__file__).with_name("fitted.json"))
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=4, help="frames of a scene")
+    parser.add_argument("--seed", type=int, default=710_000, help="of the scenes that are fitted to")
+    parser.add_argument("--other-seed", type=int, default=720_000, help="of the scenes that judge")
+    parser.add_argument("--evaluations", type=int, default=100, help="most evaluations of a law's loss")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    found = report(
+        collect(options.scenes, options.frames, options.seed),
+        collect(options.scenes, options.frames, options.other_seed),
+        options.evaluations,
+    )
+    origin = {
+        "command": "tests/bench/fit_detection.py",
+        "data": "renders of random scenes, examples/train-detector/renders.py, 1920 x 1080",
+        "scenes": options.scenes,
+        "frames": options.frames,
+        "seed": options.seed,
+        "other_seed": options.other_seed,
+        "version": __version__,
+        "commit": commit(),
+    }
+    text = json.dumps({**found["laws"], "fitted_on": {**origin, **found["losses"]}}, indent=2)
+    options.out.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()
