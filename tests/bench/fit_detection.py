@@ -156,13 +156,13 @@ def fit(start: Any, loss: Callable[[Any, list], float], samples: list, evaluatio
     """Find the law of least loss, from the one that stands, over the logarithms of its numbers (Nelder and Mead)."""
     kind = type(start)
 
-    def law(logarithms: np.ndarray) -> Any:
-        return kind(*np.exp(logarithms).tolist())
+    def cost(logarithms: np.ndarray) -> float:
+        return loss(kind(*np.exp(logarithms).tolist()), samples)
 
     begin = np.log(dataclasses.astuple(start))
-    simplex = np.vstack([begin, begin + 0.3 * np.eye(len(begin))])
-    options: Any = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.01, "fatol": 1e-4}
-    found = minimize(lambda logarithms: loss(law(logarithms), samples), begin, method="Nelder-Mead", options=options)
+    options: Any = {"maxfev": evaluations, "xatol": 0.01, "fatol": 1e-4}
+    options["initial_simplex"] = np.vstack([begin, begin + 0.3 * np.eye(len(begin))])
+    found = minimize(cost, begin, method="Nelder-Mead", options=options)
     return kind(*(float(f"{number:.3g}") for number in np.exp(found.x)))
 
 
