@@ -59,7 +59,7 @@ def detect(
         ModelError: `model` is not a person detector in ONNX.
         ValueError: the depth detector has no `background`.
 
-    A room of 4 × 4 × 2.5 m, and a body that is nothing but a post 1.7 m high:
+    Something 1.1 m below a camera that looks straight down, where the empty room is 2.5 m away:
 
     >>> import numpy as np
     >>> from avcli.formats.experiment import Config
@@ -73,7 +73,7 @@ def detect(
     >>> shot = Shot(0.0, None, depth)
     >>> found, = detect(Config({"camera_config": camera}), [shot], background=empty, detector="depth")
     >>> found.sensor, found.kind, found.positions.round(1).tolist()
-    ('video', 'camera', [[2.3, 2.0, 0.9]])
+    ('video', 'camera', [[2.3, 2.1, 0.9]])
     """
     detector = Detector(config, background=background, model=model, settings=Settings(**settings))
     for shot in shots:

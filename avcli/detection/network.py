@@ -26,7 +26,7 @@ PARTS = ("torso", "head", "foot")
 
 
 class ModelError(ValueError):
-    """A file that is no ONNX model, or one whose output is no person detection."""
+    """The file is not an ONNX model, or its output is not a person detection."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Network:
         threads: threads of the inference; more than one pays only on an idle machine.
 
     Raises:
-        ModelError: no ONNX file, or its output is none of the known detection heads.
+        ModelError: the file is not an ONNX model, or its output is none of the known detection heads.
     """
 
     def __init__(
@@ -238,7 +238,7 @@ def _open(model: bytes, threads: int) -> "onnxruntime.InferenceSession":
     import onnxruntime
 
     if model.startswith(b"version https://git-lfs"):
-        raise ModelError("a git-lfs pointer, not the model itself; fetch it with git lfs pull")
+        raise ModelError("a git-lfs pointer instead of the model; fetch the model with git lfs pull")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -248,7 +248,7 @@ def _open(model: bytes, threads: int) -> "onnxruntime.InferenceSession":
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     except Exception as error:
-        raise ModelError(f"no ONNX model that can be read: {_first_line(error)}") from None
+        raise ModelError(f"not an ONNX model that can be read: {_first_line(error)}") from None
 
 
 def _first_line(error: Exception) -> str:
@@ -283,14 +283,14 @@ def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | Non
     """Tell a detection head by the shape of its output, the input's size and the names of the classes.
 
     Raises:
-        ModelError: it is none of the known ones, or it has no class for people.
+        ModelError: the head is not known, or it has no class for people.
     """
     shape = tuple(shapes[0])
     found = ", ".join(str(list(item)) for item in shapes)
     if metadata.get("head") == "points":
         return Head("points", 0)
     if len(shape) != 3 or shape[0] != 1 or len(shapes) > 1:
-        raise ModelError(f"no detection head that is known: the outputs are {found}")
+        raise ModelError(f"not a known detection head: the outputs are {found}")
     anchors = sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32))
     columns = 4 + len(names) if names else None
     _, rows, width = shape
@@ -299,14 +299,14 @@ def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | Non
     transposed = width not in (anchors, 3 * anchors) and (rows in (anchors, 3 * anchors) or rows > width)
     count, fields = (rows, width) if transposed else (width, rows)
     if fields < 5 or (columns and fields not in (columns, columns + 1)):
-        raise ModelError(f"no detection head that is known: the outputs are {found}, the classes {len(names or ())}")
+        raise ModelError(f"not a known detection head: the outputs are {found}, the classes {len(names or ())}")
     plain = not transposed or (count == anchors and fields == 84)  # what is likely where no names tell the classes
     kind = "yolox" if count == anchors else "v5"
     if columns == fields or (columns is None and plain):
         kind = "v8"
     classes = fields - (4 if kind == "v8" else 5)
     if classes < 1:
-        raise ModelError(f"no detection head that is known: the outputs are {found}")
+        raise ModelError(f"not a known detection head: the outputs are {found}")
     return Head(kind, _person(names, classes), transposed)
 
 
@@ -316,7 +316,7 @@ def _person(names: list[str] | None, classes: int) -> int:
     for name in ("person", "people", "human", "pedestrian"):
         if name in names:
             return names.index(name)
-    raise ModelError(f"the model knows no class 'person', only {', '.join(names[:8])}{'…' if len(names) > 8 else ''}")
+    raise ModelError(f"the model has no class 'person', only {', '.join(names[:8])}{'…' if len(names) > 8 else ''}")
 
 
 def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confidence: float) -> tuple:
