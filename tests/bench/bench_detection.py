@@ -42,6 +42,7 @@ GATE_M = 1.0
 def scenes(count: int, frames: int, seed: int) -> Iterator[tuple[list[Shot], View]]:
     """Yield (shots, view at stride 4) of random scenes."""
     rng, context = np.random.default_rng(seed), render.open_context()
+    context.gc_mode = "auto"  # a scene's textures go with it
     while count:
         try:
             drawn = list(shots(rng, *SIZE, frames, context))

@@ -37,8 +37,12 @@ from avcli.detection.view import View
 OUTLIERS, SPREAD_M2 = 0.01, 10.0
 """Share of errors that no law explains (another person's box, a wrong fit), and the area, m², that they spread over."""
 
-BETTER = 0.01
-"""nats a sample by which a law must be better on other scenes to replace the one that stands."""
+SURE = 2.0
+"""A law replaces the one that stands if it is better on other scenes by more than so many standard errors."""
+
+
+AxisSample = tuple[np.ndarray, np.ndarray, float]
+BoxSample = tuple[np.ndarray, np.ndarray, View, np.ndarray]
 
 
 @dataclasses.dataclass
@@ -52,18 +56,19 @@ class Samples:
         network: of each of the network's detections: score, and whether it was a person.
     """
 
-    axis: list[tuple[np.ndarray, np.ndarray, float]] = dataclasses.field(default_factory=list)
-    box: list[tuple[np.ndarray, np.ndarray, View, np.ndarray]] = dataclasses.field(default_factory=list)
+    axis: list[AxisSample] = dataclasses.field(default_factory=list)
+    box: list[BoxSample] = dataclasses.field(default_factory=list)
     score: list[tuple[float, bool]] = dataclasses.field(default_factory=list)
     network: list[tuple[float, bool]] = dataclasses.field(default_factory=list)
 
 
-def collect(count: int, frames: int, seed: int) -> Samples:
-    """Look at `frames` pictures of each of `count` random scenes."""
-    samples = Samples()
+def collect(count: int, frames: int, seed: int) -> list[Samples]:
+    """Look at `frames` pictures of each of `count` random scenes: the samples of each."""
+    everything = []
     content = (resources.files("avcli.detection") / "people.onnx").read_bytes()
     network = Network(content, confidence=0.02)
     for drawn, view in scenes(count, frames, seed):
+        samples = Samples()
         detector = DepthDetector(view, view.sampled(drawn[0].background))
         tally = Tally("network")
         for shot in drawn:
@@ -72,7 +77,8 @@ def collect(count: int, frames: int, seed: int) -> Samples:
             tally.rank(shot, found)
             _add_boxes(samples, shot, view, found)
         samples.network += zip(tally.scores, map(bool, tally.right), strict=True)
-    return samples
+        everything.append(samples)
+    return everything
 
 
 def _add_depth(samples: Samples, shot: Shot, view: View, detector: DepthDetector) -> None:
@@ -105,89 +111,164 @@ def _add_boxes(samples: Samples, shot: Shot, view: View, found: Boxes) -> None:
 # --- losses, in nats a sample -----------------------------------------------------------------------------------------
 
 
-def surprise(errors: np.ndarray, covariances: np.ndarray) -> float:
-    """Mean negative log likelihood of errors (n, 2) m under covariances (n, 2, 2) m², a few outliers allowed."""
+def surprise(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Negative log likelihoods (n,) of errors (n, 2) m under covariances (n, 2, 2) m², a few outliers allowed."""
     squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
     density = np.exp(-squares / 2) / (2 * np.pi * np.sqrt(np.linalg.det(covariances)))
-    return float(-np.log((1 - OUTLIERS) * density + OUTLIERS / SPREAD_M2).mean())
+    return -np.log((1 - OUTLIERS) * density + OUTLIERS / SPREAD_M2)
 
 
-def axis_loss(law: AxisLaw, samples: list[tuple[np.ndarray, np.ndarray, float]]) -> float:
-    """Surprise of the positions from depth under a law."""
+def axis_loss(law: AxisLaw, samples: list[AxisSample]) -> np.ndarray:
+    """Surprises (n,) of the positions from depth under a law."""
     return surprise(
         np.array([error for error, _, _ in samples]),
         np.array([axis_covariance(away, visible, law) for _, away, visible in samples]),
     )
 
 
-def box_loss(law: BoxLaw, samples: list[tuple[np.ndarray, np.ndarray, View, np.ndarray]]) -> float:
-    """Surprise of the positions by boxes alone, each with and without the parts; a failed fit costs most."""
+def box_loss(law: BoxLaw, samples: list[BoxSample]) -> np.ndarray:
+    """Surprises (n,) of the positions by boxes alone, each the mean of those with and without the parts."""
+    return _placed_loss(law, *placed(law, samples))
+
+
+def placed(law: BoxLaw, samples: list[BoxSample]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (2 n, 2) m of the positions by boxes alone, and their covariances (2 n, 2, 2) m² before spread and floor.
+
+    Each box is placed with and without the parts. A fit that fails is an outlier.
+    """
     errors, covariances = [], []
+    bare = dataclasses.replace(law, spread=1.0, floor_m=0.0)
     for box, parts, view, place in samples:
         for known in (parts, None):
-            found = locate_box(box, view, known, law)
+            found = locate_box(box, view, known, bare)
             errors.append(np.full(2, 1e3) if found is None else found[0] - place)
             covariances.append(np.eye(2) if found is None else found[1])
-    return surprise(np.array(errors), np.array(covariances))
+    return np.array(errors), np.array(covariances)
 
 
-def score_loss(law: ScoreLaw, samples: list[tuple[float, bool]]) -> float:
-    """Log loss of the depth detector's score."""
+def _placed_loss(law: BoxLaw, errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    return surprise(errors, law.spread * covariances + law.floor_m**2 * np.eye(2)).reshape(-1, 2).mean(axis=1)
+
+
+def score_loss(law: ScoreLaw, samples: list[tuple[float, bool]]) -> np.ndarray:
+    """Log losses (n,) of the depth detector's score."""
     surface, right = np.array([surface for surface, _ in samples]), np.array([right for _, right in samples])
     return log_loss(surface / (surface + law.surface_m2), right)
 
 
-def log_loss(probability: np.ndarray, right: np.ndarray) -> float:
-    """Mean negative log of the probability (n,) of what turned out to be so (n,)."""
+def log_loss(probability: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Negative log of the probability (n,) of what turned out to be so (n,)."""
     probability = np.clip(probability, 1e-6, 1 - 1e-6)
-    return float(-np.log(np.where(right, probability, 1 - probability)).mean())
+    return -np.log(np.where(right, probability, 1 - probability))
 
 
 # --- the fit ----------------------------------------------------------------------------------------------------------
 
-LAWS: dict[str, tuple[Any, Callable[[Any, list], float]]] = {
-    "axis": (AXIS, axis_loss),
-    "box": (BOX, box_loss),
-    "score": (SCORE, score_loss),
-}
+Loss = Callable[[Any, list], np.ndarray]
+LAWS: dict[str, tuple[Any, Loss]] = {"axis": (AXIS, axis_loss), "box": (BOX, box_loss), "score": (SCORE, score_loss)}
 
 
-def fit(start: Any, loss: Callable[[Any, list], float], samples: list, evaluations: int = 200) -> Any:
-    """Find the law of least loss, from the one that stands, over the logarithms of its numbers (Nelder and Mead)."""
-    kind = type(start)
+def fit(standing: Any, loss: Loss, samples: list) -> Any:
+    """Find the law of least loss, from the one that stands; three figures of each number."""
+    if isinstance(standing, BoxLaw):
+        found = fit_box(standing, samples)
+    else:
+        found = _least(lambda law: float(loss(law, samples).mean()), standing, 200)[0]
+    return type(standing)(*(float(f"{number:.3g}") for number in dataclasses.astuple(found)))
 
-    def cost(logarithms: np.ndarray) -> float:
-        return loss(kind(*np.exp(logarithms).tolist()), samples)
 
-    begin = np.log(dataclasses.astuple(start))
+def fit_box(standing: BoxLaw, samples: list[BoxSample]) -> BoxLaw:
+    """Find the law of boxes: spread and floor anew for each trial of side and part, since they cost next to nothing."""
+    best: dict[float, BoxLaw] = {}
+
+    def cost(law: BoxLaw) -> float:
+        errors, covariances = placed(law, samples)
+        inner, least = _least(
+            lambda inner: float(_placed_loss(_with(law, inner), errors, covariances).mean()),
+            _Rest(standing.spread, standing.floor_m),
+            100,
+        )
+        best[least] = _with(law, inner)
+        return least
+
+    _least(cost, standing, 40, ("side", "part"))
+    return best[min(best)]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rest:
+    """The numbers of a BoxLaw that do not move the fit itself."""
+
+    spread: float
+    floor_m: float
+
+
+def _with(law: BoxLaw, rest: _Rest) -> BoxLaw:
+    return dataclasses.replace(law, spread=rest.spread, floor_m=rest.floor_m)
+
+
+def _least(
+    cost: Callable[[Any], float], start: Any, evaluations: int, names: tuple[str, ...] = ()
+) -> tuple[Any, float]:
+    """Minimize over the logarithms of a law's numbers, of all or those named (Nelder and Mead 1965): law and cost."""
+    names = names or tuple(field.name for field in dataclasses.fields(start))
+
+    def law(logarithms: np.ndarray) -> Any:
+        return dataclasses.replace(start, **dict(zip(names, np.exp(logarithms).tolist(), strict=True)))
+
+    def cost_of(logarithms: np.ndarray) -> float:
+        return cost(law(logarithms))
+
+    begin = np.log([getattr(start, name) for name in names])
     options: Any = {"maxfev": evaluations, "xatol": 0.01, "fatol": 1e-4}
     options["initial_simplex"] = np.vstack([begin, begin + 0.3 * np.eye(len(begin))])
-    found = minimize(cost, begin, method="Nelder-Mead", options=options)
-    return kind(*(float(f"{number:.3g}") for number in np.exp(found.x)))
+    found = minimize(cost_of, begin, method="Nelder-Mead", options=options)
+    return law(found.x), float(found.fun)
 
 
-def report(fitted_to: Samples, others: Samples, evaluations: int) -> dict[str, dict[str, Any]]:
-    """Fit each law, judge it on other samples, and keep the better of it and the one that stands."""
+def report(fitted_to: list[Samples], others: list[Samples]) -> dict[str, dict[str, Any]]:
+    """Fit each law, judge it on other scenes, and keep the better of it and the one that stands."""
     out: dict[str, dict[str, Any]] = {"laws": {}, "losses": {}}
     for name, (standing, loss) in LAWS.items():
-        mine, theirs = getattr(fitted_to, name), getattr(others, name)
-        new = fit(standing, loss, mine, evaluations)
-        before, after = loss(standing, theirs), loss(new, theirs)
-        kept = standing if after > before - BETTER else new
+        mine = joined(fitted_to, name)
+        new = fit(standing, loss, mine)
+        before, after = loss(standing, joined(others, name)), loss(new, joined(others, name))
+        gain, error = gained(before - after, [len(getattr(scene, name)) for scene in others])
+        kept = new if gain > SURE * error else standing
         out["laws"][name] = dataclasses.asdict(kept)
         out["losses"][name] = {
             "samples": len(mine),
             "refitted": dataclasses.asdict(new),
+            "loss_before": round(float(loss(standing, mine).mean()), 4),
+            "loss_refitted": round(float(loss(new, mine).mean()), 4),
+            "other_samples": len(before),
+            "other_loss_before": round(float(before.mean()), 4),
+            "other_loss_refitted": round(float(after.mean()), 4),
+            "gain": round(gain, 4),
+            "gain_standard_error": round(error, 4),
             "replaced": kept is new,
-            "loss_before": round(loss(standing, mine), 4),
-            "loss_refitted": round(loss(new, mine), 4),
-            "other_samples": len(theirs),
-            "other_loss_before": round(before, 4),
-            "other_loss_refitted": round(after, 4),
         }
         print(name, json.dumps(out["losses"][name]), flush=True)
-    out["losses"]["network"] = calibration(others.network)
+    out["losses"]["network"] = calibration(joined(others, "network"))
     return out
+
+
+def joined(scenes_of: list[Samples], name: str) -> list:
+    """The samples of a name of all scenes."""
+    return [sample for scene in scenes_of for sample in getattr(scene, name)]
+
+
+def gained(gains: np.ndarray, counts: list[int]) -> tuple[float, float]:
+    """Mean of the gains (n,) of all samples, and its standard error; the samples of one scene are not independent.
+
+    Args:
+        gains: in the order of the scenes.
+        counts: samples of each scene.
+    """
+    scene = np.repeat(np.arange(len(counts)), counts)
+    mean = float(gains.mean())
+    sums = np.bincount(scene, gains - mean, minlength=len(counts))
+    return mean, float(np.sqrt((sums**2).sum()) / len(gains))
 
 
 def calibration(samples: list[tuple[float, bool]]) -> dict[str, float]:
@@ -196,12 +277,12 @@ def calibration(samples: list[tuple[float, bool]]) -> dict[str, float]:
     logit = np.log(score / (1 - score))
 
     def loss(law: np.ndarray) -> float:
-        return log_loss(1 / (1 + np.exp(-(law[0] * logit + law[1]))), right)
+        return float(log_loss(1 / (1 + np.exp(-(law[0] * logit + law[1]))), right).mean())
 
     best = minimize(loss, [1.0, 0.0], method="Nelder-Mead").x
     return {
         "other_samples": len(samples),
-        "other_loss": round(log_loss(score, right), 4),
+        "other_loss": round(loss(np.array([1.0, 0.0])), 4),
         "best_loss": round(loss(best), 4),
         "best_slope": round(float(best[0]), 3),
         "best_shift": round(float(best[1]), 3),
@@ -213,8 +294,8 @@ def part(laws: dict[str, dict[str, float]], seed: int, scenes: int = 4, frames: 
     few = collect(scenes, frames, seed)
     out: dict[str, Any] = {"scenes": scenes, "frames": frames}
     for name, (standing, loss) in LAWS.items():
-        samples = getattr(few, name)
-        out[name] = {"samples": len(samples), "loss": round(loss(type(standing)(**laws[name]), samples), 4)}
+        losses = loss(type(standing)(**laws[name]), joined(few, name))
+        out[name] = {"samples": len(losses), "loss": round(float(losses.mean()), 4)}
     return out
 
 
@@ -233,13 +314,11 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=4, help="frames of a scene")
     parser.add_argument("--seed", type=int, default=710_000, help="of the scenes that are fitted to")
     parser.add_argument("--other-seed", type=int, default=720_000, help="of the scenes that judge")
-    parser.add_argument("--evaluations", type=int, default=100, help="most evaluations of a law's loss")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     found = report(
         collect(options.scenes, options.frames, options.seed),
         collect(options.scenes, options.frames, options.other_seed),
-        options.evaluations,
     )
     origin: dict[str, Any] = {
         "command": "tests/bench/fit_detection.py",
