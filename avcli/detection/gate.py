@@ -1,4 +1,4 @@
-"""Where a picture differs from what was last looked at, in spite of the sensor's noise."""
+"""The parts of a picture that changed since the network last looked at them, by more than the sensor's noise."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ TILE_PX = 16
 
 
 class Gate:
-    """Compares pictures tile by tile with what was let through before.
+    """Compares pictures tile by tile with what passed before.
 
-    The level of a tile is its mean absolute difference. Most tiles show nothing that moves: their median is the noise,
-    and what stands out from it is change. Each part of the picture is compared with its own state when it was last let
-    through, so that slow motion adds up.
+    The level of a tile is its mean absolute difference. Most tiles show no motion, so their median is the noise, and a
+    tile far above it has changed. Each tile is compared with its own state when it last passed, so that slow motion
+    adds up.
 
     Args:
-        refresh: every `refresh`-th picture is let through whole, changed or not; 1 lets all through.
+        refresh: every `refresh`-th picture passes whole, changed or not; 1: all pictures do.
         coarseness: px between the pixels that are compared.
     """
 
@@ -23,11 +23,11 @@ class Gate:
         self._since = 0
 
     def changes(self, picture: np.ndarray) -> np.ndarray:
-        """Tell where to look at a picture (height, width, 3) uint8, and remember what is there.
+        """Find the changed parts of a picture (height, width, 3) uint8, and remember their new state.
 
         Returns:
-            (n, 4) [x0, y0, x1, y1] px: rectangles that hold all that changed; none if nothing did, the whole picture if
-            it is the first one of its size or its turn has come.
+            (n, 4) [x0, y0, x1, y1] px: rectangles that contain all changes. The whole picture if it is the first one of
+            its size, or every `refresh`-th.
         """
         import cv2
 
@@ -45,7 +45,7 @@ class Gate:
 
 
 def _moved(small: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Bounding boxes (n, 4) px of the groups of tiles that stand out, a tile wider on each side."""
+    """Bounding boxes (n, 4) px of the groups of changed tiles, a tile wider on each side."""
     import cv2
 
     height, width = small.shape[:2]

@@ -16,11 +16,11 @@ MOST = 300
 """Most people reported in one picture."""
 
 REACH_PX, CONTEXT_PX = 16, 96
-"""px of the network's input: how far around a changed region what is found may change; and around that, what is looked
-at with it."""
+"""px of the network's input: a change reaches the network's output up to this far around it; and the context that the
+network needs around that."""
 
 WHOLE = 0.6
-"""Share of the input from which on it is cheaper to look at all of it."""
+"""Share of the input above which it is cheaper to look at all of it."""
 
 PARTS = ("torso", "head", "foot")
 
@@ -36,7 +36,7 @@ class Boxes:
     Attributes:
         boxes: (n, 4) [x0, y0, x1, y1] px of the picture; may reach over its border.
         scores: (n,) from 0 to 1, in falling order.
-        parts: (n, 3, 2) px of torso, head and foot, None where the network does not tell them.
+        parts: (n, 3, 2) px of torso, head and foot; None if the network does not give them.
     """
 
     boxes: np.ndarray
@@ -136,8 +136,8 @@ class Network:
         Args:
             picture: (height, width, 3) uint8 RGB.
             regions: (n, 4) [x0, y0, x1, y1] px that hold all that has changed since the last call, if it was of a
-                picture of this size; None: anything may have. A network of this project then looks at them and a margin
-                only, and says of the rest what it said before; a YOLO export looks at all.
+                picture of this size; None: the whole picture. A network of this project then looks at them and a margin
+                only, and repeats what it found in the rest. A YOLO export looks at the whole picture.
         """
         yolox = self.head.kind == "yolox"
         fit = Letterbox.fit((picture.shape[1], picture.shape[0]), self.size, centred=not yolox)
@@ -280,7 +280,7 @@ class Head:
 
 
 def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | None, metadata: dict) -> Head:
-    """Tell a detection head by the shape of its output, the input's size and the names of the classes.
+    """Recognize a detection head by the shape of its output, the input's size and the names of the classes.
 
     Raises:
         ModelError: the head is not known, or it has no class for people.
