@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from avcli.settings import setting
+from avcli.settings import check, setting
 
 
 @dataclass(frozen=True)
@@ -61,3 +61,6 @@ class Settings:
         most=64,
         only="net",
     )
+
+    def __post_init__(self) -> None:
+        check(self)
