@@ -285,29 +285,33 @@ def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | Non
     Raises:
         ModelError: the head is not known, or it has no class for people.
     """
-    shape = tuple(shapes[0])
-    found = ", ".join(str(list(item)) for item in shapes)
     if metadata.get("head") == "points":
         return Head("points", 0)
-    if len(shape) != 3 or shape[0] != 1 or len(shapes) > 1:
-        raise ModelError(f"not a known detection head: the outputs are {found}")
-    anchors = sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32))
-    columns = 4 + len(names) if names else None
-    _, rows, width = shape
-    if width == 6 and rows <= 1000 and rows not in (anchors, 3 * anchors):
-        return Head("end2end", _person(names, len(names or ()) or 80))
-    transposed = width not in (anchors, 3 * anchors) and (rows in (anchors, 3 * anchors) or rows > width)
-    count, fields = (rows, width) if transposed else (width, rows)
-    if fields < 5 or (columns and fields not in (columns, columns + 1)):
+    head, shape = None, tuple(shapes[0])
+    if len(shapes) == 1 and len(shape) == 3 and shape[0] == 1:
+        head = _yolo_head(*shape[1:], sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32)), names)
+    if head is None:
+        found = ", ".join(str(list(item)) for item in shapes)
         raise ModelError(f"not a known detection head: the outputs are {found}, the classes {len(names or ())}")
-    plain = not transposed or (count == anchors and fields == 84)  # what is likely where no names tell the classes
-    kind = "yolox" if count == anchors else "v5"
-    if columns == fields or (columns is None and plain):
-        kind = "v8"
-    classes = fields - (4 if kind == "v8" else 5)
-    if classes < 1:
-        raise ModelError(f"not a known detection head: the outputs are {found}")
-    return Head(kind, _person(names, classes), transposed)
+    return head
+
+
+def _yolo_head(rows: int, width: int, anchors: int, names: list[str] | None) -> Head | None:
+    """Recognize a YOLO head by its rows and columns, and by the number of places that the input's size gives."""
+    grids = anchors, 3 * anchors
+    if width == 6 and rows <= 1000 and rows not in grids:
+        return Head("end2end", _person(names, len(names or ()) or 80))
+    transposed = width not in grids and (rows in grids or rows > width)
+    count, fields = (rows, width) if transposed else (width, rows)
+    if names:
+        if fields not in (4 + len(names), 5 + len(names)):
+            return None
+        boxes_only = fields == 4 + len(names)
+    else:
+        boxes_only = not transposed or (count == anchors and fields == 84)  # the likely layout
+    kind = "v8" if boxes_only else "yolox" if count == anchors else "v5"
+    classes = fields - (4 if boxes_only else 5)
+    return Head(kind, _person(names, classes), transposed) if classes >= 1 else None
 
 
 def _person(names: list[str] | None, classes: int) -> int:
