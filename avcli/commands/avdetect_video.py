@@ -123,6 +123,9 @@ def _people(session: filter.Session, detector: Detector, shot: footage.UnreadSho
 
 
 def _record(timestamp: float, people: list[Person]) -> dict[str, Any]:
+    from avcli.detection.detector import SENSOR
+    from avcli.formats.sensors import CAMERA
+
     objects = [
         {
             "position": person.position,
@@ -133,7 +136,7 @@ def _record(timestamp: float, people: list[Person]) -> dict[str, Any]:
         }
         for person in people
     ]
-    return {"timestamp": timestamp, "sensor": "video", "kind": "camera", "objects": objects}
+    return {"timestamp": timestamp, "sensor": SENSOR, "kind": CAMERA, "objects": objects}
 
 
 def _sink(session: filter.Session, target: str, size: tuple[int, int]) -> footage.Sink:

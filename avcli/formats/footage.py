@@ -39,8 +39,8 @@ class Picture:
     """One picture.
 
     Attributes:
-        name: what to call it in a message.
-        timestamp: s; of single pictures their number.
+        name: its name in messages.
+        timestamp: s; the number of a picture file.
         image: (height, width[, 3 RGB or 4 RGBA]) uint8 or uint16, as the sensor saw it: a note on which way is up
             (EXIF, a video's rotation) is not followed, since a lens does not turn with it.
     """
@@ -162,8 +162,8 @@ def pictures(
 
     Args:
         names: picture files, folders of them, videos (or "frame_%03d.png"), cameras, or "-" for JPEGs on `stream`.
-        rate_hz: how many a second to take from a video or a camera; None takes all.
-        stream: what "-" means; None: standard input.
+        rate_hz: pictures per second to take from a video or a camera; None: all.
+        stream: is read for "-"; None: standard input.
         size: width and height in px to ask of a camera.
 
     Raises:
@@ -187,7 +187,7 @@ def pictures(
 
 
 def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None:
-    """Tell how many pictures `pictures` will yield, as far as files tell; None where they do not."""
+    """Count the pictures that `pictures` will yield; None if the sources do not say."""
     total = 0
     for one in map(source, names):
         if one.is_live:
@@ -203,7 +203,7 @@ def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None
 
 
 def frame_rate(name: str) -> float | None:
-    """Frames a second of a video, Hz; None of pictures, folders, and where the video does not say."""
+    """Frames per second of a video, Hz; None for pictures and folders, and if the video does not say."""
     if source(name).kind not in ("video", "file"):
         return None
     fps = _length(name)[1]
@@ -260,7 +260,7 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
 
 
 def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] | None) -> Iterator[Picture]:
-    """Newest pictures of a live camera: what waits in the driver's buffer is drained, so that a picture is of now."""
+    """Newest pictures of a live camera: older ones in the driver's buffer are dropped."""
     quiet_decoders()
     import cv2
 
@@ -290,7 +290,7 @@ def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] |
 
 
 def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Picture]:
-    """Pictures of a stream of JPEGs, as "ffmpeg -f mjpeg -" and USB cameras send it."""
+    """Pictures of a stream of JPEGs, such as "ffmpeg -f mjpeg -" and USB cameras send."""
     buffer, number, due = b"", 0, 0.0
     while chunk := stream.read1(1 << 16) if hasattr(stream, "read1") else stream.read(1 << 16):
         buffer += chunk
@@ -380,7 +380,7 @@ class Sink(contextlib.ExitStack):
         return self
 
     def write(self, picture: Picture, image: np.ndarray) -> None:
-        """Write what became of a picture: (height, width[, 3 or 4]) uint8 or uint16.
+        """Write the new image of a picture: (height, width[, 3 or 4]) uint8 or uint16.
 
         Raises:
             MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written.

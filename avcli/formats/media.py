@@ -16,7 +16,7 @@ from avcli.formats import atomic
 
 
 class MediaError(ValueError):
-    """A file that is no picture or sound, or not the one that was expected."""
+    """A file is not a picture or a sound, or not the expected one."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def read_rgb(path: str | os.PathLike) -> np.ndarray:
         (height, width, 3) uint8 RGB.
 
     Raises:
-        MediaError: the file is missing, empty or no picture.
+        MediaError: the file is missing, empty or not a picture.
     """
     image = read_picture(path)
     if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
@@ -113,7 +113,7 @@ def read_depth(path: str | os.PathLike) -> np.ndarray:
         (height, width) uint8 or uint16; 0 where there is no depth.
 
     Raises:
-        MediaError: the file is missing, empty, no picture, or has several channels.
+        MediaError: the file is missing, empty, not a picture, or has several channels.
     """
     image = read_picture(path)
     if image.ndim != 2 or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
