@@ -89,7 +89,7 @@ def detections(timestamp: float, people: list[Person]) -> Detections:
         covariances=np.array([person.covariance for person in people]).reshape(-1, 3, 3),
         scores=np.array([person.score for person in people]),
         kind=CAMERA,
-        boxes_px=np.array([person.bbox_px for person in people]).reshape(-1, 4),
+        boxes_px=np.array([person.bbox_px for person in people]).reshape(-1, 4).round(2),
         heights=np.array([np.nan if person.height is None else person.height for person in people]),
     )
 
