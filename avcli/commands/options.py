@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -63,6 +64,25 @@ def was_given(name: str) -> bool:
     return source in (click.core.ParameterSource.COMMANDLINE, click.core.ParameterSource.ENVIRONMENT)
 
 
+class Size(click.ParamType):
+    """A width and a height in px, such as 1920x1080, each from `least` to `most`."""
+
+    name = "WxH"
+
+    def __init__(self, least: float | None = None, most: float | None = None):
+        self.least, self.most = least or 1, most or math.inf
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> tuple[int, int]:
+        """Read "1920x1080"; a pair is taken as it is."""
+        if isinstance(value, tuple):
+            return value
+        match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", value)
+        if not match or not all(self.least <= int(side) <= self.most for side in match.groups()):
+            bounds = f" from {self.least:g} to {self.most:g} px each" if math.isfinite(self.most) else ""
+            self.fail(f"expected a width and a height such as 640x384{bounds}, found {value!r}", parameter, context)
+        return int(match[1]), int(match[2])
+
+
 def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
     default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
     annotation = typing.get_type_hints(kind)[field.name]
@@ -78,6 +98,8 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
         return click.option(flag, field.name, is_flag=True, **words)
     if setting.choices:
         words["type"] = click.Choice(setting.choices)
+    elif setting.unit == Size.name:
+        words["type"] = Size(setting.least, setting.most)
     elif typing.get_origin(annotation) is tuple:
         sides = typing.get_args(annotation)
         words["nargs"], words["type"] = len(sides), _range(sides[0], setting)
