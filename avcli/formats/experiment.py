@@ -43,7 +43,7 @@ class Camera:
         theta_max: largest angle from the axis at which the lens may be believed, rad.
     """
 
-    lens: lens.KannalaBrandt | lens.BrownConrady | lens.Division
+    lens: lens.Lens
     T_room_camera: np.ndarray
     width_px: int
     height_px: int
@@ -200,13 +200,11 @@ def lens_from_config(values: Mapping, *, name: str = "config.json", width_px: in
         ConfigError: a key is missing or wrong.
     """
     section = _Section(Config({"camera_config": values}, name), "camera_config")
-    model = section.choice("lens_model", ("kannala_brandt", "brown_conrady", "division"), "division")
+    model = section.choice("lens_model", tuple(lens.LENSES), "division")
     fx, fy = section.number("fx_px", above=0.0), section.number("fy_px", above=0.0)
     cx, cy = section.number("cx_px"), section.number("cy_px")
     k = [section.number(f"k{i}", 0.0) for i in (1, 2, 3, 4)]
-    if model == "division":
-        return lens.Division(fx, fy, cx, cy, *k, width_px, height_px)
-    return (lens.KannalaBrandt if model == "kannala_brandt" else lens.BrownConrady)(fx, fy, cx, cy, *k)
+    return lens.LENSES[model].of_image([fx, fy, cx, cy, *k], width_px, height_px)
 
 
 def read_config(path: str | os.PathLike) -> Config:
