@@ -124,7 +124,7 @@ def test_a_wrong_key_is_named(changes, words):
 def test_a_broken_config_is_named_with_its_place(tmp_path):
     path = tmp_path / "config.json"
     path.write_text('{\n  "camera_config": \n}')
-    with pytest.raises(experiment.ConfigError, match=r"config.json:3:\d+: no JSON"):
+    with pytest.raises(experiment.ConfigError, match=r"config.json:3:\d+: invalid JSON"):
         experiment.read_config(path)
 
 
@@ -187,7 +187,7 @@ def test_a_height_that_was_not_observed():
 
 def test_one_identity_twice_is_refused():
     line = b'{"timestamp": 0, "objects": [{"object_id": 1, "position": [1, 2]}, {"object_id": 1, "position": [3, 4]}]}'
-    with pytest.raises(records.RecordError, match='"object_id" 1 stands twice'):
+    with pytest.raises(records.RecordError, match='"object_id" 1 occurs twice'):
         records.identified(records.decode(line))
 
 

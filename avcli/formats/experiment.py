@@ -211,13 +211,13 @@ def read_config(path: str | os.PathLike) -> Config:
     """Read a config.json.
 
     Raises:
-        ConfigError: it is no JSON object.
+        ConfigError: it is not a JSON object.
         OSError: it cannot be read.
     """
     try:
         return Config(orjson.loads(Path(path).read_bytes()), str(path))
     except orjson.JSONDecodeError as error:
-        raise ConfigError(f"{path}:{error.lineno}:{error.colno}: no JSON: {error.msg}") from None
+        raise ConfigError(f"{path}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
 
 
 def write_config(path: str | os.PathLike, raw: Mapping) -> None:
