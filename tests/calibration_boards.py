@@ -168,7 +168,7 @@ def field_error(found, true=THESIS, size=(1920, 1080), step=20, theta_max=np.inf
     for _ in range(10):
         projected, by_point, _ = found.project_jacobian(rays)
         good = np.isfinite(projected).all(1)
-        by_turn = -by_point[good] @ fit._cross(rays[good])
+        by_turn = -by_point[good] @ fit.cross_matrix(rays[good])
         turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (pixels - projected)[good].ravel(), rcond=None)[0]
         rays = rays @ fit.rotation_from_vector(turn[None])[0].T
     error = np.linalg.norm(pixels - found.project(rays), axis=1)
