@@ -85,6 +85,33 @@ def test_too_few_pictures_are_refused(pictures, tmp_path):
     assert result.returncode == 3
 
 
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (["calibrate", "{}", "--max-rms", "1"], "--max-rms has no effect with --procedure avcli"),
+        (["calibrate", "{}", "--procedure", "thesis", "--board-shape", "no"], "--board-shape has no effect with"),
+        (["calibrate", "{}", "--procedure", "thesis", "--lens-model", "division"], "--lens-model has no effect with"),
+        (["calibrate", "{}", "--rate", "3"], "--rate has no effect with single pictures"),
+        (["calibrate", "{}", "--size", "640x480"], "--size has no effect without a camera"),
+        (["calibrate", "{}", "--lens-model", "pinhole"], "known are kannala_brandt, brown_conrady, division"),
+        (["undistort", "{}", "-c", "CAMERA", "--to", "x", "--fov", "90", "--balance", "1"], "--balance has no effect"),
+        (["undistort", "{}", "-c", "CAMERA", "--to", "x", "--projection", "whole", "--balance", "1"], "--balance has"),
+        (["pose", "-c", "CAMERA", "--points", "p.csv", "--yaw", "3"], "--yaw has no effect with --points"),
+        (["pose", "-c", "CAMERA", "--points", "p.csv", "--square", "3"], "--square has no effect with --points"),
+    ],
+)
+def test_options_without_effect_are_refused_by_name(pictures, camera, options, name):
+    places = {"{}": pictures, "CAMERA": camera}
+    result = run("avcalib", *(places.get(option, option) for option in options))
+    assert result.returncode == 2
+    assert name in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_what_a_preset_sets_is_not_refused(pictures):
+    assert "no effect" not in run("avcalib", "calibrate", pictures, "--preset", "thesis").stderr
+
+
 def test_bad_input(pictures, tmp_path):
     assert run("avcalib", "calibrate").returncode == 2
     assert run("avcalib", "calibrate", tmp_path / "none.png").returncode == 2

@@ -139,9 +139,10 @@ def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool
 
 
 def collect(
-    pictures: Iterable[Picture | np.ndarray],
+    read: Callable[[], Iterable[Picture | np.ndarray]],
     board: Board,
     *,
+    once: bool = False,
     thorough: bool = True,
     eager: bool = False,
     say: Callable[[str], None] = lambda _: None,
@@ -150,12 +151,12 @@ def collect(
     """Look for the board in all pictures.
 
     If hardly any picture shows the board, neighbouring sizes are tried, and the size that the pictures show is taken:
-    people often count inner corners instead of squares. An iterator (a camera, a generator) is looked through once;
-    pictures that can be iterated again are looked through from the start for the other size.
+    people often count inner corners instead of squares.
 
     Args:
-        pictures: pictures, or arrays (height, width[, 3 RGB or 4 RGBA]).
+        read: gives the pictures, or arrays (height, width[, 3 RGB or 4 RGBA]); called again to look for another size.
         board: what they are expected to show.
+        once: the pictures can be read once only (a camera): another size is looked for in those that follow.
         thorough: see corners.find; without it a film takes half the time and loses some of its many views.
         eager: look at each picture before the next one is asked for, as hints while filming need it.
         say: gets sentences for the user.
@@ -166,7 +167,7 @@ def collect(
         ValueError: the pictures differ in size.
         MediaError: the source fails before any picture shows the board.
     """
-    search = _Search(pictures, thorough, eager, say, after)
+    search = _Search(read, once, thorough, eager, say, after)
     seen, other = search.run(board, guess=not board.markers)
     if other is None:
         return seen
@@ -178,10 +179,16 @@ class _Search:
     """The arguments of `collect`, for one or two runs over the pictures."""
 
     def __init__(
-        self, pictures: Iterable, thorough: bool, eager: bool, say: Callable[[str], None], after: Callable[..., bool]
+        self,
+        read: Callable[[], Iterable[Picture | np.ndarray]],
+        once: bool,
+        thorough: bool,
+        eager: bool,
+        say: Callable[[str], None],
+        after: Callable[[Seen, np.ndarray, View | None], bool],
     ):
-        self.pictures, self.thorough, self.eager, self.say, self.after = pictures, thorough, eager, say, after
-        self.once = isinstance(pictures, Iterator)
+        self.read, self.once, self.thorough, self.eager = read, once, thorough, eager
+        self.say, self.after = say, after
 
     def run(self, board: Board, *, guess: bool) -> tuple[Seen, Board | None]:
         """Return what was seen, and the board to look for in another run over the same pictures, None for no other."""
@@ -219,21 +226,35 @@ class _Search:
 
         OpenCV releases Python's lock, so that threads help. The board may change on the way.
         """
+        waiting: deque[tuple[Picture, Board, Future]] = deque()
+
+        def first() -> Look:
+            picture, board, found = waiting.popleft()
+            current = self.seen.board
+            return picture, *(found.result() if board is current else look(picture.image, current, self.thorough))
+
         with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
-            waiting: deque[tuple[Picture, Future]] = deque()
+            failure = None
             try:
-                for number, item in enumerate(self.pictures):
-                    picture = item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
-                    waiting.append((picture, pool.submit(look, picture.image, self.seen.board, self.thorough)))
-                    if self.eager or len(waiting) >= _THREADS:
-                        picture, found = waiting.popleft()
-                        yield picture, *found.result()
+                try:
+                    for picture in self._pictures():
+                        board = self.seen.board
+                        waiting.append((picture, board, pool.submit(look, picture.image, board, self.thorough)))
+                        if self.eager or len(waiting) >= _THREADS:
+                            yield first()
+                except MediaError as error:  # what came before is still good
+                    failure = error
                 while waiting:
-                    picture, found = waiting.popleft()
-                    yield picture, *found.result()
+                    yield first()
             finally:
-                for _, found in waiting:
+                for _, _, found in waiting:
                     found.cancel()
+            if failure:
+                raise failure
+
+    def _pictures(self) -> Iterator[Picture]:
+        for number, item in enumerate(self.read()):
+            yield item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
 
 
 def look(image: np.ndarray, board: Board, thorough: bool) -> tuple[np.ndarray, View | None]:

@@ -6,19 +6,28 @@ import numpy as np
 
 from avcli.calibration import fit, quality, undistort
 from avcli.calibration.calibrate import Calibration
+from avcli.calibration.gather import Seen
 from avcli.calibration.settings import ProjectionSettings
 
 Axes = Any
 """matplotlib's Axes and Figure: matplotlib has no types of its own."""
 
 
-def words(result: Calibration) -> list[str]:
-    """Describe how good a calibration is, in sentences without a full stop."""
+def words(result: Calibration, seen: Seen) -> list[str]:
+    """Describe how good a calibration is, in sentences without a full stop.
+
+    Args:
+        result: the calibration.
+        seen: what became of each picture.
+    """
     q, lens, parameters = result.quality, result.solution.lens, result.solution.parameters
     held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few pictures)"
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(("k1", "k2", "k3", "k4"), parameters[4:8], q.sd[4:8], strict=True)
     lines = [
+        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the board of {result.board} squares, "
+        f"{seen.count('duplicate')} of them as in another picture; the fit uses {int(result.kept.sum())} pictures with "
+        f"{len(result.observations.pixels)} corners",
         f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
         f"{held_out}",
         ", ".join(f"{name} {value:.2f} ± {sd:.2f}" for name, value, sd in pixels) + " px",
@@ -146,23 +155,22 @@ def _draw_sample(axis: Axes, result: Calibration, sample: np.ndarray | None) -> 
     axis.set_title(f"a straightened picture, {_degrees(straight.fov)} wide")
 
 
-def page(result: Calibration, names: list[str], sample: np.ndarray | None = None) -> str:
+def page(result: Calibration, seen: Seen) -> str:
     """Write the report as one HTML page that needs nothing else.
 
     Args:
         result: the calibration.
-        names: the names of the given views, in order.
-        sample: see `picture`.
+        seen: what became of each picture.
     """
     import base64
     from html import escape
 
-    drawn = base64.b64encode(picture(result, sample)).decode()
-    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result))
+    drawn = base64.b64encode(picture(result, seen.sample)).decode()
+    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result, seen))
     rows = "\n".join(
         f"<tr{'' if kept else ' class=out'}><td>{escape(name)}</td><td>{rms:.3f}</td>"
         f"<td>{'used' if kept else 'left out'}</td></tr>"
-        for name, rms, kept in zip(names, result.view_rms_px, result.kept, strict=True)
+        for name, rms, kept in zip(seen.names, result.view_rms_px, result.kept, strict=True)
     )
     return f"""<!doctype html>
 <html lang="en">

@@ -100,6 +100,65 @@ class ProjectionSettings:
 
 
 @dataclass(frozen=True)
+class CheckSettings:
+    """When a lens no longer fits."""
+
+    fail_over_px: float | None = setting(
+        None, "Exit 3 if the RMS residual exceeds this many px.", unit="PX", above=0.0, flag="--fail-over"
+    )
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """How filming is guided."""
+
+    port: int = setting(
+        8080,
+        "Port on 127.0.0.1 of the page that shows the camera with corners and coverage. 0: no page.",
+        unit="N",
+        least=0,
+        most=65535,
+    )
+    enough_px: float | None = setting(
+        None,
+        "Stop when the mean expected error over the picture is below this many px.",
+        unit="PX",
+        above=0.0,
+        flag="--enough",
+        default_text="at Ctrl-C",
+    )
+
+
+@dataclass(frozen=True)
+class PrintSettings:
+    """How a board is drawn."""
+
+    paper: str | None = setting(
+        None,
+        "Paper size; the sheet is turned as the board needs it.",
+        choices=("A4", "A3", "A2", "A1", "A0"),
+        default_text="a page as large as the board",
+    )
+    format: str | None = setting(
+        None, "Format.", choices=("svg", "pdf"), default_text="by the name of -o, otherwise svg"
+    )
+
+
+@dataclass(frozen=True)
+class MicrophoneSettings:
+    """How the mouth of a walker is placed."""
+
+    mouth_height_m: float = setting(
+        1.6,
+        "Height of the mouth in m, for records that do not give the position of the mouth.",
+        unit="M",
+        least=0.3,
+        most=2.2,
+        flag="--mouth-height",
+    )
+
+
+@dataclass(frozen=True)
 class PlaceSettings:
     """How the camera's pose is found."""
 

@@ -1,10 +1,13 @@
 """Pictures without the fisheye: perspective, cylindrical, or the whole field at once."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.calibration.camera import KnownCamera
 from avcli.calibration.settings import ProjectionSettings
+from avcli.formats.footage import Picture
 from avcli.lens import Lens
 
 DEFAULTS = ProjectionSettings()
@@ -101,6 +104,27 @@ def straighten(
     outside = np.arctan2(np.hypot(flat[:, 0], flat[:, 1]), flat[:, 2]) > theta_max
     sources[outside] = np.nan
     return Straightened(sources.reshape(height, width, 2), projection, float(fov), float(focal))
+
+
+def straightened(
+    pictures: Iterable[Picture], camera: KnownCamera, straight: Straightened
+) -> Iterator[tuple[Picture, np.ndarray]]:
+    """Straighten the pictures of a camera one after another.
+
+    Args:
+        pictures: as the camera took them.
+        camera: the camera.
+        straight: see `straighten`.
+
+    Returns:
+        each picture, and what it becomes (height, width[, channels]).
+
+    Raises:
+        ValueError: a picture is not of the camera's size.
+    """
+    for picture in pictures:
+        camera.require_size((picture.image.shape[1], picture.image.shape[0]), picture.name)
+        yield picture, resample(picture.image, straight)
 
 
 def resample(image: np.ndarray, straightened: Straightened) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""avcalib's actions for a camera whose lens is known: pictures without the fisheye, its place, the microphones."""
+"""avcalib's actions for a camera whose lens is known: pictures without the fisheye, its pose, the microphones."""
 
 from __future__ import annotations
 
@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from avcli.calibration.settings import BoardSettings, PictureSettings, PlaceSettings, ProjectionSettings
-from avcli.commands.avcalib_pictures import (
-    FLOOR_BOARD_OPTIONS,
-    RATE_OPTION,
-    check_sources,
-    parse_board,
-    read_camera,
-    usage_errors,
-    views_for,
-    write_camera,
-)
+from avcli.calibration import settings
+from avcli.commands.avcalib_pictures import check_sources, read_camera, usage_errors, views_for, write_camera
 from avcli.commands.filter import Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
@@ -35,17 +26,12 @@ if TYPE_CHECKING:
     metavar="PATH",
     help="Where the pictures go: a folder, a picture file (for one source), or a video (.mp4, .avi, .mkv).",
 )
-@from_settings(ProjectionSettings)
+@from_settings(settings.ProjectionSettings)
 @click.option("--size", type=Size(), help="Size of the new pictures in px.  [default: as the camera's]")
-@from_settings(PictureSettings, defaults={"rate_hz": None})
+@from_settings(settings.PictureSettings, defaults={"rate_hz": None})
 @common()
 def undistort_command(
-    session: Session,
-    sources: tuple[str, ...],
-    target: str,
-    size: tuple[int, int] | None,
-    rate_hz: float | None,
-    **values: Any,
+    session: Session, sources: tuple[str, ...], target: str, size: tuple[int, int] | None, **values: Any
 ) -> None:
     """Straighten pictures and videos. The camera_config of the new pictures goes to the output.
 
@@ -54,29 +40,21 @@ def undistort_command(
     from avcli.calibration import undistort
     from avcli.formats import footage
 
-    settings = settings_from(ProjectionSettings, values)
-    if settings.projection != "perspective":
-        refuse_without_effect(["balance"], f"with --projection {settings.projection}")
-    if settings.fov_deg is not None:
+    given, names, rate_hz = settings_from(settings.ProjectionSettings, values), list(sources), values["rate_hz"]
+    if given.projection != "perspective":
+        refuse_without_effect(["balance"], f"with --projection {given.projection}")
+    if given.fov_deg is not None:
         refuse_without_effect(["balance"], "with --fov")
-    camera, found = read_camera(session), check_sources(session, sources)
+    camera, kinds = read_camera(session), check_sources(session, names)
+    size, single = size or camera.size, len(kinds) == 1 and kinds[0].kind != "folder"
     with usage_errors(session):
-        straight = undistort.straighten(camera.lens, camera.size, size or camera.size, settings, camera.theta_max)
-        sink = footage.Sink(
-            target,
-            size or camera.size,
-            rate_hz or footage.frame_rate(sources[0]) or 10.0,
-            single=len(found) == 1 and found[0].kind != "folder",
-        )
-    with sink:
-        pictures = footage.pictures(list(sources), rate_hz)
-        total = footage.count_pictures(list(sources), rate_hz)
-        for picture in session.progress(pictures, total, "straightening"):
-            camera.require_size(picture.image.shape[1::-1], picture.name)
-            with session.timing("straighten"):
-                new = undistort.resample(picture.image, straight)
-            with session.timing("write"):
-                sink.write(picture, new)
+        straight = undistort.straighten(camera.lens, camera.size, size, given, camera.theta_max)
+        sink = footage.Sink(target, size, rate_hz or footage.frame_rate(names[0]) or 10.0, single=single)
+    total = footage.count_pictures(names, rate_hz)
+    pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
+    with sink, session.timing("straighten"):
+        for picture, new in undistort.straightened(pictures, camera, straight):
+            sink.write(picture, new)
     with session.output() as write:
         write(straight.camera_config())
 
@@ -88,18 +66,13 @@ def undistort_command(
     metavar="FILE",
     help="CSV with the header u,v,x,y,z: pixels, and the room points in metres that are seen there.",
 )
-@FLOOR_BOARD_OPTIONS
+@from_settings(settings.BoardSettings, defaults={"board": "7x10"})
 @click.option("--at", nargs=3, type=float, metavar="X Y Z", help="Room position in m of the middle of the board.")
-@from_settings(PlaceSettings)
-@RATE_OPTION
+@from_settings(settings.PlaceSettings)
+@from_settings(settings.PictureSettings)
 @common()
 def pose_command(
-    session: Session,
-    sources: tuple[str, ...],
-    points: str | None,
-    at: tuple[float, float, float] | None,
-    rate_hz: float,
-    **values: Any,
+    session: Session, sources: tuple[str, ...], points: str | None, at: tuple[float, ...] | None, **values: Any
 ) -> None:
     """Find the position and rotation of a calibrated camera in the room, with their covariance.
 
@@ -107,19 +80,19 @@ def pose_command(
     """
     from avcli.calibration import place
 
-    settings, camera = settings_from(PlaceSettings, values), read_camera(session)
+    given, camera = settings_from(settings.PlaceSettings, values), read_camera(session)
     if bool(points) == bool(sources):
         session.usage("give either pictures of a board on the floor (with --at X Y Z), or --points FILE")
     if points:
-        refuse_without_effect([*settings_of(BoardSettings), "at", "yaw_deg", "rate_hz"], "with --points")
+        refuse_without_effect([*settings_of(settings.BoardSettings), "at", "yaw_deg", "rate_hz"], "with --points")
         with session.open(points) as stream:
             choices = [place.parse_points(stream.read(), points)]
     else:
         if not at:
             session.usage("--at X Y Z is needed: the room position of the middle of the board")
-        seen = views_for(session, sources, parse_board(session, values), rate_hz, camera)
-        choices = place.board_choices(seen.board, seen.views, at, math.radians(settings.yaw_deg))
-    best, others = place.best(camera, choices, settings.sigma_px)
+        seen = views_for(session, list(sources), values, camera)
+        choices = place.board_choices(seen.board, seen.views, at, math.radians(given.yaw_deg))
+    best, others = place.best(camera, choices, given.sigma_px)
     for line in place.words(best, others):
         session.warn(line)
     if session.output_path == "-":
@@ -139,18 +112,11 @@ def pose_command(
     help="Sound with one channel per microphone, from time 0 on; repeat the option for the files that follow.  "
     "[default: DIR/audio/wav, each from the time in its name]",
 )
-@click.option(
-    "--mouth-height",
-    type=click.FloatRange(0.3, 2.2),
-    default=1.6,
-    show_default=True,
-    metavar="M",
-    help="Height of the mouth in m, for records that do not give the position of the mouth.",
-)
+@from_settings(settings.MicrophoneSettings)
 @click.option("--write", "into_config", is_flag=True, help="Write the found positions into config.json.")
 @common()
 def microphones_command(
-    session: Session, tracks: str, audio: tuple[str, ...], mouth_height: float, into_config: bool
+    session: Session, tracks: str, audio: tuple[str, ...], mouth_height_m: float, into_config: bool
 ) -> None:
     """Check the microphone positions and the clock of the sound, with a person who walks and talks.
 
@@ -160,7 +126,7 @@ def microphones_command(
     from avcli.calibration import camera, microphones
     from avcli.formats import records
 
-    times, path = microphones.mouths(session.records([tracks], records.identified), mouth_height)
+    times, path = microphones.mouths(session.records([tracks], records.identified), mouth_height_m)
     given, speed = session.config.microphones.positions, session.config.room.speed_of_sound_m_s
     with session.timing("delays"):
         heard = _heard(session, audio)
@@ -182,9 +148,8 @@ def _heard(session: Session, audio: tuple[str, ...]) -> Heard:
     from avcli.localization import tdoa
 
     given, speed = session.config.microphones.positions, session.config.room.speed_of_sound_m_s
-    folder = None if audio else session.experiment / "audio" / "wav"
     parts = []
-    for start, samples, rate in microphones.sounds(audio, folder):
+    for start, samples, rate in microphones.sounds(audio, None if audio else session.experiment / "audio" / "wav"):
         if samples.shape[1] != len(given):
             session.fail(f"the sound has {samples.shape[1]} channels, but config.json has {len(given)} microphones")
         middles, delays = tdoa.pair_delays(samples, rate, given, speed)
