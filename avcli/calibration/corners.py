@@ -83,7 +83,7 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
 
 
 def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
-    """Put corners (n, 2) px together with the picture around them."""
+    """Make a view of corners (n, 2) px with the picture around each."""
     import cv2
 
     padded = cv2.copyMakeBorder(grey, PATCH, PATCH, PATCH, PATCH, cv2.BORDER_REPLICATE)
@@ -390,15 +390,11 @@ def _polish_some(
         blur = np.clip(blur + np.clip(step[:, 6], -0.3, 0.3), 0.3, 4.0)
     count = mask.sum(1)
     noise = np.sqrt((mask * left**2).sum(1) / np.maximum(count - 7, 1))
+    settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, 4:6], axis=1) < 0.05)
+    clear_enough = (count >= 24) & (np.abs(gain[:, 3]) > 3 * noise)
     inverse = np.linalg.inv(normal)
     sd = noise * np.sqrt((inverse[:, 4, 4] + inverse[:, 5, 5]) / 2)
-    good = (
-        np.isfinite(sd)
-        & (np.linalg.norm(shift, axis=1) < 1.5)
-        & (count >= 24)
-        & (np.abs(gain[:, 3]) > 3 * noise)
-        & (np.linalg.norm(step[:, 4:6], axis=1) < 0.05)
-    )
+    good = np.isfinite(sd) & settled & clear_enough
     return np.where(good[:, None], pixels + shift, pixels), np.where(good, sd, np.inf)
 
 

@@ -1,4 +1,4 @@
-"""Microphone positions and the clock between sound and picture, from a voice whose way the camera knows."""
+"""Microphone positions and the clock between sound and picture, from a speaker whose track is known."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from avcli.formats import media
 from avcli.formats.records import Identified
 
 POSITION_SD_M = 0.05
-"""How far a microphone may be expected to hang from where it was measured, m, before anything was heard."""
+"""Expected error of a measured microphone position, m (prior)."""
 SOURCE_SD_M = 0.1
-"""The same for the mouth against where the track puts it; one offset for the whole recording."""
+"""Expected offset of the mouth from the track, m (prior); one offset for the whole recording."""
 SMOOTH_S = 0.4
 """Width of the Gaussian over which a track is smoothed, s."""
 MOUTH_AHEAD_M = 0.1
@@ -39,7 +39,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Aligned:
-    """What the sound says of the microphones.
+    """Microphone positions and clock offset, as the sound shows them.
 
     Attributes:
         clock_offset: s, to add to a time on the sound's clock to get the picture's.

@@ -91,7 +91,7 @@ def locate(lens: Lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float |
 
 
 def _starts(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The likeliest of many rotations, room to camera, with their positions."""
+    """The best of many rotations, room to camera, with their positions."""
     rotations = _rotations(_STARTS)
     turned = np.einsum("kij,nj->kni", rotations, points)
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]  # what of a vector lies across the ray
@@ -203,7 +203,7 @@ def best(
         sigma_px: see `locate`.
 
     Returns:
-        The pose, and the others that fit as well if nothing tells which one is right.
+        The pose, and the others that fit as well if the right one is unknown.
     """
     found = [locate(camera.lens, pixels, points, sigma_px) for pixels, points in choices]
     known = camera.values.get("camera_position_m")

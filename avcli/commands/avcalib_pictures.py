@@ -41,7 +41,7 @@ def parse_board(session: Session, values: Mapping[str, Any]) -> Board:
 
 
 def check_sources(session: Session, names: list[str]) -> list[Source]:
-    """Tell what the sources are; usage error where one does not exist, or where --rate would have no effect."""
+    """Return what the sources are; usage error where one does not exist, or where --rate would have no effect."""
     from avcli.formats import footage
 
     if not names:
