@@ -4,6 +4,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -99,7 +100,7 @@ class Seen:
         if board.markers:
             raise NoFit(
                 f"none of the {len(self)} pictures shows six corners of a ChArUco board of {board} squares; check "
-                "--board, and that the pictures are not mirrored"
+                "the counts, and that the pictures are not mirrored"
             )
         raise NoFit(
             f"none of the {len(self)} pictures shows a whole board of {board} squares ({board.inner[0]}x"
@@ -157,7 +158,7 @@ def collect(
         read: gives the pictures, or arrays (height, width[, 3 RGB or 4 RGBA]); called again to look for another size.
         board: what they are expected to show.
         once: the pictures can be read once only (a camera): another size is looked for in those that follow.
-        thorough: see corners.find; without it a film takes half the time and loses some of its many views.
+        thorough: see corners.find.
         eager: look at each picture before the next one is asked for, as hints while filming need it.
         say: gets sentences for the user.
         after: is called after each picture with what was seen, the grey picture (height, width) uint8 and its view;
@@ -175,20 +176,17 @@ def collect(
     return again if len(again.views) >= len(seen.views) else seen
 
 
+@dataclass
 class _Search:
     """The arguments of `collect`, for one or two runs over the pictures."""
 
-    def __init__(
-        self,
-        read: Callable[[], Iterable[Picture | np.ndarray]],
-        once: bool,
-        thorough: bool,
-        eager: bool,
-        say: Callable[[str], None],
-        after: Callable[[Seen, np.ndarray, View | None], bool],
-    ):
-        self.read, self.once, self.thorough, self.eager = read, once, thorough, eager
-        self.say, self.after = say, after
+    read: Callable[[], Iterable[Picture | np.ndarray]]
+    once: bool
+    thorough: bool
+    eager: bool
+    say: Callable[[str], None]
+    after: Callable[[Seen, np.ndarray, View | None], bool]
+    seen: Seen = field(init=False)
 
     def run(self, board: Board, *, guess: bool) -> tuple[Seen, Board | None]:
         """Return what was seen, and the board to look for in another run over the same pictures, None for no other."""
@@ -216,7 +214,7 @@ class _Search:
         given, other = seen.board, corners.guess_board(seen.misses, seen.board)
         if other:
             self.say(
-                f"--board {given} means {given.inner[0]}x{given.inner[1]} inner corners, but the pictures show "
+                f"a board of {given} squares has {given.inner[0]}x{given.inner[1]} inner corners, but the pictures show "
                 f"{other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
             )
         return other

@@ -43,13 +43,13 @@ def calibrate(observations: fit.Observations, width: int, height: int, start: Le
     except cv2.error as error:
         reason = str(error.err or error).strip()
         raise OpenCVRefused(
-            f"OpenCV {cv2.__version__} cannot fit these corners ({reason}); use --procedure avcli, which finds its own "
-            "start"
+            f"OpenCV {cv2.__version__} cannot fit these corners ({reason}); use the procedure avcli, which finds its "
+            "own start"
         ) from None
     parameters = np.zeros(fit.LENS + fit.SHAPE)
     parameters[: fit.LENS] = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:4]]
     if not np.isfinite(parameters).all():
-        raise OpenCVRefused(f"OpenCV {cv2.__version__} returns a lens that is not finite; use --procedure avcli")
+        raise OpenCVRefused(f"OpenCV {cv2.__version__} returns a lens that is not finite; use the procedure avcli")
     return fit.Solution(
         parameters,
         fit.rotation_from_vector(np.array(turns).reshape(-1, 3)),
@@ -76,7 +76,7 @@ def thesis_procedure(
         raise OpenCVRefused(
             f"OpenCV's fit fails: every picture has an RMS residual above {limit_px:g} px (smallest {rms.min():.1f} "
             f"px, f = {first.parameters[0]:.1f} px). OpenCV starts from f = {max(width, height) / np.pi:.0f} px, far "
-            "from many lenses; use --procedure avcli, which finds its own start"
+            "from many lenses; use the procedure avcli, which finds its own start"
         )
     few = observations.of_views(kept)
     second = calibrate(few, width, height)

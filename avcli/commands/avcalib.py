@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import avcli.calibration.settings as settings
 from avcli import __version__
-from avcli.calibration import settings
 from avcli.commands import avcalib_room
 from avcli.commands.avcalib_pictures import collect, parse_board, read_camera, usage_errors, views_for, write_camera
 from avcli.commands.filter import FilterGroup, GateNotMet, Session, common

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from avcli.calibration import settings
+import avcli.calibration.settings as settings
 from avcli.commands.avcalib_pictures import check_sources, read_camera, usage_errors, views_for, write_camera
 from avcli.commands.filter import Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
