@@ -214,8 +214,8 @@ class _Search:
         given, other = seen.board, corners.guess_board(seen.misses, seen.board)
         if other:
             self.say(
-                f"a board of {given} squares has {given.inner[0]}x{given.inner[1]} inner corners, but the pictures show "
-                f"{other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
+                f"a board of {given} squares has {given.inner[0]}x{given.inner[1]} inner corners, but the pictures "
+                f"show {other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
             )
         return other
 
