@@ -1,6 +1,6 @@
 """From pictures of a board to a lens, with how far it can be trusted."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,7 +134,7 @@ def calibrate(
     """
     if not isinstance(board, Board):
         board = Board(*board, square_m)
-    seen = gather.collect(lambda: pictures, board, once=isinstance(pictures, Iterator), say=say)
+    seen = gather.collect(pictures, board, say=say)
     seen.require_views()
     return calibrate_views(seen.board, seen.views, settings)
 

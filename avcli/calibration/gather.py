@@ -19,7 +19,7 @@ _THREADS = 4
 _MISSES = 8
 """Pictures without a board that are kept, to guess another board's size from."""
 _GUESS_AFTER = (4, 12)
-"""Numbers of pictures after which another size of the board is tried, if hardly any picture shows the given one."""
+"""Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
 Look = tuple[Picture, np.ndarray, View | None]
 """A picture, the same in grey (height, width) uint8, and the view in it."""
@@ -140,10 +140,9 @@ def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool
 
 
 def collect(
-    read: Callable[[], Iterable[Picture | np.ndarray]],
+    pictures: Iterable[Picture | np.ndarray],
     board: Board,
     *,
-    once: bool = False,
     thorough: bool = True,
     eager: bool = False,
     say: Callable[[str], None] = lambda _: None,
@@ -151,13 +150,12 @@ def collect(
 ) -> Seen:
     """Look for the board in all pictures.
 
-    If hardly any picture shows the board, neighbouring sizes are tried, and the size that the pictures show is taken:
-    people often count inner corners instead of squares.
+    If hardly any of the first pictures shows the board, another size is tried: people often count inner corners instead
+    of squares. If that one is found, the search continues with it.
 
     Args:
-        read: gives the pictures, or arrays (height, width[, 3 RGB or 4 RGBA]); called again to look for another size.
+        pictures: pictures, or arrays (height, width[, 3 RGB or 4 RGBA]).
         board: what they are expected to show.
-        once: the pictures can be read once only (a camera): another size is looked for in those that follow.
         thorough: see corners.find.
         eager: look at each picture before the next one is asked for, as hints while filming need it.
         say: gets sentences for the user.
@@ -168,65 +166,73 @@ def collect(
         ValueError: the pictures differ in size.
         MediaError: the source fails before any picture shows the board.
     """
-    search = _Search(read, once, thorough, eager, say, after)
-    seen, other = search.run(board, guess=not board.markers)
-    if other is None:
-        return seen
-    again, _ = search.run(other, guess=False)
-    return again if len(again.views) >= len(seen.views) else seen
+    search = _Search(Seen(board), thorough, eager, say)
+    try:
+        for picture, grey, view in search.look_ahead(pictures):
+            search.take(picture, grey, view)
+            if after(search.seen, grey, view):
+                return search.seen
+    except MediaError as error:
+        if not search.seen.views:
+            raise
+        say(f"{error}; the calibration continues with the pictures before it")
+    search.try_another_size()
+    return search.seen
 
 
 @dataclass
 class _Search:
-    """The arguments of `collect`, for one or two runs over the pictures."""
+    """A search for a board whose size may be corrected on the way.
 
-    read: Callable[[], Iterable[Picture | np.ndarray]]
-    once: bool
+    Attributes:
+        seen: so far.
+        thorough, eager, say: see `collect`.
+        first: the pictures so far, while another size of the board may still be tried.
+    """
+
+    seen: Seen
     thorough: bool
     eager: bool
     say: Callable[[str], None]
-    after: Callable[[Seen, np.ndarray, View | None], bool]
-    seen: Seen = field(init=False)
+    first: list[Picture] = field(default_factory=list)
 
-    def run(self, board: Board, *, guess: bool) -> tuple[Seen, Board | None]:
-        """Return what was seen, and the board to look for in another run over the same pictures, None for no other."""
-        seen = self.seen = Seen(board)
-        try:
-            for picture, grey, view in self._look_ahead():
-                seen.take(picture.name, picture.timestamp, grey, view)
-                if guess and len(seen) in _GUESS_AFTER and seen.few:
-                    guess = len(seen) < _GUESS_AFTER[-1]
-                    other = self._guess(seen)
-                    if other:
-                        guess, seen = False, Seen(other)
-                        self.seen = seen
-                        if not self.once:
-                            return Seen(board), other
-                if self.after(seen, grey, view):
-                    break
-        except MediaError as error:
-            if not seen.views:
-                raise
-            self.say(f"{error}; the calibration continues with the pictures before it")
-        return seen, self._guess(seen) if guess and not self.once and seen.few else None
+    def take(self, picture: Picture, grey: np.ndarray, view: View | None) -> None:
+        """Add a picture; after some of them, try another size."""
+        self.seen.take(picture.name, picture.timestamp, grey, view)
+        if len(self.seen) <= _GUESS_AFTER[-1]:
+            self.first.append(picture)
+        if len(self.seen) in _GUESS_AFTER:
+            self.try_another_size()
+        if len(self.seen) == _GUESS_AFTER[-1]:
+            self.first = []
 
-    def _guess(self, seen: Seen) -> Board | None:
-        given, other = seen.board, corners.guess_board(seen.misses, seen.board)
-        if other:
-            self.say(
-                f"a board of {given} squares has {given.inner[0]}x{given.inner[1]} inner corners, but the pictures "
-                f"show {other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
-            )
-        return other
+    def try_another_size(self) -> None:
+        """If hardly any of the first pictures shows the board, look in them for one of the size that they show."""
+        given = self.seen.board
+        if not self.first or given.markers or not self.seen.few:
+            return
+        other = corners.guess_board(self.seen.misses, given)
+        if other is None:
+            return
+        again = Seen(other)
+        for picture in self.first:
+            again.take(picture.name, picture.timestamp, *look(picture.image, other, self.thorough))
+        if len(again.views) < len(self.seen.views):
+            return
+        self.seen, self.first = again, []
+        self.say(
+            f"a board of {given} squares has {given.inner[0]}x{given.inner[1]} inner corners, but the pictures show "
+            f"{other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
+        )
 
-    def _look_ahead(self) -> Iterator[Look]:
+    def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
         """Yield what is seen in each picture, in order; threads look at several pictures at once.
 
         OpenCV releases Python's lock, so that threads help. The board may change on the way.
         """
         waiting: deque[tuple[Picture, Board, Future]] = deque()
 
-        def first() -> Look:
+        def oldest() -> Look:
             picture, board, found = waiting.popleft()
             current = self.seen.board
             return picture, *(found.result() if board is current else look(picture.image, current, self.thorough))
@@ -235,24 +241,23 @@ class _Search:
             failure = None
             try:
                 try:
-                    for picture in self._pictures():
+                    for number, item in enumerate(pictures):
+                        picture = (
+                            item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
+                        )
                         board = self.seen.board
                         waiting.append((picture, board, pool.submit(look, picture.image, board, self.thorough)))
                         if self.eager or len(waiting) >= _THREADS:
-                            yield first()
+                            yield oldest()
                 except MediaError as error:  # what came before is still good
                     failure = error
                 while waiting:
-                    yield first()
+                    yield oldest()
             finally:
                 for _, _, found in waiting:
                     found.cancel()
             if failure:
                 raise failure
-
-    def _pictures(self) -> Iterator[Picture]:
-        for number, item in enumerate(self.read()):
-            yield item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
 
 
 def look(image: np.ndarray, board: Board, thorough: bool) -> tuple[np.ndarray, View | None]:

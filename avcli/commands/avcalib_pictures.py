@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from avcli.calibration.camera import KnownCamera
     from avcli.calibration.gather import Seen
     from avcli.calibration.target import Board
-    from avcli.formats.footage import Picture, Source
+    from avcli.formats.footage import Source
 
 _FEW = 100
 """Up to this number of pictures each is searched thoroughly; a film has boards enough."""
@@ -86,16 +86,11 @@ def collect(
     live = any(source.is_live for source in sources)
     total = None if live else footage.count_pictures(names, rate_hz)
     stream = session.open("-") if "-" in names else None
-
-    def read() -> Iterator[Picture]:
-        pictures = footage.pictures(names, rate_hz, stream=stream, size=values.get("size"))
-        return session.progress(pictures, total, "looking for boards")
-
+    pictures = footage.pictures(names, rate_hz, stream=stream, size=values.get("size"))
     with _ending_on_interrupt(live or after is not None) as caught, session.timing("look for boards"):
         return gather.collect(
-            read,
+            session.progress(pictures, total, "looking for boards"),
             board,
-            once=live,
             thorough=total is not None and total <= _FEW,
             eager=live or after is not None,
             say=session.warn,
