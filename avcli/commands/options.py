@@ -15,13 +15,16 @@ import click
 from avcli.settings import Setting, settings_of
 
 
-def from_settings(kind: type, *names: str, leave_out: tuple[str, ...] = ()) -> Callable:
+def from_settings(
+    kind: type, *names: str, leave_out: tuple[str, ...] = (), defaults: Mapping[str, Any] | None = None
+) -> Callable:
     """Add an option for each setting of a stage, in the order of declaration.
 
     Args:
         kind: a dataclass whose fields were declared by `avcli.settings.setting`.
         names: the fields to take; none: all that are declared.
         leave_out: fields to leave out.
+        defaults: field name -> default, where this command's differs from that of the settings.
 
     Returns:
         A decorator. The command gets each value by the field's name.
@@ -32,7 +35,7 @@ def from_settings(kind: type, *names: str, leave_out: tuple[str, ...] = ()) -> C
     def decorate(function: Callable) -> Callable:
         for name in reversed(chosen):
             field, setting = known[name]
-            function = _option(kind, field, setting)(function)
+            function = _option(kind, field, setting, defaults or {})(function)
         return function
 
     return decorate
@@ -83,8 +86,9 @@ class Size(click.ParamType):
         return int(match[1]), int(match[2])
 
 
-def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
+def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Mapping[str, Any]) -> Callable:
     default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    default = defaults.get(field.name, default)
     annotation = typing.get_type_hints(kind)[field.name]
     parts = [part for part in typing.get_args(annotation) if part is not type(None)]
     if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
