@@ -1,9 +1,13 @@
 import doctest
+import json
 import math
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -12,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import avcli.lens
-from avcli.formats import experiment
-from avcli.lens import LENSES, Angular, BrownConrady, Division, KannalaBrandt, shader
+from avcli import pose
+from avcli.lens import Angular, BrownConrady, Division, KannalaBrandt, shader
 from avcli.lens.radial import fold_of_odd_polynomial, odd_polynomial
 
 REAL = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
@@ -269,14 +273,36 @@ def test_any_coefficients_give_an_exact_inverse_up_to_their_fold(k1, k2, k3, k4)
         np.testing.assert_allclose(few, lens.unproject(pixels)[:50], rtol=0, atol=1e-12)
 
 
-def test_a_lens_is_registered_in_one_place(monkeypatch):
-    monkeypatch.setitem(LENSES, "equisolid", Equisolid)
-    camera = {"lens_model": "equisolid", "fx_px": 300.0, "fy_px": 300.0, "cx_px": 319.5, "cy_px": 239.5, "k1": -0.02}
-    lens = experiment.lens_from_config(camera, width_px=640, height_px=480)
-    assert lens == Equisolid(300.0, 300.0, 319.5, 239.5, -0.02)
-    assert avcli.lens.name_of(lens) == "equisolid"
-    with pytest.raises(experiment.ConfigError, match="kannala_brandt, brown_conrady, division, equisolid"):
-        experiment.lens_from_config({**camera, "lens_model": "fisheye"})
+def test_a_lens_is_registered_in_one_place():
+    """One entry of LENSES: the program then reads it from a config, lists it in errors, and draws through it."""
+    camera = {
+        "lens_model": "equisolid", "fx_px": 60.0, "fy_px": 60.0, "cx_px": 79.5, "cy_px": 59.5, "k1": -0.02,
+        "image_width_px": 160, "image_height_px": 120, "camera_position_m": [2.33, 2.33, 2.5],
+    }  # fmt: skip
+    program = f"""
+import json, sys
+import numpy as np
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_lens import Equisolid
+from avcli.lens import LENSES, name_of
+LENSES["equisolid"] = Equisolid
+from avcli.formats import experiment
+from avcli.scene.film import simulate
+scene = simulate({{"camera_config": json.loads({json.dumps(json.dumps(camera))}), "duration_s": 0.0}})
+lens = scene.config.camera.lens
+assert lens == Equisolid(60.0, 60.0, 79.5, 59.5, -0.02) and name_of(lens) == "equisolid"
+shot = next(scene.shots())
+rays = lens.unproject([[79.0, 59.0], [79.0, 30.0]])
+down = scene.background[[59, 30], 79] * 1e-4 * rays[:, 2]
+assert np.abs(down - 2.5).max() < 2e-4, down
+try:
+    experiment.lens_from_config({{"lens_model": "fisheye"}})
+except experiment.ConfigError as error:
+    print(error)
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "equisolid" in result.stdout
 
 
 def test_an_equisolid_lens_gives_equal_areas_to_equal_solid_angles():
@@ -313,8 +339,11 @@ def test_a_clamped_projection_is_finite_and_keeps_what_is_seen(lens):
     np.testing.assert_allclose(clamped[seen], pixels[seen], rtol=1e-7, atol=1e-4)
 
 
-def test_the_sample_in_the_docstring_runs():
-    assert doctest.testmod(avcli.lens).failed == 0
+@pytest.mark.parametrize("module", [avcli.lens, pose])
+def test_the_samples_in_the_docstrings_run(module):
+    tried = doctest.testmod(module)
+    assert tried.attempted
+    assert not tried.failed
 
 
 def test_wrong_shapes_are_refused():

@@ -9,6 +9,7 @@ from conftest import ROOT, run
 
 from avcli.scene import crowd, furniture, mesh, scenario, sensor
 from avcli.scene.people import LOOKS
+from avcli.scene.settings import Effects
 
 SCHEMA = json.loads((ROOT / "avcli" / "formats" / "schemas" / "scenario.schema.json").read_bytes())
 GOOD = {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0]}]}]}
@@ -162,7 +163,7 @@ def test_triangles_of_solids_are_the_solids():
 
 
 def test_a_rounded_cone_is_two_balls_and_what_lies_between():
-    vertices, faces = mesh.rounded_cone([0, 0, 0], [0, 0, 1], 0.3, 0.2, (1, 0, 0), 0.5, 64)
+    vertices, faces = mesh.rounded_cone(np.zeros(3), np.array([0.0, 0, 1]), 0.3, 0.2, np.array([1.0, 0, 0]), 0.5, 64)
     assert (vertices.min(0) >= np.array([-0.1501, -0.3001, -0.3001])).all()
     np.testing.assert_allclose(vertices[:, 2].max(), 1.2, atol=1e-9)
     np.testing.assert_allclose(vertices[:, 1].max(), 0.2985, atol=2e-3)
@@ -175,7 +176,7 @@ GREY = np.full((40, 60, 3), 120, np.uint8)
 
 
 def expose(picture=GREY, seed=0, **effects):
-    return sensor.Sensor(**effects).expose(picture, (30.0, 20.0), np.random.default_rng(seed))
+    return sensor.expose(picture, Effects(**effects), (30.0, 20.0), np.random.default_rng(seed))
 
 
 def test_without_effects_the_picture_is_untouched():
@@ -196,7 +197,7 @@ def test_vignetting_darkens_the_corner():
 
 def test_noise_has_the_variance_that_was_asked_for():
     picture = np.full((400, 600, 3), 150, np.uint8)
-    noisy = sensor.Sensor(read_noise=3.0, full_well_e=5000.0).expose(picture, (0.0, 0.0), np.random.default_rng(1))
+    noisy = sensor.expose(picture, Effects(read_noise=3.0, full_well_e=5000.0), (0.0, 0.0), np.random.default_rng(1))
     light = (noisy / 255.0) ** 2
     mean = (150 / 255) ** 2
     assert light.mean() == pytest.approx(mean, rel=2e-3)
@@ -208,7 +209,7 @@ def test_noise_has_the_variance_that_was_asked_for():
 def test_aberration_spreads_red_outwards():
     picture = np.zeros((200, 300, 3), np.uint8)
     picture[:, 250:] = 255
-    spread = sensor.Sensor(aberration_px=4.0).expose(picture, (150.0, 100.0), np.random.default_rng(0))
+    spread = sensor.expose(picture, Effects(aberration_px=4.0), (150.0, 100.0), np.random.default_rng(0))
     edges = [(spread[100, :, channel].astype(int) > 127).argmax() for channel in range(3)]
     assert edges[0] > edges[1] > edges[2]
 

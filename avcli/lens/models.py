@@ -6,6 +6,7 @@ m in the image plane, and the pixel is c + scale * m e.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,7 +37,7 @@ class Across(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Lens:
+class Lens(ABC):
     """A radial lens; the base of all models.
 
     Attributes:
@@ -139,40 +140,40 @@ class Lens:
     # What a model, or its family, says of itself
 
     @property
+    @abstractmethod
     def theta_max(self) -> float:
         """The largest angle from the axis that is imaged, rad."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def radius_max(self) -> float:
         """Radius of the imaged field in the image plane, in units of `scale_px` (infinite fields: 1e8 and more)."""
-        raise NotImplementedError
 
     @property
     def scale_px(self) -> tuple[float, float]:
         """Pixels of one unit of the image plane, across and down: the focal lengths."""
         return self.fx, self.fy
 
-    def _across(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Across:
-        raise NotImplementedError
+    @abstractmethod
+    def _across(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Across: ...
 
+    @abstractmethod
     def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Radius m in the image plane of the variable s, and dm/ds."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _rays(self, mx: np.ndarray, my: np.ndarray, m: np.ndarray) -> np.ndarray:
         """Unit rays (n, 3) of points (mx, my) of the image plane, of length m."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
         """dm/dk1 ... dm/dk4 at the variable s."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _by_point(
         self, across: Across, z: np.ndarray, ex: np.ndarray, ey: np.ndarray, m: np.ndarray, slope: np.ndarray
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         """m / r, and the derivatives of the image plane's x and y to the point's x, y and z."""
-        raise NotImplementedError
 
     def _by_focal_lengths(
         self, x: np.ndarray, y: np.ndarray, mx: np.ndarray, my: np.ndarray, by_point: np.ndarray
@@ -194,9 +195,9 @@ class Lens:
         return False
 
     @property
+    @abstractmethod
     def has_fold(self) -> bool:
         """Whether the ray goes as a square root of the radius at `radius_max`."""
-        raise NotImplementedError
 
     def ray_parts(self, m: np.ndarray) -> np.ndarray:
         """Lateral part over m, and axial part, (n, 2), of the rays at radii m (n,) > 0 of the image plane."""
@@ -295,12 +296,12 @@ class Perspective(Lens):
     """
 
     @property
-    def _slope_max(self) -> float:
-        raise NotImplementedError
+    @abstractmethod
+    def _slope_max(self) -> float: ...
 
+    @abstractmethod
     def _slope(self, m: np.ndarray) -> np.ndarray:
         """Slope of radii m (n,) in the image plane; NaN beyond the field."""
-        raise NotImplementedError
 
     def _across(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Across:
         unit_x, unit_y = self.slopes_per_unit

@@ -66,6 +66,10 @@ PIECE = Variants(
 """Every kind of furniture that a scenario may have, with its keys."""
 
 
+_Box = tuple[tuple[float, float, float], tuple[float, float, float], int, Sequence[float] | np.ndarray]
+"""Centre and size in m, material, colour."""
+
+
 @dataclass(frozen=True)
 class Solids:
     """n solids, room frame, metres.
@@ -86,12 +90,12 @@ class Solids:
     material: np.ndarray
     colour: np.ndarray
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.kind)
 
 
-def join(solids):
-    """Join several Solids (a list, may be empty) into one."""
+def join(solids: Sequence[Solids]) -> Solids:
+    """Join several Solids, or none, into one."""
     empty = Solids(
         np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3))
     )
@@ -99,8 +103,8 @@ def join(solids):
     return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in names))
 
 
-def blockers(solids):
-    """What casts shadows in the room: the solids, and in place of meshes a box within each mesh's bounds."""
+def blockers(solids: Solids) -> Solids:
+    """Return what casts shadows in the room: the solids, and instead of meshes a box within each mesh's bounds."""
     kept = solids.kind != TRIANGLE
     plain = Solids(*(getattr(solids, f)[kept] for f in ("kind", "centre", "axes", "half", "material", "colour")))
     boxes = []
@@ -111,7 +115,7 @@ def blockers(solids):
     return join([plain, *boxes])
 
 
-def _runs(flags):
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
     """First and end index of each run of true flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return list(zip(edges[::2], edges[1::2], strict=True))
@@ -145,8 +149,18 @@ def build(piece: Mapping[str, Any], load_mesh: Callable[[str], np.ndarray] | Non
     return _solid(BOX, place, axes, np.array(piece["size_m"]) / 2, material, colour)
 
 
-def blocks(solids, places, margin, height):
-    """Which floor places (n, 2) have a solid within margin m of them that a walker of height m would hit."""
+def blocks(solids: Solids, places: np.ndarray, margin: float, height: float) -> np.ndarray:
+    """Tell which places on the floor are blocked for a walker.
+
+    Args:
+        solids: the furniture.
+        places: (n, 2) m.
+        margin: m that a walker keeps.
+        height: of the walker, m.
+
+    Returns:
+        (n,) bool.
+    """
     hit = np.zeros(len(places), bool)
     for kind, centre, axes, half in zip(solids.kind, solids.centre, solids.axes, solids.half, strict=True):
         if kind == TRIANGLE or centre[2] - half[2] > height:
@@ -159,7 +173,7 @@ def blocks(solids, places, margin, height):
 def _table(place: np.ndarray, axes: np.ndarray, size: Sequence[float], wood: np.ndarray) -> Solids:
     length, depth, height = size
     top = 0.03
-    rows = [((0, 0, height - top / 2), (length, depth, top), WOOD, wood)]
+    rows: list[_Box] = [((0, 0, height - top / 2), (length, depth, top), WOOD, wood)]
     steel = (0.28, 0.29, 0.31)
     for x in (-1, 1):
         for y in (-1, 1):
@@ -172,7 +186,7 @@ def _table(place: np.ndarray, axes: np.ndarray, size: Sequence[float], wood: np.
 def _chair(place: np.ndarray, axes: np.ndarray, colour: np.ndarray) -> Solids:
     """A chair that faces its own +x, the seat's middle at its place."""
     steel = (0.30, 0.31, 0.33)
-    rows = [
+    rows: list[_Box] = [
         ((0, 0, 0.44), (0.42, 0.42, 0.04), PLASTIC, colour),
         ((-0.20, 0, 0.70), (0.03, 0.40, 0.28), PLASTIC, colour),
     ]
@@ -183,7 +197,8 @@ def _chair(place: np.ndarray, axes: np.ndarray, colour: np.ndarray) -> Solids:
     return _boxes(rows, place, axes)
 
 
-def _boxes(rows, place, axes):
+def _boxes(rows: list[_Box], place: np.ndarray, axes: np.ndarray) -> Solids:
+    """Join boxes whose centres are counted from a place on the floor, along its own axes."""
     origin = np.append(place, 0.0)
     return join(
         [
@@ -217,7 +232,9 @@ def _mesh(corners: np.ndarray, material: int, colour: np.ndarray) -> Solids:
     )
 
 
-def _solid(kind, centre, axes, half, material, colour):
+def _solid(
+    kind: int, centre: np.ndarray, axes: np.ndarray, half: np.ndarray, material: int, colour: np.ndarray | list[float]
+) -> Solids:
     return Solids(
         np.array([kind]), centre[None], axes[None], half[None], np.array([material]), np.asarray(colour)[None]
     )
