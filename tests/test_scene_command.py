@@ -267,7 +267,7 @@ def test_what_cannot_go_together_is_said(tmp_path):
     assert "s1, s2, s3, s4, random" in unknown.stderr
     broken = run("avsim-scene", "-", "-C", tmp_path / "exp", stdin='{"people": [')
     assert broken.returncode == 1
-    assert "<stdin>:1:13: no JSON" in broken.stderr
+    assert "<stdin>:1:13: invalid JSON" in broken.stderr
     assert not (tmp_path / "exp").exists()
 
 
