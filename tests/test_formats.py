@@ -102,17 +102,25 @@ def test_a_command_asks_only_for_the_keys_that_it_uses():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"camera_config__fx_px": None}, "camera_config.fx_px: is missing"),
-        ({"camera_config__fx_px": "596"}, "camera_config.fx_px: expected a number above 0"),
-        ({"camera_config__fx_px": -1}, "camera_config.fx_px: expected a number above 0"),
-        ({"camera_config__lens_model": "fisheye"}, "camera_config.lens_model: expected one of kannala_brandt"),
-        ({"camera_config__camera_position_m": [1, 2]}, "camera_config.camera_position_m: expected three numbers"),
-        ({"camera_config__image_width_px": 0.5}, "camera_config.image_width_px: expected a whole number"),
-        ({"microphone_config__mic_positions_m": []}, "microphone_config.mic_positions_m: expected a list"),
-        ({"microphone_config__mic_positions_m": [[0, 0, None]]}, r"mic_positions_m\[0\]: expected three numbers"),
-        ({"microphone_config__mic_directivity": "shotgun"}, "microphone_config.directivities"),
-        ({"room_config__room_dimensions_m": [4, 4, -3]}, "room_config.room_dimensions_m: expected three lengths"),
-        ({"room_config__absorption": [0.1, 0.2]}, "room_config.absorption"),
+        ({"camera_config__fx_px": None}, '"camera_config.fx_px" is missing'),
+        ({"camera_config__fx_px": "596"}, '"camera_config.fx_px" must be a number above 0, found "596"'),
+        ({"camera_config__fx_px": -1}, '"camera_config.fx_px" must be a number above 0, found -1'),
+        ({"camera_config__lens_model": "fisheye"}, '"camera_config.lens_model" must be one of kannala_brandt, '),
+        (
+            {"camera_config__camera_position_m": [1, 2]},
+            r'"camera_config.camera_position_m" must be a list of three finite numbers, found \[1,2\]',
+        ),
+        ({"camera_config__image_width_px": 0.5}, '"camera_config.image_width_px" must be an integer of at least 1'),
+        ({"microphone_config__mic_positions_m": []}, '"microphone_config.mic_positions_m" must be a list of at least one'),
+        ({"microphone_config__mic_positions_m": [[0, 0, None]]}, r"mic_positions_m\[0\]\" must be a list of three"),
+        (
+            {"microphone_config__mic_positions_m": [{"position": [0, None, 0]}]},
+            r"mic_positions_m\[0\].position\" must be a list of three finite numbers",
+        ),
+        ({"microphone_config__mic_directivity": "shotgun"}, '"microphone_config.mic_directivity" must be one of omni'),
+        ({"microphone_config__directivities": ["omni"]}, "must be a list of 8, one for each microphone, found 1"),
+        ({"room_config__room_dimensions_m": [4, 4, -3]}, "must be a list of three numbers above 0"),
+        ({"room_config__absorption": [0.1, 0.2]}, "must be a number from 0 to 1 or a list of six numbers from 0 to 1"),
     ],
 )
 def test_a_wrong_key_is_named(changes, words):
@@ -124,7 +132,7 @@ def test_a_wrong_key_is_named(changes, words):
 def test_a_broken_config_is_named_with_its_place(tmp_path):
     path = tmp_path / "config.json"
     path.write_text('{\n  "camera_config": \n}')
-    with pytest.raises(experiment.ConfigError, match=r"config.json:3:\d+: no JSON"):
+    with pytest.raises(experiment.ConfigError, match=r"config.json:3:\d+: invalid JSON"):
         experiment.read_config(path)
 
 
@@ -187,7 +195,7 @@ def test_a_height_that_was_not_observed():
 
 def test_one_identity_twice_is_refused():
     line = b'{"timestamp": 0, "objects": [{"object_id": 1, "position": [1, 2]}, {"object_id": 1, "position": [3, 4]}]}'
-    with pytest.raises(records.RecordError, match='"object_id" 1 stands twice'):
+    with pytest.raises(records.RecordError, match='"object_id" 1 occurs twice'):
         records.identified(records.decode(line))
 
 

@@ -257,7 +257,7 @@ def test_what_cannot_go_together_is_said(tmp_path):
     assert run("avsim-scene", "s9", "-C", tmp_path / "exp").returncode == 2
     broken = run("avsim-scene", "-", "-C", tmp_path / "exp", stdin='{"people": [')
     assert broken.returncode == 1
-    assert "<stdin>:1:13: no JSON" in broken.stderr
+    assert "<stdin>:1:13: invalid JSON" in broken.stderr
     assert not (tmp_path / "exp").exists()
 
 
