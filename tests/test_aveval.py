@@ -173,7 +173,7 @@ def test_fail_under(experiment):
     assert gate("video:HOTA=89", "video:MOTA=100").returncode == 0
     low = gate("HOTA=70")
     assert low.returncode == 3
-    assert low.stderr == "aveval: audio: HOTA is 48.78, under 70\n"
+    assert low.stderr == "aveval: audio: HOTA is 48.78, below 70\n"
     assert len(low.stdout.splitlines()) == 4
     assert gate("radar:HOTA=1").returncode == 3
     assert gate("HOTTA=1").returncode == 2
@@ -190,7 +190,7 @@ def scored(tmp_path, truth, tracks, *options):
 
 def test_nothing_on_either_side(tmp_path):
     nobody = scored(tmp_path, lines(walk()), "")
-    assert "there are no tracks, so everybody is missed" in nobody.stderr
+    assert "there are no tracks, so all people are missed" in nobody.stderr
     found = records_of(nobody)[0]
     assert found["summary"]["HOTA"] == 0
     assert found["HOTA"]["HOTA_FN"] == [41] * 19
@@ -225,7 +225,7 @@ def test_repeated_identities(tmp_path):
     twice = lines(walk()) + lines(walk(frames=1))
     refused = scored(tmp_path, lines(walk()), twice)
     assert refused.returncode == 1
-    assert "identity 0 stands twice at 0 s in the tracks" in refused.stderr
+    assert "identity 0 occurs twice at 0 s in the tracks" in refused.stderr
     dropped = scored(tmp_path, lines(walk()), twice, "--skip-invalid")
     assert "1 points dropped" in dropped.stderr
     assert records_of(dropped)[0]["summary"]["HOTA"] == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from avcli.formats.experiment import Config
     from avcli.formats.records import Identified
     from avcli.metrics.inputs import Input
-    from avcli.metrics.run import Detected, Run
+    from avcli.metrics.run import Run
     from avcli.metrics.sequence import Mismatch
 
 Emit = Callable[[dict], None]
+FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
 
 
 @click.command("aveval", cls=Filter, epilog="Example: aveval out/s1/groundtruth_sources.jsonl tracks.jsonl")
@@ -54,17 +55,9 @@ Emit = Callable[[dict], None]
     help="Score a sensor's detections too; with --experiments, a path inside each directory; may be repeated.",
 )
 @click.option(
-    "--plot",
-    type=click.Path(dir_okay=False),
-    metavar="FILE",
-    help="Draw each sequence to FILE.png, .svg or .pdf; with several sequences, to FILE-NAME.png.",
+    "--plot", **FILE, help="Draw each sequence to FILE.png, .svg or .pdf; with several sequences, to FILE-NAME.png."
 )
-@click.option(
-    "--html",
-    type=click.Path(dir_okay=False),
-    metavar="FILE",
-    help="Write a report: one self-contained page with tables, plots and a player.",
-)
+@click.option("--html", **FILE, help="Write a report: one self-contained page with tables, plots and a player.")
 @click.option(
     "--mot",
     type=click.Path(file_okay=False),
@@ -102,6 +95,7 @@ def main(
     from avcli.formats.atomic import write_bytes
     from avcli.metrics import gates, table
     from avcli.metrics import mot as motchallenge
+    from avcli.metrics.plots import plot_files
     from avcli.metrics.report import report
     from avcli.metrics.scoring import combined
 
@@ -136,8 +130,6 @@ def main(
             width = shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else None
             write(table.render(records, kind, compare_thesis, width))
     if plot:
-        from avcli.metrics.plots import plot_files
-
         with session.timing("plot"):
             for file, content in plot_files(runs, Path(plot)):
                 write_bytes(file, content)
@@ -191,7 +183,7 @@ def _identified(session: Session, path: str, rate: float) -> list[Identified]:
 
 
 def _config(session: Session, entry: Input) -> Config | None:
-    """The experiment's config.json, None where there is none."""
+    """Read the experiment's config.json; None if it has none."""
     from avcli.formats.experiment import read_config
 
     try:
@@ -202,8 +194,9 @@ def _config(session: Session, entry: Input) -> Config | None:
 
 def _score(session: Session, entry: Input, settings: Settings, rate: float, emit: Emit, pictures: str) -> Run:
     """Score the tracks and detections of one sequence, and gather what its pictures ("html", "plot" or none) show."""
+    from avcli.formats import records
     from avcli.metrics.run import Run
-    from avcli.metrics.scoring import score_tracks
+    from avcli.metrics.scoring import score_sensors, score_tracks
     from avcli.metrics.surroundings import with_surroundings
 
     # A pipeline that ends here may still be writing the ground truth: it is whole when the tracks have ended.
@@ -211,12 +204,12 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
     truth = _identified(session, entry.truth, rate)
     if not any(map(len, truth)):
         session.warn(f"{entry.name}: the ground truth has no objects, so all tracks are false")
+    keep_first = session.skip_invalid
     trackers = {}
     for name, path in entry.tracks:
         tracks = piped[path] if path in piped else _identified(session, path, rate)
-        words = {"sequence": entry.name, "tracker": name}
         with session.timing("score"), _ending(session.fail, f"{entry.name} {name}"):
-            tracked, mismatch = score_tracks(truth, tracks, settings, **words, keep_first=session.skip_invalid)
+            tracked, mismatch = score_tracks(truth, tracks, settings, entry.name, name, keep_first=keep_first)
         if any(map(len, tracks)):
             _warn(session, f"{entry.name} {name}", mismatch, settings, "track")
         else:
@@ -224,42 +217,21 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
         emit(tracked.record)
         trackers[name] = tracked
     config = _config(session, entry) if pictures or entry.detections else None
-    run = Run(entry.name, trackers, _sensors(session, entry, truth, settings, config, emit, bool(pictures)))
+    paths = (*entry.detections, *(entry.unscored if pictures else ()))
+    found = [(path, session.records([path], records.detections)) for path in paths]
+    kinds = config.sensors if config else None
+    sensors = {}
+    scored = score_sensors(truth, found, settings, entry.name, sensors=kinds, keep_first=keep_first)
+    for path, name, detected, mismatch in scored:
+        sensors[name] = replace(detected, scored=path in entry.detections)
+        if sensors[name].scored:
+            _warn(session, f"{entry.name} {name}", mismatch, settings, "detection")
+            emit(detected.record)
+    run = Run(entry.name, trackers, sensors)
     if not pictures or config is None:
         return run
     with session.timing("surroundings"):
         return with_surroundings(run, config, entry.directory if pictures == "html" else None, session.warn)
-
-
-def _sensors(
-    session: Session,
-    entry: Input,
-    truth: Sequence[Identified],
-    settings: Settings,
-    config: Config | None,
-    emit: Emit,
-    pictures: bool,
-) -> dict[str, Detected]:
-    """Score the detections of one sequence by sensor; those that pictures alone show give no record."""
-    from avcli.formats import records
-    from avcli.metrics.scoring import score_sensors
-
-    sensors: dict[str, Detected] = {}
-    kinds = config.sensors if config else {}
-    for path in (*entry.detections, *(entry.unscored if pictures else ())):
-        found = list(session.records([path], records.detections))
-        unnamed = Path(path).stem.removesuffix("_localizations")
-        with _ending(session.fail, path):
-            scored = list(score_sensors(truth, found, settings, entry.name, unnamed, kinds, session.skip_invalid))
-        for name, detected, mismatch in scored:
-            name = f"{name} of {Path(path).name}" if name in sensors else name
-            sensors[name] = replace(
-                detected, record=detected.record | {"sensor": name}, scored=path in entry.detections
-            )
-            if sensors[name].scored:
-                _warn(session, f"{entry.name} {name}", mismatch, settings, "detection")
-                emit(sensors[name].record)
-    return sensors
 
 
 def _warn(session: Session, name: str, mismatch: Mismatch, settings: Settings, kind: str) -> None:

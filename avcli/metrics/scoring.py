@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -67,9 +68,9 @@ def score_tracks(
     truth: Sequence[Identified],
     tracks: Sequence[Identified],
     settings: Settings | None = None,
-    *,
     sequence: str = "",
     tracker: str = "",
+    *,
     keep_first: bool = False,
 ) -> tuple[Tracked, Mismatch]:
     """Score one tracker on one sequence.
@@ -97,9 +98,9 @@ def score_sensor(
     truth: Sequence[Identified],
     found: Sequence[Detections],
     settings: Settings | None = None,
-    *,
     sequence: str = "",
     sensor: str = "",
+    *,
     sensors: Mapping[str, str] | None = None,
     keep_first: bool = False,
 ) -> tuple[Detected, Mismatch]:
@@ -145,40 +146,42 @@ def score_sensor(
 
 def score_sensors(
     truth: Sequence[Identified],
-    found: Iterable[Detections],
+    files: Iterable[tuple[str, Iterable[Detections]]],
     settings: Settings | None = None,
     sequence: str = "",
-    unnamed: str = "sensor",
+    *,
     sensors: Mapping[str, str] | None = None,
     keep_first: bool = False,
-) -> Iterator[tuple[str, Detected, Mismatch]]:
-    """Score each sensor whose detections are in one stream.
+) -> Iterator[tuple[str, str, Detected, Mismatch]]:
+    """Score every sensor in some files of detections.
 
     Args:
         truth: people, one record for each time.
-        found: detections of one or several sensors.
-        settings: how they are compared.
-        sequence: its name, for the records.
-        unnamed: name of the sensor where the records give none.
-        sensors, keep_first: as for `score_sensor`.
+        files: path and detections of each file. A sensor without a name is called by its file's; if two files have
+            detections of one sensor, the second is called "SENSOR of FILE".
+        settings, sequence, sensors, keep_first: as for `score_sensor`.
 
     Yields:
-        The sensor's name, its scored detections, and what did not match in time.
+        Path and name of the sensor, its scored detections, and what did not match in time.
 
     Raises:
-        ValueError: as `score`; the message names the sensor.
+        ValueError: as `score`; the message names the file and the sensor.
     """
-    by_sensor: dict[str, list[Detections]] = {}
-    for each in found:
-        by_sensor.setdefault(each.sensor or unnamed, []).append(each)
-    for name, own in by_sensor.items():
-        try:
-            scored, mismatch = score_sensor(
-                truth, own, settings, sequence=sequence, sensor=name, sensors=sensors, keep_first=keep_first
-            )
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        yield name, scored, mismatch
+    names: set[str] = set()
+    for path, found in files:
+        by_sensor: dict[str, list[Detections]] = {}
+        for each in found:
+            by_sensor.setdefault(each.sensor or Path(path).stem.removesuffix("_localizations"), []).append(each)
+        for sensor, own in by_sensor.items():
+            name = f"{sensor} of {Path(path).name}" if sensor in names else sensor
+            names.add(name)
+            try:
+                detected, mismatch = score_sensor(
+                    truth, own, settings, sequence, name, sensors=sensors, keep_first=keep_first
+                )
+            except ValueError as error:
+                raise ValueError(f"{path}: {sensor}: {error}") from None
+            yield path, name, detected, mismatch
 
 
 def combined(runs: Sequence[Run], say: Callable[[str], None] = lambda text: None) -> Iterator[dict]:

@@ -103,8 +103,12 @@ def _table(rows: Sequence[Row], columns: Sequence[Field], width: int | None) -> 
             current = sequence
         name = f"  {whose}" if whose else name
         lines.append(f"{name:<{label}}" + "".join(f"{text:>{cell}}" for text in cells[:fitting]))
-    if units := ", ".join(f"{field.column} in {_unit(field)}" for field in columns if _unit(field)):
-        lines += ["", f"Scores are in percent; {units}."]
+    units: dict[str, list[str]] = {}
+    for field in columns:
+        if _unit(field):
+            units.setdefault(_unit(field), []).append(field.column)
+    if units:
+        lines += ["", "; ".join(["fractions in percent", *(f"{', '.join(n)} in {u}" for u, n in units.items())])]
     return "\n".join(lines) + "\n"
 
 
