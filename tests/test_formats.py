@@ -111,7 +111,10 @@ def test_a_command_asks_only_for_the_keys_that_it_uses():
             r'"camera_config.camera_position_m" must be a list of three finite numbers, found \[1,2\]',
         ),
         ({"camera_config__image_width_px": 0.5}, '"camera_config.image_width_px" must be an integer of at least 1'),
-        ({"microphone_config__mic_positions_m": []}, '"microphone_config.mic_positions_m" must be a list of at least one'),
+        (
+            {"microphone_config__mic_positions_m": []},
+            '"microphone_config.mic_positions_m" must be a list of at least one',
+        ),
         ({"microphone_config__mic_positions_m": [[0, 0, None]]}, r"mic_positions_m\[0\]\" must be a list of three"),
         (
             {"microphone_config__mic_positions_m": [{"position": [0, None, 0]}]},

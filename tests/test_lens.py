@@ -1,4 +1,9 @@
+import doctest
+import math
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import mpmath
 import numpy as np
@@ -6,7 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.lens import BrownConrady, Division, KannalaBrandt
+import avcli.lens
+from avcli.formats import experiment
+from avcli.lens import LENSES, Angular, BrownConrady, Division, KannalaBrandt, shader
+from avcli.lens.radial import fold_of_odd_polynomial, odd_polynomial
 
 REAL = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
 WIDE = KannalaBrandt(350.0, 352.0, 960.3, 541.7, 0.02, -0.006, 0.001, -0.0001)  # images well past 110 degrees
@@ -14,7 +22,27 @@ BENT = KannalaBrandt(400.0, 400.0, 500.0, 400.0, 0.5, -0.3, 0.2, -0.05)  # plain
 VIRTUAL = BrownConrady(596.43, 596.43, 960.0, 540.0, -0.2)
 BARREL = BrownConrady(800.0, 790.0, 950.0, 530.0, -0.25, 0.08, -0.02, 0.003)
 LISTING = Division(596.43, 596.43, 960.0, 540.0, -0.2)
-LENSES = [REAL, WIDE, BENT, VIRTUAL, BARREL, LISTING]
+
+
+@dataclass(frozen=True)
+class Equisolid(Angular):
+    """The equal-area fisheye, written as CONTRIBUTING.md says, to hold that a lens is one class and one table entry."""
+
+    @cached_property
+    def theta_max(self) -> float:
+        return 2 * math.asin(min(fold_of_odd_polynomial(*self.coefficients), 2.0) / 2)
+
+    def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        m, slope = odd_polynomial(2 * np.sin(s / 2), *self.coefficients)
+        return m, slope * np.cos(s / 2)
+
+    def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
+        return [(2 * np.sin(s / 2)) ** n for n in (3, 5, 7, 9)]
+
+
+EQUAL_AREA = Equisolid(600.0, 600.0, 960.0, 540.0)
+BENT_AREA = Equisolid(600.0, 610.0, 960.0, 540.0, -0.05, 0.01)
+EXAMPLES = [REAL, WIDE, BENT, VIRTUAL, BARREL, LISTING, EQUAL_AREA, BENT_AREA]
 
 
 def rays(theta, phi):
@@ -68,7 +96,7 @@ def test_inverse_equals_forty_digits(lens, copies):
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", EXAMPLES)
 def test_round_trip_over_the_image(lens):
     u, v = np.meshgrid(np.linspace(0, 1919, 97), np.linspace(0, 1079, 61))
     pixels = np.stack([u.ravel(), v.ravel()], -1)
@@ -80,7 +108,7 @@ def test_round_trip_over_the_image(lens):
     assert np.isnan(ray[~seen]).all()
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", EXAMPLES)
 def test_round_trip_of_rays(lens):
     theta = np.linspace(0, lens.theta_max - np.deg2rad(1.0), 3000)
     ray = rays(theta, np.arange(3000.0))
@@ -190,7 +218,7 @@ def test_division_model_paints_a_third_of_its_image_black():
     )
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", EXAMPLES)
 def test_jacobian_equals_central_differences(lens):
     theta = np.concatenate([[1e-9, 1e-4], np.linspace(0.05, 0.8 * lens.theta_max, 12)])
     points = rays(theta, np.linspace(0.3, 9, 14)) * 1.3
@@ -214,7 +242,7 @@ def test_jacobian_equals_central_differences(lens):
 
 
 def test_jacobian_on_the_axis_and_outside():
-    for lens in LENSES:
+    for lens in EXAMPLES:
         pixels, d_point, d_parameters = lens.project_jacobian([[0.0, 0.0, 2.0], [0.0, 0.0, -1.0]])
         np.testing.assert_allclose(pixels[0], [lens.cx, lens.cy])
         np.testing.assert_allclose(d_point[0], [[lens.fx / 2, 0, 0], [0, lens.fy / 2, 0]], atol=1e-9)
@@ -239,6 +267,54 @@ def test_any_coefficients_give_an_exact_inverse_up_to_their_fold(k1, k2, k3, k4)
         np.testing.assert_allclose(again, pixels, rtol=1e-13, atol=1e-9)
         few = lens.unproject(pixels[:50])
         np.testing.assert_allclose(few, lens.unproject(pixels)[:50], rtol=0, atol=1e-12)
+
+
+def test_a_lens_is_registered_in_one_place(monkeypatch):
+    monkeypatch.setitem(LENSES, "equisolid", Equisolid)
+    camera = {"lens_model": "equisolid", "fx_px": 300.0, "fy_px": 300.0, "cx_px": 319.5, "cy_px": 239.5, "k1": -0.02}
+    lens = experiment.lens_from_config(camera, width_px=640, height_px=480)
+    assert lens == Equisolid(300.0, 300.0, 319.5, 239.5, -0.02)
+    assert avcli.lens.name_of(lens) == "equisolid"
+    with pytest.raises(experiment.ConfigError, match="kannala_brandt, brown_conrady, division, equisolid"):
+        experiment.lens_from_config({**camera, "lens_model": "fisheye"})
+
+
+def test_an_equisolid_lens_gives_equal_areas_to_equal_solid_angles():
+    radius = EQUAL_AREA.project(rays(np.linspace(0, np.pi, 20), np.zeros(20)))[:, 0] - 960.0
+    solid_angle = 2 * np.pi * (1 - np.cos(np.linspace(0, np.pi, 20)))
+    np.testing.assert_allclose(np.pi * (radius / 600.0) ** 2, solid_angle, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("lens", EXAMPLES)
+def test_the_shaders_rays_are_the_lens(lens):
+    values = shader.uniforms(lens, 1920, 1080)
+    u, v = np.meshgrid(np.linspace(0, 1919, 61), np.linspace(0, 1079, 41))
+    pixels = np.stack([u.ravel(), v.ravel()], -1)
+    m = (pixels - values["centre"]) * values["per_px"]
+    inverse_square, ends, limit, bounded = values["domain"]
+    square = np.sum(m * m, -1)
+    w = np.sqrt(np.maximum(1 - square * inverse_square, 0)) if ends else square * inverse_square
+    across, ahead = np.polynomial.chebyshev.chebval(2 * w - 1, np.array(values["series"]))
+    lateral = m * across[:, None]
+    ray = np.concatenate([lateral * values["stretch"], ahead[:, None]], 1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    seen = (square <= limit) & ~(bool(bounded) & (np.abs(lateral).max(1) > 1))
+    exact = lens.unproject(pixels)
+    assert (seen == np.isfinite(exact[:, 0])).all()
+    np.testing.assert_allclose(ray[seen], exact[seen], rtol=0, atol=2e-7)
+
+
+@pytest.mark.parametrize("lens", EXAMPLES)
+def test_a_clamped_projection_is_finite_and_keeps_what_is_seen(lens):
+    points = np.random.default_rng(1).normal(size=(500, 3))
+    pixels, clamped = lens.project(points), lens.project_clamped(points)
+    assert np.isfinite(clamped).all()
+    seen = np.isfinite(pixels[:, 0])
+    np.testing.assert_allclose(clamped[seen], pixels[seen], rtol=1e-7, atol=1e-4)
+
+
+def test_the_sample_in_the_docstring_runs():
+    assert doctest.testmod(avcli.lens).failed == 0
 
 
 def test_wrong_shapes_are_refused():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from avcli import pose
-from avcli.lens import BrownConrady, Division, KannalaBrandt
 from avcli.scene import annotations, furniture, mesh, people, render, scenario
 
 SMALL_KB = {
@@ -128,34 +127,6 @@ def test_a_ball_has_the_outline_of_its_cone_of_rays(context):
     inside = rays @ (way / far) > np.sqrt(1 - (0.25 / far) ** 2)
     assert inside.sum() > 1000
     assert ((renderer.depth_m().ravel() < to_the_walls(scene) - 1e-3) == inside).mean() > 0.9999
-
-
-@pytest.mark.parametrize(
-    "lens",
-    [
-        KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006),
-        KannalaBrandt(300.0, 300.0, 960.0, 540.0, 0.01, -0.002),
-        BrownConrady(596.43, 596.43, 960.0, 540.0, -0.2),
-        BrownConrady(900.0, 900.0, 960.0, 540.0),
-        Division(596.43, 596.43, 960.0, 540.0, -0.2),
-    ],
-)
-def test_the_shaders_rays_are_the_lens(lens):
-    values = render.lens_uniforms(lens, 1920, 1080)
-    u, v = np.meshgrid(np.linspace(0, 1919, 61), np.linspace(0, 1079, 41))
-    pixels = np.stack([u.ravel(), v.ravel()], -1)
-    m = (pixels - values["centre"]) * values["per_px"]
-    inverse_square, ends, limit, bounded = values["domain"]
-    square = np.sum(m * m, -1)
-    w = np.sqrt(np.maximum(1 - square * inverse_square, 0)) if ends else square * inverse_square
-    across, ahead = np.polynomial.chebyshev.chebval(2 * w - 1, np.array(values["series"]))
-    lateral = m * across[:, None]
-    ray = np.concatenate([lateral * values["stretch"], ahead[:, None]], 1)
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    seen = (square <= limit) & ~(bool(bounded) & (np.abs(lateral).max(1) > 1))
-    exact = lens.unproject(pixels)
-    assert (seen == np.isfinite(exact[:, 0])).all()
-    np.testing.assert_allclose(ray[seen], exact[seen], rtol=0, atol=2e-7)
 
 
 def test_visible_fraction_is_what_can_be_counted(context):

@@ -1,7 +1,7 @@
 """Write what follows from the formats' descriptions: the JSON Schemas and the key lists of avcli-formats(5).
 
-    python -m avcli.formats            # write them
-    python -m avcli.formats --check    # exit 1, naming the files that are not as the descriptions say
+python -m avcli.formats            # write them
+python -m avcli.formats --check    # exit 1, naming the files that are not as the descriptions say
 """
 
 import argparse
@@ -32,6 +32,8 @@ def key_list(described: Format) -> str:
 
 
 def _listed(kind: Object) -> Iterator[str]:
+    if not kind.keys:
+        return
     yield ".Bl -tag -width Ds -compact"
     for name, key in kind.keys.items():
         yield f".It Va {name}"
@@ -58,12 +60,11 @@ def _inside(kind: Kind) -> Iterator[str]:
 
 
 def _sentence(key: Key) -> str:
-    words = key.kind.words().removeprefix("a ").removeprefix("an ")
-    said = f"{words[:1].upper()}{words[1:]}{', required' if key.required else ''}"
-    if key.default not in (None, ""):
-        said += f"; default {json.dumps(key.default)}"
+    words = key.kind.words() + (", required" if key.required else "")
+    if key.default is not None:
+        words += f"; default {json.dumps(key.default)}"
     # A line that begins with a dot or an apostrophe would be a macro; a backslash would be an escape.
-    return f"{said}: {key.text}.".replace("\\", "\\e")
+    return f"{key.text[:1].upper()}{key.text[1:]}: {words}.".replace("\\", "\\e")
 
 
 def _with_key_lists(page: str) -> str:

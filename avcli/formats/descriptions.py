@@ -5,7 +5,6 @@ gets its kind here, and its reader finds it in the dictionary that `read` return
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from avcli import lens
 from avcli.formats.schema import (
@@ -31,15 +30,15 @@ from avcli.formats.schema import (
 from avcli.formats.sensors import KINDS
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
-LENSES: dict[str, type[Any]] = {"kannala_brandt": lens.KannalaBrandt, "brown_conrady": lens.BrownConrady, "division": lens.Division}
-"""Lens models by their names in config.json."""
 DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
 """Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
 
 PROBABILITY = Number(least=0, most=1)
 BOX = Numbers(4)
 TIMESTAMP = Key(
-    Timestamp(), "s since the start of the scene (live sensors: Unix time); written with ten decimals", required=True
+    Timestamp(),
+    "time since the start of the scene (live sensors: Unix time), s; written as text with ten decimals",
+    required=True,
 )
 
 
@@ -56,16 +55,16 @@ class Format:
 
 PERSON = Object(
     {
-        "object_id": Key(IDENTITY, "names the person; the same in all records", required=True),
-        "position": Key(Point(), "m in the room frame; the point on the floor under the body's axis", required=True),
-        "mouth_position": Key(Numbers(3), "m; where the sound comes from"),
+        "object_id": Key(IDENTITY, "identity of the person, the same in all records", required=True),
+        "position": Key(Point(), "point on the floor under the body's axis, m in the room frame", required=True),
+        "mouth_position": Key(Numbers(3), "where the voice comes from, m in the room frame"),
         "speaking": Key(
             Either((Boolean(), PROBABILITY)),
             "in ground truth, whether it is the person's turn to speak; in tracks, a probability",
         ),
-        "bbox_px": Key(BOX, "[x0, y0, x1, y1] px around the visible pixels; absent where none is visible"),
-        "velocity": Key(Numbers(3), "m/s"),
-        "covariance": Key(Covariance(), "m², of the position; symmetric and positive"),
+        "bbox_px": Key(BOX, "box [x0, y0, x1, y1] around the visible pixels, px; absent where none is visible"),
+        "velocity": Key(Numbers(3), "velocity, m/s"),
+        "covariance": Key(Covariance(), "covariance of the position, m²"),
         "existence": Key(PROBABILITY, "probability that the track is a person"),
     }
 )
@@ -82,14 +81,14 @@ FRAME = Object(
 AUDIO = Object(
     {
         "path": Key(Text(), "path of the sound file, relative to the experiment directory", required=True),
-        "start_sample": Key(Integer(), "number of its first sample; sample 0 is time 0 of the scene", required=True),
-        "num_samples": Key(Integer(least=0), "its length", required=True),
-        "sample_rate_hz": Key(Integer(least=1), "Hz", required=True),
+        "start_sample": Key(Integer(), "number of the first sample; sample 0 is time 0 of the scene", required=True),
+        "num_samples": Key(Integer(least=0), "number of samples in the file", required=True),
+        "sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", required=True),
         "num_channels": Key(Integer(least=1), "number of microphones", required=True),
         "tail_samples": Key(
             Integer(least=0),
-            "how many of its samples come after the scene's end, where only reverberation is left; at most "
-            "num_samples. Default: config.json's reverberation time, at the end of the recording",
+            "number of samples after the scene's end, where only reverberation is left; at most "
+            "num_samples; by default config.json's reverberation time, at the end of the recording",
         ),
     }
 )
@@ -98,13 +97,13 @@ DETECTION = Object(
     {
         "position": Key(
             Point(height_may_be_null=True),
-            "m in the room frame; z is null or absent where it was not observed",
+            "position, m in the room frame; z is null or absent where it was not observed",
             required=True,
         ),
-        "covariance": Key(Covariance(), "m², symmetric and positive; a zero variance means: not observed"),
+        "covariance": Key(Covariance(), "covariance of the position, m²; a zero variance means: not observed"),
         "score": Key(PROBABILITY, "probability that the detection is right"),
-        "bbox_px": Key(BOX, "[x0, y0, x1, y1] px of the full image"),
-        "height": Key(Number(), "m; height of the person"),
+        "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
+        "height": Key(Number(), "height of the person, m"),
     }
 )
 
@@ -164,7 +163,7 @@ AUDIO_RECORD = Format(
             "audio": Key(AUDIO, "the sound file", required=True),
             "activity": Key(
                 MapOf(ListOf(Numbers(2))),
-                "object_id -> list of [start, end] in s in which that voice sounds (avsim-audio)",
+                "when each voice sounds (avsim-audio): object_id -> list of [start, end], s",
                 read=False,
             ),
         }
@@ -174,7 +173,7 @@ AUDIO_RECORD = Format(
 # --- what is written and never read -----------------------------------------------------------------------------------
 
 _COUNT = Integer(least=0)
-_EXPLAINED_ID = (OrNull(_COUNT), "the same as in the tracks; null: not in the tracks so far")
+_EXPLAINED_ID = (OrNull(_COUNT), "identity in the tracks; null: not in the tracks so far")
 _LABEL = (_COUNT, "the tracker's own name for a person")
 
 
@@ -201,15 +200,15 @@ _EXPLAINED_PERSON = _written(
         Either((_COUNT, Choice(("missed", "absent")))),
         "number of the detection that the person most probably caused, or why there is none",
     ),
-    probability=(PROBABILITY, "of that"),
+    probability=(PROBABILITY, "probability of that"),
     object_id=_EXPLAINED_ID,
 )
 _EXPLAINED_DETECTION = _written(
-    position=(Numbers(2), "m"),
-    unclaimed=(PROBABILITY, "that no known person caused it"),
-    person_if_unclaimed=(PROBABILITY, "that it is a new person if no known person caused it"),
-    clutter_density=(Number(least=0), "1/m²"),
-    stranger_density=(Number(least=0), "1/m², of people who are not known yet"),
+    position=(Numbers(2), "position, m"),
+    unclaimed=(PROBABILITY, "probability that no known person caused it"),
+    person_if_unclaimed=(PROBABILITY, "probability of a new person if no known person caused it"),
+    clutter_density=(Number(least=0), "density of false detections here, 1/m²"),
+    stranger_density=(Number(least=0), "density of people who are not known yet, 1/m²"),
 )
 _HYPOTHESIS = _written(
     weight=(PROBABILITY, "probability of the joint hypothesis"),
@@ -226,18 +225,18 @@ EXPLAIN = Format(
     _written(
         timestamp=(
             Written({"type": "string", "pattern": r"^-?\d+\.\d{10}$"}, "a number of seconds with ten decimals"),
-            "of the sensor's record",
+            "time of the sensor's record, s",
         ),
         sensor=(Text(), "name of the sensor"),
-        expected_clutter=(Number(least=0), "false detections expected in one record"),
-        detection_probability=(PROBABILITY, "that the sensor finds a person"),
+        expected_clutter=(Number(least=0), "expected number of false detections in one record"),
+        detection_probability=(PROBABILITY, "probability that the sensor detects a person"),
         detections=(
             ListOf(_EXPLAINED_DETECTION),
-            "in order of x, then y, without exact repetitions; other keys give their number in this list",
+            "detections in order of x, then y, without exact repetitions; other keys give their number in this list",
         ),
         people=(ListOf(_EXPLAINED_PERSON), "the known people"),
         clusters=(ListOf(_CLUSTER), "people whose detections are decided together"),
-        existence_before=(MapOf(PROBABILITY), "by label, before this record"),
+        existence_before=(MapOf(PROBABILITY), "probabilities of existence before this record, by label"),
         born=(ListOf(_BIRTH), "new tracks"),
         died=(ListOf(_DEATH), "tracks that ended"),
     ),
@@ -302,9 +301,9 @@ _PLACE = Numbers(3)
 
 LENS_KEYS = {
     "lens_model": Key(
-        Choice(tuple(LENSES)),
-        "kannala_brandt is OpenCV's fisheye model (KB-8), brown_conrady has four radial terms, "
-        "division is the model of the thesis's shader",
+        Choice(tuple(lens.LENSES)),
+        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
+        "the thesis's shader",
         default="division",
     ),
     "fx_px": Key(_LENGTH, "focal length, px", required=True),
@@ -316,19 +315,23 @@ LENS_KEYS = {
 CAMERA = Object(
     {
         **LENS_KEYS,
-        "camera_position_m": Key(_PLACE, "m, of the camera in the room; a command that needs it says so"),
+        "camera_position_m": Key(
+            _PLACE, "position of the camera in the room, m; required by commands that place things in the room"
+        ),
         "camera_rotation_deg": Key(
             _DIRECTION,
-            "pitch, yaw, roll; [90, 0, 0] looks straight down, image right = +x, image up = +y",
+            "orientation: pitch, yaw, roll; [90, 0, 0] looks straight down with image right = +x and image up = +y",
             default=[90.0, 0.0, 0.0],
         ),
-        "image_width_px": Key(Integer(least=1), "px", default=1920),
-        "image_height_px": Key(Integer(least=1), "px", default=1080),
-        "frame_rate_hz": Key(_LENGTH, "Hz", default=10.0),
+        "image_width_px": Key(Integer(least=1), "width of the image, px", default=1920),
+        "image_height_px": Key(Integer(least=1), "height of the image, px", default=1080),
+        "frame_rate_hz": Key(_LENGTH, "frames in a second, Hz", default=10.0),
         "depth_kind": Key(
-            Choice(("radial", "z")), "radial: m along the pixel's ray; z: m along the optical axis", default="radial"
+            Choice(("radial", "z")),
+            "meaning of depth: m along the pixel's ray (radial), or along the optical axis (z)",
+            default="radial",
         ),
-        "depth_step_m": Key(_LENGTH, "m of one step of a depth picture, in which 0 means: no depth", default=1e-4),
+        "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
         "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
         "theta_max_observed_deg": Key(
             Number(least=0), "largest angle from the axis at which the calibration saw corners; no rays beyond it"
@@ -347,17 +350,17 @@ MICROPHONES = Object(
                         Object(
                             {
                                 "object_id": Key(Integer(), "number of the microphone", read=False),
-                                "position": Key(_PLACE, "m", required=True),
+                                "position": Key(_PLACE, "position, m", required=True),
                             }
                         ),
                     )
                 ),
                 least=1,
             ),
-            "m, in the order of the channels: [x, y, z], or objects with a position",
+            "positions in the order of the channels, m: lists [x, y, z], or objects",
             required=True,
         ),
-        "audio_sample_rate_hz": Key(Integer(least=1), "Hz", default=44100),
+        "audio_sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", default=44100),
         "audio_bit_depth": Key(Choice((16, 24, 32)), "bits of a sample", default=32),
         "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
         "directivities": Key(ListOf(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
@@ -368,13 +371,13 @@ MICROPHONES = Object(
 )
 ROOM = Object(
     {
-        "room_dimensions_m": Key(Numbers(3, _LENGTH), "m, along x, y and z", required=True),
-        "reverberation_time_s": Key(Number(least=0), "T60, s"),
+        "room_dimensions_m": Key(Numbers(3, _LENGTH), "size of the room along x, y and z, m", required=True),
+        "reverberation_time_s": Key(Number(least=0), "reverberation time T60, s"),
         "absorption": Key(
             Either((PROBABILITY, Numbers(6, PROBABILITY))),
             "energy absorption of all walls, or of each in the order x0 x1 y0 y1 z0 z1",
         ),
-        "speed_of_sound_m_s": Key(_LENGTH, "m/s", default=SPEED_OF_SOUND_M_S),
+        "speed_of_sound_m_s": Key(_LENGTH, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
     }
 )
 SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "what the sensor is", required=True)}))

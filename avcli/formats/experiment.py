@@ -10,7 +10,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import orjson
@@ -24,23 +24,6 @@ from avcli.formats.schema import Invalid, MapOf, Object, shown
 
 class ConfigError(ValueError):
     """A key of config.json that is missing or invalid."""
-
-
-class Lens(Protocol):
-    """A lens model of avcli.lens: camera frame x right, y down, z forward; pixels from the first pixel's centre."""
-
-    @property
-    def theta_max(self) -> float:
-        """Largest angle from the axis that the model can image, rad."""
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """Map points (..., 3) m to pixels (..., 2); NaN where the lens does not see them."""
-
-    def unproject(self, pixels: np.ndarray) -> np.ndarray:
-        """Map pixels (..., 2) to unit rays (..., 3); NaN where there is none."""
-
-    def project_jacobian(self, points: np.ndarray) -> Any:
-        """Return the pixels of points (..., 3) with their derivatives."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +41,7 @@ class Camera:
         theta_max: largest angle from the axis at which the lens may be believed, rad.
     """
 
-    lens: Lens
+    lens: lens.Lens
     T_room_camera: np.ndarray
     width_px: int
     height_px: int
@@ -202,7 +185,7 @@ class Config:
 
 def lens_from_config(
     values: Mapping[str, Any], *, name: str = "config.json", width_px: int = 1920, height_px: int = 1080
-) -> Lens:
+) -> lens.Lens:
     """Make the lens that a camera_config describes (no "lens_model": the thesis's virtual camera, "division").
 
     Raises:
@@ -217,10 +200,9 @@ def lens_from_config(
 _OPTICS = Object(descriptions.LENS_KEYS)
 
 
-def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> Lens:
+def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens:
     numbers = [values[key] for key in ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")]
-    model = descriptions.LENSES[values["lens_model"]]
-    return model(*numbers, width_px, height_px) if model is lens.Division else model(*numbers)
+    return lens.LENSES[values["lens_model"]].of_image(numbers, width_px, height_px)
 
 
 def read_config(path: str | os.PathLike[str]) -> Config:

@@ -26,8 +26,6 @@ from typing import Any, Protocol
 import numpy as np
 import orjson
 
-_COUNTS = ("no", "one", "two", "three", "four", "five", "six")
-
 
 class Invalid(ValueError):
     """A value that does not fit its description; `path` leads to it: keys and indices from the outside in."""
@@ -73,6 +71,11 @@ class Kind(Protocol):
 
 def _refuse(kind: Kind, value: Any) -> Invalid:
     return Invalid(f"must be {kind.words()}, found {shown(value)}")
+
+
+def _count(number: int) -> str:
+    words = ("no", "one", "two", "three", "four", "five", "six")
+    return words[number] if number < len(words) else str(number)
 
 
 _PLAIN = {float, int}
@@ -266,8 +269,7 @@ class Numbers:
         return {"type": "array", "items": self.item.schema(), "minItems": self.count, "maxItems": self.count}
 
     def words(self) -> str:
-        count = _COUNTS[self.count] if self.count < len(_COUNTS) else str(self.count)
-        bounds = self.item.bounds()
+        count, bounds = _count(self.count), self.item.bounds()
         return f"a list of {count} numbers {bounds}" if bounds else f"a list of {count} finite numbers"
 
 
@@ -371,7 +373,9 @@ class ListOf:
         return {"type": "array", "items": self.item.schema()} | bounds
 
     def words(self) -> str:
-        bounds = [f"at least {_COUNTS[self.least]}"] if self.least else []
+        if self.least == self.most:
+            return f"a list of {self.most}"
+        bounds = [f"at least {_count(self.least)}"] if self.least else []
         bounds += [f"at most {self.most}"] if self.most is not None else []
         return f"a list of {' and '.join(bounds)}" if bounds else "a list"
 
@@ -385,7 +389,7 @@ class Key:
 
     Attributes:
         kind: of its value.
-        text: what it means, for the schema and the manual; units first.
+        text: what it means and in which unit, for the schema and the manual.
         required: whether it must be there.
         default: what an absent or null value is read as; it must fit the kind, or be None.
         read: False: the key is described but no reader of this package looks at it, so that it is not checked either.
@@ -448,7 +452,7 @@ class Object:
             else:
                 raise Invalid(f"must be {self.keys[name].kind.words()}, found null", (name,))
         if self.exclusive and sum(value.get(name) is not None for name in self.exclusive) > 1:
-            raise Invalid(f"{' and '.join(self.exclusive)} exclude each other")
+            raise Invalid(f"has {' and '.join(self.exclusive)}; only one of them is possible")
         return checked
 
     def schema(self) -> dict[str, Any]:

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.lens import Division
+from avcli.lens import shader as lens_shader
 from avcli.scene import furniture, room_shaders, shaders
 
-_MOST_TERMS = 40  # of the series by which the shaders turn pixels into rays
 _TILE = 32  # px, the grain in which a frame is redrawn
 _COARSE = 4  # px, the grid on which the room's light is computed
 _SHADOW_PITCH = 8  # px, the grid on which people's shadows are computed
@@ -95,7 +94,7 @@ class Renderer:
         if max(self.width, self.height) > limit:
             raise ValueError(f"an image of {self.width} x {self.height} px: this OpenGL draws up to {limit} px a side")
         self.T_camera_room = _inverse(camera.T_room_camera)
-        self._lens = lens_uniforms(camera.lens, self.width, self.height)
+        self._lens = lens_shader.uniforms(camera.lens, self.width, self.height)
         x, y, z = self.room
         self._lamps = [(0.28 * x, 0.5 * y, z), (0.72 * x, 0.5 * y, z)]
         self._room_pass()
@@ -191,7 +190,7 @@ class Renderer:
             rim = np.concatenate([p[:, None] * (1 - f) + q[:, None] * f for p, q in ((a, b), (b, c), (c, a))], 1)
             points[flat] = np.resize(rim.transpose(1, 0, 2), (len(unit), flat.sum(), 3)).transpose(1, 0, 2)
         in_camera = points @ self.T_camera_room[:3, :3].T + self.T_camera_room[:3, 3]
-        rectangles = _bounds(clamped_pixels(self.camera.lens, in_camera), 4.0)
+        rectangles = _bounds(self.camera.lens.project_clamped(in_camera), 4.0)
         lost = ~np.isfinite(rectangles).all(1)
         rectangles[lost] = (0, 0, self.width, self.height)
         return _clip(rectangles, self.width, self.height)
@@ -384,7 +383,7 @@ class _Drawn:
         turn = np.arange(16) * np.pi / 8
         ring = _SHADOW_REACH * np.stack([np.cos(turn), np.sin(turn)], -1)
         floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
-        pixels = clamped_pixels(r.camera.lens, floor @ r.T_camera_room[:3, :3].T + r.T_camera_room[:3, 3])
+        pixels = r.camera.lens.project_clamped(floor @ r.T_camera_room[:3, :3].T + r.T_camera_room[:3, 3])
         self.shadows = _bounds(pixels, 4.0)
 
     def _outline(self, a, b):
@@ -409,7 +408,7 @@ class _Drawn:
                 v = np.cross(way, u)
                 ring = np.cos(angles)[:, None] * u[..., None, :] + np.sin(angles)[:, None] * v[..., None, :]
                 points[:, :, k] = way[..., None, :] + tangent[..., None] * ring
-        pixels = clamped_pixels(self.renderer.camera.lens, points.reshape(n * p, 48, 3)).reshape(n, p, 48, 2)
+        pixels = self.renderer.camera.lens.project_clamped(points.reshape(n * p, 48, 3)).reshape(n, p, 48, 2)
         self.rectangles = _bounds(pixels, 1.5)
         way = pixels[:, :, 36:].mean(2) - pixels[:, :, :12].mean(2)
         length = np.linalg.norm(way, axis=-1, keepdims=True)
@@ -518,57 +517,6 @@ class _Drawn:
         instances = np.concatenate(rows) if rows else np.zeros((0, 28))
         instances = instances[np.isfinite(instances).all(1)]
         return instances.astype("f4"), tiles, (max(int(left), 1), max(int(height), 1))
-
-
-def lens_uniforms(lens, width, height):
-    """What the shaders need to turn pixels into rays: a series each for the lateral and the axial part.
-
-    Its variable is the squared radius, or, where the lens folds within the series' reach, the root of the distance to
-    the fold, in which it is smooth.
-    """
-    if isinstance(lens, Division):
-        per_px = np.array([2.0 / lens.width, 2.0 / lens.height])
-        stretch = np.array([0.5 * lens.width / lens.fx, 0.5 * lens.height / lens.fy])
-    else:
-        per_px, stretch = np.array([1.0 / lens.fx, 1.0 / lens.fy]), np.ones(2)
-    x = np.maximum(abs(lens.cx + 0.5), abs(width - 0.5 - lens.cx)) * per_px[0]
-    y = np.maximum(abs(lens.cy + 0.5), abs(height - 0.5 - lens.cy)) * per_px[1]
-    # Bodies are counted beyond the image too; a pinhole image ends within it.
-    top = min((1.0 if isinstance(lens, Division) else 1.5) * np.hypot(x, y), lens.radius_max)
-    ends = top == lens.radius_max and not isinstance(lens, Division) and lens.theta_max < np.pi
-    node = 0.5 - 0.5 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
-    m = top * np.sqrt((1 - node) * (1 + node)) if ends else top * np.sqrt(node)
-    if isinstance(lens, Division):
-        t = (m * (1 - 1e-9)) ** 2
-        across = 1.0 / (1 + t * (lens.k1 + t * (lens.k2 + t * (lens.k3 + t * lens.k4))))
-        ahead = np.ones_like(m)
-    else:
-        rays = lens.unproject(np.stack([lens.cx + lens.fx * m * (1 - 1e-13), np.full_like(m, lens.cy)], -1))
-        across, ahead = rays[:, 0] / m, rays[:, 2]
-    wanted = np.stack([across, ahead], -1)
-    for terms in range(2, _MOST_TERMS + 1):
-        series = np.polynomial.chebyshev.chebfit(2 * node - 1, wanted, terms - 1)
-        if np.abs(np.polynomial.chebyshev.chebval(2 * node - 1, series).T - wanted).max() < 3e-8:
-            break
-    return {
-        "centre": (lens.cx, lens.cy), "per_px": tuple(per_px), "stretch": tuple(stretch),
-        "domain": (1.0 / top**2, float(ends), top**2, float(isinstance(lens, Division))), "series": series.tolist(),
-    }  # fmt: skip
-
-
-def clamped_pixels(lens, points):
-    """Project points (..., 3), those outside the lens's field from the field's edge nearest to them."""
-    x, y, z = np.moveaxis(points, -1, 0)
-    if isinstance(lens, Division):
-        ahead = np.maximum(z, 1e-6 * (np.hypot(x, y) + 1e-12))
-        x = np.clip(x / ahead, -0.5 * lens.width / lens.fx, 0.5 * lens.width / lens.fx)
-        y = np.clip(y / ahead, -0.5 * lens.height / lens.fy, 0.5 * lens.height / lens.fy)
-        return lens.project(np.stack([x, y, np.ones_like(x)], -1) * (1 - 1e-12 * np.array([1, 1, 0])))
-    r = np.hypot(x, y)
-    theta = np.minimum(np.arctan2(r, z), lens.theta_max * (1 - 1e-9))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scale = np.where(r > 0, np.sin(theta) / r, 0.0)
-    return lens.project(np.stack([x * scale, y * scale, np.cos(theta)], -1))
 
 
 def linear(srgb):
