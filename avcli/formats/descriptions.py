@@ -242,57 +242,6 @@ EXPLAIN = Format(
     ),
 )
 
-_GROUP = Written({"type": "object"})
-METRICS = Format(
-    "metrics",
-    "The scores of one tracker or sensor on one sequence, or on all sequences together; scores are fractions",
-    Object(
-        {
-            "sequence": Key(Text(), 'name of the sequence; all sequences together are "combined"', required=True),
-            "tracker": Key(Text(), "name of the tracks; with summary"),
-            "sensor": Key(Text(), "name of the sensor; with Detections"),
-            "average": Key(Choice(("micro", "macro")), "how the sequences were combined"),
-            "sequences": Key(ListOf(Text()), "names of the sequences that were combined"),
-            "summary": Key(
-                Written(
-                    {
-                        "type": "object",
-                        "required": ["HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA"],
-                        "additionalProperties": {"type": ["number", "null", "string"]},
-                    }
-                ),
-                "one number for each score",
-            ),
-            "HOTA": Key(
-                Written(
-                    {
-                        "type": "object",
-                        "required": ["alpha", "HOTA"],
-                        "additionalProperties": {
-                            "anyOf": [
-                                {"type": "array", "items": {"type": "number"}, "minItems": 19, "maxItems": 19},
-                                {"type": "number"},
-                            ]
-                        },
-                    }
-                ),
-                "HOTA and its parts at each of the 19 thresholds alpha",
-            ),
-            "CLEAR": Key(_GROUP, "MOTA and its counts"),
-            "Identity": Key(_GROUP, "IDF1 and its counts"),
-            "Count": Key(_GROUP, "numbers of objects and identities"),
-            "OSPA": Key(_GROUP, "OSPA and its relatives"),
-            "Position": Key(_GROUP, "errors of position"),
-            "Detections": Key(
-                Written({"type": "object", "required": ["Precision", "Recall", "RMSE", "TP", "FN", "FP"]}),
-                "scores of a sensor's detections",
-            ),
-            "people": Key(Choice(("speaking",)), "only people who speak were scored (aveval --speaking)"),
-        },
-        rules={"oneOf": [{"required": ["tracker", "summary"]}, {"required": ["sensor", "Detections"]}]},
-    ),
-)
-
 # --- config.json ------------------------------------------------------------------------------------------------------
 
 _LENGTH = Number(above=0)
@@ -404,4 +353,4 @@ CONFIG = Format(
     ),
 )
 
-FORMATS = (GROUNDTRUTH, FRAME_RECORD, AUDIO_RECORD, LOCALIZATION, TRACK, EXPLAIN, METRICS, CONFIG)
+FORMATS = (GROUNDTRUTH, FRAME_RECORD, AUDIO_RECORD, LOCALIZATION, TRACK, EXPLAIN, CONFIG)

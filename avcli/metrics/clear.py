@@ -98,7 +98,7 @@ METRIC: Metric[Case] = Metric(
     fields=(
         Field(
             "MOTA",
-            "accuracy: 1 less misses, false points and identity switches per true point",
+            "accuracy: 1 minus the misses, false points and identity switches per true point",
             "%",
             "up",
             True,

@@ -1,20 +1,20 @@
-"""What the metrics' fields say of themselves: the description of a metrics record, and the list of scores in aveval(1).
+"""What the registered metrics say of themselves: the description of a metrics record, and the scores in aveval(1).
 
-`python -m avcli.metrics` writes that list; the schema and the list in avcli-formats(5) follow from `METRICS`.
+`python -m avcli.formats` writes the schema, the keys in avcli-formats(5) and the scores in aveval(1).
 """
 
 from collections.abc import Iterator
 
 from avcli.formats.descriptions import Format
-from avcli.formats.schema import Choice, Key, Kind, ListOf, Number, Numbers, Object, Text
+from avcli.formats.schema import Choice, Key, Kind, ListOf, Number, Numbers, Object, Text, Written
 from avcli.metrics import registry
 from avcli.metrics.hota import ALPHA
 from avcli.metrics.metric import Field
 
-_BETTER = {"up": "higher is better", "down": "lower is better", "": ""}
+_BETTER = {"up": "higher is better", "down": "lower is better"}
 
 
-def metrics_record() -> Format:
+def describe() -> Format:
     """Describe the record that aveval writes, with a section for each registered metric."""
     sections = {
         metric.name: Key(Object({field.name: _key(field, field.kind) for field in metric.fields}), metric.text)
@@ -32,7 +32,8 @@ def metrics_record() -> Format:
                 "average": Key(Choice(("micro", "macro")), "how the sequences were combined"),
                 "sequences": Key(ListOf(Text()), "names of the sequences that were combined"),
                 "people": Key(Choice(("speaking",)), "only people who speak were scored (aveval --speaking)"),
-                "summary": Key(summary, "one number for each score; curves by their means"),
+                # Written: avcli-formats(5) would otherwise repeat the fields of the sections.
+                "summary": Key(Written(summary.schema()), "the scores of aveval(1), curves by their means"),
                 **sections,
             },
             rules={"oneOf": [{"required": ["tracker", "summary"]}, {"required": ["sensor", "Detections"]}]},
@@ -41,7 +42,7 @@ def metrics_record() -> Format:
 
 
 def score_list() -> str:
-    """Return the list of all scores in the language of manual pages (mdoc)."""
+    """Return the list of the scores that summaries and tables show, in the language of manual pages (mdoc)."""
     return "\n".join(_listed()) + "\n"
 
 
@@ -51,7 +52,7 @@ def with_score_list(page: str) -> str:
     Raises:
         ValueError: the page lacks the marker comments.
     """
-    begin, end = '.\\" scores, written by python -m avcli.metrics\n', '.\\" end of scores\n'
+    begin, end = '.\\" scores, written by make formats\n', '.\\" end of scores\n'
     before, begun, rest = page.partition(begin)
     _, ended, after = rest.partition(end)
     if not begun or not ended:
@@ -66,23 +67,28 @@ def _key(field: Field, kind: str) -> Key:
         "vector": ListOf(Number()),
         "word": Text(),
     }
-    return Key(kinds[kind], _phrase(field), required=not field.optional)
-
-
-def _phrase(field: Field) -> str:
-    unit = "" if field.unit in ("%", "count") else f", {field.unit}" if field.unit else ""
-    return "; ".join(filter(None, (field.text + unit, _BETTER[field.better])))
+    unit = "" if field.unit in ("%", "count", "") else f"{field.unit}; "
+    return Key(kinds[kind], unit + field.text, required=not field.optional)
 
 
 def _listed() -> Iterator[str]:
-    yield ".Bl -tag -width Ds"
-    for metric in (*registry.METRICS, registry.SENSOR_METRIC):
-        yield f".It Li {metric.name}"
-        yield f"{metric.text[:1].upper()}{metric.text[1:]}."
-        yield ".Bl -tag -width Ds -compact"
-        for field in metric.fields:
-            yield f".It Li {field.name}"
-            phrase = _phrase(field)
-            yield f"{phrase[:1].upper()}{phrase[1:]}."
-        yield ".El"
+    yield ".Bl -tag -width Ds -compact"
+    for field in registry.summary_fields():
+        yield from _item(field)
     yield ".El"
+    yield ".Pp"
+    yield "Of a sensor:"
+    yield ".Bl -tag -width Ds -compact"
+    for field in registry.sensor_columns():
+        yield from _item(field)
+    yield ".El"
+
+
+def _item(field: Field) -> tuple[str, str]:
+    unit = "" if field.unit in ("%", "count", "") else f", in {field.unit}"
+    better = f"; {_BETTER[field.better]}" if field.better else ""
+    return f".It Li {field.name}", f"{field.text[:1].upper()}{field.text[1:]}{unit}{better}."
+
+
+METRICS = describe()
+"""The description of a metrics record."""

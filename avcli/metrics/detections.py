@@ -162,8 +162,8 @@ METRIC: Metric[SensorCase] = Metric(
         Field("MAE", "mean error of the right detections", "m", "down", column="MAE", optional=True),
         Field(
             "ANEES",
-            "squared error in units of the claimed covariance, per dimension: 1 for an honest covariance, more if it "
-            "claims too small errors",
+            "squared error relative to the claimed covariance, per dimension: 1 for an honest covariance, above 1 if "
+            "the claimed errors are too small",
             column="ANEES",
             optional=True,
         ),

@@ -182,10 +182,22 @@ METRIC: Metric[Case] = Metric(
     name="OSPA",
     text="distances between the sets of people and tracks, means over the frames; T-GOSPA is a sum over the frames",
     fields=(
-        Field("OSPA", "distance per person, a missed or false one at the cutoff", "m", "down", True, "OSPA"),
-        Field("OSPA2", "OSPA of whole tracks over a window; it sees broken identities", "m", "down", True, "OSPA2"),
+        Field("OSPA", "distance per person; a missed or false person counts as the cutoff", "m", "down", True, "OSPA"),
         Field(
-            "GOSPA", "distance of all people, a missed or false one at half of the cutoff", "m", "down", True, "GOSPA"
+            "OSPA2",
+            "OSPA between whole tracks over a window, which also sees broken identities",
+            "m",
+            "down",
+            True,
+            "OSPA2",
+        ),
+        Field(
+            "GOSPA",
+            "distance of all people together; a missed or false person counts as half of the cutoff",
+            "m",
+            "down",
+            True,
+            "GOSPA",
         ),
         Field("OSPA_localization", "part of OSPA from distances", "m", "down"),
         Field("OSPA_cardinality", "part of OSPA from a wrong number of people", "m", "down"),
