@@ -60,7 +60,9 @@ def score(
         ValueError: an identity occurs twice at a time; dims is 3 and a height is missing; or speaking is true and the
             ground truth does not give it for everybody.
     """
-    settings = Settings(dims, d0, tolerance, speaking, cutoff, order, window)
+    settings = Settings(
+        dims=dims, d0=d0, tolerance=tolerance, speaking=speaking, cutoff=cutoff, order=order, window=window
+    )
     return score_tracks(truth, tracks, settings)[0].record["summary"]
 
 
