@@ -71,7 +71,7 @@ def test_names_and_columns_are_unique_and_short():
         headings = [field.column for field in columns]
         assert len(set(headings)) == len(headings)
         assert max(map(len, headings)) <= 6
-    for metric in (*registry.METRICS, registry.SENSOR_METRIC):
+    for metric in registry.every_metric():
         for field in metric.fields:
             assert field.text, field.name
             assert not field.text.endswith("."), field.name
@@ -83,7 +83,7 @@ def test_the_schema_and_the_manuals_know_every_metric():
     schema = json.loads((ROOT / "avcli/formats/schemas/metrics.schema.json").read_text())
     manual, keys = ((ROOT / "man" / name).read_text() for name in ("aveval.1", "avcli-formats.5"))
     assert description.with_score_list(manual) == manual
-    for metric in (*registry.METRICS, registry.SENSOR_METRIC):
+    for metric in registry.every_metric():
         assert set(schema["properties"][metric.name]["properties"]) == {field.name for field in metric.fields}
         assert all(f".It Va {field.name}\n" in keys for field in metric.fields)
     assert set(schema["properties"]["summary"]["properties"]) == {field.name for field in registry.summary_fields()}

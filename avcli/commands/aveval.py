@@ -14,7 +14,7 @@ import click
 
 from avcli.commands.filter import Filter, GateNotMet, Session, common
 from avcli.commands.options import from_settings, settings_from
-from avcli.metrics.settings import Settings
+from avcli.metrics.settings import MotSettings, Settings
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Config
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Emit = Callable[[dict], None]
 FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
+DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "DIR"}
 
 
 @click.command("aveval", cls=Filter, epilog="Example: aveval out/s1/groundtruth_sources.jsonl tracks.jsonl")
@@ -58,20 +59,8 @@ FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
     "--plot", **FILE, help="Draw each sequence to FILE.png, .svg or .pdf; with several sequences, to FILE-NAME.png."
 )
 @click.option("--html", **FILE, help="Write a report: one self-contained page with tables, plots and a player.")
-@click.option(
-    "--mot",
-    type=click.Path(file_okay=False),
-    metavar="DIR",
-    help="Write ground truth and tracks as MOTChallenge files and in TrackEval's folders.",
-)
-@click.option(
-    "--rate",
-    type=click.FloatRange(min=0, min_open=True),
-    default=10.0,
-    show_default=True,
-    metavar="HZ",
-    help="Frame rate of MOTChallenge input files (.txt or .csv).",
-)
+@click.option("--mot", **DIRECTORY, help="Write ground truth and tracks as MOTChallenge files and TrackEval's folders.")
+@from_settings(MotSettings)
 @common(skip_invalid=True, presets={"thesis": {"dims": 2, "d0": 2.0, "compare_thesis": True}})
 def main(
     session: Session,
@@ -92,11 +81,7 @@ def main(
     Writes one metrics record for each sequence and tracker, and for each tracker one "combined" over all sequences
     (and, of several sequences, their plain "mean"). TRACKS may be -, standard input.
     """
-    from avcli.formats.atomic import write_bytes
     from avcli.metrics import gates, table
-    from avcli.metrics import mot as motchallenge
-    from avcli.metrics.plots import plot_files
-    from avcli.metrics.report import report
     from avcli.metrics.scoring import combined
 
     settings: Settings = settings_from(Settings, values)
@@ -129,17 +114,7 @@ def main(
         if kind != "jsonl":
             width = shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else None
             write(table.render(records, kind, compare_thesis, width))
-    if plot:
-        with session.timing("plot"):
-            for file, content in plot_files(runs, Path(plot)):
-                write_bytes(file, content)
-    if html:
-        with session.timing("report"):
-            write_bytes(Path(html), report(runs, records, compare_thesis).encode())
-    if mot:
-        for name, text in motchallenge.write({run.name: run.sequences for run in runs}).items():
-            (Path(mot) / name).parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(Path(mot) / name, text.encode())
+    _write_files(session, runs, records, plot, html, mot, compare_thesis)
     if missed := gates.missed_gates(least, records):
         raise GateNotMet("; ".join(missed))
 
@@ -147,18 +122,39 @@ def main(
 def _inputs(session: Session, paths: tuple[str, ...], experiments: bool, detections: tuple[str, ...]) -> list[Input]:
     from avcli.metrics import inputs
 
-    if experiments and not paths:
-        session.usage("--experiments needs at least one experiment directory")
-    if not experiments and len(paths) < 2:
-        session.usage("GROUNDTRUTH and at least one TRACKS are needed (- is standard input)")
     with _ending(session.usage):
         if not experiments:
             directory = session.experiment if session.has_experiment else None
-            return [inputs.from_files(paths[0], paths[1:], detections, directory)]
+            return [inputs.from_files(paths, detections, directory)]
         found = inputs.from_experiments(paths, detections)
     for name, trackers in inputs.missing_trackers(found).items():
         session.warn(f"{name} has no tracks of {', '.join(trackers)}: their combined scores cover fewer sequences")
     return found
+
+
+def _write_files(
+    session: Session,
+    runs: list[Run],
+    records: list[dict],
+    plot: str | None,
+    html: str | None,
+    mot: str | None,
+    compare: bool,
+) -> None:
+    if plot:
+        from avcli.metrics.plots import save_plots
+
+        with session.timing("plot"):
+            save_plots(Path(plot), runs)
+    if html:
+        from avcli.metrics.report import save_report
+
+        with session.timing("report"):
+            save_report(Path(html), runs, records, compare)
+    if mot:
+        from avcli.metrics.mot import save_mot
+
+        save_mot(Path(mot), {run.name: run.sequences for run in runs})
 
 
 @contextlib.contextmanager
@@ -197,7 +193,6 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
     from avcli.formats import records
     from avcli.metrics.run import Run
     from avcli.metrics.scoring import score_sensors, score_tracks
-    from avcli.metrics.surroundings import with_surroundings
 
     # A pipeline that ends here may still be writing the ground truth: it is whole when the tracks have ended.
     piped = {path: _identified(session, path, rate) for _, path in entry.tracks if path == "-"}
@@ -230,6 +225,8 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
     run = Run(entry.name, trackers, sensors)
     if not pictures or config is None:
         return run
+    from avcli.metrics.surroundings import with_surroundings
+
     with session.timing("surroundings"):
         return with_surroundings(run, config, entry.directory if pictures == "html" else None, session.warn)
 

@@ -18,7 +18,7 @@ def describe() -> Format:
     """Describe the record that aveval writes, with a section for each registered metric."""
     sections = {
         metric.name: Key(Object({field.name: _key(field, field.kind) for field in metric.fields}), metric.text)
-        for metric in (*registry.METRICS, registry.SENSOR_METRIC)
+        for metric in registry.every_metric()
     }
     summary = Object({field.name: _key(field, "number") for field in registry.summary_fields()})
     return Format(

@@ -31,18 +31,26 @@ class Input:
     directory: Path
 
 
-def from_files(truth: str, tracks: Sequence[str], detections: Sequence[str], directory: Path | None = None) -> Input:
+def from_files(paths: Sequence[str], detections: Sequence[str], directory: Path | None = None) -> Input:
     """Make one sequence of named files; trackers are named by their files.
 
+    Args:
+        paths: of the ground truth and of at least one tracker's tracks.
+        detections: files of detections to score.
+        directory: of the experiment, by default that of the ground truth.
+
     Raises:
-        ValueError: a file is missing, or two tracks are the same file. Ground truth may be missing while tracks come
-            from standard input: a pipeline may write it later.
+        ValueError: fewer than two paths, a file is missing, or two tracks are the same file. Ground truth may be
+            missing while tracks come from standard input: a pipeline may write it later.
     """
+    if len(paths) < 2:
+        raise ValueError("GROUNDTRUTH and at least one TRACKS are needed (- is standard input)")
+    truth, *tracks = paths
     for path in (*(tracks if "-" in tracks else (truth, *tracks)), *detections):
         _must_exist(path)
     names = ["stdin" if path == "-" else Path(path).stem.removesuffix("_tracking") for path in tracks]
     if len(set(names)) < len(names):
-        names = list(tracks)
+        names = tracks
     if len(set(names)) < len(names):
         raise ValueError("the same TRACKS are named twice")
     named = list(zip(names, tracks, strict=True))
@@ -57,8 +65,10 @@ def from_experiments(directories: Sequence[str], detections: Sequence[str]) -> l
         detections: paths inside each directory.
 
     Raises:
-        ValueError: a directory has no ground truth or no tracks, or a file of detections is missing.
+        ValueError: no directory is given, one has no ground truth or no tracks, or a file of detections is missing.
     """
+    if not directories:
+        raise ValueError("--experiments needs at least one experiment directory")
     inputs = []
     for directory in directories:
         layout = Layout(Path(directory))

@@ -1,9 +1,11 @@
 """MOTChallenge's and TrackEval's text files: other tools can check our figures, and we can score their tracks."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
+from avcli.formats.atomic import write_bytes
 from avcli.formats.records import Identified
 from avcli.metrics.sequence import Points, Sequence
 
@@ -75,6 +77,14 @@ def write(sequences: Mapping[str, Mapping[str, Sequence]]) -> dict[str, str]:
         )
     files[f"gt/seqmaps/{split}.txt"] = "\n".join(["name", *sequences]) + "\n"
     return files
+
+
+def save_mot(directory: Path, sequences: Mapping[str, Mapping[str, Sequence]]) -> None:
+    """Write the files of `write` into a directory, which is made if it does not exist."""
+    for name, text in write(sequences).items():
+        path = directory / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, text.encode())
 
 
 def _rows(points: Points, frame: np.ndarray, form: str) -> str:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from avcli.formats.atomic import write_bytes
 from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.metrics.hota import ALPHA
 from avcli.metrics.run import Lane, Run, error_over_time, timeline
@@ -30,12 +31,16 @@ _SCORES: dict[str, dict[str, Any]] = {
 }
 
 
-def plot_files(runs: Sequence[Run], path: Path) -> Iterator[tuple[Path, bytes]]:
-    """Draw each run; of several, the run's name is put before the dot. Yields path and content of each file."""
+def save_plots(path: Path, runs: Sequence[Run]) -> None:
+    """Draw each run to a file, PNG, SVG or PDF by its suffix; of several runs, the run's name is added before the dot.
+
+    Raises:
+        ModuleNotFoundError: matplotlib, an extra, is not installed.
+    """
     for run in runs:
         name = re.sub(r"[^\w.-]+", "-", run.name).strip("-")
         own = path if len(runs) == 1 else path.with_name(f"{path.stem}-{name}{path.suffix}")
-        yield own, plot(run, path.suffix.lower()[1:])
+        write_bytes(own, plot(run, path.suffix.lower()[1:]))
 
 
 def plot(run: Run, kind: str) -> bytes:

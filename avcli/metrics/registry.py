@@ -4,6 +4,7 @@ A new metric is registered here, by its name in METRICS; a new number of a known
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,11 @@ SENSOR_METRIC = detections.METRIC
 """The metric of a sensor's detections."""
 
 _ORDER = ("%", "count", "m", "s")
+
+
+def every_metric() -> tuple[Metric[Any], ...]:
+    """Return all metrics: those of tracks, and that of sensors."""
+    return (*METRICS, SENSOR_METRIC)
 
 
 def summary_fields() -> list[Field]:

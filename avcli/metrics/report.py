@@ -7,10 +7,12 @@ import re
 from collections.abc import Sequence as List
 from importlib.resources import files
 from math import isfinite
+from pathlib import Path
 
 import numpy as np
 
 from avcli import __version__
+from avcli.formats.atomic import write_bytes
 from avcli.metrics import registry, table
 from avcli.metrics.hota import ALPHA
 from avcli.metrics.plots import IDENTITY_COLORS
@@ -42,6 +44,11 @@ def report(runs: List[Run], records: List[dict], compare: bool = False) -> str:
         "data": text,
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda mark: content[mark[1]], page)
+
+
+def save_report(path: Path, runs: List[Run], records: List[dict], compare: bool = False) -> None:
+    """Write a report to a file, as `report` makes it."""
+    write_bytes(path, report(runs, records, compare).encode())
 
 
 def _legend(records: List[dict]) -> str:

@@ -6,6 +6,13 @@ from avcli.settings import setting
 
 
 @dataclass(frozen=True)
+class MotSettings:
+    """How MOTChallenge files are read."""
+
+    rate: float = setting(10.0, "Frame rate of MOTChallenge input files (.txt or .csv).", unit="HZ", above=0.0)
+
+
+@dataclass(frozen=True)
 class Settings:
     """How tracks and detections are compared with ground truth."""
 
