@@ -176,6 +176,7 @@ def test_fail_under(experiment):
     assert low.stderr == "aveval: audio: HOTA is 48.78, below 70\n"
     assert len(low.stdout.splitlines()) == 4
     assert gate("radar:HOTA=1").returncode == 3
+    assert "--fail-under: HOTTA=1 must be [TRACKER:]NAME=PERCENT" in gate("HOTTA=1").stderr
     assert gate("HOTTA=1").returncode == 2
     assert gate("HOTA").returncode == 2
 
@@ -296,6 +297,17 @@ def test_wrong_usage(experiment, tmp_path):
         assert result.returncode == 2, arguments
         assert result.stdout == b""
         assert result.stderr.count("\n") == 1
+
+
+def test_options_without_effect_are_refused_by_name(experiment, tmp_path):
+    truth, tracks = experiment / "groundtruth_sources.jsonl", experiment / "tracking" / "video_tracking.jsonl"
+    for option in (("--rate", "20"), ("--compare-thesis",)):
+        refused = run("aveval", truth, tracks, *option)
+        assert (refused.returncode, refused.stdout) == (2, b"")
+        assert f"{option[0]} has no effect with" in refused.stderr
+    for good in (("--preset", "thesis"), ("--compare-thesis", "--format", "csv")):
+        assert run("aveval", truth, tracks, *good).returncode == 0
+    assert run("aveval", truth, tracks, "--compare-thesis", "--html", tmp_path / "r.html").returncode == 0
 
 
 def test_two_files_of_one_name_are_told_apart(experiment, tmp_path):

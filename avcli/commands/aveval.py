@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from avcli.commands.filter import Filter, GateNotMet, Session, common
-from avcli.commands.options import from_settings, settings_from
+from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.metrics.settings import MotSettings, Settings
 
 if TYPE_CHECKING:
@@ -87,6 +87,8 @@ def main(
     settings: Settings = settings_from(Settings, values)
     if settings.speaking and compare_thesis:
         session.usage("--speaking and --compare-thesis exclude each other: the thesis scored silent people too")
+    if not any(Path(path).suffix.lower() in (".txt", ".csv") for path in paths):
+        refuse_without_effect(["rate"], "without MOTChallenge files (.txt or .csv)")
     with _ending(session.usage, "--fail-under"):
         least = [gates.parse_gate(text) for text in fail_under]
     if plot and Path(plot).suffix.lower() not in (".png", ".svg", ".pdf"):
@@ -97,6 +99,8 @@ def main(
     inputs = _inputs(session, paths, experiments, detections)
     if kind is None:
         kind = "table" if session.output_path == "-" and sys.stdout.isatty() else "jsonl"
+    if kind == "jsonl" and not html:
+        refuse_without_effect(["compare_thesis"], "with --format jsonl and without --html")
     records: list[dict] = []
     with session.output() as write:
 

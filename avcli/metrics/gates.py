@@ -31,7 +31,7 @@ def parse_gate(text: str) -> Gate:
     names = [field.name for field in summary_fields() if field.unit == "%"]
     found = re.fullmatch(r"(?:(.+):)?(\w+)=(-?\d+(?:\.\d+)?)%?", text)
     if not found or found[2] not in names:
-        raise ValueError(f"expected [TRACKER:]NAME=PERCENT, where NAME is one of {', '.join(names)}")
+        raise ValueError(f"{text} must be [TRACKER:]NAME=PERCENT, where NAME is one of {', '.join(names)}")
     return Gate(found[1], found[2], float(found[3]))
 
 
