@@ -65,7 +65,7 @@ def check(settings: Any) -> None:
         if value is None:
             continue
         if known.choices and value not in known.choices:
-            raise ValueError(f"{name} must be one of {', '.join(known.choices)}, not {value}")
+            raise ValueError(f"{name} must be one of {', '.join(map(str, known.choices))}, not {value}")
         for number in value if isinstance(value, tuple) else (value,):
             if not isinstance(number, int | float):
                 continue

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from avcli.formats import descriptions
-from avcli.formats.descriptions import Format
+from avcli.formats.descriptions import RECORDS, Format
+from avcli.formats.experiment import CONFIG
 from avcli.formats.schema import Either, Key, Kind, ListOf, MapOf, Object, Variants
 from avcli.metrics.description import METRICS, with_score_list
 from avcli.scene.scenario import SCENARIO
@@ -19,7 +19,7 @@ from avcli.scene.scenario import SCENARIO
 SCHEMAS = Path(__file__).with_name("schemas")
 MANUAL = Path(__file__).parents[2] / "man" / "avcli-formats.5"
 SCORES_MANUAL = MANUAL.with_name("aveval.1")
-FORMATS = (*descriptions.FORMATS, METRICS, SCENARIO)
+FORMATS = (*RECORDS, METRICS, CONFIG, SCENARIO)
 
 
 def json_schema(described: Format) -> str:
@@ -62,11 +62,12 @@ def _inside(kind: Kind) -> Iterator[str]:
 
 
 def _sentence(key: Key) -> str:
-    words = key.kind.words() + (", required" if key.required else "")
+    words = key.kind.words() + ("; required" if key.required else "")
     if key.default is not None:
         words += f"; default {json.dumps(key.default)}"
-    # A line that begins with a dot or an apostrophe would be a macro; a backslash would be an escape.
-    return f"{key.text[:1].upper()}{key.text[1:]}: {words}.".replace("\\", "\\e")
+    text = " ".join(f"{part[:1].upper()}{part[1:]}." for part in (key.text, words))
+    # A backslash would be an escape, and formatters differ in what they make of other characters than ASCII.
+    return "".join(c if c.isascii() else f"\\[u{ord(c):04X}]" for c in text.replace("\\", "\\e"))
 
 
 def _with_key_lists(page: str) -> str:

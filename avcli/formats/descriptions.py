@@ -1,12 +1,12 @@
-"""What each format may hold: the records and config.json. Readers, JSON Schemas and avcli-formats(5) follow from this.
+"""What each kind of record may hold. Readers, JSON Schemas and avcli-formats(5) follow from this.
 
 `make formats` writes the schemas and the manual's key lists anew after a change here. A key that a reader is to use
-gets its kind here, and its reader finds it in the dictionary that `read` returns.
+gets its kind here, and its reader finds it in the dictionary that `read` returns. config.json is described in
+avcli.formats.experiment, and scenarios are in avcli.scene.scenario.
 """
 
 from dataclasses import dataclass
 
-from avcli import lens
 from avcli.formats.schema import (
     IDENTITY,
     Boolean,
@@ -28,10 +28,6 @@ from avcli.formats.schema import (
     Written,
 )
 from avcli.formats.sensors import KINDS
-from avcli.numeric import SPEED_OF_SOUND_M_S
-
-DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
-"""Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
 
 PROBABILITY = Number(least=0, most=1)
 BOX = Numbers(4)
@@ -242,115 +238,4 @@ EXPLAIN = Format(
     ),
 )
 
-# --- config.json ------------------------------------------------------------------------------------------------------
-
-_LENGTH = Number(above=0)
-_DIRECTION = Numbers(3)
-_PLACE = Numbers(3)
-
-LENS_KEYS = {
-    "lens_model": Key(
-        Choice(tuple(lens.LENSES)),
-        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
-        "the thesis's shader",
-        default="division",
-    ),
-    "fx_px": Key(_LENGTH, "focal length, px", required=True),
-    "fy_px": Key(_LENGTH, "focal length, px", required=True),
-    "cx_px": Key(Number(), "principal point, px; pixel (0, 0) is the centre of the top-left pixel", required=True),
-    "cy_px": Key(Number(), "principal point, px", required=True),
-    **{f"k{i}": Key(Number(), "coefficient of the lens model", default=0.0) for i in (1, 2, 3, 4)},
-}
-CAMERA = Object(
-    {
-        **LENS_KEYS,
-        "camera_position_m": Key(
-            _PLACE, "position of the camera in the room, m; required by commands that place things in the room"
-        ),
-        "camera_rotation_deg": Key(
-            _DIRECTION,
-            "orientation: pitch, yaw, roll; [90, 0, 0] looks straight down with image right = +x and image up = +y",
-            default=[90.0, 0.0, 0.0],
-        ),
-        "image_width_px": Key(Integer(least=1), "width of the image, px", default=1920),
-        "image_height_px": Key(Integer(least=1), "height of the image, px", default=1080),
-        "frame_rate_hz": Key(_LENGTH, "frames in a second, Hz", default=10.0),
-        "depth_kind": Key(
-            Choice(("radial", "z")),
-            "meaning of depth: m along the pixel's ray (radial), or along the optical axis (z)",
-            default="radial",
-        ),
-        "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
-        "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
-        "theta_max_observed_deg": Key(
-            Number(least=0), "largest angle from the axis at which the calibration saw corners; no rays beyond it"
-        ),
-        "theta_max_valid_deg": Key(Number(least=0), "largest angle at which the lens is one-to-one; no rays beyond it"),
-    }
-)
-_PATTERN = Choice(tuple(DIRECTIVITIES))
-MICROPHONES = Object(
-    {
-        "mic_positions_m": Key(
-            ListOf(
-                Either(
-                    (
-                        _PLACE,
-                        Object(
-                            {
-                                "object_id": Key(Integer(), "number of the microphone", read=False),
-                                "position": Key(_PLACE, "position, m", required=True),
-                            }
-                        ),
-                    )
-                ),
-                least=1,
-            ),
-            "positions in the order of the channels, m: lists [x, y, z], or objects",
-            required=True,
-        ),
-        "audio_sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", default=44100),
-        "audio_bit_depth": Key(Choice((16, 24, 32)), "bits of a sample", default=32),
-        "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
-        "directivities": Key(ListOf(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
-        "orientations": Key(
-            ListOf(_DIRECTION), "direction in which each microphone looks, a vector of any length; default: down"
-        ),
-    }
-)
-ROOM = Object(
-    {
-        "room_dimensions_m": Key(Numbers(3, _LENGTH), "size of the room along x, y and z, m", required=True),
-        "reverberation_time_s": Key(Number(least=0), "reverberation time T60, s"),
-        "absorption": Key(
-            Either((PROBABILITY, Numbers(6, PROBABILITY))),
-            "energy absorption of all walls, or of each in the order x0 x1 y0 y1 z0 z1",
-        ),
-        "speed_of_sound_m_s": Key(_LENGTH, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
-    }
-)
-SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "what the sensor is", required=True)}))
-CONFIG = Format(
-    "config",
-    "config.json of an experiment (Listing .1 of the thesis, with more keys)",
-    Object(
-        {
-            "session_id": Key(Text(), "any text", read=False),
-            "camera_config": Key(CAMERA, "the camera: its lens, its place, its pictures"),
-            "microphone_config": Key(MICROPHONES, "the microphones"),
-            "room_config": Key(ROOM, "the room"),
-            "sensors": Key(
-                SENSORS,
-                'what each named sensor is: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
-                "a sensor that is not listed, and whose records do not say their kind, is guessed from its name",
-            ),
-            "written_by": Key(
-                Written({"type": "object"}),
-                "command that wrote the file; a run overwrites only its own directory",
-                read=False,
-            ),
-        }
-    ),
-)
-
-FORMATS = (GROUNDTRUTH, FRAME_RECORD, AUDIO_RECORD, LOCALIZATION, TRACK, EXPLAIN, CONFIG)
+RECORDS = (GROUNDTRUTH, FRAME_RECORD, AUDIO_RECORD, LOCALIZATION, TRACK, EXPLAIN)

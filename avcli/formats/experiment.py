@@ -16,10 +16,142 @@ import numpy as np
 import orjson
 
 from avcli import lens, pose
-from avcli.formats import atomic, descriptions
-from avcli.formats.descriptions import DIRECTIVITIES
+from avcli.formats import atomic
+from avcli.formats.descriptions import PROBABILITY, Format
 from avcli.formats.records import format_timestamp
-from avcli.formats.schema import Invalid, MapOf, Object, shown
+from avcli.formats.schema import (
+    Choice,
+    Either,
+    Integer,
+    Invalid,
+    Key,
+    ListOf,
+    MapOf,
+    Number,
+    Numbers,
+    Object,
+    Text,
+    Written,
+    shown,
+)
+from avcli.formats.sensors import KINDS
+from avcli.numeric import SPEED_OF_SOUND_M_S
+
+DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
+"""Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
+
+# --- what config.json may hold ----------------------------------------------------------------------------------------
+
+_LENGTH = Number(above=0)
+_DIRECTION = Numbers(3)
+_PLACE = Numbers(3)
+
+_LENS_KEYS = {
+    "lens_model": Key(
+        Choice(tuple(lens.LENSES)),
+        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
+        "the thesis's shader",
+        default="division",
+    ),
+    "fx_px": Key(_LENGTH, "focal length, px", required=True),
+    "fy_px": Key(_LENGTH, "focal length, px", required=True),
+    "cx_px": Key(Number(), "principal point, px; pixel (0, 0) is the centre of the top-left pixel", required=True),
+    "cy_px": Key(Number(), "principal point, px", required=True),
+    **{f"k{i}": Key(Number(), "coefficient of the lens model", default=0.0) for i in (1, 2, 3, 4)},
+}
+_CAMERA = Object(
+    {
+        **_LENS_KEYS,
+        "camera_position_m": Key(
+            _PLACE, "position of the camera in the room, m; required by commands that place things in the room"
+        ),
+        "camera_rotation_deg": Key(
+            _DIRECTION,
+            "orientation: pitch, yaw, roll; [90, 0, 0] looks straight down with image right = +x and image up = +y",
+            default=[90.0, 0.0, 0.0],
+        ),
+        "image_width_px": Key(Integer(least=1), "width of the image, px", default=1920),
+        "image_height_px": Key(Integer(least=1), "height of the image, px", default=1080),
+        "frame_rate_hz": Key(_LENGTH, "frames in a second, Hz", default=10.0),
+        "depth_kind": Key(
+            Choice(("radial", "z")),
+            "meaning of depth: m along the pixel's ray (radial), or along the optical axis (z)",
+            default="radial",
+        ),
+        "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
+        "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
+        "theta_max_observed_deg": Key(
+            Number(least=0), "largest angle from the axis at which the calibration saw corners; no rays beyond it"
+        ),
+        "theta_max_valid_deg": Key(Number(least=0), "largest angle at which the lens is one-to-one; no rays beyond it"),
+    }
+)
+_PATTERN = Choice(tuple(DIRECTIVITIES))
+_MICROPHONES = Object(
+    {
+        "mic_positions_m": Key(
+            ListOf(
+                Either(
+                    (
+                        _PLACE,
+                        Object(
+                            {
+                                "object_id": Key(Integer(), "number of the microphone", read=False),
+                                "position": Key(_PLACE, "position, m", required=True),
+                            }
+                        ),
+                    )
+                ),
+                least=1,
+            ),
+            "positions in the order of the channels, m: lists [x, y, z], or objects",
+            required=True,
+        ),
+        "audio_sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", default=44100),
+        "audio_bit_depth": Key(Choice((16, 24, 32)), "bits of a sample", default=32),
+        "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
+        "directivities": Key(ListOf(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
+        "orientations": Key(
+            ListOf(_DIRECTION), "direction in which each microphone looks, a vector of any length; default: down"
+        ),
+    }
+)
+_ROOM = Object(
+    {
+        "room_dimensions_m": Key(Numbers(3, _LENGTH), "size of the room along x, y and z, m", required=True),
+        "reverberation_time_s": Key(Number(least=0), "reverberation time T60, s"),
+        "absorption": Key(
+            Either((PROBABILITY, Numbers(6, PROBABILITY))),
+            "energy absorption of all walls, or of each in the order x0 x1 y0 y1 z0 z1",
+        ),
+        "speed_of_sound_m_s": Key(_LENGTH, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
+    }
+)
+_SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "what the sensor is", required=True)}))
+CONFIG = Format(
+    "config",
+    "config.json of an experiment (Listing .1 of the thesis, with more keys)",
+    Object(
+        {
+            "session_id": Key(Text(), "any text", read=False),
+            "camera_config": Key(_CAMERA, "the camera: its lens, its place, its pictures"),
+            "microphone_config": Key(_MICROPHONES, "the microphones"),
+            "room_config": Key(_ROOM, "the room"),
+            "sensors": Key(
+                _SENSORS,
+                'what each named sensor is: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
+                "a sensor that is not listed, and whose records do not say their kind, is guessed from its name",
+            ),
+            "written_by": Key(
+                Written({"type": "object"}),
+                "command that wrote the file; a run overwrites only its own directory",
+                read=False,
+            ),
+        }
+    ),
+)
+
+# --- its reader -------------------------------------------------------------------------------------------------------
 
 
 class ConfigError(ValueError):
@@ -38,7 +170,7 @@ class Camera:
         depth_kind: "radial" (along the ray) or "z" (along the optical axis).
         depth_step_m: m of one step of a depth picture.
         background_depth: path of the empty room's depth picture, None where there is none.
-        theta_max: largest angle from the axis at which the lens may be believed, rad.
+        theta_max: largest angle from the axis at which the lens is valid, rad.
     """
 
     lens: lens.Lens
@@ -103,7 +235,7 @@ class Config:
     @functools.cached_property
     def camera(self) -> Camera:
         """The camera: its lens, its place and its pictures."""
-        values = self._section("camera_config", descriptions.CAMERA)
+        values = self._section("camera_config", _CAMERA)
         if values["camera_position_m"] is None:
             raise self._error(Invalid("is missing", ("camera_config", "camera_position_m")))
         width, height = values["image_width_px"], values["image_height_px"]
@@ -124,17 +256,18 @@ class Config:
     @functools.cached_property
     def frame_rate_hz(self) -> float:
         """The camera's frame rate, Hz (10 where it is not stated, as in the thesis)."""
-        rate = descriptions.CAMERA.only("frame_rate_hz")
+        rate = _CAMERA.only("frame_rate_hz")
         return self._section("camera_config", rate, needed=False)["frame_rate_hz"]
 
     @functools.cached_property
     def microphones(self) -> Microphones:
         """The microphones: their places, their format and their patterns."""
-        values = self._section("microphone_config", descriptions.MICROPHONES)
+        values = self._section("microphone_config", _MICROPHONES)
         listed = values["mic_positions_m"]
         positions = np.array([item["position"] if isinstance(item, dict) else item for item in listed])
-        patterns = values["directivities"] or [values["mic_directivity"]] * len(listed)
-        orientations = np.array(values["orientations"] or [[0.0, 0.0, -1.0]] * len(listed))
+        patterns, looks = values["directivities"], values["orientations"]
+        patterns = [values["mic_directivity"]] * len(listed) if patterns is None else patterns
+        orientations = np.array([[0.0, 0.0, -1.0]] * len(listed) if looks is None else looks)
         for key, given in (("directivities", patterns), ("orientations", orientations)):
             if len(given) != len(listed):
                 reason = f"must be a list of {len(listed)}, one for each microphone, found {len(given)}"
@@ -155,13 +288,13 @@ class Config:
     @functools.cached_property
     def sensors(self) -> dict[str, str]:
         """What each named sensor is: name -> "camera" or "microphones"; empty where the file does not say it."""
-        listed = self._section("sensors", descriptions.SENSORS, needed=False)
+        listed = self._section("sensors", _SENSORS, needed=False)
         return {name: known["kind"] for name, known in listed.items()}
 
     @functools.cached_property
     def room(self) -> Room:
         """The room: its size, its reverberation and its speed of sound."""
-        values = self._section("room_config", descriptions.ROOM)
+        values = self._section("room_config", _ROOM)
         absorption = values["absorption"]
         return Room(
             dimensions=np.array(values["room_dimensions_m"]),
@@ -197,7 +330,7 @@ def lens_from_config(
         raise ConfigError(f"{name}: {error.within('camera_config')}") from None
 
 
-_OPTICS = Object(descriptions.LENS_KEYS)
+_OPTICS = Object(_LENS_KEYS)
 
 
 def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens:

@@ -289,7 +289,12 @@ def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
         RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid or an identity
             occurs twice.
     """
-    rows = _rows(record, descriptions.PERSON, bad)
+
+    def bad_person(reason: str) -> None:
+        hint = "; detections have none, but tracks and ground truth do"
+        bad(reason + hint if reason.endswith('"object_id" is missing') else reason)
+
+    rows = _rows(record, descriptions.PERSON, bad_person)
     known: set[int] = set()
     for place, row in list(rows.items()):
         if row["object_id"] in known:
@@ -394,7 +399,7 @@ def _written_position(position: list[float], *, null: bool) -> list[float | None
 
 def save(path: str | os.PathLike[str], items: Iterable[Detections | Identified]) -> None:
     """Write detections, ground truth or tracks as JSON Lines; the file appears whole or not at all."""
-    with atomic.replacing(path) as temporary, open(temporary, "wb") as stream:
+    with atomic.writing(path) as stream:
         stream.writelines(encode(as_record(item)) for item in items)
 
 
