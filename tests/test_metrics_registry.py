@@ -188,6 +188,12 @@ def test_scores_by_the_library_are_those_of_the_command(tmp_path):
         )
 
 
+@pytest.mark.parametrize("wrong", [{"d0": 0.0}, {"dims": 4}, {"order": 0.5}, {"tolerance": -1.0}, {"cutoff": np.nan}])
+def test_the_library_refuses_what_the_command_refuses(wrong):
+    with pytest.raises(ValueError, match=f"^{next(iter(wrong))} must be"):
+        scoring.score([], [], **wrong)
+
+
 def test_settings_are_read_without_numpy():
     program = "import sys, avcli.metrics.settings; sys.exit('numpy' in sys.modules)"
     assert run(sys.executable, "-c", program).returncode == 0

@@ -57,8 +57,8 @@ def score(
         a score has no meaning. `score_tracks` gives the full record.
 
     Raises:
-        ValueError: an identity occurs twice at a time; dims is 3 and a height is missing; or speaking is true and the
-            ground truth does not give it for everybody.
+        ValueError: a setting is out of its range; an identity occurs twice at a time; dims is 3 and a height is
+            missing; or speaking is true and the ground truth does not give it for everybody.
     """
     settings = Settings(
         dims=dims, d0=d0, tolerance=tolerance, speaking=speaking, cutoff=cutoff, order=order, window=window

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from avcli.settings import setting
+from avcli.settings import check, setting
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,9 @@ class Settings:
     window: int = setting(
         10, "Length in frames of the window over which OSPA2 compares tracks.", unit="FRAMES", least=1
     )
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def cutoff_m(self) -> float:
