@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from avcli.metrics.sequence import Mismatch
 
 Emit = Callable[[dict], None]
-FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
-DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "DIR"}
+Name = str | None
+_FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
+_DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "DIR"}
 
 
 @click.command("aveval", cls=Filter, epilog="Example: aveval out/s1/groundtruth_sources.jsonl tracks.jsonl")
@@ -56,10 +57,12 @@ DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "DI
     help="Score a sensor's detections too; with --experiments, a path inside each directory; may be repeated.",
 )
 @click.option(
-    "--plot", **FILE, help="Draw each sequence to FILE.png, .svg or .pdf; with several sequences, to FILE-NAME.png."
+    "--plot", **_FILE, help="Draw each sequence to FILE.png, .svg or .pdf; with several sequences, to FILE-NAME.png."
 )
-@click.option("--html", **FILE, help="Write a report: one self-contained page with tables, plots and a player.")
-@click.option("--mot", **DIRECTORY, help="Write ground truth and tracks as MOTChallenge files and TrackEval's folders.")
+@click.option("--html", **_FILE, help="Write a report: one self-contained page with tables, plots and a player.")
+@click.option(
+    "--mot", **_DIRECTORY, help="Write ground truth and tracks as MOTChallenge files and TrackEval's folders."
+)
 @from_settings(MotSettings)
 @common(skip_invalid=True, presets={"thesis": {"dims": 2, "d0": 2.0, "compare_thesis": True}})
 def main(
@@ -70,9 +73,9 @@ def main(
     compare_thesis: bool,
     fail_under: tuple[str, ...],
     detections: tuple[str, ...],
-    plot: str | None,
-    html: str | None,
-    mot: str | None,
+    plot: Name,
+    html: Name,
+    mot: Name,
     rate: float,
     **values: Any,
 ) -> None:
@@ -137,13 +140,7 @@ def _inputs(session: Session, paths: tuple[str, ...], experiments: bool, detecti
 
 
 def _write_files(
-    session: Session,
-    runs: list[Run],
-    records: list[dict],
-    plot: str | None,
-    html: str | None,
-    mot: str | None,
-    compare: bool,
+    session: Session, runs: list[Run], records: list[dict], plot: Name, html: Name, mot: Name, compare: bool
 ) -> None:
     if plot:
         from avcli.metrics.plots import save_plots
