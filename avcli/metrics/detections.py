@@ -52,7 +52,7 @@ def score(
         speaking: (g,) whether each true point speaks; None where that is not known.
 
     Returns:
-        Precision, Recall, F1, and Recall_speaking among those who speak; RMSE, MAE and Bias (d,) of the right
+        Precision, Recall, F1, and Recall_speaking among speaking people; RMSE, MAE and Bias (d,) of the right
         detections in m; ANEES, their squared error in units of the claimed covariance for each dimension, which is 1
         for an honest sensor and above 1 for one that claims too much; the counts. None where a score has no meaning.
     """

@@ -167,8 +167,24 @@ METRIC: Metric[Case] = Metric(
         Field(
             "HOTA", "higher order tracking accuracy: geometric mean of DetA and AssA", "%", "up", True, "HOTA", "curve"
         ),
-        Field("DetA", "detection accuracy: people found, and nobody else", "%", "up", True, "DetA", "curve"),
-        Field("AssA", "association accuracy: identities kept", "%", "up", True, "AssA", "curve"),
+        Field(
+            "DetA",
+            "detection accuracy: share of matches among matches, misses and false points",
+            "%",
+            "up",
+            True,
+            "DetA",
+            "curve",
+        ),
+        Field(
+            "AssA",
+            "association accuracy: how well each person keeps one track, and each track one person",
+            "%",
+            "up",
+            True,
+            "AssA",
+            "curve",
+        ),
         Field("DetRe", "share of the true points that are found", "%", "up", True, "DetRe", "curve"),
         Field("DetPr", "share of the tracked points that are right", "%", "up", True, "DetPr", "curve"),
         Field("AssRe", "share of a person's points that one track follows", "%", "up", True, "AssRe", "curve"),

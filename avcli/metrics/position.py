@@ -20,7 +20,7 @@ def position(sequence: Sequence, matches: Matches) -> Scores:
 
     Returns:
         Matches; RMSE, MAE, MaxError in m, None without a match; Found, how many of the people were ever matched;
-        BirthDelay and MaxBirthDelay of those in s, None where nobody was.
+        BirthDelay and MaxBirthDelay of these in s, None if there are none.
     """
     distance = errors(sequence, matches)
     identity = sequence.truth.identity
