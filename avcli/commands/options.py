@@ -70,7 +70,8 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
         annotation = parts[0]
     flag = setting.flag or "--" + field.name.replace("_", "-")
     words: dict[str, Any] = {"default": default, "help": setting.text}
-    words["show_default"] = setting.default_text or (default is not None and annotation is not bool)
+    switch = "/" in flag  # "--x/--no-x", whose default is worth showing; a flag alone is off
+    words["show_default"] = setting.default_text or (default is not None and (annotation is not bool or switch))
     if setting.unit:
         words["metavar"] = setting.unit
     if annotation is bool:

@@ -60,11 +60,12 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
         Row -> [(log weight, detection or MISSED)], best first.
     """
     found = {}
+    existence, p_detect, likelihoods = scan.existence, scan.p_detect, scan.likelihoods
     for row in rows:
-        present = scan.existence[row] * scan.p_detect[row]
+        present = existence[row] * p_detect[row]
         missed = max(1 - present, 1e-12)
         least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
-        hits = enumerate(zip(scan.likelihoods[row], background, strict=True))
+        hits = enumerate(zip(likelihoods[row], background, strict=True))
         caused = [(math.log(present * g / b), j) for j, (g, b) in hits if present * g > least * b]
         found[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
     return found

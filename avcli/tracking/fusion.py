@@ -132,6 +132,7 @@ class Fusion:
             self.delayed = Delayed(self.tracker, lag)
         self.origin: float | None = None
         self.numbers: dict[int, int] = {}
+        self.ears: list[str] = []  # names of the microphones
         self.outside = 0
         self.notes: list[str] = []
 
@@ -226,6 +227,8 @@ class Fusion:
                 self.say(
                     f'sensor {name!r}: kind {kind!r} is guessed from its name; state it in "sensors" of config.json'
                 )
+            if kind == MICROPHONES:
+                self.ears.append(name)
             known: dict[str, Any] = {}
             if not self.settings.hidden:
                 known["hide"] = 0.0
@@ -252,25 +255,28 @@ class Fusion:
 
     def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
         """Make the output of tracks at a time since the origin."""
-        n = len(tracks)
+        n, numbers, ears = len(tracks), self.numbers, self.ears
+        states = np.array([one.state for one in tracks]).reshape(n, 4)
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
-        covariances[:, 2, 2] = HEIGHT_VARIANCE
-        ears = [one.name for one in self.tracker.sensors if one.kind == MICROPHONES]
-        speaking: list[float] = []
-        for k, one in enumerate(tracks):
-            self.numbers.setdefault(one.label, len(self.numbers))
-            positions[k, :2], velocities[k, :2], covariances[k, :2, :2] = one.state[:2], one.state[2:], one.cov[:2, :2]
-            heard = ears and one.detectable
-            speaking.append(max(one.detectable.get(name, 0.0) for name in ears) if heard else math.nan)
-        covariances[:, 1, 0] = covariances[:, 0, 1]
+        positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
+        if n:
+            covariances[:, :2, :2] = np.array([one.cov for one in tracks])[:, :2, :2]
+            covariances[:, 1, 0] = covariances[:, 0, 1]
+            covariances[:, 2, 2] = HEIGHT_VARIANCE
+        for one in tracks:
+            numbers.setdefault(one.label, len(numbers))
+        speaking = [
+            max([one.detectable.get(name, 0.0) for name in ears]) if ears and one.detectable else math.nan
+            for one in tracks
+        ]
         return Identified(
             timestamp=(self.origin or 0.0) + time,
-            ids=np.array([self.numbers[one.label] for one in tracks], np.int64),
+            ids=np.array([numbers[one.label] for one in tracks], np.int64),
             positions=positions,
-            speaking=np.array(speaking, float),
+            speaking=np.array(speaking),
             velocities=velocities,
             covariances=covariances,
-            existence=np.array([one.existence for one in tracks], float),
+            existence=np.array([one.existence for one in tracks]),
         )
 
 

@@ -6,13 +6,15 @@ A state is [x, y, vx, vy] in metres and metres per second. Height is not part of
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 FOREVER = 1e6
+
+Step = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -93,9 +95,20 @@ class Motion:
         a = np.vstack([q.T, np.ones(len(q))])
         return np.linalg.lstsq(a, np.r_[np.zeros(len(q)), 1.0], rcond=None)[0].clip(1e-12)
 
-    @lru_cache(maxsize=256)  # noqa: B019 (a handful of frozen motions, and time steps repeat)
-    def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def step(self, dt: float) -> Step:
         """Return transitions (M, 4, 4), process noises (M, 4, 4) and switching probabilities (M, M) of dt seconds."""
+        known = self._steps.get(dt)
+        if known is None:
+            if len(self._steps) > 256:  # time steps repeat; irregular ones must not fill the memory
+                self._steps.clear()
+            known = self._steps[dt] = self._computed(dt)
+        return known
+
+    @cached_property
+    def _steps(self) -> dict[float, Step]:
+        return {}
+
+    def _computed(self, dt: float) -> Step:
         steps = [model.step(dt) for model in self.models]
         q = self._generator() * dt
         doublings = max(0, int(np.ceil(np.log2(max(np.abs(q).max(), 1e-9)))) + 12)

@@ -74,13 +74,14 @@ def updated(scan: Scan, people: Densities, needed: Needed) -> Densities:
     """Compute the densities after a record, all but the fresh ones, in the order of `Needed`."""
     parents, pairs = needed.missed + needed.staying, needed.detected + needed.renewed
     n, old, column = len(needed.missed), len(parents), scan.column
+    existence, detectable, p_detect = scan.existence, scan.detectable, scan.p_detect
     new = people.take(parents + [row for row, _ in pairs])
-    overlooked = [1 - scan.p_detect[i] for i in parents]
-    kept = [scan.existence[i] * o for i, o in zip(parents, overlooked, strict=True)]
-    exist = [e / max(1 - scan.existence[i] + e, 1e-12) for i, e in zip(needed.missed, kept, strict=False)]
+    overlooked = [1 - p_detect[i] for i in parents]
+    kept = [existence[i] * o for i, o in zip(parents, overlooked, strict=True)]
+    exist = [e / max(1 - existence[i] + e, 1e-12) for i, e in zip(needed.missed, kept, strict=False)]
     new.existence[:old] = exist + kept[n:]
     new.detectable[:old, column] = [
-        (scan.detectable[i] - scan.p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
+        (detectable[i] - p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
     ]
     if pairs:
         js = [j for _, j in pairs]
