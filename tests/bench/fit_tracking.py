@@ -3,8 +3,8 @@
 The loss is the negative log likelihood of a detection given those before it, in nats, of the interacting multiple model
 filter that knows to whom each detection belongs. People walk straight, turn back, or stroll between places with stops.
 The fit begins at the numbers in use and replaces them only if its own are better on held-out walks and on the bench
-(mean HOTA of the default tracker). Walks have seeds from 1000 on (fit) and 2000 on (held out), bench scenes from 100 on;
-`make bench-tracking` reports seeds from 0 on.
+(mean HOTA of the default tracker). Walks have seeds from 1000 on (fit) and 2000 on (held out), bench scenes from
+100 on; `make bench-tracking` reports seeds from 0 on.
 """
 
 import argparse
