@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import select
 import subprocess
 
@@ -254,11 +255,11 @@ def test_what_has_no_effect_may_come_from_a_preset_or_be_the_default():
 def test_the_manual_describes_every_tracker_and_its_unused_options():
     page = (ROOT / "man" / "avfuse.1").read_text()
     described = page.split(".Ss Trackers")[1].split(".Sh OPTIONS")[0]
-    options = page.split(".Sh OPTIONS")[1]
+    entries = re.split(r"^\.It Fl -", page.split(".Sh OPTIONS")[1], flags=re.MULTILINE)
     for name, one in TRACKERS.items():
         assert f".It Cm {name}\n" in described
         for key in one.unused - {"process_noise"}:  # which --motion cv alone uses
-            entry = options.split(f"-{key.replace('_', '-')}")[1].split(".It Fl")[0]
+            (entry,) = (entry for entry in entries if entry.startswith(key.replace("_", "-")))
             assert name in entry.split("Not with")[1], (name, key)
 
 

@@ -1,7 +1,10 @@
 """The tracker over arrays: known answers, properties, and what must not break it."""
 
 import dataclasses
+import doctest
+import importlib
 import itertools
+import json
 import math
 import sys
 from pathlib import Path
@@ -19,11 +22,12 @@ from avcli.tracking.fusion import Fusion, noise_of
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.merging import Merger
 from avcli.tracking.model import Population
-from avcli.tracking.motion import WALKING, Model, Motion
+from avcli.tracking.motion import FITTED, WALKING, Model, Motion
 from avcli.tracking.settings import Sensor, Settings, sensor
 from avcli.tracking.smoothing import Delayed, backwards
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
+import fit_tracking
 import tracking_scenes as scenes
 
 SURE = Sensor("video", detection=0.9, clutter=0.01, sigma=(0.15, 0.15), hide=0.0)
@@ -142,6 +146,34 @@ def test_innovations_are_as_large_as_the_filter_says():
             squares.append(gaussian.loglikelihood(mean, cov, z[None], 0.12**2 * np.eye(2)[None])[1][0, 0, 0])
             mean, cov, mode = gaussian.update(mean, cov, mode, z[None], 0.12**2 * np.eye(2)[None])
     assert np.mean(squares) == pytest.approx(2.0, abs=4 * 2 / math.sqrt(len(squares)))
+
+
+@pytest.mark.parametrize("name", ["association", "fusion", "gaussian", "glmb", "motion"])
+def test_the_examples_of_docstrings_run(name):
+    module = importlib.import_module(f"avcli.tracking.{name}")
+    result = doctest.testmod(module)
+    assert result.attempted
+    assert not result.failed
+
+
+def test_the_fitted_motion_has_the_loss_that_its_file_states():
+    stated = json.loads(FITTED.read_text())
+    assert Motion.of(stated["motion"]) == WALKING
+    first, last = stated["check"]["seeds"]
+    walks = fit_tracking.detected_walks(first, last - first + 1)
+    assert fit_tracking.loss(WALKING, walks) == pytest.approx(stated["check"]["loss"], abs=1e-6)
+    assert fit_tracking.loss(CV, walks) > stated["check"]["loss"] + 0.1
+
+
+def test_a_fit_lowers_the_loss_and_keeps_what_is_not_a_number():
+    described = json.loads(FITTED.read_text())["motion"]
+    walks = fit_tracking.detected_walks(fit_tracking.TRAIN, 3)
+    logs = fit_tracking.parameters(described)
+    np.testing.assert_allclose(fit_tracking.parameters(fit_tracking.with_parameters(described, logs)), logs)
+    wrong = fit_tracking.with_parameters(described, logs + 0.3 * np.resize([1.0, -1.0], len(logs)))
+    found = fit_tracking.fit(wrong, walks, 1)
+    assert fit_tracking.loss(Motion.of(found), walks) < fit_tracking.loss(Motion.of(wrong), walks)
+    assert (found["turn"], found["stand"]) == (described["turn"], described["stand"])
 
 
 # --- assignment -------------------------------------------------------------------------------------------------------
@@ -473,13 +505,13 @@ def test_steps_are_regular_whatever_the_times(times, rate):
 
 def test_a_step_closes_when_all_sensors_have_passed_it():
     merger = Merger(2, rate=10.0)
-    merger.push(0, "video", 0.0, None)
-    merger.push(0, "video", 0.1, None)
+    merger.push(0, "video", 0.0, detections(0.0, []))
+    merger.push(0, "video", 0.1, detections(0.1, []))
     assert not list(merger.closed())
-    merger.push(1, "audio", 0.0, None)
+    merger.push(1, "audio", 0.0, detections(0.0, []))
     assert not list(merger.closed())
-    merger.push(1, "audio", 0.1, None)
+    merger.push(1, "audio", 0.1, detections(0.1, []))
     assert [step for step, _ in merger.closed()] == [0.0]
     merger.end(1)
-    merger.push(0, "video", 0.2, None)
+    merger.push(0, "video", 0.2, detections(0.2, []))
     assert [step for step, _ in merger.closed()] == [0.1]

@@ -89,11 +89,11 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
 
 
 class FiniteRange(click.FloatRange):
-    """A range of numbers without NaN and infinity."""
+    """A range of numbers without NaN, and without infinity unless that is its end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
+        if not math.isfinite(number) and number != self.max:
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
 

@@ -39,7 +39,7 @@ class Model:
         """Return the transition (4, 4) and the process noise (4, 4) of dt seconds, exact for any dt.
 
         >>> transition, noise = Model(0.0, pulse=1.0).step(0.1)
-        >>> transition[0].tolist()
+        >>> transition[0].round(6).tolist()
         [1.0, 0.0, 0.1, 0.0]
         >>> [round(float(noise[0, 0]), 9), round(float(noise[0, 2]), 9), round(float(noise[2, 2]), 9)]
         [2.5e-05, 0.0005, 0.01]

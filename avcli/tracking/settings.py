@@ -5,6 +5,7 @@ This module imports no numpy, so that the command's --help starts quickly.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,7 @@ class Settings:
         "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 10 times sooner.",
         unit="S",
         above=0.0,
+        most=math.inf,
     )
     doors: str = setting(
         "walls",
@@ -89,6 +91,7 @@ class Settings:
         "Do not wait for a sensor that lags more than S seconds of data behind another one of its stream; inf: wait.",
         unit="S",
         least=0.0,
+        most=math.inf,
     )
     newborn: float = 0.05
     hypotheses: int = 40
