@@ -64,8 +64,8 @@ class GLMB:
     >>> tracker = GLMB(Settings(), Population(), [sensor("ceiling")])
     >>> for k in range(10):  # a person walks along x at 1 m/s
     ...     tracker.update(k / 10, "ceiling", np.array([[1 + k / 10, 2.0]]), 0.01 * np.eye(2)[None])
-    >>> [(track.label, track.state.round(1).tolist()) for track in tracker.tracks(1.0)]
-    [(0, [2.0, 2.0, 1.0, 0.0])]
+    >>> [(track.label, track.state[:2].round(1).tolist()) for track in tracker.tracks(1.0)]
+    [(0, [2.0, 2.0])]
     """
 
     def __init__(
