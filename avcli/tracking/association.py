@@ -59,7 +59,7 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
     Returns:
         Row -> [(log weight, detection or MISSED)], best first.
     """
-    found = {}
+    caused_by = {}
     existence, p_detect, likelihoods = scan.existence, scan.p_detect, scan.likelihoods
     for row in rows:
         present = existence[row] * p_detect[row]
@@ -67,8 +67,8 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
         least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
         hits = enumerate(zip(likelihoods[row], background, strict=True))
         caused = [(math.log(present * g / b), j) for j, (g, b) in hits if present * g > least * b]
-        found[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
-    return found
+        caused_by[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
+    return caused_by
 
 
 def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluster]]:
@@ -172,14 +172,14 @@ def ranked(
 
 def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span: float) -> list[Association]:
     """The same for one person, with whom nobody competes."""
-    found: list[Association] = [
+    alone: list[Association] = [
         (weight + gain, ((row, j),), 0 if j < 0 else 1 << j)
         for weight, (row,) in priors
         for gain, j in (options[row] if row >= 0 else ((0.0, MISSED),))
     ]
-    found.sort(key=FIRST, reverse=True)
-    floor = found[0][0] - span - 1e-9
-    return [one for one in found if one[0] >= floor]
+    alone.sort(key=FIRST, reverse=True)
+    floor = alone[0][0] - span - 1e-9
+    return [one for one in alone if one[0] >= floor]
 
 
 def _steps(

@@ -73,8 +73,8 @@ def track(
 
 def named(name: str, detections: Iterable[Detections]) -> Iterator[Detections]:
     """Yield detections with a name for the sensor of those that have none."""
-    for found in detections:
-        yield found if found.sensor else replace(found, sensor=name)
+    for one in detections:
+        yield one if one.sensor else replace(one, sensor=name)
 
 
 class Fusion:
@@ -193,8 +193,8 @@ class Fusion:
             self.origin = time
         now = round(time - self.origin, 6)
         looks: dict[tuple[float, int], list[Detections]] = {}
-        for at, name, found in records:
-            looks.setdefault((round(at - self.origin, 6), self._column(name, found.kind)), []).append(found)
+        for at, name, one in records:
+            looks.setdefault((round(at - self.origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted

@@ -339,7 +339,7 @@ class GLMB:
 
     def labelled(self) -> list[Labelled]:
         """Return all labelled people, by label."""
-        found = []
+        people = []
         for cluster in self.clusters:
             for at, label in enumerate(cluster.labels):
                 shares, existence = cluster.marginals(at, self.people.existence)
@@ -347,31 +347,31 @@ class GLMB:
                 if row < 0:
                     row = max((k for k in shares if k >= 0), key=lambda k: (shares[k], -k))
                 meant = math.fsum(w for k, w in shares.items() if k >= 0)
-                found.append(Labelled(label, row, min(existence, 1.0), meant))
-        return sorted(found)
+                people.append(Labelled(label, row, min(existence, 1.0), meant))
+        return sorted(people)
 
     def tracks(self, time: float) -> list[Track]:
         """Return the people who probably exist at a time (s) not before the last record, by label."""
         self.predict(time)
-        found = [one for one in self.labelled() if one.existence > 0.5]
-        if not found:
+        present = [one for one in self.labelled() if one.existence > 0.5]
+        if not present:
             return []
-        rows = [one.row for one in found]
+        rows = [one.row for one in present]
         people = self.people
         mean, cov = gaussian.moments(people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0))
         detectable = people.detectable.take(rows, 0).tolist()
         return [
             Track(one.label, mean[k], cov[k], one.existence, dict(zip(self.column, detectable[k], strict=True)))
-            for k, one in enumerate(found)
+            for k, one in enumerate(present)
         ]
 
     def ends(self) -> Iterator[End]:
         """Yield the latest end of each person's history, also of those who left lately."""
-        found, people = self.labelled(), self.people
-        if found:
-            rows = [one.row for one in found]
+        labelled, people = self.labelled(), self.people
+        if labelled:
+            rows = [one.row for one in labelled]
             mean, cov = gaussian.moments(people.mean[rows], people.cov[rows], people.mode[rows])
-            for k, one in enumerate(found):
+            for k, one in enumerate(labelled):
                 node = people.node[one.row]
                 if node is not None:
                     node.detectable = people.detectable[one.row]

@@ -39,7 +39,7 @@ class Cluster:
         """Return the marginal of one label.
 
         Args:
-            at: its place in `labels`.
+            at: its index in `labels`.
             existence: of each row.
 
         Returns:
@@ -61,13 +61,13 @@ class Cluster:
             shares[hypothesis] = shares.get(hypothesis, 0.0) + share
         return _by_share(labels, shares)
 
-    def only(self, places: Sequence[int]) -> Cluster:
-        """Return the cluster of some of the labels, by their places in `labels`."""
-        hypotheses = [tuple([hypothesis[at] for at in places]) for hypothesis in self.hypotheses]
-        return self.replaced([self.labels[at] for at in places], hypotheses)
+    def only(self, indices: Sequence[int]) -> Cluster:
+        """Return the cluster of some of the labels, by their indices in `labels`."""
+        hypotheses = [tuple([hypothesis[at] for at in indices]) for hypothesis in self.hypotheses]
+        return self.replaced([self.labels[at] for at in indices], hypotheses)
 
     def parts(self) -> list[list[int]]:
-        """Return the places of the labels in parts that are independent of each other, but for INDEPENDENT."""
+        """Return the indices of the labels in parts that are independent of each other, but for INDEPENDENT."""
         count, shares = len(self.labels), np.array(self.shares)
         indicators: list[list[bool]] = []
         owners: list[int] = []

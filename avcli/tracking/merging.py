@@ -15,7 +15,7 @@ JUMP = 3600.0  # s without any record, after which the clock starts anew
 
 
 Record = tuple[float, str, Detections]
-"""Time in s, name of the sensor, what it found."""
+"""Time in s, name of the sensor, what it detected."""
 
 Step = tuple[float, list[Record]]
 """Time in s of a step of the clock, and the records up to it since the step before, in order of time."""
@@ -77,7 +77,7 @@ class Merger:
 
         Args:
             sources: how many streams of records there are.
-            rate: Hz of the clock, None: found from the records, whose first `max_wait` seconds are then held back.
+            rate: Hz of the clock, None: estimated from the records, whose first `max_wait` seconds are then held back.
             max_wait: s of data by which a sensor may lag behind the others of its source.
             one_sensor: whether each source is known to hold one sensor; else a sole source waits for its second one.
             say: called once for each sensor that lags too far behind, with a sentence for the user.
@@ -98,11 +98,11 @@ class Merger:
         Args:
             events: the number of a source, and its next record or None at its end, as `in_turn` yields them.
         """
-        for source, found in events:
-            if found is None:
+        for source, detections in events:
+            if detections is None:
                 self.end(source)
             else:
-                self.push(source, found.sensor or "sensor", found.timestamp, found)
+                self.push(source, detections.sensor or "sensor", detections.timestamp, detections)
             laggards = self.laggards()
             for name in sorted(laggards - self.lagging):
                 self.say(
@@ -111,12 +111,12 @@ class Merger:
             self.lagging |= laggards
             yield from self.closed()
 
-    def push(self, source: int, sensor: str, time: float, found: Detections) -> None:
+    def push(self, source: int, sensor: str, time: float, detections: Detections) -> None:
         """Take one record: number of its source, name of its sensor, time in s."""
         if self.began and time < self._time(self.tick - 1) + SAME:
             self.late[sensor] += 1
         else:
-            self.records.append((time, sensor, len(self.records), found))
+            self.records.append((time, sensor, len(self.records), detections))
             self.first, self.last = min(self.first, time), max(self.last, time)
         stream = self.streams.get((source, sensor))
         if stream is None:
@@ -191,7 +191,7 @@ class Merger:
     def _until(self, now: float) -> list[Record]:
         ready = sorted((r for r in self.records if r[0] <= now + SAME), key=lambda r: r[:3])
         self.records = [r for r in self.records if r[0] > now + SAME]
-        return [(time, sensor, found) for time, sensor, _, found in ready]
+        return [(time, sensor, detections) for time, sensor, _, detections in ready]
 
 
 def in_turn(sources: Sequence[Iterator[Detections]]) -> Iterator[tuple[int, Detections | None]]:
@@ -203,9 +203,9 @@ def in_turn(sources: Sequence[Iterator[Detections]]) -> Iterator[tuple[int, Dete
     reached = dict.fromkeys(range(len(sources)), -math.inf)
     while reached:
         source = min(reached, key=lambda k: (reached[k], k))
-        found = next(sources[source], None)
-        if found is None:
+        detections = next(sources[source], None)
+        if detections is None:
             del reached[source]
         else:
-            reached[source] = max(reached[source], found.timestamp)
-        yield source, found
+            reached[source] = max(reached[source], detections.timestamp)
+        yield source, detections

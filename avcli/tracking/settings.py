@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from avcli.formats.sensors import CAMERA, MICROPHONES
-from avcli.settings import setting
+from avcli.settings import check, setting
 from avcli.tracking.trackers import TRACKERS
 
 if TYPE_CHECKING:
@@ -95,6 +95,9 @@ class Settings:
     )
     newborn: float = 0.05
     hypotheses: int = 40
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True)
