@@ -167,7 +167,7 @@ def main(
         for name, value in options[key]:
             given.setdefault(name, {})[key] = value
     from avcli.tracking.fusion import Fusion
-    from avcli.tracking.merging import Merger, in_turn
+    from avcli.tracking.merging import in_turn
 
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
     events = in_turn(_readers(session, sources))
@@ -175,9 +175,7 @@ def main(
         first = next(events)  # as soon as there is a record, config.json is complete
         config = session.config if session.has_config else None
         fusion = Fusion.of(config, settings, tracker, lag, given=given, explain=bool(explain), say=session.warn)
-        rate = settings.rate or (config.frame_rate_hz if config else None)
-        one_sensor = not files and bool(named)
-        merger = Merger(len(sources), rate, settings.max_wait, one_sensor=one_sensor, say=session.warn)
+        merger = fusion.merger(len(sources), one_sensor=not files and bool(named))
         for step in merger.steps(itertools.chain([first], events)):
             with session.timing("tracking"):
                 ready = fusion.step(*step)
@@ -190,10 +188,8 @@ def main(
         session.warn(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
-    for note in fusion.notes:
+    for note in fusion.notes():
         session.note(note)
-    if fusion.outside:
-        session.note(f"{fusion.outside} detections outside the room were ignored (--room-margin)")
 
 
 def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> None:

@@ -64,8 +64,7 @@ def track(
     """
     settings = settings or Settings()
     fusion = Fusion.of(config, settings, tracker, lag, given=given, say=say)
-    rate = settings.rate or (config.frame_rate_hz if config else None)
-    merger = Merger(len(detections), rate, settings.max_wait, say=say)
+    merger = fusion.merger(len(detections))
     sources = [named(f"sensor{k}", source) for k, source in enumerate(detections)]
     out = [one for step in merger.steps(in_turn(sources)) for one in fusion.step(*step)]
     return out + fusion.finish()
@@ -83,7 +82,6 @@ class Fusion:
     Attributes:
         tracker: the filter.
         outside: number of detections that were ignored because they lie outside the room.
-        notes: what a user who wants to know more can be told.
     """
 
     def __init__(
@@ -134,7 +132,8 @@ class Fusion:
         self.numbers: dict[int, int] = {}
         self.ears: list[str] = []  # names of the microphones
         self.outside = 0
-        self.notes: list[str] = []
+        self.rate = self.settings.rate  # Hz of the output, None: that of the records
+        self._notes: list[str] = []
 
     @classmethod
     def of(
@@ -176,8 +175,18 @@ class Fusion:
             explain=explain,
             say=say,
         )
-        fusion.notes += [note] * bool(note)
+        fusion.rate = settings.rate or config.frame_rate_hz
+        fusion._notes += [note] * bool(note)
         return fusion
+
+    def merger(self, sources: int, *, one_sensor: bool = False) -> Merger:
+        """Return what merges streams of records, see `Merger`, for `step`."""
+        return Merger(sources, self.rate, self.settings.max_wait, one_sensor=one_sensor, say=self.say)
+
+    def notes(self) -> list[str]:
+        """Return sentences for a user who wants to know more."""
+        ignored = f"{self.outside} detections outside the room were ignored (--room-margin)"
+        return self._notes + [ignored] * bool(self.outside)
 
     def step(self, time: float, records: Sequence[Record]) -> list[Identified]:
         """Take in all records of one time step.
