@@ -358,8 +358,10 @@ def test_lag_delays_smooths_and_keeps_every_step():
     assert error(offline) < error(late) < error(online)
 
 
-@pytest.mark.parametrize("tracker", ["ms-glmb", "lmb", "gnn"])
+@pytest.mark.parametrize("tracker", list(TRACKERS))
 def test_every_tracker_follows_three_people(tracker):
+    if tracker == "jpda":
+        pytest.importorskip("stonesoup", reason="Stone Soup is optional")
     records = fuse(walk(people=3, steps=30), "--tracker", tracker)
     assert {p["object_id"] for r in records for p in r["objects"]} == {0, 1, 2}
     assert len(records[-1]["objects"]) == 3
