@@ -49,8 +49,8 @@ def test_what_counts_as_records(stdin, count):
 
 
 BAD = {
-    b'{"timestamp": "0", "obj': "<stdin>:2:",
-    b"[1, 2]": "<stdin>:2: expected a JSON object",
+    b'{"timestamp": "0", "obj': "<stdin>:2:24: invalid JSON: ",
+    b"[1, 2]": "<stdin>:2: must be a JSON object, found [1,2]",
     b'{"objects": []}': '<stdin>:2: "timestamp" is missing',
     b'{"timestamp": "soon", "objects": []}': '<stdin>:2: "timestamp"',
     b'{"timestamp": "nan", "objects": []}': '<stdin>:2: "timestamp"',
@@ -126,6 +126,19 @@ def test_help_version_seed_and_presets():
     ]
     assert [row["number"] for row in numbers] == [42, 7]
     assert [row["seed"] for row in numbers] == [0, 5]
+
+
+def test_a_fault_of_the_program_is_one_line():
+    command = "import sys, click; sys.argv[0] = 'copy-records'\nfrom avcli.commands.filter import Filter, common\n"
+    command += "@click.command('copy-records', cls=Filter)\n@common()\ndef main(session): [][0]\nmain()"
+    quiet, verbose = (
+        subprocess.run([sys.executable, "-c", command, *options], capture_output=True, text=True)
+        for options in ([], ["-v"])
+    )
+    line = "copy-records: fault of the program (-v shows where): IndexError: list index out of range\n"
+    assert (quiet.returncode, quiet.stderr) == (70, line)
+    assert verbose.stderr.startswith("Traceback")
+    assert verbose.stderr.endswith(line)
 
 
 def test_full_disk_on_standard_output():

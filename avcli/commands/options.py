@@ -97,6 +97,9 @@ class FiniteRange(click.FloatRange):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
 
+    def _describe_range(self) -> str:  # click would write "x<=None" where there is no bound
+        return "" if self.min is self.max is None else super()._describe_range()
+
 
 def _range(annotation: type, setting: Setting) -> click.ParamType:
     if annotation is str:
