@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from avcli.commands.filter import Filter, common
+from avcli.commands.filter import Filter, Session, common
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
 
 if TYPE_CHECKING:
-    from avcli.formats.records import Detections, Identified
+    from avcli.formats.records import Detections
     from avcli.tracking.fusion import Fusion
 
 _THESIS = {
@@ -80,10 +80,6 @@ def _number(text: str, most: float = math.inf) -> float:
     return number
 
 
-def _probability(text: str) -> float:
-    return _number(text, 1.0)
-
-
 def _usual(field: str) -> str:
     """What --help says of the default of a sensor's field."""
     values = {kind: getattr(one, field) for kind, one in SENSORS.items()}
@@ -127,7 +123,7 @@ def _usual(field: str) -> str:
 @click.option(
     "--detection",
     multiple=True,
-    type=_ForSensor(_probability, "NAME=P"),
+    type=_ForSensor(lambda text: _number(text, 1.0), "NAME=P"),
     metavar="NAME=P",
     help="Probability that a sensor detects a person who is not hidden from it.  " + _usual("detection"),
 )
@@ -146,7 +142,7 @@ def _usual(field: str) -> str:
 )
 @common(skip_invalid=True, presets={"thesis": _THESIS})
 def main(
-    session: Any,
+    session: Session,
     files: tuple[str, ...],
     named: tuple[tuple[str, str], ...],
     tracker: str,
@@ -166,6 +162,7 @@ def main(
     for key in ("sigma", "detection", "clutter"):
         for name, value in options[key]:
             given.setdefault(name, {})[key] = value
+    from avcli.formats.records import as_record
     from avcli.tracking.fusion import Fusion
     from avcli.tracking.merging import in_turn
 
@@ -180,12 +177,10 @@ def main(
             with session.timing("tracking"):
                 ready = fusion.step(*step)
             for tracks in ready:
-                write(_record(tracks))
+                write(as_record(tracks))
             account(fusion)
         for tracks in fusion.finish():
-            write(_record(tracks))
-    for name, count in sorted(merger.late.items()):
-        session.warn(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
+            write(as_record(tracks))
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
     for note in fusion.notes():
@@ -219,7 +214,7 @@ def _sensor_name(path: str) -> str:
     return next((word for word in ("audio", "video") if word in stem), "sensor" if path == "-" else stem)
 
 
-def _readers(session: Any, sources: list[tuple[str, str]]) -> list[Iterator[Detections]]:
+def _readers(session: Session, sources: list[tuple[str, str]]) -> list[Iterator[Detections]]:
     """Return an iterator over the detections of each source; all are opened first, so that a missing file is found."""
     from avcli.formats import records
     from avcli.tracking.fusion import named
@@ -233,20 +228,3 @@ def _readers(session: Any, sources: list[tuple[str, str]]) -> list[Iterator[Dete
             )
 
     return [read(*one) for one in streams]
-
-
-def _record(tracks: Identified) -> dict[str, Any]:
-    objects = []
-    columns = (tracks.ids, tracks.positions, tracks.velocities, tracks.covariances, tracks.existence, tracks.speaking)
-    for identity, position, velocity, covariance, existence, speaking in zip(
-        *(column.tolist() for column in columns), strict=True
-    ):
-        person = {
-            "object_id": identity,
-            "position": position,
-            "velocity": velocity,
-            "covariance": covariance,
-            "existence": existence,
-        }
-        objects.append(person if math.isnan(speaking) else {**person, "speaking": speaking})
-    return {"timestamp": tracks.timestamp, "objects": objects}

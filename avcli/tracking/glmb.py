@@ -322,7 +322,7 @@ class GLMB:
         people = self.people
         rows = [row for row in shares if row >= 0]
         meant = math.fsum(shares[row] for row in rows)
-        because = "its detections are somebody else's" if meant < 0.5 else "nobody finds it any more"
+        because = "its detections belong to others" if meant < 0.5 else "no sensor detects it any more"
         self.died.append({"label": label, "existence": existence, "because": because})
         if not rows:
             return

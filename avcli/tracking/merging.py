@@ -80,7 +80,7 @@ class Merger:
             rate: Hz of the clock, None: estimated from the records, whose first `max_wait` seconds are then held back.
             max_wait: s of data by which a sensor may lag behind the others of its source.
             one_sensor: whether each source is known to hold one sensor; else a sole source waits for its second one.
-            say: called once for each sensor that lags too far behind, with a sentence for the user.
+            say: called with a sentence for the user, for each sensor that lags too far behind or was late.
         """
         self.open = set(range(sources))
         self.rate, self.max_wait, self.say = rate, max_wait, say
@@ -110,6 +110,8 @@ class Merger:
                 )
             self.lagging |= laggards
             yield from self.closed()
+        for name, count in sorted(self.late.items()):
+            self.say(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
 
     def push(self, source: int, sensor: str, time: float, detections: Detections) -> None:
         """Take one record: number of its source, name of its sensor, time in s."""
