@@ -80,14 +80,14 @@ def first_detections(
     Returns:
         (T, J) per m² of each tentative person, and (J,) per m² of people never detected before.
     """
-    tentative, z = list(tentative), scan.z
-    positions = np.concatenate([z, people.mean[tentative, 0, :2]])
-    spread = np.concatenate([scan.noise, people.cov[tentative, 0, :2, :2]])
+    rows, z = np.array(tentative, int), scan.z
+    positions = np.concatenate([z, people.mean.take(rows, 0)[:, 0, :2]])
+    spread = np.concatenate([scan.noise, people.cov.take(rows, 0)[:, 0, :2, :2]])
     room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, undetected.population.body)
     number = room[len(z) :] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
     anywhere, near_walls = (undetected.p_detect(scan) * undetected.expected).tolist()
     unseen = room[: len(z)] * undetected.population.density(z, anywhere, near_walls)
-    return number[:, None] * scan.gain[tentative], unseen if poisson else 0.0 * unseen
+    return number[:, None] * scan.gain.take(rows, 0), unseen if poisson else 0.0 * unseen
 
 
 def _elbow_room(

@@ -268,16 +268,14 @@ class Fusion:
         states = np.array([one.state for one in tracks]).reshape(n, 4)
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
         positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
-        if n:
-            covariances[:, :2, :2] = np.array([one.cov for one in tracks])[:, :2, :2]
-            covariances[:, 1, 0] = covariances[:, 0, 1]
-            covariances[:, 2, 2] = HEIGHT_VARIANCE
-        for one in tracks:
-            numbers.setdefault(one.label, len(numbers))
-        speaking = [
-            max([one.detectable.get(name, 0.0) for name in ears]) if ears and one.detectable else math.nan
-            for one in tracks
-        ]
+        speaking = [math.nan] * n
+        for k, one in enumerate(tracks):
+            covariances[k, :2, :2] = one.cov[:2, :2]
+            if one.label not in numbers:
+                numbers[one.label] = len(numbers)
+            if ears and one.detectable:
+                speaking[k] = max([one.detectable.get(name, 0.0) for name in ears])
+        covariances[:, 1, 0], covariances[:, 2, 2] = covariances[:, 0, 1], HEIGHT_VARIANCE
         return Identified(
             timestamp=(self.origin or 0.0) + time,
             ids=np.array([numbers[one.label] for one in tracks], np.int64),
