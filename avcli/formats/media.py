@@ -95,9 +95,11 @@ def read_rgb(path: str | os.PathLike) -> np.ndarray:
         (height, width, 3) uint8 RGB.
 
     Raises:
-        MediaError: the file is missing, empty or no picture.
+        MediaError: the file is missing, empty or not a picture.
     """
-    image = _read_image(path)
+    image = read_picture(path)
+    if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
+        raise MediaError(f"{path}: not a picture of 8 or 16 bits, but {_described(image)}")
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     if image.ndim == 2:
@@ -112,10 +114,10 @@ def read_depth(path: str | os.PathLike) -> np.ndarray:
         (height, width) uint8 or uint16; 0 where there is no depth.
 
     Raises:
-        MediaError: the file is missing, empty, no picture, or has several channels.
+        MediaError: the file is missing, empty, not a picture, or has several channels.
     """
-    image = _read_image(path)
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    image = read_picture(path)
+    if image.ndim != 2 or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
         raise MediaError(f"{path}: a depth picture has one channel of 8 or 16 bits, not {_described(image)}")
     return image
 
@@ -133,10 +135,15 @@ def is_depth(path: str | os.PathLike) -> bool:
     return head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
 
 
-def _read_image(path: str | os.PathLike) -> np.ndarray:
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # what is wrong with a picture is said once, by us
-    import cv2
+def read_picture(path: str | os.PathLike) -> np.ndarray:
+    """Read a picture file as it is (PNG, JPEG and what else OpenCV reads, or raw .npy).
 
+    Returns:
+        (height, width[, 3 RGB or 4 RGBA]), in the type that the file holds: mostly uint8 or uint16.
+
+    Raises:
+        MediaError: the file is missing, empty or not a picture.
+    """
     content = read_bytes(path)
     if content.startswith(b"\x93NUMPY"):
         import io
@@ -146,17 +153,60 @@ def _read_image(path: str | os.PathLike) -> np.ndarray:
         except ValueError as error:
             raise MediaError(f"{path}: a broken .npy file: {error}") from None
     else:
-        try:
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            image = None
+        image = decode_picture(content)
         if image is None:
-            raise MediaError(f"{path}: no picture that can be read ({len(content)} bytes)")
-        if image.ndim == 3:
-            image = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB)
-    if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
-        raise MediaError(f"{path}: no picture of 8 or 16 bits, but {_described(image)}")
+            raise MediaError(f"{path}: not a picture that can be read ({len(content)} bytes)")
     return image
+
+
+def decode_picture(content: bytes) -> np.ndarray | None:
+    """Decode the content of a picture file, (height, width[, 3 RGB or 4 RGBA]); None where it is not a picture."""
+    quiet_decoders()
+    import cv2
+
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return None if image is None else swapped(image)
+
+
+def encode_picture(image: np.ndarray, suffix: str) -> bytes:
+    """Encode a picture in the format of an extension, such as ".png" or ".jpg".
+
+    Args:
+        image: (height, width[, 3 RGB or 4 RGBA]) uint8 or uint16.
+        suffix: the extension, with its dot.
+
+    Raises:
+        MediaError: there is no such format, or it does not take such a picture.
+    """
+    if suffix.lower() == ".png" and (image.dtype.name, image.shape[2] if image.ndim == 3 else 1) in _PNG_KINDS:
+        return encode_png(image)
+    import cv2
+
+    try:
+        coded, content = cv2.imencode(suffix, swapped(image))
+    except cv2.error:
+        coded = False
+    if not coded:
+        raise MediaError(f"pictures of {_described(image)} cannot be written as {suffix!r}")
+    return content.tobytes()
+
+
+def swapped(image: np.ndarray) -> np.ndarray:
+    """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
+    import cv2
+
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        return cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB)
+    return image
+
+
+def quiet_decoders() -> None:
+    """Keep the messages of OpenCV's decoders off stderr: our own error says what is wrong with a file."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 def _described(image: np.ndarray) -> str:
