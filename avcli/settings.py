@@ -77,5 +77,5 @@ def check(settings: Any) -> None:
             ):
                 if bound is not None and not holds(number, bound):
                     raise ValueError(f"{name} must be {words} {bound:g}, not {number:g}")
-            if not math.isfinite(number):
+            if not math.isfinite(number) and number != known.most:
                 raise ValueError(f"{name} must be a finite number, not {number:g}")
