@@ -69,7 +69,8 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
     if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
         annotation = parts[0]
     flag = setting.flag or "--" + field.name.replace("_", "-")
-    words: dict[str, Any] = {"default": default, "help": setting.text}
+    text = f"{setting.only}: {setting.text}" if setting.only else setting.text
+    words: dict[str, Any] = {"default": default, "help": text}
     words["show_default"] = setting.default_text or (default is not None and annotation is not bool)
     if setting.unit:
         words["metavar"] = setting.unit

@@ -1,11 +1,15 @@
 """The microphone array in its room, and what a localizer says about one time step."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from avcli.numeric import SPEED_OF_SOUND_M_S
+from avcli.formats.experiment import Config
+from avcli.formats.records import Detections
+from avcli.formats.sensors import MICROPHONES
+from avcli.numeric import SPEED_OF_SOUND_M_S, speed_of_sound
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,17 @@ class Array:
     sample_rate: float
     room: np.ndarray
     speed_of_sound: float = SPEED_OF_SOUND_M_S
+
+    @classmethod
+    def of(cls, config: Config, temperature_c: float | None = None) -> "Array":
+        """Return the microphones and the room of a config.json, with its speed of sound or that at a temperature in °C.
+
+        Raises:
+            ValueError: a key is missing or wrong.
+        """
+        microphones, room = config.microphones, config.room
+        speed = room.speed_of_sound_m_s if temperature_c is None else speed_of_sound(temperature_c)
+        return cls(microphones.positions, microphones.sample_rate_hz, room.dimensions, speed)
 
     @cached_property
     def spread(self) -> np.ndarray:
@@ -55,6 +70,21 @@ class Array:
 
 
 @dataclass(frozen=True)
+class Talker:
+    """A talker who was heard at one time.
+
+    Attributes:
+        position: (3,) m.
+        covariance: (3, 3) m².
+        score: probability that it is right.
+    """
+
+    position: np.ndarray
+    covariance: np.ndarray
+    score: float
+
+
+@dataclass(frozen=True)
 class Decision:
     """What was heard at one time.
 
@@ -73,15 +103,19 @@ class Decision:
     notices: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, time: float, found=(), notices=()) -> "Decision":
-        """Make a decision of (position, covariance, score) triples."""
+    def of(cls, time: float, talkers: Sequence[Talker] = (), notices: Iterable[str] = ()) -> "Decision":
+        """Make a decision of the talkers that were found."""
         return cls(
             time,
-            np.array([f[0] for f in found], dtype=np.float64).reshape(-1, 3),
-            np.array([f[1] for f in found], dtype=np.float64).reshape(-1, 3, 3),
-            np.array([f[2] for f in found], dtype=np.float64),
+            np.array([talker.position for talker in talkers], dtype=np.float64).reshape(-1, 3),
+            np.array([talker.covariance for talker in talkers], dtype=np.float64).reshape(-1, 3, 3),
+            np.array([talker.score for talker in talkers], dtype=np.float64),
             tuple(notices),
         )
+
+    def detections(self, sensor: str = "audio") -> Detections:
+        """Return it as what a sensor of this name found."""
+        return Detections(self.time, sensor, self.positions, self.covariances, self.scores, kind=MICROPHONES)
 
 
 def time_steps(begin: int, count: int, sample_rate: float, rate: float, tail: float) -> range:
