@@ -76,11 +76,17 @@ class ClosedFormLocalizer:
             self.array.sample_rate,
             self.settings.rate,
         )
-        steps: dict[int, list[Event]] = {}
-        for event in self.events(samples):
-            steps.setdefault(round((begin / fs + event.time) * rate), []).append(event)
+        steps = self.steps(samples, begin)
         for step in time_steps(begin, len(samples), fs, rate, read[-1].tail):
             yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [])
+
+    def steps(self, samples: np.ndarray, begin: int = 0) -> dict[int, list[Event]]:
+        """Return the events of a recording (n, m) by the time step, k at k / rate seconds, to which each belongs."""
+        steps: dict[int, list[Event]] = {}
+        for event in self.events(samples):
+            time = begin / self.array.sample_rate + event.time
+            steps.setdefault(round(time * self.settings.rate), []).append(event)
+        return steps
 
     def events(self, samples: np.ndarray) -> Iterator[Event]:
         """Yield the events of a recording (n, m) from which a position could be had."""
@@ -134,14 +140,18 @@ class ClosedFormLocalizer:
 
     def mean(self, found: list[Event]) -> Talker:
         """Return the talker of one time step: the Euclidean mean of its events."""
-        position = np.mean([event.position for event in found], axis=0)
-        between = np.mean([np.outer(d, d) for d in (event.position - position for event in found)], axis=0)
-        within = np.mean([event.scatter for event in found], axis=0)
-        scatter = between + within
+        position, scatter = self.gathered(found)
         score = self.law.closed_form_probability(*self.reliability(found, scatter), refined=self.settings.refine)
         law = self.law.closed_form_refined if self.settings.refine else self.law.closed_form
         covariance = law.widened * scatter + law.floor**2 * np.eye(3)
         return Talker(position, 0.5 * (covariance + covariance.T), score)
+
+    def gathered(self, found: list[Event]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean position (3,) m of events, and their scatter (3, 3) m² between and within them."""
+        position = np.mean([event.position for event in found], axis=0)
+        between = np.mean([np.outer(d, d) for d in (event.position - position for event in found)], axis=0)
+        within = np.mean([event.scatter for event in found], axis=0)
+        return position, between + within
 
     def reliability(self, found: list[Event], scatter: np.ndarray) -> tuple[float, float, float]:
         """Return the spread in x and y, m, the share of valid solutions, and the events in a tenth of a second."""

@@ -232,10 +232,10 @@ def spread(
         terms: (..., k) for each part.
         normal, others: (..., 3, 3) as for `Law.covariance`.
         motion: (..., 3, 3) m²/s², see `paths`.
-        extent: (3,) m, the standard deviation of what was not observed.
+        extent: (..., 3) m, the standard deviation of what was not observed.
     """
     factor = {part: np.exp(2.0 * np.clip(terms[part] @ weights[part], -12.0, 3.0))[..., None, None] for part in weights}
-    result = np.linalg.inv(normal / factor["peaks"] + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
+    result = np.linalg.inv(normal / factor["peaks"] + np.eye(3) * (extent**-2.0)[..., None]) + FLOOR**2 * np.eye(3)
     result = result + factor["lattice"] * others + factor["motion"] * motion
     return result + factor["level"] * np.diag([1.0, 1.0, 0.0]) + factor["height"] * np.diag([0.0, 0.0, 1.0])
 
