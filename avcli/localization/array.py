@@ -46,7 +46,7 @@ class Array:
         return np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
 
     def require(self, *, count: int, dimensions: int) -> None:
-        """Refuse an array from which no position can be had.
+        """Refuse an array from which no position can be computed.
 
         Args:
             count: the least number of microphones at different places.
@@ -57,11 +57,15 @@ class Array:
         """
         distinct = len(np.unique(np.round(self.microphones, 4), axis=0))
         if distinct < count:
-            raise ValueError(f"{distinct} microphones at different places: a position in x, y and z needs {count}")
+            raise ValueError(
+                f"{distinct} microphones at different places; a position in x, y and z needs {count} or more"
+            )
         if self.spread[1] < 0.01:
-            raise ValueError("the microphones stand on one line: only the distance from it and along it can be had")
+            raise ValueError("the microphones are on one line; a position needs at least one more off that line")
         if dimensions == 3 and self.spread[2] < 0.001:
-            raise ValueError("the microphones lie in one plane, where the closed form cannot tell the side of it")
+            raise ValueError(
+                "the microphones are in one plane; the closed form cannot tell on which side a talker is (srp can)"
+            )
 
     def mean_delay(self, low: np.ndarray, high: np.ndarray) -> float:
         """Return the mean travel time in s from the middle of a volume with corners (3,) m to the microphones."""

@@ -36,7 +36,7 @@ class Memory:
         self.traces: list[Trace] = []
 
     def reach(self, trace: Trace) -> float:
-        """Return how far, in m, its talker may seem to have moved since: he walks, and places err."""
+        """Return how far, in m, its talker may seem to have moved since: people walk, and positions have errors."""
         return 0.2 + self.max_speed * trace.age / self.rate
 
     def known(self) -> list[Trace]:

@@ -35,7 +35,7 @@ def localizer(
 
     Raises:
         ValueError: the method is unknown, the settings are another method's, a key of the config is missing or wrong,
-            or no position can be had from the microphones.
+            or no position can be computed from the microphones.
     """
     if method not in METHODS:
         raise ValueError(f'the method must be one of {", ".join(METHODS)}, not "{method}"')

@@ -42,7 +42,7 @@ class SteeredLocalizer:
         law: scores and covariances; the fitted one by default.
 
     Raises:
-        ValueError: no position can be had from the array, or the band is too narrow.
+        ValueError: no position can be computed from the array, or the band is too narrow.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The talkers of one decision, one after another: each is sought in what those before it leave.
+"""The talkers of one decision, one after another: each is searched for in what those before it leave.
 
 What a talker explains is taken away in three ways: by a mask over times and frequencies, by a notch around the lags of
 the direct sound, and by notches where the lags of the first echoes must be.
@@ -67,8 +67,8 @@ class TalkerSearch:
         """Return the places that are answered better than noise would, each without those before it.
 
         There is one more than there may be talkers, since a ghost may still come before the second talker. After the
-        first, talkers of the decisions before are looked for where they were: it takes less to hear a talker again than
-        to find him in the room.
+        first, talkers of the decisions before are searched for where they were: a known talker needs a smaller response
+        than a new one.
 
         Args:
             heard: the windows around the moment.
