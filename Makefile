@@ -1,10 +1,21 @@
-# make s1            one experiment: simulate, detect, fuse, score; a table, and out/s1/report.html
-# make s1-audio      the same by ear alone (nothing is rendered); s1-video by eye alone, s1-both by both
-# make all           s1 s2 s3 s4 and the combined table (make -j2 all uses two cores)
-# make test lint     the tests; the style checks
-# make man           the manual pages, checked and as HTML in out/man/
-# make bench-scene bench-audio bench-localization bench-detection bench-tracking bench-metrics bench-calibration
-# make clean         remove out/ (and nothing else); make distclean removes the virtual environment too
+#: make s1            one experiment: simulate, detect, fuse, score; prints a table, writes out/s1/report.html
+#: make s1-audio      the same with microphones alone (nothing is rendered); s1-video camera alone; s1-both fused alone
+#: make all           s1 s2 s3 s4 and the combined table (make -j2 all uses two cores)
+#: make run SCENARIO=mine.json [MODALITIES=all|audio|video|both]      your own scenario, in out/mine
+#: make setup         the virtual environment with everything that the targets need; each target calls it
+#: make test          the tests
+#: make lint          the checks of style, types and imports
+#: make man           the manual pages, checked, and as HTML in out/man/
+#: make formats       the schemas and the key lists of the manual, from the one description of each format
+#: make bench-scene bench-audio bench-localization bench-detection bench-tracking bench-metrics bench-calibration
+#: make setup-bench   the peers that some benchmarks compare with
+#: make fit-localization fit-detection fit-tracking     the coefficients of the stages, fitted again (minutes each)
+#: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
+#:
+#: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv
+#:   SCENE_FLAGS AUDIO_FLAGS DETECT_AUDIO_FLAGS DETECT_VIDEO_FLAGS FUSE_FLAGS EVAL_FLAGS: options of the stages
+#:   TEST_FLAGS BENCH_FLAGS FIT_FLAGS: options of pytest, of a benchmark, of a fit
+#: A target runs again exactly the stages whose inputs or options have changed: make s3 FUSE_FLAGS='--lag inf'
 
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -15,6 +26,9 @@ SHELL := bash
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out
+SEED ?= 0
+SCENARIO ?=
+MODALITIES ?= all
 SCENE_FLAGS ?=
 AUDIO_FLAGS ?=
 DETECT_AUDIO_FLAGS ?=
@@ -24,17 +38,29 @@ EVAL_FLAGS ?=
 
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+NAME := $(basename $(notdir $(SCENARIO)))
+SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene audio localization detection tracking metrics calibration
+FITS := localization detection tracking
 
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-bench all test lint man clean distclean help $(SCENARIOS) $(BENCHES:%=bench-%) \
-        $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
+ifneq ($(words $(SCENARIO)),1)
+  ifneq ($(filter run run-%,$(MAKECMDGOALS)),)
+    $(error make run needs SCENARIO=FILE.json, a path without spaces)
+  endif
+endif
+ifneq ($(filter %-audio,$(NAME)),)
+  $(error $(SCENARIO): rename the scenario; out/NAME-audio is the directory of the scenario NAME by microphones alone)
+endif
+
+.PHONY: FORCE run run-all run-audio run-video run-both setup setup-bench all test lint man clean distclean help formats $(SCENARIOS) \
+        $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
-	@sed -n 's/^# //p' Makefile
+	@sed -n 's/^#: \?//p' Makefile
 
 # --- set-up -----------------------------------------------------------------------------------------------------------
 
@@ -44,41 +70,68 @@ $(READY): pyproject.toml .ci/setup
 	@PYTHON='$(PYTHON)' .ci/setup '$(VENV)'
 
 # --- an experiment ----------------------------------------------------------------------------------------------------
+# Each stage depends on its options: DIR/.options/STAGE holds them, and is written again only when they change.
 
-$(OUT)/%-audio/scene.jsonl: | $(READY)
+export SCENE_OPTIONS = $(SCENARIO) --seed $(SEED) $(SCENE_FLAGS)
+export AUDIO_OPTIONS = --seed $(SEED) $(AUDIO_FLAGS)
+export DETECT_AUDIO_OPTIONS = --seed $(SEED) $(DETECT_AUDIO_FLAGS)
+export DETECT_VIDEO_OPTIONS = $(DETECT_VIDEO_FLAGS)
+export FUSE_OPTIONS = $(FUSE_FLAGS)
+export EVAL_OPTIONS = $(EVAL_FLAGS)
+
+define remember_options
+@mkdir -p '$(@D)'
+@printf '%s\n' "$$$(1)_OPTIONS" | cmp -s - '$@' || printf '%s\n' "$$$(1)_OPTIONS" >'$@'
+endef
+
+$(OUT)/%/.options/scene: FORCE
+	$(call remember_options,SCENE)
+$(OUT)/%/.options/audio: FORCE
+	$(call remember_options,AUDIO)
+$(OUT)/%/.options/detect-audio: FORCE
+	$(call remember_options,DETECT_AUDIO)
+$(OUT)/%/.options/detect-video: FORCE
+	$(call remember_options,DETECT_VIDEO)
+$(OUT)/%/.options/fuse: FORCE
+	$(call remember_options,FUSE)
+$(OUT)/%/.options/eval: FORCE
+	$(call remember_options,EVAL)
+
+# What to simulate in a directory: the user's file where the directory has its name, else the built-in scenario.
+scenario = $(if $(filter $(NAME),$1),$(SCENARIO),$1)
+
+$(OUT)/%-audio/scene.jsonl: $(OUT)/%-audio/.options/scene $(SCENARIO_FILE) | $(READY)
+	$(BIN)/avsim-scene $(call scenario,$*) -C $(@D) --no-video --seed $(SEED) $(SCENE_FLAGS) -o $@
+
+$(OUT)/%/scene.jsonl: $(OUT)/%/.options/scene $(SCENARIO_FILE) | $(READY)
+	$(BIN)/avsim-scene $(call scenario,$*) -C $(@D) --seed $(SEED) $(SCENE_FLAGS) -o $@
+
+$(OUT)/%/audio.jsonl: $(OUT)/%/scene.jsonl $(OUT)/%/.options/audio
+	$(BIN)/avsim-audio -C $(@D) --seed $(SEED) $(AUDIO_FLAGS) $< -o $@
+
+$(OUT)/%/localization/audio_localizations.jsonl: $(OUT)/%/audio.jsonl $(OUT)/%/.options/detect-audio
 	@mkdir -p $(@D)
-	$(BIN)/avsim-scene $* -C $(@D) --no-video $(SCENE_FLAGS) -o $@
+	$(BIN)/avdetect-audio -C $(OUT)/$* --seed $(SEED) $(DETECT_AUDIO_FLAGS) $< -o $@
 
-$(OUT)/%/scene.jsonl: | $(READY)
-	@mkdir -p $(@D)
-	$(BIN)/avsim-scene $* -C $(@D) $(SCENE_FLAGS) -o $@
-
-$(OUT)/%/audio.jsonl: $(OUT)/%/scene.jsonl
-	$(BIN)/avsim-audio -C $(@D) $(AUDIO_FLAGS) $< -o $@
-
-$(OUT)/%/localization/audio_localizations.jsonl: $(OUT)/%/audio.jsonl
-	@mkdir -p $(@D)
-	$(BIN)/avdetect-audio -C $(OUT)/$* $(DETECT_AUDIO_FLAGS) $< -o $@
-
-$(OUT)/%/localization/video_localizations.jsonl: $(OUT)/%/scene.jsonl
+$(OUT)/%/localization/video_localizations.jsonl: $(OUT)/%/scene.jsonl $(OUT)/%/.options/detect-video
 	@mkdir -p $(@D)
 	$(BIN)/avdetect-video -C $(OUT)/$* $(DETECT_VIDEO_FLAGS) $< -o $@
 
-$(OUT)/%/tracking/audio_tracking.jsonl: $(OUT)/%/localization/audio_localizations.jsonl
+$(OUT)/%/tracking/audio_tracking.jsonl: $(OUT)/%/localization/audio_localizations.jsonl $(OUT)/%/.options/fuse
 	@mkdir -p $(@D)
-	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $^ -o $@
+	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $(filter %.jsonl,$^) -o $@
 
-$(OUT)/%/tracking/video_tracking.jsonl: $(OUT)/%/localization/video_localizations.jsonl
+$(OUT)/%/tracking/video_tracking.jsonl: $(OUT)/%/localization/video_localizations.jsonl $(OUT)/%/.options/fuse
 	@mkdir -p $(@D)
-	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $^ -o $@
+	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $(filter %.jsonl,$^) -o $@
 
 $(OUT)/%/tracking/audio_video_tracking.jsonl: $(OUT)/%/localization/audio_localizations.jsonl \
-                                              $(OUT)/%/localization/video_localizations.jsonl
+                                              $(OUT)/%/localization/video_localizations.jsonl $(OUT)/%/.options/fuse
 	@mkdir -p $(@D)
-	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $^ -o $@
+	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $(filter %.jsonl,$^) -o $@
 
 $(OUT)/%/metrics.jsonl: $(OUT)/%/tracking/audio_tracking.jsonl $(OUT)/%/tracking/video_tracking.jsonl \
-                        $(OUT)/%/tracking/audio_video_tracking.jsonl
+                        $(OUT)/%/tracking/audio_video_tracking.jsonl $(OUT)/%/.options/eval
 	$(BIN)/aveval --experiments $(@D) --compare-thesis --html $(@D)/report.html --format jsonl $(EVAL_FLAGS) -o $@
 
 $(SCENARIOS): %: $(OUT)/%/metrics.jsonl
@@ -97,6 +150,20 @@ $(SCENARIOS:%=%-video): %-video: $(OUT)/%/tracking/video_tracking.jsonl
 $(SCENARIOS:%=%-both): %-both: $(OUT)/%/tracking/audio_video_tracking.jsonl
 	@$(BIN)/aveval $(OUT)/$*/groundtruth_sources.jsonl $< --format table $(EVAL_FLAGS)
 
+run: run-$(MODALITIES)
+
+run-all: $(OUT)/$(NAME)/metrics.jsonl
+	@$(BIN)/aveval --experiments $(<D) --format table $(EVAL_FLAGS)
+
+run-audio: $(OUT)/$(NAME)-audio/tracking/audio_tracking.jsonl
+	@$(BIN)/aveval $(OUT)/$(NAME)-audio/groundtruth_sources.jsonl $< --format table $(EVAL_FLAGS)
+
+run-video: $(OUT)/$(NAME)/tracking/video_tracking.jsonl
+	@$(BIN)/aveval $(OUT)/$(NAME)/groundtruth_sources.jsonl $< --format table $(EVAL_FLAGS)
+
+run-both: $(OUT)/$(NAME)/tracking/audio_video_tracking.jsonl
+	@$(BIN)/aveval $(OUT)/$(NAME)/groundtruth_sources.jsonl $< --format table $(EVAL_FLAGS)
+
 # --- checks -----------------------------------------------------------------------------------------------------------
 
 test: $(READY)
@@ -106,6 +173,11 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/mypy -p avcli
+	$(BIN)/mypy tests/bench
+
+formats: | $(READY)
+	$(BIN)/python -m avcli.formats.describe
 
 man: | $(READY)
 	@command -v mandoc >/dev/null || { echo 'make man: mandoc is missing (Debian: apt-get install mandoc)' >&2; exit 1; }
@@ -128,6 +200,9 @@ bench-tracking: BENCH_PYTHON = $(if $(wildcard .venv-bench/bin/python),.venv-ben
 $(BENCHES:%=bench-%): bench-%: $(READY)
 	@mkdir -p bench-out
 	$(BENCH_PYTHON) tests/bench/bench_$*.py --out bench-out $(BENCH_FLAGS)
+
+$(FITS:%=fit-%): fit-%: $(READY)
+	$(BIN)/python tests/bench/fit_$*.py $(FIT_FLAGS)
 
 # --- tidying ----------------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,11 @@ This module imports the standard library alone, so that `--help` can read the se
 """
 
 import dataclasses
+import math
 from typing import Any
+
+DEFAULT_RT60_S = 0.35
+"""s, the reverberation time of a room whose config.json states none: an office by DIN 18041, as in the thesis."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,3 +50,32 @@ def settings_of(kind: type) -> dict[str, tuple[dataclasses.Field, Setting]]:
         for field in dataclasses.fields(kind)
         if "setting" in field.metadata
     }
+
+
+def check(settings: Any) -> None:
+    """Check the values of a settings object against the declared bounds and choices; None is always permitted.
+
+    Call it in `__post_init__`, so that a Python program is refused what the command line refuses.
+
+    Raises:
+        ValueError: a value is out of its bounds, not finite, or not one of the choices.
+    """
+    for name, (_, known) in settings_of(type(settings)).items():
+        value = getattr(settings, name)
+        if value is None:
+            continue
+        if known.choices and value not in known.choices:
+            raise ValueError(f"{name} must be one of {', '.join(known.choices)}, not {value}")
+        for number in value if isinstance(value, tuple) else (value,):
+            if not isinstance(number, int | float):
+                continue
+            for bound, words, holds in (
+                (known.least, "at least", lambda x, b: x >= b),
+                (known.above, "above", lambda x, b: x > b),
+                (known.most, "at most", lambda x, b: x <= b),
+                (known.below, "below", lambda x, b: x < b),
+            ):
+                if bound is not None and not holds(number, bound):
+                    raise ValueError(f"{name} must be {words} {bound:g}, not {number:g}")
+            if not math.isfinite(number):
+                raise ValueError(f"{name} must be a finite number, not {number:g}")

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli import acoustics
-from avcli.acoustics.images import NEAREST_M, image_microphones
+from avcli.acoustics import absorption as walls
+from avcli.acoustics.images import NEAREST_M, image_count, image_microphones, shoebox_rir
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array(
@@ -55,7 +55,7 @@ def brute_force(room, source, microphone, reflection, rate, samples, sign, c=343
 def test_a_response_is_the_ideal_band_limited_sum(sign):
     reflection = np.array([0.9, 0.7, 0.85, 0.8, 0.5, 0.95])
     for rate, samples in ((8000, 320), (44100, 900)):
-        found = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:2], reflection, rate, samples, sign=sign)
+        found = shoebox_rir(ROOM, SOURCE, MICROPHONES[:2], reflection, rate, samples, sign=sign)
         for response, microphone in zip(found, MICROPHONES, strict=False):
             expected = brute_force(ROOM, SOURCE, microphone, reflection, rate, samples, sign)
             assert decibels(response, expected) < -75
@@ -64,22 +64,22 @@ def test_a_response_is_the_ideal_band_limited_sum(sign):
 @pytest.mark.parametrize("error_db", [-20, -30, -40, -50])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_pruning_keeps_the_error_that_was_asked_for(error_db, sign):
-    full = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:3], BETA, 16000, 5600, sign=sign)
-    pruned = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:3], BETA, 16000, 5600, sign=sign, error_db=error_db)
+    full = shoebox_rir(ROOM, SOURCE, MICROPHONES[:3], BETA, 16000, 5600, sign=sign)
+    pruned = shoebox_rir(ROOM, SOURCE, MICROPHONES[:3], BETA, 16000, 5600, sign=sign, error_db=error_db)
     for one, other in zip(pruned, full, strict=True):
         assert error_db - 6 < decibels(one, other) <= error_db
 
 
 def test_walls_that_reflect_everything_are_never_cut_short():
-    full = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 1.0, 8000, 800)
-    pruned = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 1.0, 8000, 800, error_db=-40)
+    full = shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 1.0, 8000, 800)
+    pruned = shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 1.0, 8000, 800, error_db=-40)
     assert decibels(pruned, full) <= -40
 
 
 def test_the_direct_path_alone_without_reflection():
     distance = np.linalg.norm(SOURCE - MICROPHONES[0])
     assert distance == pytest.approx(2.88304, abs=1e-5)
-    response = acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 0.0, 44100, 2000)[0]
+    response = shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], 0.0, 44100, 2000)[0]
     delay = distance / 343 * 44100
     assert np.argmax(response) == round(delay)
     expected = np.sinc(np.arange(2000) - delay) / (4 * np.pi * distance)
@@ -103,7 +103,7 @@ def test_one_image_without_walls_and_two_with_one():
 def test_number_of_images():
     reach = 343 * 0.35
     images = image_microphones(ROOM, MICROPHONES[0], np.full(6, -BETA), SOURCE, reach)
-    assert len(images) == pytest.approx(acoustics.image_count(ROOM, reach), rel=0.01)
+    assert len(images) == pytest.approx(image_count(ROOM, reach), rel=0.01)
     assert len(images) == 111_250  # counted on its own for this room, source and microphone
 
 
@@ -127,7 +127,7 @@ def test_reciprocity(source, microphone, reflection):
 
 def test_the_negative_sign_leaves_no_constant_pressure():
     def sums(sign):
-        return acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], BETA, 16000, 5600, sign=sign).sum()
+        return shoebox_rir(ROOM, SOURCE, MICROPHONES[:1], BETA, 16000, 5600, sign=sign).sum()
 
     assert abs(sums(-1)) < 0.002
     assert sums(1) == pytest.approx(3.50, abs=0.02)
@@ -136,63 +136,63 @@ def test_the_negative_sign_leaves_no_constant_pressure():
 @pytest.mark.parametrize("rt60", [0.2, 0.35, 0.6])
 @pytest.mark.parametrize("model", ["sabine", "image"])
 def test_the_decay_is_what_was_asked_for(rt60, model):
-    absorption = getattr(acoustics, f"{model}_absorption")(ROOM, rt60)
+    absorption = getattr(walls, f"{model}_absorption")(ROOM, rt60)
     rate = 16000
     times = []
     samples = int(1.3 * rt60 * rate)
-    for response in acoustics.shoebox_rir(ROOM, SOURCE, MICROPHONES, np.sqrt(1 - absorption), rate, samples):
+    for response in shoebox_rir(ROOM, SOURCE, MICROPHONES, np.sqrt(1 - absorption), rate, samples):
         energy = np.cumsum(response[::-1] ** 2)[::-1]
         level = 10 * np.log10(energy / energy[0])
         inside = (level < -5) & (level > -35)
         times.append(-60 / np.polyfit(np.flatnonzero(inside) / rate, level[inside], 1)[0])
     # Where walls absorb much, as at 0.2 s here, Sabine's equation is 18 % short for image sources of any make; this
     # is foreseen by `image_rt60`, and `image_absorption` mends it.
-    assert np.mean(times) == pytest.approx(acoustics.image_rt60(ROOM, absorption), rel=0.05)
+    assert np.mean(times) == pytest.approx(walls.image_rt60(ROOM, absorption), rel=0.05)
     if model == "image" or rt60 > 0.3:
         assert np.mean(times) == pytest.approx(rt60, rel=0.10)
 
 
 def test_sabine_by_hand():
-    alpha = acoustics.sabine_absorption(ROOM, 0.35)
+    alpha = walls.sabine_absorption(ROOM, 0.35)
     np.testing.assert_allclose(alpha, 0.301632, atol=1e-6)
     np.testing.assert_allclose(np.sqrt(1 - alpha), BETA, atol=1e-6)
-    assert acoustics.minimum_rt60(ROOM) == pytest.approx(0.105571, abs=1e-6)
-    assert acoustics.sabine_rt60(ROOM, alpha) == pytest.approx(0.35)
-    weighted = acoustics.sabine_absorption(ROOM, 0.35, [1, 1, 1, 1, 2, 0.5])
-    assert acoustics.sabine_rt60(ROOM, weighted) == pytest.approx(0.35)
+    assert walls.minimum_rt60(ROOM) == pytest.approx(0.105571, abs=1e-6)
+    assert walls.sabine_rt60(ROOM, alpha) == pytest.approx(0.35)
+    weighted = walls.sabine_absorption(ROOM, 0.35, [1, 1, 1, 1, 2, 0.5])
+    assert walls.sabine_rt60(ROOM, weighted) == pytest.approx(0.35)
     np.testing.assert_allclose(weighted / weighted[0], [1, 1, 1, 1, 2, 0.5])
-    with pytest.raises(ValueError, match=r"at least 0\.1056 s"):
-        acoustics.sabine_absorption(ROOM, 0.1)
-    assert (acoustics.eyring_absorption(ROOM, 0.1) < 1).all()
-    mean = acoustics.eyring_absorption(ROOM, 0.35)[0]
-    assert 0.161 * ROOM.prod() / (-acoustics.wall_areas(ROOM).sum() * np.log(1 - mean)) == pytest.approx(0.35)
-    assert acoustics.schroeder_frequency(ROOM, 0.35) == pytest.approx(146.6, abs=0.05)
+    with pytest.raises(ValueError, match=r"the shortest is 0\.1056 s"):
+        walls.sabine_absorption(ROOM, 0.1)
+    assert (walls.eyring_absorption(ROOM, 0.1) < 1).all()
+    mean = walls.eyring_absorption(ROOM, 0.35)[0]
+    assert 0.161 * ROOM.prod() / (-walls.wall_areas(ROOM).sum() * np.log(1 - mean)) == pytest.approx(0.35)
+    assert walls.schroeder_frequency(ROOM, 0.35) == pytest.approx(146.6, abs=0.05)
 
 
 @pytest.mark.parametrize("rate", [8000, 44100, 192000])
 def test_small_and_large_rooms_at_all_rates(rate):
-    small = acoustics.shoebox_rir([0.3, 0.3, 0.3], [0.1, 0.15, 0.2], [[0.2, 0.2, 0.1]], 0.5, rate, 300)
+    small = shoebox_rir([0.3, 0.3, 0.3], [0.1, 0.15, 0.2], [[0.2, 0.2, 0.1]], 0.5, rate, 300)
     assert np.isfinite(small).all()
     assert small.any()
     far = np.array([[49.0, 39.0, 19.0]])
     samples = int(0.2 * rate)
-    large = acoustics.shoebox_rir([50, 40, 20], [1.0, 1.0, 1.0], far, 0.0, rate, samples)[0]
+    large = shoebox_rir([50, 40, 20], [1.0, 1.0, 1.0], far, 0.0, rate, samples)[0]
     assert np.argmax(np.abs(large)) == round(np.linalg.norm(far[0] - 1) / 343 * rate)
 
 
 def test_a_source_at_a_microphone_is_finite():
     for shift in (0.0, 1e-6, 0.01):
-        response = acoustics.shoebox_rir(ROOM, MICROPHONES[7] + (0, 0, -shift), MICROPHONES[7:], BETA, 44100, 500)
+        response = shoebox_rir(ROOM, MICROPHONES[7] + (0, 0, -shift), MICROPHONES[7:], BETA, 44100, 500)
         assert np.isfinite(response).all()
         assert np.abs(response).max() <= 1.01 / (4 * np.pi * NEAREST_M)
 
 
 def test_a_source_on_a_wall_and_in_a_corner():
-    on_wall = acoustics.shoebox_rir(ROOM, [0.0, 2.0, 1.5], MICROPHONES, BETA, 16000, 800)
+    on_wall = shoebox_rir(ROOM, [0.0, 2.0, 1.5], MICROPHONES, BETA, 16000, 800)
     # A reflection of the opposite sign leaves 1 − β of each pair of images.
-    inside = acoustics.shoebox_rir(ROOM, [0.0, 2.0, 1.5], MICROPHONES, [0.0, *[BETA] * 5], 16000, 800)
+    inside = shoebox_rir(ROOM, [0.0, 2.0, 1.5], MICROPHONES, [0.0, *[BETA] * 5], 16000, 800)
     assert np.sum(on_wall**2) < 0.1 * np.sum(inside**2)
-    assert np.isfinite(acoustics.shoebox_rir(ROOM, [0.0, 0.0, 0.0], MICROPHONES, BETA, 16000, 800)).all()
+    assert np.isfinite(shoebox_rir(ROOM, [0.0, 0.0, 0.0], MICROPHONES, BETA, 16000, 800)).all()
 
 
 @pytest.mark.parametrize(
@@ -223,4 +223,4 @@ def test_what_makes_no_sense_is_refused(change, message):
         "num_samples": 1000,
     } | change
     with pytest.raises(ValueError, match=message):
-        acoustics.shoebox_rir(**arguments)
+        shoebox_rir(**arguments)

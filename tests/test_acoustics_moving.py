@@ -5,12 +5,13 @@ import pytest
 
 from avcli.acoustics.images import image_microphones, shoebox_rir
 from avcli.acoustics.moving import MovingSource, first_sample
-from avcli.acoustics.responses import Responses, Surroundings
+from avcli.acoustics.responses import Responses
 from avcli.acoustics.sampling import Switching, interpolation
 from avcli.acoustics.signals import power_spectrum
 from avcli.acoustics.speakers import Speakers
+from avcli.acoustics.surroundings import Surroundings
 from avcli.acoustics.trajectory import Trajectory
-from avcli.formats.records import Sources
+from avcli.formats.records import Identified
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array([[0.115, 4.545, 2.493], [2.386, 2.253, 2.489]])
@@ -109,7 +110,7 @@ def test_moving_microphone_against_retarded_time(error_db, speed, microphone_spe
     images = images[np.abs(images.gains) > 9e-5]
     expected = by_retarded_time(signal, start, velocity, images, len(found), fleeing)
     assert decibels(found, expected) < error_db
-    if microphone_speed > 5:  # it is no small thing that is tested here
+    if microphone_speed > 5:  # what is tested here is not small
         still = by_retarded_time(signal, start, velocity, images, len(found))
         assert decibels(still, expected) > 0
 
@@ -163,14 +164,14 @@ def test_without_reverberation_it_is_exact_to_80_db(speed):
     speakers = Speakers(room, [dry], pause_s=1.0)
     for time in np.arange(5) / 10:
         mouth = (start + velocity * time)[None]
-        speakers.step(Sources(time, np.array([0]), mouth * (1, 1, 0), mouth, np.ones(1, bool)))
+        speakers.step(Identified(time, np.array([0]), mouth * (1, 1, 0), mouth, np.ones(1)))
     speakers.finish()
     for microphone, found in zip(MICROPHONES, speakers.take(0, RATE // 2), strict=True):
         images = image_microphones(ROOM, microphone, room.reflection, start, 8.0)
         assert decibels(found, by_retarded_time(signal, start, velocity, images, len(found))) < -80
 
 
-def test_microphones_at_one_place_are_reckoned_once(monkeypatch):
+def test_microphones_at_one_position_are_simulated_once(monkeypatch):
     way = Trajectory(np.arange(2.0), np.array([[1.0, 1, 1], [1.5, 1, 1]]))
     microphones = np.array([[1.0, 1, 2], [2.0, 2, 2], [1.0, 1, 2], [1.0, 1, 1], [1.0, 1, 1]])
     room = Surroundings(ROOM, np.full(6, -0.3), microphones, RATE, 10.0, trajectories=(None, None, None, way, way))
@@ -180,7 +181,7 @@ def test_microphones_at_one_place_are_reckoned_once(monkeypatch):
     speakers = Speakers(room, [np.ones(RATE)])
     for time in (0.0, 0.1):
         mouth = np.array([[3.0, 3.0, 1.6]])
-        speakers.step(Sources(time, np.array([0]), mouth * (1, 1, 0), mouth, np.ones(1, bool)))
+        speakers.step(Identified(time, np.array([0]), mouth * (1, 1, 0), mouth, np.ones(1)))
     speakers.finish()
     heard = speakers.take(0, 10000)
     assert chosen == [0, 1, 0], "two that stand and one that moves"

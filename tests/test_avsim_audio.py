@@ -9,7 +9,7 @@ import orjson
 import pytest
 from conftest import BIN, ROOT, run
 
-from avcli import acoustics
+from avcli.acoustics.images import shoebox_rir
 from avcli.formats import media
 
 MICROPHONES = [
@@ -368,9 +368,9 @@ def test_pieces_are_the_whole_where_microphones_move(experiment, tmp_path):
     [
         (None, 2, "no such file"),
         (path_of([0.0], m1=lambda t: (9.0, 1, 1)), 1, "microphone 1 at [9.0, 1.0, 1.0] is outside the room"),
-        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "channel 1: 30 m/s from 0 s on; at most 20"),
-        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "channel 1: the times of a trajectory increase"),
-        ('{"timestamp":0,"objects":[{"object_id":8,"position":[1,1,1]}]}', 1, "channel 8: "),
+        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "channel 1: moves at 30 m/s from 0 s on; at most 20"),
+        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "channel 1: the times of a trajectory must increase"),
+        ('{"timestamp":0,"objects":[{"object_id":8,"position":[1,1,1]}]}', 1, "channel 8 does not exist"),
         ('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1]}]}', 1, "microphones.jsonl:1: "),
     ],
 )
@@ -389,7 +389,7 @@ def test_impulse_responses_for_others(experiment, tmp_path):
     content = np.load(tmp_path / "rir.npz")
     assert content["rir"].shape[:2] == (11, 8)
     np.testing.assert_allclose(content["source_position_m"], [walk(t)[0] for t in TIMES])
-    expected = acoustics.shoebox_rir(
+    expected = shoebox_rir(
         content["room_dimensions_m"],
         content["source_position_m"][3],
         content["microphone_positions_m"],
@@ -420,12 +420,13 @@ def test_impulse_responses_as_sofa(experiment, tmp_path):
         (("--noise", "traffic=30"), "expected sensor=DB or room=DB"),
         (("--noise", "room=nan"), "expected sensor=DB or room=DB"),
         (("--format", "flac", "--bit-depth", "32"), "FLAC takes 16 or 24"),
-        (("--rir", "rir.wav"), "ends in .npz or .sofa"),
+        (("--rir", "rir.wav"), "must end in .npz or .sofa"),
         (("--error-db", "10"), "--error-db"),
-        (("--rt60", "nan"), "--rt60 nan: expected a finite number"),
+        (("--rt60", "nan"), "nan is not a finite number"),
+        (("--chunk", "inf"), "inf is not a finite number"),
         (("--rt60", "1e300"), "--rt60"),
-        (("--temperature", "inf"), "--temperature inf: expected a finite number"),
-        (("--rir", "rir.npz", "--microphone-path", "path.jsonl"), "not with --microphone-path"),
+        (("--temperature", "inf"), "--temperature: the temperature must be above -273.15 °C, not inf"),
+        (("--rir", "rir.npz", "--microphone-path", "path.jsonl"), "not of --microphone-path"),
     ],
 )
 def test_options_that_make_no_sense(experiment, options, message):
@@ -435,17 +436,47 @@ def test_options_that_make_no_sense(experiment, options, message):
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--rt60", "0", "--ism-decay", "15"), "--ism-decay has no effect in a room without reverberation"),
+        (("--no-reverb", "--strict"), "--strict has no effect in a room without reverberation"),
+        (("--no-reverb", "--reflection-sign", "positive"), "--reflection-sign has no effect"),
+        (("--absorption", "1", "--reflection-sign", "positive"), "--reflection-sign has no effect"),
+        (("--absorption", "0.3", "--absorption-model", "eyring"), "--absorption-model has no effect where"),
+        (("--absorption", "0.3", "--strict"), "--strict has no effect where the absorption of the walls is stated"),
+    ],
+)
+def test_options_without_effect_are_refused(experiment, options, message):
+    result = run("avsim-audio", "-C", experiment, *options, stdin=truth(TIMES, walk))
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_options_without_effect_on_the_configured_walls_are_refused(experiment):
+    config = json.loads((experiment / "config.json").read_text())
+    config["room_config"]["absorption"] = 0.5
+    (experiment / "config.json").write_text(json.dumps(config))
+    result = run("avsim-audio", "-C", experiment, "--absorption-model", "image", stdin=truth(TIMES, walk))
+    assert result.returncode == 2
+    assert "--absorption-model has no effect where the absorption of the walls is stated" in result.stderr
+    simulate(experiment, truth(TIMES[:2], walk), "--absorption-model", "image", "--rt60", "0.2")
+    simulate(experiment, truth(TIMES[:2], walk), "--preset", "thesis", "--no-reverb")  # a preset is not an option given
+
+
 # --- rooms and places that are not easy -------------------------------------------------------------------------------
 
 
 def test_a_reverberation_time_that_the_room_cannot_have(experiment):
     _, dry, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
     _, sound, messages = simulate(experiment, truth(TIMES, walk), "--rt60", "0.1")
-    assert messages == "avsim-audio: T60 0.1 s: this room has at least 0.1056 s; simulated without echo\n"
+    refusal = "avsim-audio: T60 0.1 s is too short for this room; the shortest is 0.1056 s"
+    assert messages == f"{refusal}; simulated without reverberation\n"
     assert np.array_equal(sound, dry)
     result = run("avsim-audio", "-C", experiment, "--rt60", "0.1", "--strict", stdin=truth(TIMES, walk))
     assert result.returncode == 1
-    assert result.stderr == "avsim-audio: T60 0.1 s: this room has at least 0.1056 s\n"
+    assert result.stderr == f"{refusal}\n"
 
 
 @pytest.mark.parametrize("mouth", [(0.0, 2.0, 1.6), (0.0, 0.0, 0.0), (-1.0, 2.0, 1.6), (2.0, 2.0, 9.0)])
@@ -461,7 +492,7 @@ def test_a_mouth_at_a_microphone_and_a_jump(experiment):
         return (MICROPHONES[7] if time < 0.55 else (0.5, 0.5, 1.0)), True
 
     _, sound, messages = simulate(experiment, truth(TIMES, jump))
-    assert messages == "avsim-audio: someone jumped (once); the voice breaks off there\n"
+    assert messages == "avsim-audio: a person jumped (once); the voice is interrupted there\n"
     assert np.isfinite(sound).all()
     assert np.abs(sound).max() < 10
 
@@ -480,7 +511,7 @@ def test_reverberation_that_is_too_long(experiment):
     result = run("avsim-audio", "-C", experiment, "--rt60", "5", stdin=truth(TIMES, walk))
     assert result.returncode == 1
     assert "images of each microphone" in result.stderr
-    assert "GiB; --ism-decay 15" in result.stderr
+    assert "GiB; use --ism-decay 15" in result.stderr
     assert result.stderr.count("\n") == 1
     result = run("avsim-audio", "-C", experiment, "--absorption", "0", stdin=truth(TIMES, walk))
     assert result.returncode == 1
@@ -498,7 +529,7 @@ def test_tiny_and_huge_rooms(experiment, dimensions):
     _, sound, messages = simulate(experiment, truth(TIMES, lambda t: (mouth, True)), "--rt60", "0.05")
     assert np.isfinite(sound).all()
     assert sound.any(axis=1).all()
-    assert ("without echo" in messages) == (dimensions[0] > 1)
+    assert ("without reverberation" in messages) == (dimensions[0] > 1)
 
 
 def test_one_record_is_silence(experiment):
@@ -521,7 +552,7 @@ def test_records_that_are_wrong(experiment):
     good = truth(TIMES[:3], walk)
     for line, message in (
         ("{", "<stdin>:4:"),
-        ('{"timestamp":"0.1","objects":[]}', "<stdin>:4: timestamp 0.1 does not come after 0.2"),
+        ('{"timestamp":"0.1","objects":[]}', "<stdin>:4: timestamp 0.1 is not later than 0.2"),
         ('{"timestamp":"0.3","objects":[{"object_id":0,"position":[NaN,1,0]}]}', "<stdin>:4:"),
         ('{"timestamp":"0.3","objects":[{"object_id":0,"position":[null,1,0]}]}', "<stdin>:4:"),
     ):
@@ -556,9 +587,9 @@ def test_speech_files_that_are_wrong(experiment, tmp_path, content, code, messag
 def test_speech_files_that_are_odd(experiment, tmp_path):
     loud = np.clip(3 * np.sin(np.arange(8000) / 5), -1, 1)
     for name, samples, message in (
-        ("silent.wav", np.zeros((8000, 1)), "silent from beginning to end"),
+        ("silent.wav", np.zeros((8000, 1)), "is silent from beginning to end"),
         ("clipped.wav", loud[:, None], "the recording is clipped"),
-        ("stereo.wav", np.column_stack([loud, loud]) / 2, "the mean of its 2 channels is spoken"),
+        ("stereo.wav", np.column_stack([loud, loud]) / 2, "has 2 channels; the voice is their mean"),
     ):
         with media.AudioWriter(tmp_path / name, RATE, samples.shape[1]) as file:
             file.write(samples)

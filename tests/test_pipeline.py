@@ -12,7 +12,7 @@ import jsonschema
 import numpy as np
 import orjson
 import pytest
-from conftest import BIN, COMMANDS, ROOT, run
+from conftest import BIN, COMMANDS, HANG_S, ROOT, run
 
 THESIS_HOTA = {"audio": 0.477, "video": 0.800, "audio_video": 0.803}
 """Table 5.6 of the thesis (S1)."""
@@ -120,7 +120,7 @@ def test_the_live_pipeline_gives_the_same_tracks(finished_s1, tmp_path):
         cwd=tmp_path,
         env={**os.environ, "PATH": path},
         capture_output=True,
-        timeout=300,
+        timeout=HANG_S,
     )
     assert (result.returncode, result.stderr) == (0, b"")
     for file, made in [
@@ -289,6 +289,6 @@ def test_the_examples_of_the_manual_run(finished_s1, tmp_path, command):
             env={**os.environ, "PATH": path},
             capture_output=True,
             stdin=subprocess.DEVNULL,
-            timeout=300,
+            timeout=HANG_S,
         )
         assert result.returncode == 0, f"{block}\n{result.stderr.decode()}"

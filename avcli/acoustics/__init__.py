@@ -1,46 +1,21 @@
-"""Room acoustics: image sources, moving speakers, and what microphones hear of them."""
+"""Room acoustics: image sources, moving sources and microphones, and the sound of people who walk and talk in a room.
 
-from avcli.acoustics.images import MOST_IMAGES, image_count, image_microphones, shoebox_rir
-from avcli.acoustics.moving import MovingSource
-from avcli.acoustics.noise import Noise
-from avcli.acoustics.responses import Surroundings, impulse_responses
-from avcli.acoustics.room import (
-    eyring_absorption,
-    image_absorption,
-    image_rt60,
-    minimum_rt60,
-    sabine_absorption,
-    sabine_rt60,
-    schroeder_frequency,
-    wall_areas,
-)
-from avcli.acoustics.sampling import Switching, interpolation
-from avcli.acoustics.signals import at_level, pascal, resample
-from avcli.acoustics.speakers import Speakers
-from avcli.acoustics.trajectory import Trajectory
+`hear` gives the sound of a whole scene; `recorder.Recorder` gives it step by step. `surroundings` makes the room that
+is simulated from config.json and `settings`; `absorption` says what its walls absorb, `images` what paths sound takes.
+`responses` follows the images while a source moves, `moving` and `sampling` join the responses along its path,
+`speakers` and `signals` are the people and their voices, `noise` is added, and `exchange` writes impulse responses.
+"""
 
-__all__ = [
-    "MOST_IMAGES",
-    "MovingSource",
-    "Noise",
-    "Speakers",
-    "Surroundings",
-    "Switching",
-    "Trajectory",
-    "at_level",
-    "eyring_absorption",
-    "image_absorption",
-    "image_count",
-    "image_microphones",
-    "image_rt60",
-    "impulse_responses",
-    "interpolation",
-    "minimum_rt60",
-    "pascal",
-    "resample",
-    "sabine_absorption",
-    "sabine_rt60",
-    "schroeder_frequency",
-    "shoebox_rir",
-    "wall_areas",
-]
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from avcli.acoustics.recorder import hear as hear
+
+
+def __getattr__(name: str) -> Any:
+    """Import `hear` when it is first asked for: the settings, which --help reads, must not import numpy."""
+    if name != "hear":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from avcli.acoustics.recorder import hear
+
+    return hear

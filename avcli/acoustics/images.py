@@ -1,8 +1,8 @@
 """Image sources of a shoebox room, and the impulse responses that they sum to.
 
-A source and a microphone may change places (reciprocity), so the images here are of the microphone: they stand still
-while the source walks. Image (n, q) of an axis of length L lies at (1 − 2q) m + 2 n L and has met the wall at 0 |n − q|
-times and the wall at L |n| times (J. B. Allen and D. A. Berkley, 1979, eq. 10).
+Source and microphone are interchangeable (reciprocity), so the images here are images of the microphone: they stand
+still while the source walks. Image (n, q) of an axis of length L lies at (1 − 2q) m + 2 n L and has met the wall at 0
+|n − q| times and the wall at L |n| times (J. B. Allen and D. A. Berkley, 1979, eq. 10).
 """
 
 import functools
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from avcli.acoustics.room import audible_time
+from avcli.acoustics.absorption import audible_time, volume
 from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length
 
 NEAREST_M = 0.05
-"""m; a source nearer to a microphone than this is not louder than at this distance."""
+"""m; a source nearer to a microphone than this is as loud as at this distance."""
 MOST_IMAGES = 10_000_000
 """images of one microphone; beyond them a response would take gigabytes and seconds."""
 
@@ -38,7 +38,7 @@ class Images:
     def __len__(self) -> int:
         return len(self.gains)
 
-    def __getitem__(self, chosen) -> "Images":
+    def __getitem__(self, chosen: np.ndarray) -> "Images":
         return Images(self.positions[:, chosen], self.gains[chosen], self.mirrored[:, chosen])
 
     def distances(self, source_m: np.ndarray) -> np.ndarray:
@@ -59,38 +59,37 @@ class Images:
         """
         return Images(self.positions + self.mirrored * by_m[:, None], self.gains, self.mirrored)
 
-    def caught_up(
+    def at_arrival(
         self, source_m: np.ndarray, path_m: np.ndarray, step_m: float
     ) -> tuple["Images", np.ndarray, np.ndarray]:
-        """Return where the images are when a sound that is emitted now reaches them, of a microphone that moves.
+        """Return the images of a moving microphone where they are when a sound that is emitted now reaches them.
 
-        The way of the sound r is solved from |image(r) − source| = r by Newton's method, to 1e-7 m: a step of 1 mm
-        leaves (v/c)² (1 mm)² / 2d.
+        The path length r of the sound solves |image(r) − source| = r, by Newton's method to 1e-7 m: a step of 1 mm
+        leaves an error of (v/c)² (1 mm)² / 2d.
 
         Args:
             source_m: (3,) m, at the emission.
             path_m: (k, 3) m, how far the microphone has moved from where these images belong to it, each time that
-                the sound has gone step_m further; linear in between.
+                the sound has travelled step_m further; linear in between.
             step_m: m.
 
         Returns:
-            the images, the ways, (n,) m, and how fast each flees from the sound, (n,) in speeds of sound.
+            The images, the path lengths, (n,) m, and the speed at which each recedes, (n,) in speeds of sound.
         """
         steps = np.diff(path_m, axis=0).T
-        ways = self.distances(source_m)
+        lengths = self.distances(source_m)
         for _ in range(20):
-            places = ways / step_m
-            cells = np.minimum(places.astype(np.intp), steps.shape[1] - 1)
+            cells = np.minimum((lengths / step_m).astype(np.intp), steps.shape[1] - 1)
             velocities = self.mirrored * (steps[:, cells] / step_m)
-            positions = self.positions + self.mirrored * path_m.T[:, cells] + velocities * (ways - cells * step_m)
+            positions = self.positions + self.mirrored * path_m.T[:, cells] + velocities * (lengths - cells * step_m)
             away = positions - source_m[:, None]
             distances = np.sqrt((away**2).sum(axis=0))
-            fleeing = (away * velocities).sum(axis=0) / np.maximum(distances, 1e-9)
-            change = (distances - ways) / (1 - fleeing)
-            ways += change
+            receding = (away * velocities).sum(axis=0) / np.maximum(distances, 1e-9)
+            change = (distances - lengths) / (1 - receding)
+            lengths += change
             if np.abs(change).max(initial=0.0) < 1e-3:
                 break
-        return Images(positions, self.gains, self.mirrored), ways, fleeing
+        return Images(positions, self.gains, self.mirrored), lengths, receding
 
     def amplitudes(self, distances: np.ndarray) -> np.ndarray:
         """Return the amplitudes at these distances, (n,): gain / (4π d), with d at least NEAREST_M."""
@@ -102,8 +101,13 @@ class Images:
 
 
 def image_count(room_dimensions_m: ArrayLike, reach_m: float) -> float:
-    """Return about how many images lie within a distance: 4/3 π r³ / V."""
-    return 4 / 3 * np.pi * reach_m**3 / float(np.prod(room_dimensions_m))
+    """Return about how many images lie within a distance: 4/3 π r³ / V.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        reach_m: m.
+    """
+    return 4 / 3 * np.pi * reach_m**3 / volume(room_dimensions_m)
 
 
 def image_microphones(
@@ -119,7 +123,7 @@ def image_microphones(
         reach_m: m, the longest way.
 
     Raises:
-        ValueError: there would be more than MOST_IMAGES of them.
+        ValueError: there are more than MOST_IMAGES of them.
     """
     room, microphone, source = (np.asarray(v, dtype=float) for v in (room_dimensions_m, microphone_m, source_m))
     coefficients = np.asarray(reflection, dtype=float).reshape(3, 2)
@@ -138,12 +142,15 @@ def image_microphones(
 def _refuse_too_many(room: np.ndarray, reflection: np.ndarray, reach_m: float) -> None:
     if np.all(reflection != 0) and image_count(room, reach_m) > MOST_IMAGES:
         raise ValueError(
-            f"sound reaches {image_count(room, reach_m):.2g} images of each microphone within {reach_m:.0f} m; "
-            f"more than {MOST_IMAGES:.2g} are too many"
+            f"sound reaches {image_count(room, reach_m):.2g} images of each microphone within {reach_m:.0f} m, "
+            f"too many: at most {MOST_IMAGES:.2g} are possible"
         )
 
 
-def _axis(length: float, microphone: float, coefficients: np.ndarray, source: float, reach: float):
+def _axis(
+    length: float, microphone: float, coefficients: np.ndarray, source: float, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the positions, gains and mirror signs of a microphone's images along one axis."""
     most = int(reach / (2 * length)) + 2
     n = np.repeat(np.arange(-most, most + 1), 2)
     q = np.tile([0, 1], 2 * most + 1)
@@ -210,7 +217,7 @@ class DelaySpectrum:
         beta = 0.97 * np.pi * width * (1 - 1 / (2 * ratio))
         self._width, self._cells = width, length * self._oversampling
 
-        def kernel(cells):
+        def kernel(cells: np.ndarray) -> np.ndarray:
             return np.exp(beta * (np.sqrt(np.maximum(0.0, 1 - (2 * cells / width) ** 2)) - 1))
 
         fractions = (np.arange(self.ROWS) + 0.5) / self.ROWS
@@ -256,6 +263,25 @@ def _plan(length: int, error_db: float) -> DelaySpectrum:
     return DelaySpectrum(length, error_db=error_db)
 
 
+def _checked(
+    room_dimensions_m: ArrayLike, source_m: ArrayLike, microphones_m: ArrayLike, reflection: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return as arrays: a room, (3,), a source, (3,), microphones, (m, 3), and reflection coefficients, (6,)."""
+    room = np.asarray(room_dimensions_m, dtype=float)
+    if room.shape != (3,) or not np.all(np.isfinite(room) & (room > 0)):
+        raise ValueError(f"a room must have three dimensions above 0 m, not {room.tolist()}")
+    source, microphones = np.asarray(source_m, dtype=float), np.atleast_2d(np.asarray(microphones_m, dtype=float))
+    for name, points in (("source", source[None]), ("microphone", microphones)):
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError(f"a {name} must have three coordinates")
+        for point in points[~np.all((points >= 0) & (points <= room), axis=1)]:
+            raise ValueError(f"the {name} {point.tolist()} is not in the room of {room.tolist()} m")
+    coefficients = np.broadcast_to(np.asarray(reflection, dtype=float), 6)
+    if not np.all((coefficients >= 0) & (coefficients <= 1)):
+        raise ValueError(f"reflection coefficients must be from 0 to 1, not {coefficients.tolist()}")
+    return room, source, microphones, coefficients
+
+
 def shoebox_rir(
     room_dimensions_m: ArrayLike,
     source_m: ArrayLike,
@@ -278,8 +304,7 @@ def shoebox_rir(
         source_m: (3,) m.
         microphones_m: (m, 3) or (3,) m.
         reflection: (6,) or a number, pressure reflection coefficients from 0 to 1 of the walls x0 x1 y0 y1 z0 z1.
-        sample_rate_hz: Hz.
-        num_samples: length of the responses, samples.
+        sample_rate_hz, num_samples: Hz; length of the responses.
         speed_of_sound_m_s: m/s.
         sign: −1: a reflection turns the pressure over, and the response has no build-up at low frequencies; +1: not.
         error_db: the images that can be left out for this relative error (dB, below 0) are left out; None: none are.
@@ -290,38 +315,26 @@ def shoebox_rir(
     Raises:
         ValueError: an argument has another shape or range, or a point lies outside the room.
     """
-    room = np.asarray(room_dimensions_m, dtype=float)
-    if room.shape != (3,) or not np.all(np.isfinite(room) & (room > 0)):
-        raise ValueError(f"a room has three dimensions above 0 m, not {room.tolist()}")
-    source, microphones = np.asarray(source_m, dtype=float), np.atleast_2d(np.asarray(microphones_m, dtype=float))
-    for name, points in (("source", source[None]), ("microphone", microphones)):
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise ValueError(f"a {name} has three coordinates")
-        for point in points[~np.all((points >= 0) & (points <= room), axis=1)]:
-            raise ValueError(f"the {name} {point.tolist()} is not in the room of {room.tolist()} m")
-    reflection = np.broadcast_to(np.asarray(reflection, dtype=float), 6)
-    if not np.all((reflection >= 0) & (reflection <= 1)):
-        raise ValueError(f"reflection coefficients lie from 0 to 1, not {reflection.tolist()}")
+    room, source, microphones, coefficients = _checked(room_dimensions_m, source_m, microphones_m, reflection)
     if sign not in (-1, 1):
-        raise ValueError(f"the sign of a reflection is -1 or 1, not {sign}")
+        raise ValueError(f"the sign of a reflection must be -1 or 1, not {sign}")
     if not (sample_rate_hz > 0 and speed_of_sound_m_s > 0 and num_samples > 0):
-        raise ValueError("sample rate, speed of sound and number of samples are above 0")
+        raise ValueError("sample rate, speed of sound and number of samples must be above 0")
     if error_db is not None and not error_db < 0:
-        raise ValueError(f"an error of {error_db} dB: expected a number below 0")
-
+        raise ValueError(f"the error must be below 0 dB, not {error_db} dB")
     samples_per_m = sample_rate_hz / speed_of_sound_m_s
     reach_m = (num_samples - 1) / samples_per_m
-    if error_db is not None:  # what comes later than this may be lost beside what is left out for being faint
+    if error_db is not None:  # the energy after reach_m is small beside that of the faint images that are left out
         margin_db = 12 if sign < 0 else 25  # reflections of one sign add up at low frequencies
-        later_s = audible_time(room, reflection, error_db - margin_db, speed_of_sound_m_s)
+        later_s = audible_time(room, coefficients, error_db - margin_db, speed_of_sound_m_s)
         reach_m = min(reach_m, later_s * speed_of_sound_m_s + float(np.linalg.norm(room)))
-    _refuse_too_many(room, reflection, reach_m)
+    _refuse_too_many(room, coefficients, reach_m)
     # The FFT's kernel is periodic: over four lengths it differs from the sinc by less than -70 dB, over two by -60.
     coarse = error_db is not None and error_db > -45
     spectrum = _plan(fft_length(max((2 if coarse else 4) * num_samples, 1 << 15)), -60.0 if coarse else -80.0)
     impulses = []
     for microphone in microphones:
-        images = image_microphones(room, microphone, sign * reflection, source, reach_m)
+        images = image_microphones(room, microphone, sign * coefficients, source, reach_m)
         distances = images.distances(source)
         delays, amplitudes = distances * samples_per_m, images.amplitudes(distances)
         if error_db is not None:

@@ -1,13 +1,13 @@
 """Moving sources and microphones in a shoebox room.
 
-What a microphone hears of a moving source is y(t) = ∫ x(s) h(p(s), t − s) ds: each bit of sound travels by the response
-of the place where it was emitted, which is right for Doppler by construction. h(p, ·) is known at nodes along the way
-and interpolated between them; since the interpolation is linear in h, it is done by windows on the source signal,
-y = Σ_k (x w_k) * h(p_k), which need one response a node whatever their shape.
+A microphone hears of a moving source y(t) = ∫ x(s) h(p(s), t − s) ds: each bit of sound travels by the response of the
+position where it was emitted, so the Doppler shift is right by construction. h(p, ·) is known at nodes along the path
+and interpolated between them. The interpolation is linear in h, so it is done by windows on the source signal,
+y = Σ_k (x w_k) * h(p_k), which needs one response a node whatever the windows are.
 
 Where microphones move, a sound that is emitted at s meets each image where the microphone will be when it arrives,
-t = s + |image(t) − p(s)| / c. This is solved at every node for every image, so that one response a node is enough and
-places of source and microphone need not be paired. Delays change by at most v_source + v_microphone then.
+t = s + |image(t) − p(s)| / c. This is solved at every node for every image, so one response a node is enough: positions
+of source and microphone need not be paired. A sound's path then grows or shrinks by at most v_source + v_microphone.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from avcli.acoustics.responses import MARGIN, Responses, Surroundings
+from avcli.acoustics.responses import MARGIN, Responses
 from avcli.acoustics.sampling import Interpolation, Switching
+from avcli.acoustics.surroundings import Surroundings
+from avcli.acoustics.trajectory import cubic
 from avcli.numeric import fft_length
 
 
 class MovingSource:
-    """A source that moves and sounds, and what the microphones hear of it.
+    """A source that moves and sounds, and the sound at the microphones.
 
-    It is told piece by piece where it goes and what it emits; what is heard comes out as soon as it is settled, and is
-    the same to the last bit however it is asked for.
+    Its path and its signal come in piece by piece. The sound at the microphones comes out as soon as it is settled, and
+    is the same to the last bit in pieces of any length.
 
     Args:
         surroundings: the room and the microphones.
@@ -32,7 +34,7 @@ class MovingSource:
         band: highest frequency that the signal holds, cycles a sample.
         error_db: numerical error of a response, dB.
         heading: (3,) where the source looks until it moves.
-        rng: draws the noise after the images, where the surroundings want it.
+        rng: draws the noise that continues the images, where the surroundings have it.
     """
 
     def __init__(
@@ -53,23 +55,25 @@ class MovingSource:
 
         self._knots: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, position, dry signal since the last knot
         self._begin = 0  # the sample that the arrays below begin with
-        self._dry, self._path = np.zeros(0), np.zeros(0)  # signal and way so far, in nodes
+        self._dry, self._path = np.zeros(0), np.zeros(0)  # signal, and where on the path it was emitted, in nodes
+        self._travelled = 0.0  # length of the path so far, in nodes
         self._places: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}  # node -> position, heading, time
         self._node = 1 - nodes.half_width  # the next that is to be rendered
-        self._last = np.inf  # the last node
+        self._last: float = np.inf  # the last node
         self._heading = np.asarray(heading, dtype=float)
 
-        self._pending_begin, self._pending, self._pending_place = 0, np.zeros(0), None
+        self._pending_begin, self._pending = 0, np.zeros(0)
+        self._pending_place: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # position, heading, microphones
         self._transfer: np.ndarray | None = None
         self._heard_begin, self._heard = 0, np.zeros((len(surroundings.microphones_m), 0))
 
     def move(self, time_s: float, position_m: ArrayLike, dry: ArrayLike = ()) -> None:
-        """Go on to a place.
+        """Go on to a position.
 
         Args:
             time_s: when it is there, s; later than the last.
             position_m: (3,) m.
-            dry: what it emitted since the last place: the samples from the last time to before this one.
+            dry: the signal that it emitted since the last position: the samples from the last time to before this one.
 
         Raises:
             ValueError: the time does not increase, or `dry` has another length.
@@ -93,7 +97,7 @@ class MovingSource:
         self._render()
 
     def finish(self) -> None:
-        """End the path at the last place; what is heard of it is settled then."""
+        """End the path at the last position; all that is heard of it is then settled."""
         if len(self._knots) >= 2:
             self._go(-1)
             self._last = (
@@ -106,12 +110,12 @@ class MovingSource:
 
     @property
     def settled(self) -> float:
-        """The sample before which nothing changes any more; infinite when all is settled."""
+        """The sample before which the sound does not change any more; infinite when all is settled."""
         return np.inf if self._last == -np.inf else self._pending_begin - MARGIN
 
     @property
     def exhausted(self) -> bool:
-        """Whether all that is heard of it has been taken."""
+        """Whether all its sound at the microphones has been taken."""
         return self._last == -np.inf and not self._heard.any()
 
     def take(self, begin: int, end: int) -> np.ndarray:
@@ -146,27 +150,27 @@ class MovingSource:
             return
         speeds = np.sqrt((cubic.velocity(times) ** 2).sum(axis=1))
         surroundings = self._surroundings
-        fleeing = surroundings.fastest_microphone(t0, t1 + surroundings.longest_delay / rate)
-        speeds = (speeds + fleeing) / (1 - fleeing / surroundings.speed_of_sound_m_s)
+        receding = surroundings.fastest_microphone(t0, t1 + surroundings.longest_delay / rate)
+        speeds = (speeds + receding) / (1 - receding / surroundings.speed_of_sound_m_s)
         steps = nodes.nodes_a_second(speeds) / rate
-        start = self._way if self._places else 0.0
-        way = start + np.concatenate([[0.0], np.cumsum(steps)])
-        crossed = np.arange(np.ceil(start), np.ceil(way[-1]), dtype=int)
-        at = np.interp(crossed, way, np.append(times, times[-1] + 1 / rate))
+        start = self._travelled if self._places else 0.0
+        path = start + np.concatenate([[0.0], np.cumsum(steps)])
+        crossed = np.arange(np.ceil(start), np.ceil(path[-1]), dtype=int)
+        at = np.interp(crossed, path, np.append(times, times[-1] + 1 / rate))
         if not self._places:
             crossed = np.concatenate([np.arange(1 - nodes.half_width, 0), crossed])
             at = np.concatenate([times[0] + np.arange(1 - nodes.half_width, 0) / (steps[0] * rate), at])
         if to == -1:  # the path goes straight on for as long as its end is interpolated
-            beyond = np.arange(np.ceil(way[-1]), np.ceil(way[-1]) + nodes.half_width + 1, dtype=int)
+            beyond = np.arange(np.ceil(path[-1]), np.ceil(path[-1]) + nodes.half_width + 1, dtype=int)
             crossed = np.concatenate([crossed, beyond])
-            at = np.concatenate([at, times[-1] + (beyond - way[-2]) / (steps[-1] * rate)])
+            at = np.concatenate([at, times[-1] + (beyond - path[-2]) / (steps[-1] * rate)])
         for node, time, position, moving in zip(crossed, at, cubic.position(at), cubic.velocity(at), strict=True):
             level = moving * (1.0, 1.0, 0.0)
             if (length := np.linalg.norm(level)) > 0.05:
                 self._heading = level / length
             self._places[int(node)] = (position, self._heading, time)
-        self._way = way[-1]
-        self._dry, self._path = np.append(self._dry, dry), np.append(self._path, way[:-1])
+        self._travelled = float(path[-1])
+        self._dry, self._path = np.append(self._dry, dry), np.append(self._path, path[:-1])
 
     def _render(self) -> None:
         nodes = self._nodes
@@ -208,6 +212,7 @@ class MovingSource:
             if len(sounding) == 0:
                 continue
             if self._transfer is None:
+                assert self._pending_place is not None  # pending sound has a position
                 self._transfer = self._responses.at(*self._pending_place)
             emitted = np.fft.rfft(block, self._length)[: self._responses.bins]
             begin = self._pending_begin + start - MARGIN - self._heard_begin
@@ -233,7 +238,7 @@ def _lengthened(array: np.ndarray, length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Cubic:
-    """A cubic in time through two points with two velocities (Hermite)."""
+    """A cubic in time through two points with two velocities, which goes straight on before and after them."""
 
     t0: float
     p0: np.ndarray
@@ -246,12 +251,7 @@ class _Cubic:
         step = self.t1 - self.t0
         u = ((np.asarray(times) - self.t0) / step)[:, None]
         inside = np.clip(u, 0.0, 1.0)
-        points = (
-            self.p0
-            + inside * step * self.v0
-            + inside**2 * (3 * (self.p1 - self.p0) - step * (2 * self.v0 + self.v1))
-            + inside**3 * (2 * (self.p0 - self.p1) + step * (self.v0 + self.v1))
-        )
+        points = cubic(inside, step, self.p0, self.v0, self.p1, self.v1)
         return points + np.minimum(u, 0.0) * step * self.v0 + np.maximum(u - 1.0, 0.0) * step * self.v1
 
     def velocity(self, times: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What microphones pick up beside the voices: their own noise, and the noise of a room that comes from all sides."""
+"""Noise at microphones: their own noise, and the diffuse noise of a room."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,16 +8,16 @@ from avcli.numeric import SPEED_OF_SOUND_M_S
 FRAME = 4096
 """samples of a frame of room noise; frames overlap by half."""
 BLOCK = 8192
-"""samples of sensor noise that are drawn together."""
+"""samples of sensor noise that are drawn at a time."""
 LOWEST_HZ = 50.0
-"""Hz, below which there is no room noise; above it the power falls by 3 dB an octave."""
+"""Hz; room noise has no power below it, and 3 dB an octave less above it."""
 
 
 class Noise:
-    """Noise at microphones, the same to the last bit however it is asked for.
+    """Noise at microphones, the same to the last bit in pieces of any length.
 
-    Sensor noise is white and independent. Room noise is pink and comes equally from all directions: between microphones
-    at a distance d its coherence is sin(k d) / (k d) (E. A. P. Habets and S. Gannot, 2007), k = 2π f / c.
+    Sensor noise is white and independent. Room noise is pink and comes equally from all directions: the coherence of
+    two microphones at a distance d is sin(k d) / (k d), k = 2π f / c (E. A. P. Habets and S. Gannot, 2007).
 
     Args:
         microphones_m: (m, 3) m.
@@ -25,7 +25,7 @@ class Noise:
         sensor_pa: root mean square of the sensor noise, Pa.
         room_pa: root mean square of the room noise, Pa.
         speed_of_sound_m_s: m/s.
-        seed: of all chance.
+        seed: seed of all chance.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Noise:
         self._frames: dict[int, np.ndarray] = {}
 
     def take(self, begin: int, end: int) -> np.ndarray:
-        """Return the noise from sample `begin` to before `end`, (m, n) Pa; later calls ask for later samples."""
+        """Return the noise from sample `begin` to before `end`, (m, n) Pa; a later call must not begin earlier."""
         noise = np.zeros((self._count, end - begin))
         if self._sensor_pa > 0:
             for block in range(begin // BLOCK, -(-end // BLOCK)):
@@ -74,7 +74,7 @@ class Noise:
 
 
 def _add(total: np.ndarray, part: np.ndarray, at: int) -> None:
-    """Add a part to the total where they overlap; `at` is the part's first place."""
+    """Add a part to the total where they overlap; `at` is the index of the part's beginning."""
     first, last = max(at, 0), min(at + part.shape[1], total.shape[1])
     if last > first:
         total[:, first:last] += part[:, first - at : last - at]

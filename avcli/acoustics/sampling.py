@@ -1,8 +1,8 @@
-"""How the way of a moving source is sampled.
+"""How the path of a moving source is sampled.
 
-As a source advances by s, the phase of an image at frequency f turns by at most 2π f s / c. So the nodes of its way are
-spaced in distance, not in time: a spacing below c / (2 f) is enough at every speed, and a source that stands still
-needs one.
+While a source moves by s, the phase of an image at frequency f turns by at most 2π f s / c. So the nodes of its path
+are spaced in distance, not in time: a spacing below c / (2 f) is enough at every speed, and a source that stands still
+needs one node.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
 SLOWEST_M_S = 0.3
-"""m/s; a node is made at least as often as at this speed, so that turning round is followed in time."""
+"""m/s; nodes are at least as frequent as at this speed, so that turning round is followed in time."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Interpolation:
 
     Attributes:
         spacing_m: distance of the nodes, m.
-        half_width: nodes that count on each side.
+        half_width: nodes on each side that contribute.
         table: the kernel from −half_width to half_width in steps of 1 / STEPS.
     """
 
@@ -42,7 +42,7 @@ class Interpolation:
         return np.sqrt(speeds_m_s**2 + SLOWEST_M_S**2) / self.spacing_m
 
     def weights(self, places: np.ndarray) -> np.ndarray:
-        """Return the weights at places relative to a node, (n,), in units of the spacing."""
+        """Return the weights at places relative to a node, (n,) in units of the spacing: (n,)."""
         grid = (np.arange(len(self.table)) - self.half_width * self.STEPS) / self.STEPS
         return np.interp(places, grid, self.table, left=0.0, right=0.0)
 
@@ -56,15 +56,15 @@ def interpolation(
 ) -> Interpolation:
     """Choose the widest spacing of nodes at which a signal is interpolated within an error.
 
-    The error of the kernel is known for every frequency, in nodes a turn, and is weighted with the signal's power. It
-    is taken for images straight ahead, where the phase turns fastest.
+    The error of the kernel at every frequency is weighted with the signal's power. It is computed for images straight
+    ahead, where the phase turns fastest.
 
     Args:
         power: (n,) power spectrum of the dry signal, any unit.
         frequencies_hz: (n,) Hz.
         error_db: error power relative to the signal's, dB, below 0.
         speed_of_sound_m_s: m/s.
-        half_width: nodes that count on each side.
+        half_width: nodes on each side that contribute.
     """
     power, frequencies = np.asarray(power, dtype=float), np.asarray(frequencies_hz, dtype=float)
     steps = Interpolation.STEPS
@@ -92,7 +92,7 @@ def interpolation(
 
 @dataclass(frozen=True)
 class Switching:
-    """Responses that are held for a time and then switched, as gpuRIR does; for comparison.
+    """Responses that are held for a time and then switched, as gpuRIR does it; for comparison.
 
     Attributes:
         step_s: s.
@@ -112,5 +112,5 @@ class Switching:
         return np.full(len(speeds_m_s), 1 / self.step_s)
 
     def weights(self, places: np.ndarray) -> np.ndarray:
-        """Return the weights at places relative to a node, (n,), in steps."""
+        """Return the weights at places relative to a node, (n,) in steps: (n,)."""
         return (np.floor(places + 1e-9) == 0).astype(float)  # sums of steps are rounded: not a sample too late

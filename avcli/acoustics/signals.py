@@ -1,18 +1,22 @@
-"""Dry sound: recordings made ready to be spoken by someone.
+"""Dry sound: recordings become the source signals of voices.
 
 A sample of 1.0 is 1 Pa at a microphone, and a source signal s is heard at r metres as s / (4π r).
 """
 
 import numpy as np
 
+from avcli.formats.media import Sound
+
 PASCAL_AT_0_DB = 2e-5
 """Pa, the reference of sound pressure levels."""
 FRAME_S = 0.01
-"""s, the frames in which it is told whether a voice sounds."""
+"""s; whether a voice sounds is decided for each frame of this length."""
 FADE_S = 0.02
-"""s, in which a voice fades out that is cut off."""
+"""s in which a voice fades out at the end of its turn."""
 QUIET_DB = -35.0
-"""dB; a frame this far below a voice's level is no sound of it."""
+"""dB relative to a voice's level; in a fainter frame the voice is silent."""
+CLIPPED_SHARE = 0.001
+"""share of the samples at full scale from which on a recording is taken for clipped."""
 
 
 def pascal(level_db_spl: float) -> float:
@@ -21,12 +25,12 @@ def pascal(level_db_spl: float) -> float:
 
 
 def resample(signal: np.ndarray, from_hz: int, to_hz: int) -> np.ndarray:
-    """Resample a signal by its spectrum: exact for what is below both Nyquist frequencies, nothing beyond.
+    """Resample a signal by its spectrum: exact below both Nyquist frequencies, zero above the lower one.
 
     Args:
         signal: (n,).
         from_hz: its sample rate, Hz.
-        to_hz: the wanted sample rate, Hz.
+        to_hz: the new sample rate, Hz.
 
     Returns:
         (⌈n · to / from⌉,) float64; sample 0 is at the same time as before.
@@ -67,10 +71,39 @@ def active_level(signal: np.ndarray, sample_rate_hz: float) -> float:
 
 
 def at_level(signal: np.ndarray, sample_rate_hz: float, level_db_spl: float) -> np.ndarray:
-    """Scale a recording to a source signal of a level, dB SPL at 1 m while it sounds; silence stays silence."""
+    """Scale a recording, (n,), to a source signal with a level in dB SPL at 1 m; silence stays silent."""
     level = active_level(signal, sample_rate_hz)
     wanted = 4 * np.pi * pascal(level_db_spl)
     return np.asarray(signal, dtype=float) * (wanted / level if level > 0 else 0.0)
+
+
+def source_signal(recording: Sound, sample_rate_hz: int, level_db_spl: float) -> np.ndarray:
+    """Make a recording the source signal of a voice: the mean of its channels, resampled and brought to a level.
+
+    Args:
+        recording: of any rate and number of channels.
+        sample_rate_hz: the wanted rate, Hz.
+        level_db_spl: dB SPL at 1 m while it sounds.
+
+    Returns:
+        (n,) float64.
+    """
+    mono = np.asarray(recording.samples, dtype=float).mean(axis=1)
+    return at_level(resample(mono, recording.sample_rate_hz, sample_rate_hz), sample_rate_hz, level_db_spl)
+
+
+def recording_faults(recording: Sound) -> list[str]:
+    """Return what is unusual about a recording for a voice, as ends of sentences that begin with its name."""
+    faults = []
+    channels = recording.samples.shape[1]
+    if channels > 1:
+        faults.append(f"has {channels} channels; the voice is their mean")
+    mono = recording.samples.mean(axis=1)
+    if not mono.any():
+        faults.append("is silent from beginning to end")
+    elif (abs(mono) >= 0.9999).sum() > CLIPPED_SHARE * len(mono):
+        faults.append("is clipped")
+    return faults
 
 
 def power_spectrum(signal: np.ndarray, sample_rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
@@ -82,19 +115,19 @@ def bandwidth(signal: np.ndarray, sample_rate_hz: float, error_db: float) -> flo
     """Return the frequency, Hz, above which a signal holds less than an error (dB) of its power."""
     power, frequencies = power_spectrum(signal, sample_rate_hz)
     rest = np.cumsum(power[::-1])[::-1]
-    above = np.flatnonzero(rest > 10 ** (error_db / 10) * rest[0]) if len(rest) else []
+    above = np.flatnonzero(rest > 10 ** (error_db / 10) * rest[0]) if len(rest) else np.zeros(0, int)
     return float(frequencies[above[-1]]) if len(above) else 0.0
 
 
 class Voice:
-    """Someone's voice: a recording that is said again and again for as long as it is their turn.
+    """A person's voice: a recording that is repeated for as long as it is their turn.
 
-    A turn begins with the beginning of the recording and fades out within FADE_S where it is cut off.
+    A turn starts at the beginning of the recording; at its end the voice fades out within FADE_S.
 
     Args:
         recording: (n,) source signal.
         sample_rate_hz: Hz.
-        pause_s: s between the end of the recording and its next beginning.
+        pause_s: pause between two repetitions, s.
     """
 
     def __init__(self, recording: np.ndarray, sample_rate_hz: float, pause_s: float = 0.15):
@@ -103,7 +136,7 @@ class Voice:
         self._place, self._speaking = 0, False
 
     def emit(self, count: int, speaking: bool) -> np.ndarray:
-        """Return the next `count` samples, in which it is or is not its turn."""
+        """Return the next `count` samples, during the person's turn or not, (count,)."""
         if not speaking and not self._speaking:
             return np.zeros(count)
         if not self._speaking:

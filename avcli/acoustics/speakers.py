@@ -1,4 +1,4 @@
-"""People who walk and talk in a room, as its microphones hear them."""
+"""People who walk and talk in a room, and their sound at its microphones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from avcli.acoustics.moving import MovingSource, first_sample
-from avcli.acoustics.responses import MARGIN, Surroundings
+from avcli.acoustics.responses import MARGIN
 from avcli.acoustics.sampling import Interpolation, Switching, interpolation
 from avcli.acoustics.signals import (
     FADE_S,
@@ -18,15 +18,14 @@ from avcli.acoustics.signals import (
     frame_levels,
     power_spectrum,
 )
+from avcli.acoustics.surroundings import Surroundings
 from avcli.acoustics.trajectory import FASTEST_M_S
-from avcli.formats.records import Sources
+from avcli.formats.records import Identified
 
 WALL_M = 0.05
 """m; a mouth is kept this far from walls, floor and ceiling, and inside the room."""
 ANECHOIC_ERROR_DB = -80.0
-"""dB; where there is only the direct path, it costs little to have it so exact."""
-MOUTH_HEIGHT_M = 1.6
-"""m above the floor, of a mouth whose place is not stated."""
+"""dB; the direct path alone costs little at this error."""
 
 
 @dataclass
@@ -35,7 +34,7 @@ class _Person:
     sampling: Interpolation | Switching
     band: float
     quiet: float
-    sources: list[MovingSource] = field(default_factory=list)  # what each group of microphones hears; none: silent
+    sources: list[MovingSource] = field(default_factory=list)  # one for each group of microphones; none: silent
     time: float = 0.0
     mouth: np.ndarray = field(default_factory=lambda: np.zeros(3))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -44,23 +43,24 @@ class _Person:
 
 
 class Speakers:
-    """People who walk and talk, recorded by the microphones of a room.
+    """People who walk and talk, and their sound at the microphones of a room.
 
-    Places and turns come in one time step after another; sound comes out as soon as it is settled, the same to the last
-    bit however it is asked for. Someone who is missing from a time step is silent until they come back.
+    Positions and turns come in one time step after another. Sound comes out as soon as it is settled, the same to the
+    last bit in pieces of any length. A person who is missing from a time step is silent until they come back.
 
     Args:
         surroundings: the room and the microphones (its error_db is set here).
         voices: source signals at the room's sample rate; the person with object id i has voice i modulo their number.
-        error_db: error of what is heard relative to it, dB; without reflection it is at most ANECHOIC_ERROR_DB.
+        error_db: error relative to the sound, dB; without reflection it is at most ANECHOIC_ERROR_DB.
         switch_s: hold a response for so long and switch then, as gpuRIR does, s; None: interpolate.
-        pause_s: between a recording's end and its next beginning, s.
-        mouth_height_m: above the floor, of mouths whose place is not stated.
-        seed: of all chance.
+        pause_s: pause between two repetitions of a recording, s.
+        mouth_height_m: height above the floor of a mouth whose position is not stated, m.
+        seed: seed of all chance.
 
     Attributes:
+        time: the last time step, s; None before the first.
         moved_inside: how often a mouth on a wall or outside the room was moved inside.
-        jumps: how often someone was faster than FASTEST_M_S; the sound fades out there and in again here.
+        jumps: how often someone was faster than FASTEST_M_S; the voice fades out there and begins again here.
     """
 
     def __init__(
@@ -71,13 +71,13 @@ class Speakers:
         error_db: float = -40.0,
         switch_s: float | None = None,
         pause_s: float = 0.15,
-        mouth_height_m: float = MOUTH_HEIGHT_M,
+        mouth_height_m: float = 1.6,
         seed: int = 0,
     ):
         if not np.any(surroundings.reflection):
             error_db = min(error_db, ANECHOIC_ERROR_DB)
-        # Three errors add up: images left out, interpolation between nodes (which is reckoned for the worst direction
-        # and is some 10 dB better over all), and what lies above the band.
+        # Three errors add up: the images left out, the interpolation between nodes (bounded for the worst direction, on
+        # average about 10 dB better), and the signal above the band.
         self._surroundings = replace(surroundings, error_db=error_db - 3.5)
         self._groups = _groups(self._surroundings)
         self._voices, self._error_db, self._pause_s = voices, error_db, pause_s
@@ -89,22 +89,26 @@ class Speakers:
         self.time: float | None = None
         self.moved_inside = self.jumps = 0
 
-    def step(self, people: Sources) -> np.ndarray:
-        """Take the people's places at a time, and whose turn it is from then on.
+    def step(self, people: Identified) -> np.ndarray:
+        """Take the people's positions at a time, and whose turn it is from then on.
+
+        Args:
+            people: ground truth. A mouth that is NaN is above the position; a person whose `speaking` is NaN speaks.
 
         Returns:
-            (n, 3) m, where their mouths are.
+            The positions of their mouths, (n, 3) m.
 
         Raises:
             ValueError: the time does not increase.
         """
         if self.time is not None and people.timestamp <= self.time:
-            raise ValueError(f"timestamp {people.timestamp:g} does not come after {self.time:g}")
+            raise ValueError(f"timestamp {people.timestamp:g} is not later than {self.time:g}")
         self.time = people.timestamp
         mouths = self._mouths(people)
         for identity in self._people.keys() - set(people.ids.tolist()):
             self._leave(self._people[identity])
-        for identity, mouth, speaking in zip(people.ids.tolist(), mouths, people.speaking.tolist(), strict=True):
+        talking = ~(people.speaking < 0.5)  # also where it is not known
+        for identity, mouth, speaking in zip(people.ids.tolist(), mouths, talking.tolist(), strict=True):
             person = self._people.get(identity)
             if person is None:
                 person = self._people[identity] = self._meet(identity)
@@ -121,21 +125,21 @@ class Speakers:
         return mouths
 
     def finish(self) -> None:
-        """End the scene at the last time step: voices fade out, and what is heard of them is settled."""
+        """End the scene at the last time step: voices fade out, and all sound is settled."""
         for person in self._people.values():
             self._leave(person)
         self._finished = True
 
     @property
     def settled(self) -> float:
-        """The sample before which nothing changes any more; infinite once all is told."""
+        """The sample before which the sound does not change any more; infinite after `finish`."""
         if self._finished:
             return np.inf
         now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz) - MARGIN
         return min([now, *(source.settled for _, source in self._sources)])
 
     def take(self, begin: int, end: int) -> np.ndarray:
-        """Return and forget what the microphones hear from sample `begin` to before `end`, (m, n) Pa."""
+        """Return and forget the sound at the microphones from sample `begin` to before `end`, (m, n) Pa."""
         heard = np.zeros((len(self._surroundings.microphones_m), end - begin))
         for group, source in self._sources:
             heard[group.channels] += source.take(begin, end)[group.copies]
@@ -153,9 +157,10 @@ class Speakers:
             for identity, person in sorted(self._people.items())
         }
 
-    def _mouths(self, people: Sources) -> np.ndarray:
-        below = people.positions * (1.0, 1.0, 0.0) + (0.0, 0.0, self._mouth_height_m)
-        mouths = np.where(np.isnan(people.mouths), below, people.mouths)
+    def _mouths(self, people: Identified) -> np.ndarray:
+        above = people.positions.copy()
+        above[:, 2] = self._mouth_height_m
+        mouths = np.where(np.isnan(people.mouths), above, people.mouths)
         room = np.asarray(self._surroundings.room_dimensions_m)
         margin = np.minimum(WALL_M, room / 2)
         inside = np.clip(mouths, margin, room - margin)
@@ -192,7 +197,7 @@ class Speakers:
         person.velocity = np.zeros(3)
 
     def _speak(self, person: _Person, time: float, mouth: np.ndarray, speaking: bool) -> None:
-        """Go on to a place, sounding on the way there."""
+        """Go on to a position, with or without a voice on the way there."""
         rate = self._surroundings.sample_rate_hz
         first = first_sample(person.time, rate)
         dry = person.voice.emit(first_sample(time, rate) - first, speaking)
@@ -207,7 +212,7 @@ class Speakers:
                 person.activity.append([start, end])
 
     def _leave(self, person: _Person) -> None:
-        """Fade out where the way ends."""
+        """Fade out where the path ends."""
         if not person.sources:
             return
         self._speak(person, person.time + FADE_S, person.mouth + person.velocity * FADE_S, False)
@@ -218,12 +223,12 @@ class Speakers:
 
 @dataclass(frozen=True)
 class _Group:
-    """Microphones that are rendered together, each place of them once.
+    """Microphones that are simulated together, each position and orientation once.
 
     Attributes:
-        surroundings: the room with these microphones alone.
-        channels: (m,) which they are of all microphones.
-        copies: (m,) for each, which of the group's it is.
+        surroundings: the room with the distinct ones of these microphones.
+        channels: (m,) their indices among all microphones.
+        copies: (m,) the index of each among the distinct ones.
     """
 
     surroundings: Surroundings
@@ -232,32 +237,32 @@ class _Group:
 
 
 def _groups(surroundings: Surroundings) -> list[_Group]:
-    """Part the microphones that stand from those that move, which need more responses."""
-    count = len(surroundings.microphones_m)
-    ways: list[bytes] = [
-        b"" if way is None else way.times_s.tobytes() + way.positions_m.tobytes() for way in surroundings.trajectories
-    ] or [b""] * count
-    moving = np.array([way != b"" for way in ways])
-    return [_distinct(surroundings, np.flatnonzero(chosen), ways) for chosen in (~moving, moving) if chosen.any()]
+    """Separate the microphones that stand from those that move, which need more responses."""
+    paths: list[bytes] = [
+        b"" if path is None else path.times_s.tobytes() + path.positions_m.tobytes()
+        for path in surroundings.trajectories
+    ] or [b""] * len(surroundings.microphones_m)
+    moving = np.array([path != b"" for path in paths])
+    return [_distinct(surroundings, np.flatnonzero(chosen), paths) for chosen in (~moving, moving) if chosen.any()]
 
 
-def _distinct(surroundings: Surroundings, channels: np.ndarray, ways: list[bytes]) -> _Group:
-    """Take some of the microphones, and those that are at one place and look in one direction once."""
-    directional = surroundings.directivities is not None
+def _distinct(surroundings: Surroundings, channels: np.ndarray, paths: list[bytes]) -> _Group:
+    """Take some of the microphones; those with one position, pattern and orientation are taken once."""
+    directivities, orientations = surroundings.directivities, surroundings.orientations
     kept: dict[bytes, int] = {}
     copies = []
     for channel in channels.tolist():
-        place = ways[channel] or surroundings.microphones_m[channel].tobytes()
-        if directional and surroundings.directivities[channel] != 1:
-            place += surroundings.directivities[channel].tobytes() + surroundings.orientations[channel].tobytes()
-        copies.append(list(kept).index(place) if place in kept else len(kept))
-        kept.setdefault(place, channel)
+        key = paths[channel] or surroundings.microphones_m[channel].tobytes()
+        if directivities is not None and orientations is not None and directivities[channel] != 1:
+            key += directivities[channel].tobytes() + orientations[channel].tobytes()
+        copies.append(list(kept).index(key) if key in kept else len(kept))
+        kept.setdefault(key, channel)
     first = list(kept.values())
     distinct = replace(
         surroundings,
         microphones_m=surroundings.microphones_m[first],
-        directivities=surroundings.directivities[first] if directional else None,
-        orientations=surroundings.orientations[first] if directional else None,
-        trajectories=tuple(surroundings.trajectories[channel] for channel in first if ways[channel]),
+        directivities=None if directivities is None else directivities[first],
+        orientations=None if orientations is None else orientations[first],
+        trajectories=tuple(surroundings.trajectories[channel] for channel in first if paths[channel]),
     )
     return _Group(distinct, channels, np.array(copies))

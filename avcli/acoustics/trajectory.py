@@ -1,27 +1,46 @@
-"""Where a microphone is that moves."""
+"""The paths of moving microphones."""
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.formats.records import Identified
+
 FASTEST_M_S = 20.0
-"""m/s; nothing here moves faster: a speaker who would have to has jumped, and a microphone is refused."""
+"""m/s; a faster speaker has jumped, and a faster microphone is refused."""
+
+
+def cubic(
+    u: np.ndarray, step: np.ndarray | float, p0: np.ndarray, v0: np.ndarray, p1: np.ndarray, v1: np.ndarray
+) -> np.ndarray:
+    """Return points of a cubic with given positions and velocities at its ends (Hermite), (n, 3) m.
+
+    Args:
+        u: (n, 1) share of the time between the ends, from 0 to 1.
+        step: the time between the ends, s.
+        p0, v0: position, m, and velocity, m/s, at u = 0.
+        p1, v1: the same at u = 1.
+    """
+    return (
+        p0 + u * step * v0 + u**2 * (3 * (p1 - p0) - step * (2 * v0 + v1)) + u**3 * (2 * (p0 - p1) + step * (v0 + v1))
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The way of a microphone: cubics in time through its places, with mean velocities there (Catmull-Rom).
+    """The path of a microphone: cubics in time through its positions, with mean velocities there (Catmull-Rom).
 
-    It rests between two times that have the same place, before the first time and after the last.
+    It rests between two times with the same position, before the first time and after the last.
 
     Attributes:
         times_s: (k,) s, increasing.
         positions_m: (k, 3) m.
 
     Raises:
-        ValueError: the shapes differ, the times do not increase, or it is faster than FASTEST_M_S.
+        ValueError: the shapes differ, the times do not increase, or the microphone is faster than FASTEST_M_S.
     """
 
     times_s: np.ndarray
@@ -29,14 +48,15 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         if len(self.times_s) == 0 or self.positions_m.shape != (len(self.times_s), 3):
-            raise ValueError("a trajectory has a position in three coordinates for each of its times")
+            raise ValueError("a trajectory needs a position in three coordinates for each of its times")
         steps = np.diff(self.times_s)
         if not (steps > 0).all():
-            raise ValueError("the times of a trajectory increase")
+            raise ValueError("the times of a trajectory must increase")
         speeds = np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1) / steps
         if (speeds > FASTEST_M_S).any():
             raise ValueError(
-                f"{speeds.max():.0f} m/s from {self.times_s[np.argmax(speeds)]:g} s on; at most {FASTEST_M_S:g}"
+                f"moves at {speeds.max():.0f} m/s from {self.times_s[np.argmax(speeds)]:g} s on; "
+                f"at most {FASTEST_M_S:g} m/s are possible"
             )
 
     @functools.cached_property
@@ -53,7 +73,7 @@ class Trajectory:
 
     @functools.cached_property
     def _fastest(self) -> np.ndarray:
-        """At most how fast it is between two times, (k + 1,) m/s: by the control points of its velocity, halved."""
+        """An upper bound of its speed between two times, (k + 1,) m/s, by the control points of its velocity."""
         if len(self.times_s) < 2:
             return np.zeros(2)
         chords = np.diff(self.positions_m, axis=0) / np.diff(self.times_s)[:, None]
@@ -63,22 +83,42 @@ class Trajectory:
         return np.concatenate([[0.0], np.linalg.norm(controls, axis=2).max(axis=0), [0.0]])
 
     def fastest(self, begin_s: float, end_s: float) -> float:
-        """Return a speed that is not exceeded from one time to another, m/s."""
+        """Return a speed that it does not exceed from one time to another, m/s."""
         first, last = np.searchsorted(self.times_s, [begin_s, end_s])
         return float(self._fastest[first : last + 1].max())
 
     def at(self, times_s: ArrayLike) -> np.ndarray:
-        """Return where it is at some times, (n, 3) m."""
+        """Return its positions at some times, (n,) s: (n, 3) m."""
         times = np.clip(times_s, self.times_s[0], self.times_s[-1])
         i = np.clip(np.searchsorted(self.times_s, times, side="right") - 1, 0, max(len(self.times_s) - 2, 0))
         if len(self.times_s) < 2:
             return self.positions_m[i]
         step = (self.times_s[i + 1] - self.times_s[i])[:, None]
         u = (times - self.times_s[i])[:, None] / step
-        p0, p1, v0, v1 = self.positions_m[i], self.positions_m[i + 1], self._velocities[i], self._velocities[i + 1]
-        return (
-            p0
-            + u * step * v0
-            + u**2 * (3 * (p1 - p0) - step * (2 * v0 + v1))
-            + u**3 * (2 * (p0 - p1) + step * (v0 + v1))
+        return cubic(
+            u, step, self.positions_m[i], self._velocities[i], self.positions_m[i + 1], self._velocities[i + 1]
         )
+
+
+def trajectories_of(moments: Iterable[Identified]) -> dict[int, Trajectory]:
+    """Return the paths of microphones from records whose ids are channels: channel -> path.
+
+    Args:
+        moments: positions in three coordinates, in the order of time.
+
+    Raises:
+        ValueError: a path is not one (see `Trajectory`); the message names the channel.
+    """
+    paths: dict[int, tuple[list[float], list[np.ndarray]]] = {}
+    for moment in moments:
+        for channel, position in zip(moment.ids.tolist(), moment.positions, strict=True):
+            times, positions = paths.setdefault(channel, ([], []))
+            times.append(moment.timestamp)
+            positions.append(position)
+    trajectories = {}
+    for channel, (times, positions) in paths.items():
+        try:
+            trajectories[channel] = Trajectory(np.array(times), np.array(positions))
+        except ValueError as error:
+            raise ValueError(f"channel {channel}: {error}") from None
+    return trajectories

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -87,15 +88,23 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
     return click.option(flag, field.name, **words)
 
 
+class FiniteRange(click.FloatRange):
+    """A range of numbers without NaN and infinity."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
 def _range(annotation: type, setting: Setting) -> click.ParamType:
     if annotation is str:
         return click.STRING
-    kind = click.IntRange if annotation is int else click.FloatRange
-    low, high = setting.least, setting.most
-    low_open, high_open = low is None and setting.above is not None, high is None and setting.below is not None
-    return kind(
-        setting.above if low_open else low,
-        setting.below if high_open else high,
-        min_open=low_open,
-        max_open=high_open,
-    )
+    low_open, high_open = setting.least is None, setting.most is None
+    low, high = setting.above if low_open else setting.least, setting.below if high_open else setting.most
+    low_open, high_open = low_open and low is not None, high_open and high is not None
+    if annotation is int:
+        least, most = None if low is None else int(low), None if high is None else int(high)
+        return click.IntRange(least, most, min_open=low_open, max_open=high_open)
+    return FiniteRange(low, high, min_open=low_open, max_open=high_open)

@@ -10,17 +10,33 @@ samples; both: the sign of a reflection).
 """
 
 import argparse
+import importlib
 import json
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from avcli.acoustics import sabine_absorption, shoebox_rir
+from avcli.acoustics.absorption import sabine_absorption
+from avcli.acoustics.images import image_microphones, shoebox_rir
+from avcli.acoustics.recorder import built_in_voices
+from avcli.acoustics.sampling import Switching, interpolation
+from avcli.acoustics.signals import power_spectrum, resample, source_signal
+from avcli.acoustics.speakers import Speakers
+from avcli.acoustics.surroundings import Surroundings
+from avcli.acoustics.trajectory import Trajectory
+from avcli.formats import media
+from avcli.formats.records import Identified
+
+Result = TypeVar("Result")
 
 ROOM, RT60, RATE, C = np.array([4.66, 4.66, 3.0]), 0.35, 44100, 343.0
 MICROPHONES = np.array(
@@ -96,7 +112,8 @@ print(json.dumps(found))
 """
 
 
-def cpu_of(call, repeat: int = 3):
+def cpu_of(call: Callable[[], Result], repeat: int = 3) -> tuple[Result, float]:
+    """Return a result and the CPU time of the fastest of some calls, s."""
     best = np.inf
     for _ in range(repeat):
         begin = time.process_time()
@@ -105,25 +122,25 @@ def cpu_of(call, repeat: int = 3):
     return result, best
 
 
-def decibels(found, expected, weight=None) -> float:
-    """Error relative to the expected, over 0.1 to 18 kHz and, with a weight, as a sound of that spectrum has it."""
-    found, expected = (np.fft.rfft(x, axis=-1) for x in (found, expected))
-    frequencies = np.fft.rfftfreq(2 * (expected.shape[-1] - 1), 1 / RATE)
+def decibels(
+    found: ArrayLike, expected: ArrayLike, spectrum: Callable[[np.ndarray], np.ndarray] | None = None
+) -> float:
+    """Error relative to the expected, over 0.1 to 18 kHz and, with a power spectrum, for a sound that has it."""
+    one, other = (np.fft.rfft(x, axis=-1) for x in (found, expected))
+    frequencies = np.fft.rfftfreq(2 * (other.shape[-1] - 1), 1 / RATE)
     inside = (frequencies > 100) & (frequencies < 18000)
-    weight = inside if weight is None else inside * weight(frequencies)
-    error = np.sum(np.abs(found - expected) ** 2 * weight) / np.sum(np.abs(expected) ** 2 * weight)
-    return 10 * np.log10(max(error, 1e-30))
+    weight = inside if spectrum is None else inside * spectrum(frequencies)
+    error = np.sum(np.abs(one - other) ** 2 * weight) / np.sum(np.abs(other) ** 2 * weight)
+    return float(10 * np.log10(max(error, 1e-30)))
 
 
-def speechlike(frequencies):
+def speechlike(frequencies: np.ndarray) -> np.ndarray:
     """The long-term power of speech: flat to 500 Hz, then 9 dB an octave less."""
     return np.minimum(1.0, (500 / np.maximum(frequencies, 1)) ** 3)
 
 
 def ideal(x: float, microphone: np.ndarray, beta: float, sign: int) -> np.ndarray:
     """Σ aᵢ sinc(n − τᵢ) over all images within the response, in float64."""
-    from avcli.acoustics.images import image_microphones
-
     source = np.array([x, 2.33, 1.6])
     images = image_microphones(ROOM, microphone, np.full(6, sign * beta), source, (SAMPLES - 1) / RATE * C)
     distances = images.distances(source)
@@ -142,7 +159,7 @@ def responses(out: Path, peers: str | None, quick: bool) -> list[dict]:
     reference = {sign: np.array([[ideal(x, m, beta, sign) for m in compared] for x in places]) for sign in (-1, 1)}
     rows = []
 
-    def add(name, seconds, found, sign):
+    def add(name: str, seconds: float, found: np.ndarray, sign: int) -> None:
         errors = [decibels(found, reference[sign], weight) for weight in (None, speechlike)]
         rows.append({"method": name, "ms_a_position": 1e3 * seconds, "white_db": errors[0], "speech_db": errors[1]})
         print(f"{name:48s} {1e3 * seconds:9.2f} ms  white {errors[0]:7.1f} dB  speech {errors[1]:7.1f} dB", flush=True)
@@ -153,7 +170,8 @@ def responses(out: Path, peers: str | None, quick: bool) -> list[dict]:
             for x in places
         ]
         found = np.array([rirs[: len(compared)] for rirs, _ in timed])
-        add(f"avcli, {error_db or 'all'}{' dB' if error_db else ' images'}", np.mean([s for _, s in timed]), found, -1)
+        name = f"avcli, {error_db or 'all'}{' dB' if error_db else ' images'}"
+        add(name, float(np.mean([s for _, s in timed])), found, -1)
     if peers and Path(peers).exists():
         folder = out / "peers"
         folder.mkdir(parents=True, exist_ok=True)
@@ -172,46 +190,51 @@ def responses(out: Path, peers: str | None, quick: bool) -> list[dict]:
 
 
 def voice(path: str | None) -> np.ndarray:
-    from avcli import acoustics
-    from avcli.formats import media
-
-    path = path or sorted(Path(acoustics.__file__).with_name("voices").glob("*.flac"))[0]
-    samples, rate = media.read_audio(path)
-    return acoustics.at_level(acoustics.resample(samples.mean(axis=1), rate, RATE), RATE, 60)
+    """Return the source signal of a recording, or of the first built-in voice, (n,)."""
+    recording = media.Sound(*media.read_audio(path)) if path else built_in_voices()[0]
+    return source_signal(recording, RATE, 60)
 
 
-def scene(people: int = 1, *, dry, error_db: float, rt60=RT60, rate=RATE, microphones=MICROPHONES, **options):
-    """Render the thesis's walk and return (sound, CPU seconds)."""
-    from avcli import acoustics
-    from avcli.formats.records import Sources
-
-    followed = rt60 * min(15 - error_db, options.pop("decay", 999.0)) / 60
-    count, seconds_moving = options.pop("moving", 0), np.linspace(0, 2, 21)
+def scene(
+    people: int = 1,
+    *,
+    dry: np.ndarray,
+    error_db: float,
+    rt60: float = RT60,
+    rate: int = RATE,
+    microphones: np.ndarray = MICROPHONES,
+    moving: int = 0,
+    decay: float = np.inf,
+    end_s: float = 0.0,
+    switch_s: float | None = None,
+) -> tuple[np.ndarray, float]:
+    """Render the thesis's walk; return the sound, (m, n), and CPU seconds."""
+    followed = rt60 * min(15 - error_db, decay) / 60
+    seconds_moving = np.linspace(0, 2, 21)
     to_and_fro = np.abs(1 - seconds_moving)[:, None] * (0.0, 0.0, -1.0)
-    ways = tuple(
-        acoustics.Trajectory(seconds_moving, place + to_and_fro) if i < count else None
-        for i, place in enumerate(microphones)
+    paths = tuple(
+        Trajectory(seconds_moving, place + to_and_fro) if i < moving else None for i, place in enumerate(microphones)
     )
-    surroundings = acoustics.Surroundings(
+    surroundings = Surroundings(
         ROOM, -np.sqrt(1 - sabine_absorption(ROOM, rt60)), microphones, rate, followed * C,
-        rt60_s=rt60, end_s=options.pop("end_s", 0.0), trajectories=ways,
+        rt60_s=rt60, end_s=end_s, trajectories=paths,
     )  # fmt: skip
     begin = time.process_time()
-    speakers = acoustics.Speakers(surroundings, [dry], error_db=error_db, **options)
+    speakers = Speakers(surroundings, [dry], error_db=error_db, switch_s=switch_s)
     for k in range(41):
         mouths = np.array([[0.33 + k / 10, 0.8 + 3 * (i + 0.51) / people, 1.6] for i in range(people)])
         floor, ids = mouths * (1, 1, 0), np.arange(people)
-        speakers.step(Sources(k / 10, ids, floor, mouths, np.ones(people, bool)))
+        speakers.step(Identified(k / 10, ids, floor, mouths, np.ones(people)))
     speakers.finish()
     sound = speakers.take(0, round((4 + RT60) * rate))
     return sound, time.process_time() - begin
 
 
-def moving(dry, quick: bool) -> list[dict]:
+def moving(dry: np.ndarray, quick: bool) -> list[dict]:
     """Time and error of the whole scene: responses, interpolation, convolution."""
     reference, _ = scene(dry=dry, error_db=-90.0)
     rows = []
-    settings = [
+    settings: list[tuple[str, dict[str, Any]]] = [
         (f"avcli, {e} dB", {"error_db": float(e)}) for e in ((-20, -40, -60) if quick else range(-20, -71, -10))
     ]
     settings += [
@@ -231,12 +254,7 @@ def moving(dry, quick: bool) -> list[dict]:
 def against_retarded_time() -> list[dict]:
     """Error of a moving source against the analytic solution, all images of weakly reflecting walls."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    import test_acoustics_moving as exact
-
-    from avcli.acoustics.images import image_microphones
-    from avcli.acoustics.sampling import Switching, interpolation
-    from avcli.acoustics.signals import power_spectrum
-
+    exact = importlib.import_module("test_acoustics_moving")
     rows = []
     for speed in (1.0, 10.0):
         duration = 0.5 if speed == 1 else 0.3
@@ -262,13 +280,8 @@ def against_retarded_time() -> list[dict]:
     return rows + microphones_against_retarded_time(exact)
 
 
-def microphones_against_retarded_time(exact) -> list[dict]:
+def microphones_against_retarded_time(exact: ModuleType) -> list[dict]:
     """The same where the microphone moves too, towards the source, half the relative speed each."""
-    from avcli.acoustics import Trajectory
-    from avcli.acoustics.images import image_microphones
-    from avcli.acoustics.sampling import interpolation
-    from avcli.acoustics.signals import power_spectrum
-
     rows = []
     duration, signal = 0.3, exact.tones(8000, 0.3)
     dry = signal(np.arange(exact.first_sample(duration, RATE)) / RATE)
@@ -277,7 +290,7 @@ def microphones_against_retarded_time(exact) -> list[dict]:
         velocity = speed / 2 * (there - start) / np.linalg.norm(there - start)
         for beta in (0.0, 0.1):
             way = Trajectory(times, there - times[:, None] * velocity)
-            room = exact.Surroundings(ROOM, np.full(6, -beta), there[None], RATE, 25.0, trajectories=(way,))
+            room = Surroundings(ROOM, np.full(6, -beta), there[None], RATE, 25.0, trajectories=(way,))
             images = image_microphones(ROOM, there, room.reflection, start, 25.0)
             images = images[np.abs(images.gains) > 9e-5]
             for error_db in (-40, -60):
@@ -293,13 +306,11 @@ def microphones_against_retarded_time(exact) -> list[dict]:
     return rows
 
 
-def growth(dry, quick: bool) -> list[dict]:
+def growth(dry: np.ndarray, quick: bool) -> list[dict]:
     """How the cost of a scene grows."""
-    from avcli import acoustics
-
     rows = []
 
-    def add(what, value, **options):
+    def add(what: str, value: float, **options: Any) -> None:
         people = options.pop("people", 1)
         seconds = min(scene(people, **{"dry": dry, "error_db": -40.0, **options})[1] for _ in range(1 if quick else 2))
         rows.append({"what": what, "value": value, "cpu_s": seconds})
@@ -314,7 +325,7 @@ def growth(dry, quick: bool) -> list[dict]:
     for rt60 in (0.15, 0.25, 0.35, 0.5, 0.7):
         add("T60 in s", rt60, rt60=rt60)
     for rate in (8000, 16000, 44100, 96000):
-        add("sample rate in Hz", rate, rate=rate, dry=acoustics.resample(dry, RATE, rate))
+        add("sample rate in Hz", rate, rate=rate, dry=resample(dry, RATE, rate))
     for error_db in (-20, -30, -40, -50, -60):
         add("error in dB", error_db, error_db=float(error_db))
     return rows

@@ -1,6 +1,6 @@
-"""Shoebox rooms: how much their walls absorb.
+"""How much the walls of a shoebox room absorb, and how its sound decays.
 
-Walls are counted x0, x1, y0, y1, z0, z1: x = 0, x = length, and so on; z0 is the floor.
+The order of the walls is x0, x1, y0, y1, z0, z1: x = 0, x = length, and so on; z0 is the floor.
 """
 
 import numpy as np
@@ -22,15 +22,24 @@ def wall_areas(room_dimensions_m: ArrayLike) -> np.ndarray:
     return np.repeat([ly * lz, lx * lz, lx * ly], 2)
 
 
-def minimum_rt60(room_dimensions_m: ArrayLike, weights: ArrayLike = 1.0) -> float:
-    """Return the shortest reverberation time, s, that Sabine's equation has for a room: its walls absorb all they can.
+def volume(room_dimensions_m: ArrayLike) -> float:
+    """Return the volume of a room, m³.
 
     Args:
         room_dimensions_m: (3,) m.
-        weights: (6,) or a number, how much of the absorption each wall takes relative to the others.
+    """
+    return float(np.prod(np.asarray(room_dimensions_m, dtype=float)))
+
+
+def minimum_rt60(room_dimensions_m: ArrayLike, weights: ArrayLike = 1.0) -> float:
+    """Return the shortest reverberation time, s, that Sabine's equation gives a room: a wall of it absorbs everything.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        weights: (6,) or a number, relative absorption of the walls.
     """
     areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    return float(SABINE * np.prod(room_dimensions_m) * weights.max() / (weights @ areas))
+    return float(SABINE * volume(room_dimensions_m) * weights.max() / (weights @ areas))
 
 
 def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
@@ -38,26 +47,31 @@ def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Arra
 
     T60 = 0.161 V / Σ αᵢ Sᵢ with αᵢ = wᵢ α (W. C. Sabine, 1898; thesis eqs. 4.1 and 4.2), solved for α.
 
+    >>> sabine_absorption([4.66, 4.66, 3.0], 0.35).round(4).tolist()
+    [0.3016, 0.3016, 0.3016, 0.3016, 0.3016, 0.3016]
+    >>> sabine_absorption([4.66, 4.66, 3.0], 0.35, weights=[0, 0, 0, 0, 1, 1]).round(4).tolist()  # floor and ceiling
+    [0.0, 0.0, 0.0, 0.0, 0.69, 0.69]
+
     Args:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time, s.
         weights: (6,) or a number, relative absorption of the walls.
 
     Raises:
-        ValueError: a wall would have to absorb more than all: rt60_s is below `minimum_rt60`.
+        ValueError: rt60_s is below `minimum_rt60`; a wall would have to absorb more than everything.
     """
     least = minimum_rt60(room_dimensions_m, weights)
     if not rt60_s >= least:
-        raise ValueError(f"T60 {rt60_s:g} s: this room has at least {least:.4f} s")
+        raise ValueError(f"T60 {rt60_s:g} s is too short for this room; the shortest is {least:.4f} s")
     areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    return np.minimum(1.0, SABINE * np.prod(room_dimensions_m) / (rt60_s * (weights @ areas)) * weights)
+    return np.minimum(1.0, SABINE * volume(room_dimensions_m) / (rt60_s * (weights @ areas)) * weights)
 
 
 def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
     """Return the absorption coefficients of the six walls by Eyring's equation, (6,) of energy.
 
-    T60 = 0.161 V / (−S ln(1 − ᾱ)) with ᾱ the mean over the area (C. F. Eyring, 1930). It has no shortest T60 for equal
-    weights.
+    T60 = 0.161 V / (−S ln(1 − ᾱ)) with ᾱ the mean over the area (C. F. Eyring, 1930). With equal weights every T60 is
+    possible.
 
     Args:
         room_dimensions_m: (3,) m.
@@ -65,25 +79,27 @@ def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Arra
         weights: (6,) or a number, relative absorption of the walls.
 
     Raises:
-        ValueError: a wall would have to absorb more than all, or rt60_s is not above 0.
+        ValueError: a wall would have to absorb more than everything, or rt60_s is not above 0.
     """
     if not rt60_s > 0:
-        raise ValueError(f"T60 {rt60_s:g} s: expected a time above 0")
+        raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
     areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    mean = -np.expm1(-SABINE * np.prod(room_dimensions_m) / (rt60_s * areas.sum()))
+    mean = -np.expm1(-SABINE * volume(room_dimensions_m) / (rt60_s * areas.sum()))
     absorption = weights * mean * areas.sum() / (weights @ areas)
     if absorption.max() > 1:
-        raise ValueError(f"T60 {rt60_s:g} s: a wall would have to absorb {absorption.max():.2f} of what meets it")
+        raise ValueError(
+            f"T60 {rt60_s:g} s is too short for this room; a wall would need absorption {absorption.max():.2f}"
+        )
     return absorption
 
 
 def image_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
-    """Return the absorption coefficients with which image sources themselves decay in a reverberation time, (6,).
+    """Return the absorption coefficients with which image sources themselves have a reverberation time, (6,) of energy.
 
-    Image sources decay faster across the room than along its walls, so that neither Sabine's nor Eyring's equation
-    holds for them. Sound in the direction u meets the walls of axis i c |uᵢ| / Lᵢ times a second; its energy is
-    integrated over all directions (E. A. Lehmann and A. M. Johansson, 2008), and the absorption is found whose decay
-    from −5 to −35 dB (T30) is the one that is wanted.
+    Image sources decay faster across the room than along its walls, so neither Sabine's nor Eyring's equation holds
+    for them. Sound in the direction u meets the walls of axis i c |uᵢ| / Lᵢ times a second. Its energy is integrated
+    over all directions (E. A. Lehmann and A. M. Johansson, 2008). Bisection finds the absorption whose decay from −5
+    to −35 dB (T30) is the wanted one.
 
     Args:
         room_dimensions_m: (3,) m.
@@ -91,14 +107,14 @@ def image_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Array
         weights: (6,) or a number, relative absorption of the walls.
 
     Raises:
-        ValueError: walls that absorb everything still reverberate longer, or rt60_s is not above 0.
+        ValueError: walls that absorb everything reverberate longer, or rt60_s is not above 0.
     """
     if not rt60_s > 0:
-        raise ValueError(f"T60 {rt60_s:g} s: expected a time above 0")
+        raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
     weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
     low, high = 0.0, 0.999 / weights.max()
     if image_rt60(room_dimensions_m, high * weights) > rt60_s:
-        raise ValueError(f"T60 {rt60_s:g} s: walls that absorb everything reverberate longer in this room")
+        raise ValueError(f"T60 {rt60_s:g} s is too short for the image sources of this room")
     for _ in range(30):
         middle = (low + high) / 2
         if image_rt60(room_dimensions_m, middle * weights) > rt60_s:
@@ -138,7 +154,7 @@ def decay_rates(
         speed_of_sound_m_s: m/s.
 
     Returns:
-        rates, (n,) 1/s, of n directions, and shares, (n,), in no unit.
+        rates, (n,) 1/s, of n directions, and shares, (n,), without unit.
     """
     lost = -2 * np.log(np.abs(reflection)).reshape(3, 2).mean(axis=1)
     nodes, node_weights = np.polynomial.legendre.leggauss(16)
@@ -180,7 +196,7 @@ def sabine_rt60(room_dimensions_m: ArrayLike, absorption: ArrayLike) -> float:
         absorption: (6,) or a number, of energy.
     """
     area = float(wall_areas(room_dimensions_m) @ np.broadcast_to(np.asarray(absorption, dtype=float), 6))
-    return float(SABINE * np.prod(room_dimensions_m) / area) if area > 0 else np.inf
+    return float(SABINE * volume(room_dimensions_m) / area) if area > 0 else np.inf
 
 
 def schroeder_frequency(room_dimensions_m: ArrayLike, rt60_s: float) -> float:
@@ -190,4 +206,4 @@ def schroeder_frequency(room_dimensions_m: ArrayLike, rt60_s: float) -> float:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time, s.
     """
-    return float(2000.0 * np.sqrt(rt60_s / np.prod(room_dimensions_m)))
+    return float(2000.0 * np.sqrt(rt60_s / volume(room_dimensions_m)))

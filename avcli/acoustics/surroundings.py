@@ -1,0 +1,233 @@
+"""The surroundings of a sound: the walls of the room, its air, its microphones, and how far a sound is followed in it.
+
+`surroundings_of` makes them from what config.json states about room and microphones and from the settings.
+"""
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.acoustics import absorption as absorptions
+from avcli.acoustics.images import MOST_IMAGES, image_count
+from avcli.acoustics.settings import Settings
+from avcli.acoustics.trajectory import Trajectory
+from avcli.formats.experiment import DIRECTIVITIES, Config, Room
+from avcli.numeric import SPEED_OF_SOUND_M_S
+from avcli.settings import DEFAULT_RT60_S
+
+STRIDE_M = 0.5
+"""m; the audible images are chosen anew after source and microphones have moved by this much."""
+MOTION_STEP_S = 0.001
+"""s; a microphone moves in a straight line for so long: at 10 m/s² it is wrong by no more than 1.3 µm."""
+MANY_IMAGES = 1_000_000
+"""images of a microphone; more of them take long, and the user is warned."""
+BYTES_AN_IMAGE = 100
+"""bytes, roughly, that the choice among the images of a microphone takes for each of them."""
+DECAY_HEARD_DB = 15.0
+"""dB by which the followed reverberation decays below the permitted error: at -45 dB it is followed for all of T60."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What is around a source: the walls of a room and the microphones in it.
+
+    Attributes:
+        room_dimensions_m: (3,) m.
+        reflection: (6,) signed pressure coefficients of the walls x0 x1 y0 y1 z0 z1.
+        microphones_m: (m, 3) m.
+        sample_rate_hz: Hz.
+        reach_m: length of the longest path that is followed, m.
+        error_db: images that can be left out for this relative error (dB) are left out; None: none are.
+        speed_of_sound_m_s: m/s.
+        directivities: (m,) a of the microphones' pattern a + (1 − a) cos θ; None: all are omnidirectional.
+        orientations: (m, 3) unit vectors in which they look; needed with directivities.
+        source_directivity: a of the source's pattern; 1 is omnidirectional.
+        rt60_s: reverberation time, s.
+        end_s: end of the noise that continues the images after reach_m, s; 0: without noise.
+        trajectories: (m,) the paths of the microphones that move, None for one that stands at microphones_m.
+    """
+
+    room_dimensions_m: np.ndarray
+    reflection: np.ndarray
+    microphones_m: np.ndarray
+    sample_rate_hz: int
+    reach_m: float
+    error_db: float | None = None
+    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+    directivities: np.ndarray | None = None
+    orientations: np.ndarray | None = None
+    source_directivity: float = 1.0
+    rt60_s: float = 0.0
+    end_s: float = 0.0
+    trajectories: tuple[Trajectory | None, ...] = ()
+
+    @property
+    def samples_per_m(self) -> float:
+        """Samples in which sound travels a metre."""
+        return self.sample_rate_hz / self.speed_of_sound_m_s
+
+    @property
+    def tail_s(self) -> float:
+        """How long a sound is heard after its end, s: the reverberation time, or the way through the room."""
+        return max(self.rt60_s, float(np.linalg.norm(self.room_dimensions_m)) / self.speed_of_sound_m_s)
+
+    @property
+    def longest_delay(self) -> int:
+        """Samples that a response lasts, with the source up to STRIDE_M away from where its images were chosen.
+
+        Sound takes longer to a microphone that moves away from it.
+        """
+        receding = self.fastest_microphone(-np.inf, np.inf) / self.speed_of_sound_m_s
+        longest_path = int(np.ceil((self.reach_m + STRIDE_M) / (1 - receding) * self.samples_per_m)) + 1
+        return max(longest_path, int(np.ceil(self.end_s * self.sample_rate_hz)) + 1)
+
+    def fastest_microphone(self, begin_s: float, end_s: float) -> float:
+        """Return a speed that no microphone exceeds from one time to another, m/s."""
+        return max((path.fastest(begin_s, end_s) for path in self.trajectories if path is not None), default=0.0)
+
+    def microphones_from(self, time_s: float) -> np.ndarray:
+        """Return where the microphones are while a sound that is emitted at a time is heard, (k, m, 3) m.
+
+        There is one position for every MOTION_STEP_S; k is 1 where no microphone ever moves.
+        """
+        if not any(self.trajectories):
+            return self.microphones_m[None]
+        count = int(np.ceil(self.longest_delay / self.sample_rate_hz / MOTION_STEP_S)) + 2
+        positions = np.repeat(self.microphones_m[None], count, axis=0)
+        for microphone, path in enumerate(self.trajectories):
+            if path is not None:
+                positions[:, microphone] = path.at(time_s + MOTION_STEP_S * np.arange(count))
+        return positions
+
+    def described(self) -> list[str]:
+        """Return sentences about the decay of sound here: T60, absorption, number of images, Schroeder frequency."""
+        room, absorption = self.room_dimensions_m, 1 - np.asarray(self.reflection) ** 2
+        sentences = []
+        if ((absorption > 0) & (absorption < 1)).all():
+            decay = absorptions.image_rt60(room, absorption, self.speed_of_sound_m_s)
+            sentences.append(f"image sources between these walls decay by 60 dB in {decay:.3f} s (T30)")
+        images = image_count(room, self.reach_m) if (absorption < 1).all() else 1
+        sentences.append(
+            f"T60 {self.rt60_s:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a "
+            f"microphone, Schroeder frequency {absorptions.schroeder_frequency(room, self.rt60_s):.1f} Hz, "
+            f"{self.speed_of_sound_m_s:.1f} m/s"
+        )
+        return sentences
+
+
+def surroundings_of(
+    config: Config,
+    settings: Settings,
+    trajectories: Mapping[int, Trajectory] | None = None,
+    say: Callable[[str], None] = warnings.warn,
+) -> Surroundings:
+    """Make the surroundings that a configuration and the settings describe.
+
+    Args:
+        config: its room and its microphones.
+        settings: what is chosen differently.
+        trajectories: channel -> path of a microphone that moves; the others stand where the configuration has them.
+        say: called with a sentence where the user should be warned.
+
+    Raises:
+        ValueError: a microphone is outside the room, the room cannot have the reverberation time (with `strict`), or
+            the sound is followed to too many images.
+    """
+    room, microphones = config.room, config.microphones
+    positions, paths = _microphones(config, trajectories or {})
+    speed = settings.speed_of_sound_m_s or room.speed_of_sound_m_s
+    rt60, absorption = walls_of(room, settings, say)
+    diagonal_m = float(np.linalg.norm(room.dimensions))
+    followed_s = rt60 * (DECAY_HEARD_DB - settings.error_db) / 60
+    if settings.ism_decay_db is not None:
+        followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
+    reach_m = max(followed_s * speed, diagonal_m)
+    if (absorption < 1).all():
+        _check_image_count(image_count(room.dimensions, reach_m), rt60, settings, say)
+    return Surroundings(
+        room_dimensions_m=room.dimensions,
+        reflection=(-1 if settings.reflection_sign == "negative" else 1) * np.sqrt(1 - absorption),
+        microphones_m=positions,
+        sample_rate_hz=settings.sample_rate_hz or microphones.sample_rate_hz,
+        reach_m=reach_m,
+        speed_of_sound_m_s=speed,
+        directivities=microphones.directivities,
+        orientations=microphones.orientations,
+        source_directivity=DIRECTIVITIES[settings.source_directivity],
+        rt60_s=rt60,
+        end_s=max(rt60, diagonal_m / speed) if settings.ism_decay_db is not None and rt60 > 0 else 0.0,
+        trajectories=paths,
+    )
+
+
+def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnings.warn) -> tuple[float, np.ndarray]:
+    """Return the reverberation time of a room, s, and the absorption of its six walls, (6,) of energy.
+
+    The first that is stated decides: the settings' reverberation time or absorption, the room's absorption, its
+    reverberation time; else DEFAULT_RT60_S. A time of 0 is a room without reverberation.
+
+    Args:
+        room: of the configuration.
+        settings: `rt60_s`, `absorption`, `absorption_model` and `strict` count here.
+        say: called with a sentence if the room cannot have the time and is simulated without reverberation.
+
+    Raises:
+        ValueError: the room cannot have the time (with `strict`), or its walls absorb nothing.
+    """
+    rt60 = settings.rt60_s
+    stated = room.absorption if settings.absorption is None else settings.absorption
+    if rt60 is None and stated is not None:
+        absorption = np.asarray(stated, dtype=float)
+        rt60 = absorptions.sabine_rt60(room.dimensions, absorption)
+        if not math.isfinite(rt60):
+            raise ValueError("the walls absorb nothing, so the sound would never end; give an absorption above 0")
+        return (rt60 if (absorption < 1).any() else 0.0), absorption
+    if rt60 is None:
+        rt60 = DEFAULT_RT60_S if room.reverberation_time_s is None else room.reverberation_time_s
+    if rt60 == 0:
+        return 0.0, np.ones(6)
+    model = {
+        "sabine": absorptions.sabine_absorption,
+        "eyring": absorptions.eyring_absorption,
+        "image": absorptions.image_absorption,
+    }[settings.absorption_model]
+    try:
+        return rt60, model(room.dimensions, rt60)
+    except ValueError as error:
+        if settings.strict:
+            raise
+        say(f"{error}; simulated without reverberation")
+        return 0.0, np.ones(6)
+
+
+def _check_image_count(images: float, rt60_s: float, settings: Settings, say: Callable[[str], None]) -> None:
+    if images <= MANY_IMAGES:
+        return
+    count = f"T60 {rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
+    remedy = "use --ism-decay 15" if settings.ism_decay_db is None else "use a smaller --ism-decay"
+    remedy += ", which follows the strong images and continues with noise"
+    if images > MOST_IMAGES:
+        raise ValueError(f"{count}, about {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {remedy}")
+    say(f"{count}, which takes long; {remedy}")
+
+
+def _microphones(
+    config: Config, trajectories: Mapping[int, Trajectory]
+) -> tuple[np.ndarray, tuple[Trajectory | None, ...]]:
+    """Return where the microphones are at first, (m, 3) m, and their paths, () if all stand."""
+    fixed = config.microphones.positions
+    positions = fixed.copy()
+    for channel, path in sorted(trajectories.items()):
+        if not 0 <= channel < len(fixed):
+            raise ValueError(f"channel {channel} does not exist: {config.name} has {len(fixed)} microphones")
+        positions[channel] = path.positions_m[0]
+    for channel in range(len(fixed)):
+        visited = trajectories[channel].positions_m if channel in trajectories else fixed[[channel]]
+        outside = visited[((visited < 0) | (visited > config.room.dimensions)).any(axis=1)]
+        if len(outside):
+            source = "the path of a microphone" if channel in trajectories else config.name
+            raise ValueError(f"{source}: microphone {channel} at {outside[0].tolist()} is outside the room")
+    return positions, tuple(trajectories.get(channel) for channel in range(len(fixed))) if trajectories else ()
