@@ -1,7 +1,7 @@
 """Fit the score and the covariance of avdetect-audio, and write them to avcli/localization/fitted.json.
 
-    make fit-localization                      # fit, and check on scenes that did not take part
-    make fit-localization BENCH_FLAGS=--check  # only renew the small check that a test runs
+    make fit-localization                    # fit, and measure on scenes that did not take part
+    make fit-localization FIT_FLAGS=--check  # only renew the small check that a test runs
 
 Scenes are simulated by avsim-audio: one or two people who stand, walk, pause or take turns, in rooms of T60 0.1 to
 0.6 s, with noise 30 or 10 dB below them, heard by five to twelve microphones. With --speech DIR they speak real
@@ -536,7 +536,6 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=4, help="scenes of each condition, of which the last is held out")
     parser.add_argument("--output", type=Path, default=FITTED, help="where the law goes")
     parser.add_argument("--check", action="store_true", help="only renew the check")
-    parser.add_argument("--out", help=argparse.SUPPRESS)  # what make gives to every benchmark
     options = parser.parse_args()
     say = functools.partial(print, file=sys.stderr, flush=True)
     stated = json.loads(FITTED.read_bytes())
