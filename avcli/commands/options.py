@@ -94,8 +94,10 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Ma
     if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
         annotation = parts[0]
     flag = setting.flag or "--" + field.name.replace("_", "-")
-    words: dict[str, Any] = {"default": default, "help": setting.text}
-    words["show_default"] = setting.default_text or (default is not None and annotation is not bool)
+    text = f"{setting.only}: {setting.text}" if setting.only else setting.text
+    words: dict[str, Any] = {"default": default, "help": text}
+    switch = "/" in flag  # "--x/--no-x", whose default is worth showing; a flag alone is off
+    words["show_default"] = setting.default_text or (default is not None and (annotation is not bool or switch))
     if setting.unit:
         words["metavar"] = setting.unit
     if annotation is bool:
@@ -114,11 +116,11 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Ma
 
 
 class FiniteRange(click.FloatRange):
-    """A range of numbers without NaN and infinity."""
+    """A range of numbers without NaN, and without infinity unless that is its end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
+        if not math.isfinite(number) and number != self.max:
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
 
