@@ -10,6 +10,10 @@ import soundfile
 from conftest import run
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
+from avcli.formats.experiment import read_config
+from avcli.formats.media import Sound
+from avcli.localization import localize
+
 FS = 16000
 PLACE = np.array([3.1, 1.3, 1.6])
 WAV = "audio/wav/multichannel_audio_0.0000000000.wav"
@@ -85,7 +89,7 @@ def found(experiment):
 def test_one_record_for_every_time_step_of_the_scene(found):
     assert [r["timestamp"] for r in found] == [f"{k / 10:.10f}" for k in range(11)]
     for r in found:
-        assert r["sensor"] == "audio"
+        assert (r["sensor"], r["kind"]) == ("audio", "microphones")
         for item in r["objects"]:
             assert set(item) == {"position", "covariance", "score"}
             assert np.linalg.eigvalsh(item["covariance"])[0] > 0
@@ -133,7 +137,7 @@ def test_flac_by_name(tmp_path, sound):
     write(tmp_path, sound)
     soundfile.write(tmp_path / "a.flac", sound, FS, subtype="PCM_24")
     assert len(lines(run("avdetect-audio", "-C", tmp_path, tmp_path / "a.flac"))) == 13
-    assert "WAV alone" in one_line(run("avdetect-audio", "-C", tmp_path, stdin=(tmp_path / "a.flac").read_bytes()))
+    assert "WAV only" in one_line(run("avdetect-audio", "-C", tmp_path, stdin=(tmp_path / "a.flac").read_bytes()))
 
 
 def test_chunks_join_to_one_stream(tmp_path, sound, found):
@@ -267,6 +271,39 @@ def test_arrays_from_which_no_position_can_be_had(tmp_path, sound, positions, me
 def test_wrong_usage(experiment):
     for options in (["--method", "magic"], ["--rate", "0"], ["--beta", "2"], ["--band", "100"]):
         one_line(run("avdetect-audio", "-C", experiment, *options, stdin=record()), 2)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("srp", ["--refine"]),
+        ("srp", ["--combination", "6"]),
+        ("srp", ["--min-gap", "0.02"]),
+        ("3d-ssl", ["--max-speakers", "1"]),
+        ("3d-ssl", ["--band", "100", "200"]),
+        ("3d-ssl", ["--min-score", "0.5"]),
+    ],
+)
+def test_options_of_the_other_method_are_refused_by_name(experiment, method, options):
+    result = run("avdetect-audio", "-C", experiment, "--method", method, *options, stdin=record())
+    assert f"{options[0]} has no effect with --method {method}" in one_line(result, 2)
+
+
+def test_a_preset_gives_no_foreign_option_but_refuses_one(experiment):
+    assert run("avdetect-audio", "-C", experiment, "--preset", "thesis", "--refine", stdin=b"").returncode == 0
+    result = run("avdetect-audio", "-C", experiment, "--preset", "thesis", "--context", "0", stdin=b"")
+    assert "--context has no effect with --method 3d-ssl" in one_line(result, 2)
+
+
+def test_the_library_and_the_command_give_the_same(experiment, found, sound):
+    config = read_config(experiment / "config.json")
+    heard = localize(config, Sound(sound, FS, tail_samples=4000))
+    assert len(heard) == len(found)
+    for one, line in zip(heard, found, strict=True):
+        assert (one.sensor, one.kind, f"{one.timestamp:.10f}") == ("audio", "microphones", line["timestamp"])
+        np.testing.assert_array_equal(one.positions, [item["position"] for item in line["objects"]])
+        np.testing.assert_array_equal(one.covariances, [item["covariance"] for item in line["objects"]])
+        np.testing.assert_array_equal(one.scores, [item["score"] for item in line["objects"]])
 
 
 def test_more_delays_in_a_closed_form_than_there_are(experiment):

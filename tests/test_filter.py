@@ -167,6 +167,28 @@ def test_each_record_leaves_at_once():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_inside_a_destructor_is_not_lost(number):
+    program = f"""
+import os, time, click
+from avcli.commands.filter import Filter
+class Texture:
+    def __del__(self):
+        os.kill(os.getpid(), {int(number)})
+        sum(range(1000))
+@click.command("x", cls=Filter)
+def main():
+    texture = Texture()
+    del texture
+    for _ in range(600):
+        time.sleep(0.1)
+    print("went on")
+main([])
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
+    assert (result.returncode, result.stdout, result.stderr) == (-number, b"", b"")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_leaves_the_old_file_and_no_other(tmp_path, number):
     old = tmp_path / "old.jsonl"
     old.write_text("good\n")

@@ -11,6 +11,7 @@ from avcli.localization.array import Array, time_steps
 from avcli.localization.srp import SteeredResponse
 
 FS = 16000
+LAW = uncertainty.fitted_law()
 FLOAT32 = 100 * float(np.finfo(np.float32).eps)
 """Relative error of a float32 sum over some thousand terms, whatever the processor's order of summation."""
 places = st.tuples(st.floats(0.4, 4.2), st.floats(0.4, 4.2), st.floats(0.3, 1.85)).map(np.array)
@@ -289,8 +290,8 @@ def lasting(steps, **changed):
     before, scores = 0.0, []
     for _ in range(steps):
         peak = features(before=before, **changed)
-        scores.append(uncertainty.probability(peak))
-        before = uncertainty.remembered(peak, 0.7)
+        scores.append(LAW.probability(peak))
+        before = LAW.remembered(peak, 0.7)
     return np.array(scores)
 
 
@@ -307,7 +308,7 @@ def test_the_covariance_grows_with_all_that_speaks_against_a_place():
     nowhere, elsewhere = np.diag([1e-6, 1e-6, 1e-4]), np.diag([0.02, 0.02, 0.1]) ** 2
 
     def spread(others=nowhere, **changed):
-        found = uncertainty.covariance(normal, others, features(**changed), low, high)
+        found = LAW.covariance(normal, others, features(**changed), low, high)
         np.testing.assert_array_equal(found, found.T)
         assert np.linalg.eigvalsh(found)[0] >= 0.99 * uncertainty.FLOOR**2
         return np.sqrt(np.diag(found))

@@ -5,7 +5,9 @@ import pytest
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
 from avcli.localization.array import Array
-from avcli.localization.steered import Settings, SteeredLocalizer
+from avcli.localization.settings import SteeredSettings
+from avcli.localization.steered import SteeredLocalizer
+from avcli.localization.stream import Block
 
 FS = 16000
 PLACE = np.array([1.4, 3.1, 1.55])
@@ -13,9 +15,9 @@ PLACE = np.array([1.4, 3.1, 1.55])
 
 def localize(samples, *, microphones=MICROPHONES, fs=FS, block=4000, begin=0, tail=0.0, speed=343.0, **options):
     array = Array(np.asarray(microphones), fs, ROOM, speed)
-    localizer = SteeredLocalizer(array, Settings(**options), np.random.default_rng(0))
-    blocks = (samples[i : i + block] for i in range(0, len(samples), block))
-    return list(localizer.localize(blocks, begin, lambda: tail))
+    localizer = SteeredLocalizer(array, SteeredSettings(**options), np.random.default_rng(0))
+    blocks = (Block(samples[i : i + block], tail) for i in range(0, len(samples), block))
+    return list(localizer.localize(blocks, begin))
 
 
 def errors(decisions, place=PLACE):
@@ -87,7 +89,7 @@ def test_any_decision_rate(talk, rate):
 
 def test_a_decision_needs_no_sample_that_comes_after_its_latency(talk, found):
     array = Array(MICROPHONES, FS, ROOM)
-    localizer = SteeredLocalizer(array, Settings(), np.random.default_rng(0))
+    localizer = SteeredLocalizer(array, SteeredSettings(), np.random.default_rng(0))
     assert localizer.latency < 0.22
     until = round((1.0 + localizer.latency) * FS) + 1
     decided = localize(talk[:until])
@@ -164,23 +166,24 @@ def test_who_falls_silent_is_not_reported_from_memory():
 
 def test_the_mask_keeps_the_frequencies_that_another_talker_has():
     """Of two talkers who share the frequencies between them nothing of the first is left, and all of the second."""
-    localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), Settings(), np.random.default_rng(0))
+    localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
     other = np.array([3.4, 1.0, 1.7])
-    frequencies = np.arange(localizer.bins.start, localizer.bins.stop) * FS / localizer.size
+    band, talkers = localizer.band, localizer.talkers
+    frequencies = np.arange(band.bins.start, band.bins.stop) * FS / band.size
     delays = np.linalg.norm(np.stack([PLACE, other])[:, None] - MICROPHONES, axis=2) / 343.0
     both = np.exp(-2j * np.pi * frequencies * delays[..., None]).astype(np.complex64)
     spectra = np.where(np.arange(len(frequencies)) // 40 % 2, both[0], both[1])[None]
-    explained = localizer.coherence(spectra, np.zeros(1), PLACE, np.zeros(3))
+    explained = talkers.coherence(spectra, np.zeros(1), PLACE, np.zeros(3))
 
     def answers(gccs):
         return localizer.response.response(gccs[0], np.stack([PLACE, other]))
 
-    before = answers(localizer.masked(spectra, np.zeros_like(explained)))
-    after = answers(localizer.masked(spectra, explained))
+    before = answers(talkers.masked(spectra, np.zeros_like(explained)))
+    after = answers(talkers.masked(spectra, explained))
     assert min(before) > 0.4
     assert after[0] < 0.15 * before[0]
     assert after[1] > 0.8 * before[1]
-    assert not localizer.masked(0 * spectra, explained).any()
+    assert not talkers.masked(0 * spectra, explained).any()
 
 
 def test_a_talker_is_heard_again_in_the_pauses_of_another():

@@ -56,7 +56,8 @@ def main(
     """
     settings = settings_from(Settings, options)
     _refuse_without_effect(settings)
-    from avcli.formats import footage
+    from avcli.detection.detector import detections
+    from avcli.formats import footage, records
 
     network = settings.detector == "net"
     detector: Detector | None = None
@@ -72,7 +73,7 @@ def main(
             people = _people(session, detector, shot)
             if people is None:
                 continue
-            write(_record(shot.timestamp, people))
+            write(records.as_record(detections(shot.timestamp, people)))
             if drawing:
                 _draw(session, drawing, shot, people, detector.view)
 
@@ -120,23 +121,6 @@ def _people(session: filter.Session, detector: Detector, shot: footage.UnreadSho
             session.fail(f"t = {shot.timestamp:.4f} s: {error}")
         session.warn(f"skipped: t = {shot.timestamp:.4f} s: {error}", kind="a frame that cannot be read was skipped")
         return None
-
-
-def _record(timestamp: float, people: list[Person]) -> dict[str, Any]:
-    from avcli.detection.detector import SENSOR
-    from avcli.formats.sensors import CAMERA
-
-    objects = [
-        {
-            "position": person.position,
-            "covariance": person.covariance,
-            "score": person.score,
-            "bbox_px": person.bbox_px.round(2),
-            "height": person.height,
-        }
-        for person in people
-    ]
-    return {"timestamp": timestamp, "sensor": SENSOR, "kind": CAMERA, "objects": objects}
 
 
 def _sink(session: filter.Session, target: str, size: tuple[int, int]) -> footage.Sink:

@@ -73,6 +73,7 @@ class Filter(click.Command):
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
             if signal.getsignal(number) is not signal.SIG_IGN:  # "nohup" and "&" ignore some on purpose
                 signal.signal(number, _kill)
+        sys.unraisablehook = _deliver_again
         try:
             code = self._run(list(sys.argv[1:] if args is None else args))
         except _Killed as killed:
@@ -123,6 +124,16 @@ class FilterGroup(Filter, click.Group):
 def _kill(number: int, _frame: object) -> NoReturn:
     signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the clean-up of the first
     raise _Killed(number)
+
+
+def _deliver_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Deliver a signal again that arrived inside a __del__ (moderngl has many): Python drops what is raised there."""
+    killed = unraisable.exc_value
+    if not isinstance(killed, _Killed):
+        sys.__unraisablehook__(unraisable)
+        return
+    signal.signal(signal.SIGALRM, lambda _number, frame: _kill(killed.number, frame))
+    signal.setitimer(signal.ITIMER_REAL, 0.01)  # later, outside the __del__
 
 
 def _die_of(number: int) -> NoReturn:

@@ -94,7 +94,8 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Ma
     if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
         annotation = parts[0]
     flag = setting.flag or "--" + field.name.replace("_", "-")
-    words: dict[str, Any] = {"default": default, "help": setting.text}
+    text = f"{setting.only}: {setting.text}" if setting.only else setting.text
+    words: dict[str, Any] = {"default": default, "help": text}
     switch = "/" in flag  # "--x/--no-x", whose default is worth showing; a flag alone is off
     words["show_default"] = setting.default_text or (default is not None and (annotation is not bool or switch))
     if setting.unit:

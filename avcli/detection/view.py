@@ -1,19 +1,10 @@
 """A calibrated camera in a room: pixels to rays and points to pixels, both in the room's frame."""
 
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
-
-class Lens(Protocol):
-    """What a view needs of a lens of avcli.lens; the camera's frame is x right, y down, z forward."""
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """Project points (n, 3) m to pixels (n, 2); NaN where the lens cannot see them."""
-
-    def unproject(self, pixels: np.ndarray) -> np.ndarray:
-        """Turn pixels (n, 2) into unit rays (n, 3); NaN where a pixel has none."""
+from avcli.lens import Lens
 
 
 class View:

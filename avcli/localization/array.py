@@ -1,11 +1,15 @@
 """The microphone array in its room, and what a localizer says about one time step."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from avcli.numeric import SPEED_OF_SOUND_M_S
+from avcli.formats.experiment import Config
+from avcli.formats.records import Detections
+from avcli.formats.sensors import MICROPHONES
+from avcli.numeric import SPEED_OF_SOUND_M_S, speed_of_sound
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,17 @@ class Array:
     room: np.ndarray
     speed_of_sound: float = SPEED_OF_SOUND_M_S
 
+    @classmethod
+    def of(cls, config: Config, temperature_c: float | None = None) -> "Array":
+        """Return the microphones and the room of a config.json, with its speed of sound or that at a temperature in °C.
+
+        Raises:
+            ValueError: a key is missing or wrong.
+        """
+        microphones, room = config.microphones, config.room
+        speed = room.speed_of_sound_m_s if temperature_c is None else speed_of_sound(temperature_c)
+        return cls(microphones.positions, microphones.sample_rate_hz, room.dimensions, speed)
+
     @cached_property
     def spread(self) -> np.ndarray:
         """Standard deviation (3,) m of the microphones along the principal axes of the array, largest first."""
@@ -31,7 +46,7 @@ class Array:
         return np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
 
     def require(self, *, count: int, dimensions: int) -> None:
-        """Refuse an array from which no position can be had.
+        """Refuse an array from which no position can be computed.
 
         Args:
             count: the least number of microphones at different places.
@@ -42,16 +57,35 @@ class Array:
         """
         distinct = len(np.unique(np.round(self.microphones, 4), axis=0))
         if distinct < count:
-            raise ValueError(f"{distinct} microphones at different places: a position in x, y and z needs {count}")
+            raise ValueError(
+                f"{distinct} microphones at different places; a position in x, y and z needs {count} or more"
+            )
         if self.spread[1] < 0.01:
-            raise ValueError("the microphones stand on one line: only the distance from it and along it can be had")
+            raise ValueError("the microphones are on one line; a position needs at least one more off that line")
         if dimensions == 3 and self.spread[2] < 0.001:
-            raise ValueError("the microphones lie in one plane, where the closed form cannot tell the side of it")
+            raise ValueError(
+                "the microphones are in one plane; the closed form cannot tell on which side a talker is (srp can)"
+            )
 
     def mean_delay(self, low: np.ndarray, high: np.ndarray) -> float:
         """Return the mean travel time in s from the middle of a volume with corners (3,) m to the microphones."""
         middle = 0.5 * (np.asarray(low) + np.asarray(high))
         return float(np.linalg.norm(self.microphones - middle, axis=1).mean() / self.speed_of_sound)
+
+
+@dataclass(frozen=True)
+class Talker:
+    """A talker who was heard at one time.
+
+    Attributes:
+        position: (3,) m.
+        covariance: (3, 3) m².
+        score: probability that it is right.
+    """
+
+    position: np.ndarray
+    covariance: np.ndarray
+    score: float
 
 
 @dataclass(frozen=True)
@@ -73,15 +107,19 @@ class Decision:
     notices: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, time: float, found=(), notices=()) -> "Decision":
-        """Make a decision of (position, covariance, score) triples."""
+    def of(cls, time: float, talkers: Sequence[Talker] = (), notices: Iterable[str] = ()) -> "Decision":
+        """Make a decision of the talkers that were found."""
         return cls(
             time,
-            np.array([f[0] for f in found], dtype=np.float64).reshape(-1, 3),
-            np.array([f[1] for f in found], dtype=np.float64).reshape(-1, 3, 3),
-            np.array([f[2] for f in found], dtype=np.float64),
+            np.array([talker.position for talker in talkers], dtype=np.float64).reshape(-1, 3),
+            np.array([talker.covariance for talker in talkers], dtype=np.float64).reshape(-1, 3, 3),
+            np.array([talker.score for talker in talkers], dtype=np.float64),
             tuple(notices),
         )
+
+    def detections(self, sensor: str = "audio") -> Detections:
+        """Return it as what a sensor of this name found."""
+        return Detections(self.time, sensor, self.positions, self.covariances, self.scores, kind=MICROPHONES)
 
 
 def time_steps(begin: int, count: int, sample_rate: float, rate: float, tail: float) -> range:

@@ -72,9 +72,11 @@ class Gate:
         memory, settling: s.
     """
 
-    def __init__(self, rate: float, *, opening: float = 2.0, closing: float = 1.0, memory=5.0, settling=0.5):
+    def __init__(
+        self, rate: float, *, opening: float = 2.0, closing: float = 1.0, memory: float = 5.0, settling: float = 0.5
+    ):
         self.opening, self.closing = 10.0 ** (opening / 10.0), 10.0 ** (closing / 10.0)
-        self.history = deque(maxlen=max(1, round(memory * rate)))
+        self.history: deque[float] = deque(maxlen=max(1, round(memory * rate)))
         self.settled = max(1, round(settling * rate))
         self.open = False
 

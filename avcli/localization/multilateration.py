@@ -3,12 +3,15 @@
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from avcli.localization import correlation
 from avcli.numeric import fft_length
 
 
-def closed_form(microphones, reference: int, differences, *, combination_size: int = 4):
+def closed_form(
+    microphones: ArrayLike, reference: int, differences: ArrayLike, *, combination_size: int = 4
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve every choice of `combination_size` range differences for a position, linearly (3D-SSL).
 
     With y the source relative to the reference microphone, R = |y|, b_i the other microphones relative to it and d_i
@@ -25,9 +28,9 @@ def closed_form(microphones, reference: int, differences, *, combination_size: i
         positions (n, 3) m, ranges to the reference (n,) m, condition numbers (n,) of the systems with all lengths as
         they are in metres, one for each choice in lexicographic order. A singular system gives NaN and infinity.
     """
-    microphones = np.asarray(microphones, dtype=np.float64)
-    others = np.delete(np.arange(len(microphones)), reference)
-    baseline = microphones[others] - microphones[reference]
+    places = np.asarray(microphones, dtype=np.float64)
+    others = np.delete(np.arange(len(places)), reference)
+    baseline = places[others] - places[reference]
     difference = np.asarray(differences, dtype=np.float64)[others]
     rows = np.column_stack([baseline, difference])
     right = 0.5 * ((baseline**2).sum(axis=1) - difference**2)
@@ -38,10 +41,18 @@ def closed_form(microphones, reference: int, differences, *, combination_size: i
         projected = np.einsum("nki,nk->ni", left, right[choices]) / singular
         solutions = np.einsum("nik,ni->nk", right_basis, projected)
     solutions[~np.isfinite(condition)] = np.nan
-    return microphones[reference] + solutions[:, :3], solutions[:, 3], condition
+    return places[reference] + solutions[:, :3], solutions[:, 3], condition
 
 
-def valid(positions, ranges, conditions, *, max_condition: float, low, high) -> np.ndarray:
+def valid(
+    positions: np.ndarray,
+    ranges: np.ndarray,
+    conditions: np.ndarray,
+    *,
+    max_condition: float,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> np.ndarray:
     """Return which closed-form solutions (n,) are stable, in front of the reference, and inside the room.
 
     Args:
@@ -56,7 +67,17 @@ def valid(positions, ranges, conditions, *, max_condition: float, low, high) -> 
         return inside & (conditions <= max_condition) & (ranges > 0.0)
 
 
-def refine(position, microphones, first, second, differences, weights, *, scale=0.02, iterations=20):
+def refine(
+    position: ArrayLike,
+    microphones: ArrayLike,
+    first: np.ndarray,
+    second: np.ndarray,
+    differences: np.ndarray,
+    weights: ArrayLike,
+    *,
+    scale: float = 0.02,
+    iterations: int = 20,
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Fit a position to range differences by Gauss-Newton with Cauchy weights (robust maximum likelihood).
 
     Args:
@@ -71,21 +92,21 @@ def refine(position, microphones, first, second, differences, weights, *, scale=
     Returns:
         position (3,) m, normal matrix JᵀWJ (3, 3) with the final weights, weighted rms residual in m.
     """
-    microphones = np.asarray(microphones, dtype=np.float64)
-    position = np.array(position, dtype=np.float64)
-    weights = np.asarray(weights, dtype=np.float64)
+    places = np.asarray(microphones, dtype=np.float64)
+    found = np.array(position, dtype=np.float64)
+    counts = np.asarray(weights, dtype=np.float64)
 
-    def linearized(at):
-        offsets = at - microphones
+    def linearized(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        offsets = at - places
         ranges = np.sqrt((offsets**2).sum(axis=1))
         units = offsets / np.maximum(ranges, 1e-9)[:, None]
         residual = differences - (ranges[first] - ranges[second])
-        return units[first] - units[second], residual, weights / (1.0 + (residual / scale) ** 2)
+        return units[first] - units[second], residual, counts / (1.0 + (residual / scale) ** 2)
 
-    def cost(residual):
-        return (weights * np.log1p((residual / scale) ** 2)).sum()
+    def cost(residual: np.ndarray) -> float:
+        return float((counts * np.log1p((residual / scale) ** 2)).sum())
 
-    jacobian, residual, robust = linearized(position)
+    jacobian, residual, robust = linearized(found)
     least = cost(residual)
     damping = 1e-9
     for _ in range(iterations):
@@ -94,10 +115,10 @@ def refine(position, microphones, first, second, differences, weights, *, scale=
         step = np.linalg.solve(normal + np.diag([ridge] * 3), jacobian.T @ (robust * residual))
         if not np.isfinite(step).all():
             break
-        candidate = linearized(position + step)
+        candidate = linearized(found + step)
         reached = cost(candidate[1])
         if reached <= least:
-            position, least = position + step, reached
+            found, least = found + step, reached
             jacobian, residual, robust = candidate
             damping *= 0.1
             if np.abs(step).max() < 1e-5:
@@ -107,10 +128,12 @@ def refine(position, microphones, first, second, differences, weights, *, scale=
     normal = jacobian.T @ (jacobian * robust[:, None])
     total = robust.sum()
     rms = float(np.sqrt((robust * residual**2).sum() / total)) if total > 0.0 else np.inf
-    return position, normal, rms
+    return found, normal, rms
 
 
-def time_differences(window, sample_rate: float, reference: int, max_lags, *, beta: float) -> np.ndarray:
+def time_differences(
+    window: np.ndarray, sample_rate: float, reference: int, max_lags: np.ndarray, *, beta: float
+) -> np.ndarray:
     """Return the delay of each channel behind the reference by β-GCC-PHAT with parabolic interpolation.
 
     Args:

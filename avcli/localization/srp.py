@@ -7,6 +7,7 @@ in the cell from above; the best cells are cut into eight, again and again, down
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from avcli.localization import correlation
 
@@ -23,7 +24,17 @@ class SteeredResponse:
         keep: how many cells go on to the next level.
     """
 
-    def __init__(self, microphones, low, high, steps_per_metre, *, cell=0.25, resolution=0.02, keep=24):
+    def __init__(
+        self,
+        microphones: ArrayLike,
+        low: ArrayLike,
+        high: ArrayLike,
+        steps_per_metre: float,
+        *,
+        cell: float = 0.25,
+        resolution: float = 0.02,
+        keep: int = 24,
+    ):
         self.microphones = np.asarray(microphones, dtype=np.float64)
         self.low, self.high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
         self.steps_per_metre = steps_per_metre
@@ -57,7 +68,7 @@ class SteeredResponse:
         squares = (self.microphones**2).sum(axis=1)[:, None] + (points**2).sum(axis=1)
         return np.sqrt(np.maximum(squares - 2.0 * self.microphones @ points.T, 0.0))
 
-    def _runs(self, centres: np.ndarray, half: np.ndarray):
+    def _runs(self, centres: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first and the last lag, from 0, that points of each cell can cause, two (pairs, cells)."""
         offsets = (centres.T[:, None, :] - self.microphones.T[:, :, None]).astype(np.float32)
         ranges = np.sqrt(offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2)
@@ -90,7 +101,7 @@ class SteeredResponse:
             rungs[level + 1, :, -step:] = rungs[level, :, -step:]
         return rungs
 
-    def bound(self, ladder: np.ndarray, spans) -> np.ndarray:
+    def bound(self, ladder: np.ndarray, spans: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Return for each cell the mean over pairs of the largest GCC in it, (cells,)."""
         flat = ladder.ravel()
         largest = flat.take(spans[0])
@@ -130,7 +141,9 @@ class SteeredResponse:
         order = np.argsort(-value, kind="stable")
         return centres[order], value[order]
 
-    def follow(self, gccs, offsets, start: np.ndarray, max_speed: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def follow(
+        self, gccs: np.ndarray, offsets: np.ndarray, start: np.ndarray, max_speed: float
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """Find the place and the level velocity near `start` that several windows answer best together.
 
         A talker who walks is elsewhere in each window: without the velocity the loudest window would win.
@@ -151,7 +164,7 @@ class SteeredResponse:
             speeds = max_speed * np.array([0.0, -0.25, 0.25])
             changes = np.array([[x, y, 0.0] for y in speeds for x in speeds])
 
-        def best(places, velocities):
+        def best(places: np.ndarray, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
             points = self._inside(np.tile(places, (len(velocities), 1)))
             velocities = np.repeat(velocities, len(places), axis=0)
             moved = points + offsets[:, None, None] * velocities
@@ -165,7 +178,9 @@ class SteeredResponse:
         position, velocity, _ = best(position[None], np.concatenate([still, velocity + 0.5 * changes]))
         return best(position + 0.0075 * _CUBE, velocity[None])
 
-    def _rough(self, gccs, offsets, start: np.ndarray, max_speed: float) -> tuple[np.ndarray, np.ndarray]:
+    def _rough(
+        self, gccs: np.ndarray, offsets: np.ndarray, start: np.ndarray, max_speed: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Find place and velocity on a lattice, so that each window's response is taken once for all velocities.
 
         A walker's windows add up at a wrong height too, so that those which the middle window answers are tried.
@@ -179,7 +194,7 @@ class SteeredResponse:
         order = np.argsort(-seen.max(axis=1), kind="stable")
         heights = np.array([start[2], *heights[order[:3]]])
         side = np.arange(2 * reach + 1)
-        total = np.float32(0.0)  # (height, vy, vx, y, x)
+        total: np.ndarray | np.float32 = np.float32(0.0)  # (height, vy, vx, y, x)
         for gcc, offset in zip(pooled, offsets, strict=True):
             shifts = np.rint(speeds * (offset / step)).astype(np.intp)
             furthest = int(np.abs(shifts).max())
@@ -202,7 +217,14 @@ class SteeredResponse:
         lag = np.rint(self.lags(self._inside(points))).astype(np.intp)
         return gcc.ravel().take(lag + (self.rows + self.half_lags)).mean(axis=0)
 
-    def ambiguity(self, gccs, offsets, position, velocity, sharpness: float) -> np.ndarray:
+    def ambiguity(
+        self,
+        gccs: np.ndarray,
+        offsets: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        sharpness: float,
+    ) -> np.ndarray:
         """Return how far around a place those spread that are answered nearly as well, as a covariance (3, 3) m².
 
         The microphones hang in one layer, so that heights far apart can be nearly equal; the curvature at one of them
@@ -225,7 +247,9 @@ class SteeredResponse:
         likelihood = np.exp(sharpness * (total.astype(np.float64) - total.max()))
         return (away.T * (likelihood / likelihood.sum())) @ away
 
-    def aligned(self, gccs, offsets, position, velocity, reach: int) -> np.ndarray:
+    def aligned(
+        self, gccs: np.ndarray, offsets: np.ndarray, position: np.ndarray, velocity: np.ndarray, reach: int
+    ) -> np.ndarray:
         """Return the mean GCC of the windows around the lags of a place that moves, (pairs, 2 reach + 1)."""
         lag = self.lags(position + velocity * offsets[:, None]).T + self.half_lags
         lag = np.clip(lag, reach, 2 * self.half_lags - reach)[:, :, None] + np.arange(-reach, reach + 1)

@@ -3,40 +3,18 @@
 It needs the whole recording, since its threshold is a share of the largest energy, and it hears one talker at a time.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from avcli.localization import correlation, events, multilateration, uncertainty
-from avcli.localization.array import Array, Decision, time_steps
+from avcli.localization.array import Array, Decision, Talker, time_steps
+from avcli.localization.settings import ClosedFormSettings
+from avcli.localization.stream import Block
 
-
-@dataclass(frozen=True)
-class Settings:
-    """The parameters of 3D-SSL; the defaults are the thesis's (Table 5.2), or stand in for what it leaves open.
-
-    Attributes:
-        rate: time steps per second, to which the events are gathered.
-        high_pass: Hz.
-        window: s, the length of the Hann windows of energy and correlation.
-        threshold: share of the recording's largest short-time energy above which there is an event.
-        min_gap: s between two events (T60 in s times the window in samples, read as samples).
-        combination: delays in each closed form.
-        beta: exponent of the phase transform.
-        max_condition: the largest condition number of a system that counts as stable.
-        refine: fit each event's range differences by robust maximum likelihood instead of the closed forms' mean.
-    """
-
-    rate: float = 10.0
-    high_pass: float = 200.0
-    window: float = 0.042
-    threshold: float = 0.01
-    min_gap: float = 0.0147
-    combination: int = 4
-    beta: float = 0.7
-    max_condition: float = 300.0
-    refine: bool = False
+RT60_S = 0.35
+"""s, the reverberation time of the thesis's room."""
 
 
 @dataclass(frozen=True)
@@ -56,93 +34,129 @@ class Event:
     valid: float
 
 
-def localize(
-    samples: np.ndarray, array: Array, settings: Settings, begin: int = 0, tail: float = 0.0
-) -> Iterator[Decision]:
-    """Yield a decision for every time step of a recording.
+class ClosedFormLocalizer:
+    """3D-SSL for one array.
 
     Args:
-        samples: (n, m).
         array: five microphones or more that do not lie in one plane.
-        settings: see Settings.
-        begin: the first sample's place on the clock, in samples.
-        tail: s at the end of the recording in which nobody speaks any more.
+        settings: see ClosedFormSettings.
+        reverberation_s: T60 in s, from which the least gap between events follows where the settings do not state it.
+        law: scores and covariances; the fitted one by default.
 
     Raises:
         ValueError: the array is too small or flat.
     """
-    array.require(count=settings.combination + 1, dimensions=3)
-    steps: dict[int, list[Event]] = {}
-    for event in localized_events(samples, array, settings):
-        steps.setdefault(round((begin / array.sample_rate + event.time) * settings.rate), []).append(event)
-    for step in time_steps(begin, len(samples), array.sample_rate, settings.rate, tail):
-        found = [fuse(steps[step], settings)] if step in steps else []
-        yield Decision.of(step / settings.rate, found)
 
+    def __init__(
+        self,
+        array: Array,
+        settings: ClosedFormSettings,
+        reverberation_s: float | None = None,
+        law: uncertainty.Law | None = None,
+    ):
+        array.require(count=settings.combination + 1, dimensions=3)
+        self.array, self.settings, self.law = array, settings, law or uncertainty.fitted_law()
+        # The thesis gives T60 times the window; we take the window in samples and the product as samples.
+        gap = (reverberation_s or RT60_S) * settings.window if settings.min_gap is None else settings.min_gap
+        self.gap = max(1, round(gap * array.sample_rate))
+        self.latency: float | None = None
 
-def localized_events(samples: np.ndarray, array: Array, settings: Settings) -> Iterator[Event]:
-    """Yield the events of a recording (see `localize`) from which a position could be had."""
-    fs = array.sample_rate
-    size = max(round(settings.window * fs), 16)
-    scale = np.abs(samples).max(initial=0.0)
-    if scale == 0.0:
-        return
-    samples = correlation.high_pass(samples / scale, fs, settings.high_pass)
-    energy = events.short_time_energy(samples, size)
-    loudest = energy.max(axis=1)
-    gap = max(1, round(settings.min_gap * fs))
-    padded = np.pad(samples, ((size, size), (0, 0)))
-    for sample in events.crossings(loudest, settings.threshold * loudest.max(), gap):
-        reference = int(np.argmax(energy[sample]))
-        begin = sample + size - size // 2
-        window = padded[begin : begin + size] * correlation.hann(size)[:, None]
-        event = locate(window, sample / fs, reference, array, settings)
-        if event is not None:
-            yield event
+    def localize(self, blocks: Iterable[Block], begin: int = 0) -> Iterator[Decision]:
+        """Yield a decision for every time step of a recording, once the whole of it is there.
 
-
-def locate(window: np.ndarray, time: float, reference: int, array: Array, settings: Settings) -> Event | None:
-    """Localize one tapered window (n, m) around `time` s; None where no solution is valid."""
-    microphones, c = array.microphones, array.speed_of_sound
-    baselines = np.linalg.norm(microphones - microphones[reference], axis=1)
-    delays = multilateration.time_differences(
-        window, array.sample_rate, reference, baselines / c * array.sample_rate, beta=settings.beta
-    )
-    differences = delays * c
-    positions, ranges, conditions = multilateration.closed_form(
-        microphones, reference, differences, combination_size=settings.combination
-    )
-    good = multilateration.valid(
-        positions, ranges, conditions, max_condition=settings.max_condition, low=np.zeros(3), high=array.room
-    )
-    if not good.any():
-        return None
-    position = positions[good].mean(axis=0)
-    scatter = np.cov(positions[good].T) if good.sum() > 1 else np.diag(array.room**2 / 12.0)
-    others = np.delete(np.arange(len(microphones)), reference)
-    first, second = others, np.full(len(others), reference)
-    if settings.refine:
-        position, normal, residual = multilateration.refine(
-            position, microphones, first, second, differences[others], np.ones(len(others))
+        Args:
+            blocks: the recording, piece by piece.
+            begin: the first sample's place on the clock, in samples.
+        """
+        read = list(blocks)
+        if not read:
+            return
+        samples, fs, rate = (
+            np.concatenate([block.samples for block in read]),
+            self.array.sample_rate,
+            self.settings.rate,
         )
-        if not ((position >= 0.0) & (position <= array.room)).all():
+        steps = self.steps(samples, begin)
+        for step in time_steps(begin, len(samples), fs, rate, read[-1].tail):
+            yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [])
+
+    def steps(self, samples: np.ndarray, begin: int = 0) -> dict[int, list[Event]]:
+        """Return the events of a recording (n, m) by the time step, k at k / rate seconds, to which each belongs."""
+        steps: dict[int, list[Event]] = {}
+        for event in self.events(samples):
+            time = begin / self.array.sample_rate + event.time
+            steps.setdefault(round(time * self.settings.rate), []).append(event)
+        return steps
+
+    def events(self, samples: np.ndarray) -> Iterator[Event]:
+        """Yield the events of a recording (n, m) from which a position could be had."""
+        fs, settings = self.array.sample_rate, self.settings
+        size = max(round(settings.window * fs), 16)
+        scale = np.abs(samples).max(initial=0.0)
+        if scale == 0.0:
+            return
+        samples = correlation.high_pass(samples / scale, fs, settings.high_pass)
+        energy = events.short_time_energy(samples, size)
+        loudest = energy.max(axis=1)
+        padded = np.pad(samples, ((size, size), (0, 0)))
+        for sample in events.crossings(loudest, settings.threshold * loudest.max(), self.gap):
+            reference = int(np.argmax(energy[sample]))
+            begin = sample + size - size // 2
+            window = padded[begin : begin + size] * correlation.hann(size)[:, None]
+            event = self.locate(window, sample / fs, reference)
+            if event is not None:
+                yield event
+
+    def locate(self, window: np.ndarray, time: float, reference: int) -> Event | None:
+        """Localize one tapered window (n, m) around `time` s; None where no solution is valid."""
+        array, settings = self.array, self.settings
+        microphones, c = array.microphones, array.speed_of_sound
+        baselines = np.linalg.norm(microphones - microphones[reference], axis=1)
+        delays = multilateration.time_differences(
+            window, array.sample_rate, reference, baselines / c * array.sample_rate, beta=settings.beta
+        )
+        differences = delays * c
+        positions, ranges, conditions = multilateration.closed_form(
+            microphones, reference, differences, combination_size=settings.combination
+        )
+        good = multilateration.valid(
+            positions, ranges, conditions, max_condition=settings.max_condition, low=np.zeros(3), high=array.room
+        )
+        if not good.any():
             return None
-        scatter = np.linalg.inv(normal / max(residual, uncertainty.FLOOR) ** 2 + np.diag(12.0 / array.room**2))
-    travel = np.linalg.norm(position - microphones[reference]) / c
-    return Event(time - travel, position, scatter, float(good.mean()))
+        position = positions[good].mean(axis=0)
+        scatter = np.cov(positions[good].T) if good.sum() > 1 else np.diag(array.room**2 / 12.0)
+        others = np.delete(np.arange(len(microphones)), reference)
+        first, second = others, np.full(len(others), reference)
+        if settings.refine:
+            position, normal, residual = multilateration.refine(
+                position, microphones, first, second, differences[others], np.ones(len(others))
+            )
+            if not ((position >= 0.0) & (position <= array.room)).all():
+                return None
+            scatter = np.linalg.inv(normal / max(residual, uncertainty.FLOOR) ** 2 + np.diag(12.0 / array.room**2))
+        travel = float(np.linalg.norm(position - microphones[reference])) / c
+        return Event(time - travel, position, scatter, float(good.mean()))
 
+    def mean(self, found: list[Event]) -> Talker:
+        """Return the talker of one time step: the Euclidean mean of its events."""
+        position, scatter = self.gathered(found)
+        score = self.law.closed_form_probability(*self.reliability(found, scatter), refined=self.settings.refine)
+        law = self.law.closed_form_refined if self.settings.refine else self.law.closed_form
+        covariance = law.widened * scatter + law.floor**2 * np.eye(3)
+        return Talker(position, 0.5 * (covariance + covariance.T), score)
 
-def fuse(found: list[Event], settings: Settings) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return position (3,) m, covariance (3, 3) m² and score of the events of one time step: their Euclidean mean."""
-    position = np.mean([event.position for event in found], axis=0)
-    between = np.mean([np.outer(d, d) for d in (event.position - position for event in found)], axis=0)
-    within = np.mean([event.scatter for event in found], axis=0)
-    covariance = between + within
-    score = uncertainty.closed_form_probability(
-        spread=float(np.sqrt(np.trace(covariance[:2, :2]))),
-        valid=float(np.median([event.valid for event in found])),
-        events=len(found) * settings.rate / 10.0,
-        refined=settings.refine,
-    )
-    covariance = (2.0 if settings.refine else 1.0) * covariance + uncertainty.CLOSED_FORM_FLOOR**2 * np.eye(3)
-    return position, 0.5 * (covariance + covariance.T), score
+    def gathered(self, found: list[Event]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean position (3,) m of events, and their scatter (3, 3) m² between and within them."""
+        position = np.mean([event.position for event in found], axis=0)
+        between = np.mean([np.outer(d, d) for d in (event.position - position for event in found)], axis=0)
+        within = np.mean([event.scatter for event in found], axis=0)
+        return position, between + within
+
+    def reliability(self, found: list[Event], scatter: np.ndarray) -> tuple[float, float, float]:
+        """Return the spread in x and y, m, the share of valid solutions, and the events in a tenth of a second."""
+        return (
+            float(np.sqrt(np.trace(scatter[:2, :2]))),
+            float(np.median([event.valid for event in found])),
+            len(found) * self.settings.rate / 10.0,
+        )

@@ -1,55 +1,29 @@
 """How far a detection may be believed: the probability that it is right and its covariance.
 
-The coefficients are fitted, by maximum likelihood, on rooms of T60 0.1 to 0.8 s, SNR 30 and 10 dB, with one or two
-talkers who stand or walk (`make bench-localization` refits and checks them on others).
+The coefficients stand in fitted.json, with what they were fitted on; `make fit-localization` writes it.
 """
 
+import functools
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 FLOOR = 0.0005
 """m: the standard deviation that no localization undercuts."""
 
-FIRST = {"one": 1.23, "response": 4.41, "agreement": 4.89, "before": 0.63}
-FURTHER = {"one": 1.82, "response": 2.37, "own": 9.07, "support": 3.57, "before": 1.25}
-"""Logit of the probability that a decision's first peak, or a further one, is within half a metre (x, y) of a talker,
-on the logarithms of its features, and on how lasting it is."""
-
-MEMORY = 0.28
-"""s: how long a decision counts in the later ones."""
-
-SPREAD = {
-    "peaks": {"one": 2.20, "residual": 1.20, "dilution": 0.55, "pace": 0.17},
-    "lattice": {"one": 0.09, "heights": 0.09},
-    "motion": {"one": -5.00, "strongest": 0.78, "agreement": -1.54},
-    "level": {
-        "one": 5.06,
-        "heights": 1.00,
-        "places": -0.87,
-        "strayed": 0.23,
-        "new": 2.58,
-        "residual": 2.25,
-        "moves": 0.30,
-        "agreement": -0.85,
-    },
-    "height": {"one": 0.32, "heights": 0.46, "climbed": 0.79, "support": 1.54},
+PARTS = {
+    "peaks": ("one", "residual", "dilution", "pace"),
+    "lattice": ("one", "heights"),
+    "motion": ("one", "strongest", "agreement"),
+    "level": ("one", "heights", "places", "strayed", "new", "residual", "moves", "agreement"),
+    "height": ("one", "heights", "climbed", "support"),
 }
-"""A covariance is the sum of five parts, and this the logarithm of each part's standard deviation on its terms: m of a
-range difference, a factor of what other places nearby add, s along the path, m in x and y, m in z.
-
-Errors have heavier tails than the Gaussian that is fitted: so that the ellipses of who walks hold what they should,
-`motion` is a half and `level` a seventh wider than the likelihood has them."""
-
-SHARPNESS = 8.0
-"""Logarithm of a place's likelihood over the response there, in standard deviations of a GCC of noise."""
-
-CLOSED_FORM = {False: (1.65, -0.70, 0.95, 1.36), True: (-1.99, -1.65, 1.19, 4.07)}
-"""Logit of the probability that a mean of closed forms is right, without and with their refinement: constant, and
-weights of the logarithms of spread, valid share and events."""
-
-CLOSED_FORM_FLOOR = 0.1
-"""m: the standard deviation that a mean of closed-form solutions does not undercut, whatever their scatter says."""
+"""A covariance is the sum of five parts, and this names the terms of the logarithm of each part's standard deviation:
+m of a range difference, a factor of what other places nearby add, s along the path, m in x and y, m in z."""
 
 
 @dataclass(frozen=True)
@@ -90,41 +64,132 @@ class Features:
     strongest: float
 
 
-def terms(features: Features) -> list[float]:
-    """Return what the weights of FIRST, or of FURTHER, are multiplied by, in their order."""
-    names = [name for name in (FIRST if features.first else FURTHER) if name not in ("one", "before")]
-    return [1.0, *(float(np.log(max(getattr(features, name), 1e-3))) for name in names), features.before]
+@dataclass(frozen=True)
+class ClosedForm:
+    """How far a mean of closed-form solutions may be believed.
 
-
-def logit(features: Features) -> float:
-    """Return the logit of the probability that a peak is within half a metre (x, y) of a talker."""
-    weights = (FIRST if features.first else FURTHER).values()
-    return sum(weight * term for weight, term in zip(weights, terms(features), strict=True))
-
-
-def remembered(features: Features, kept: float) -> float:
-    """Return how lasting a peak is: a mean over the decisions of the logits that it is right, from -4 to 2, plus 2.4.
-
-    Who is weak but there again and again comes to count; what stays without ever being likely, as a talker's echoes
-    do, counts against itself.
-
-    Args:
-        features: its own, and what was nearby before.
-        kept: how much of that is kept, 0 to 1.
+    Attributes:
+        one, spread, valid, events: weights of the logit of the probability that it is right: a constant, and of the
+            logarithms of what `Law.closed_form_probability` takes.
+        widened: factor on the covariance that the solutions' scatter has.
+        floor: m, the standard deviation that is added to it.
     """
-    return kept * features.before + (1.0 - kept) * float(np.clip(logit(features), -4.0, 2.0) + 2.4)
+
+    one: float
+    spread: float
+    valid: float
+    events: float
+    widened: float
+    floor: float
 
 
-def probability(features: Features) -> float:
-    """Return the probability that a peak is within half a metre (x, y) of a talker."""
-    return float(1.0 / (1.0 + np.exp(-np.clip(logit(features), -30.0, 30.0))))
+@dataclass(frozen=True)
+class Law:
+    """The fitted coefficients, and what follows from them.
+
+    Attributes:
+        first, further: weights of the logit of the probability that a decision's first peak, or a further one, is
+            within half a metre (x, y) of a talker, by the names of `terms`.
+        spread: for each of `PARTS` the weights of its terms.
+        widened: logarithms by which the parts "motion" and "level" are wider than the likelihood has them: errors have
+            heavier tails than the Gaussian that is fitted, and 95 % ellipses shall hold 95 % of them.
+        memory: s, how long a decision counts in the later ones.
+        sharpness: logarithm of a place's likelihood over the response there, in standard deviations of a GCC of noise.
+        closed_form, closed_form_refined: of 3D-SSL, without and with its refinement.
+    """
+
+    first: Mapping[str, float]
+    further: Mapping[str, float]
+    spread: Mapping[str, Mapping[str, float]]
+    widened: Mapping[str, float]
+    memory: float
+    sharpness: float
+    closed_form: ClosedForm
+    closed_form_refined: ClosedForm
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> "Law":
+        """Make the law that the "law" of a fitted.json holds."""
+        closed = {name: ClosedForm(**values[name]) for name in ("closed_form", "closed_form_refined")}
+        return cls(**{**values, **closed})
+
+    def logit(self, features: Features) -> float:
+        """Return the logit of the probability that a peak is within half a metre (x, y) of a talker."""
+        weights = self.first if features.first else self.further
+        return sum(weight * term for weight, term in zip(weights.values(), terms(features, weights), strict=True))
+
+    def probability(self, features: Features) -> float:
+        """Return the probability that a peak is within half a metre (x, y) of a talker."""
+        return _logistic(self.logit(features))
+
+    def remembered(self, features: Features, kept: float) -> float:
+        """Return how lasting a peak is: a mean over the decisions of its logits, each from -4 to 2, plus 2.4.
+
+        A peak that is weak but there again and again comes to count. A peak that stays without ever being likely, as
+        a talker's echoes do, counts against itself.
+
+        Args:
+            features: its own, and what was nearby before.
+            kept: how much of that is kept, 0 to 1.
+        """
+        return kept * features.before + (1.0 - kept) * float(np.clip(self.logit(features), -4.0, 2.0) + 2.4)
+
+    def covariance(
+        self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray
+    ) -> np.ndarray:
+        """Return the covariance (3, 3) m² of a position.
+
+        Args:
+            normal: (3, 3) JᵀWJ of the range differences about the position, with weights of mean 1.
+            others: (3, 3) m², the spread of the places nearby and above that are answered nearly as well.
+            features: see Features.
+            low, high: (3,) m, corners of the searched volume: nothing is more uncertain than where in it the source is.
+        """
+        extent = np.maximum((np.asarray(high) - np.asarray(low)) / np.sqrt(12.0), FLOOR)
+        weights = {part: np.array(list(self.spread[part].values())) for part in PARTS}
+        for part, wider in self.widened.items():
+            weights[part][0] += wider
+        found = spread(weights, spread_terms(normal, others, features), normal, others, paths(features), extent)
+        found = np.linalg.inv(np.linalg.inv(found) + np.diag((3.0 * extent) ** -2.0))
+        return 0.5 * (found + found.T)
+
+    def closed_form_probability(self, spread: float, valid: float, events: float, *, refined: bool) -> float:
+        """Return the probability that a mean of closed-form solutions is within half a metre (x, y) of the talker.
+
+        Args:
+            spread: m, standard deviation of the solutions in x and y.
+            valid: share of the closed-form solutions that were valid.
+            events: how many events were averaged, for steps of a tenth of a second.
+            refined: whether each event was fitted by maximum likelihood.
+        """
+        law = self.closed_form_refined if refined else self.closed_form
+        term = closed_form_terms(spread, valid, events)
+        return _logistic(law.one + law.spread * term[1] + law.valid * term[2] + law.events * term[3])
+
+
+@functools.cache
+def fitted_law() -> Law:
+    """Return the law that fitted.json holds."""
+    return Law.of(json.loads((Path(__file__).parent / "fitted.json").read_bytes())["law"])
+
+
+def terms(features: Features, weights: Mapping[str, float]) -> list[float]:
+    """Return what the weights of a law's `first`, or `further`, are multiplied by, in their order: a constant, and the
+    logarithms of the features of these names, but "before" as it is."""
+    value = {"one": 1.0, "before": features.before}
+    return [value[name] if name in value else float(np.log(max(getattr(features, name), 1e-3))) for name in weights]
+
+
+def closed_form_terms(spread: float, valid: float, events: float) -> list[float]:
+    """Return what the four weights of a `ClosedForm` are multiplied by (arguments as `Law.closed_form_probability`)."""
+    return [1.0, float(np.log(max(spread, 1e-3))), float(np.log(valid + 0.01)), float(np.log(events))]
 
 
 def spread_terms(normal: np.ndarray, others: np.ndarray, features: Features) -> dict[str, np.ndarray]:
-    """Return what the weights of each part of SPREAD are multiplied by, in their order.
+    """Return what the weights of each part of a law's `spread` are multiplied by, in their order.
 
     Args:
-        normal, others: as for `covariance`.
+        normal, others: as for `Law.covariance`.
         features: see Features.
     """
     dilution = np.linalg.inv(normal + 1e-6 * np.eye(3))
@@ -144,44 +209,35 @@ def spread_terms(normal: np.ndarray, others: np.ndarray, features: Features) -> 
         "pace": np.log(max(speed, pace) + 0.1),
         "moves": float(speed > 0.05),
     }
-    return {part: np.array([term[name] for name in weights]) for part, weights in SPREAD.items()}
+    return {part: np.array([term[name] for name in weights]) for part, weights in PARTS.items()}
 
 
 def paths(features: Features) -> np.ndarray:
     """Return v vᵀ summed over the velocities that a peak seems to have, (3, 3) m²/s²."""
-    return sum(np.outer(velocity, velocity) for velocity in (features.velocity, features.pace, features.gait))
+    return np.sum([np.outer(v, v) for v in (features.velocity, features.pace, features.gait)], axis=0)
 
 
-def spread(weights: dict, terms: dict, normal, others, motion, extent) -> np.ndarray:
-    """Return covariances (..., 3, 3) m², the sums of the parts that SPREAD names.
+def spread(
+    weights: Mapping[str, np.ndarray],
+    terms: Mapping[str, np.ndarray],
+    normal: np.ndarray,
+    others: np.ndarray,
+    motion: np.ndarray,
+    extent: np.ndarray,
+) -> np.ndarray:
+    """Return covariances (..., 3, 3) m², the sums of the parts that `PARTS` names.
 
     Args:
         weights: (k,) for each part.
         terms: (..., k) for each part.
-        normal, others: (..., 3, 3) as for `covariance`.
+        normal, others: (..., 3, 3) as for `Law.covariance`.
         motion: (..., 3, 3) m²/s², see `paths`.
-        extent: (3,) m, the standard deviation of what was not observed.
+        extent: (..., 3) m, the standard deviation of what was not observed.
     """
     factor = {part: np.exp(2.0 * np.clip(terms[part] @ weights[part], -12.0, 3.0))[..., None, None] for part in weights}
-    result = np.linalg.inv(normal / factor["peaks"] + np.diag(extent**-2.0)) + FLOOR**2 * np.eye(3)
+    result = np.linalg.inv(normal / factor["peaks"] + np.eye(3) * (extent**-2.0)[..., None]) + FLOOR**2 * np.eye(3)
     result = result + factor["lattice"] * others + factor["motion"] * motion
     return result + factor["level"] * np.diag([1.0, 1.0, 0.0]) + factor["height"] * np.diag([0.0, 0.0, 1.0])
-
-
-def covariance(normal: np.ndarray, others: np.ndarray, features: Features, low, high) -> np.ndarray:
-    """Return the covariance (3, 3) m² of a position.
-
-    Args:
-        normal: (3, 3) JᵀWJ of the range differences about the position, with weights of mean 1.
-        others: (3, 3) m², the spread of the places nearby and above that are answered nearly as well.
-        features: see Features.
-        low, high: (3,) m, corners of the searched volume: nothing is more uncertain than where in it the source is.
-    """
-    extent = np.maximum((np.asarray(high) - np.asarray(low)) / np.sqrt(12.0), FLOOR)
-    weights = {part: np.array(list(names.values())) for part, names in SPREAD.items()}
-    found = spread(weights, spread_terms(normal, others, features), normal, others, paths(features), extent)
-    found = np.linalg.inv(np.linalg.inv(found) + np.diag((3.0 * extent) ** -2.0))
-    return 0.5 * (found + found.T)
 
 
 def beyond(edge: np.ndarray) -> np.ndarray:
@@ -193,15 +249,5 @@ def beyond(edge: np.ndarray) -> np.ndarray:
     return np.diag(np.where(edge, [0.5, 0.5, 0.3], 0.0) ** 2)
 
 
-def closed_form_probability(spread: float, valid: float, events: float, *, refined: bool) -> float:
-    """Return the probability that a mean of closed-form solutions is within half a metre (x, y) of the talker.
-
-    Args:
-        spread: m, standard deviation of the solutions in x and y.
-        valid: share of the closed-form solutions that were valid.
-        events: how many events were averaged, for steps of a tenth of a second.
-        refined: whether each event was fitted by maximum likelihood.
-    """
-    one, on_spread, on_valid, on_events = CLOSED_FORM[refined]
-    value = one + on_spread * np.log(max(spread, 1e-3)) + on_valid * np.log(valid + 0.01) + on_events * np.log(events)
+def _logistic(value: float) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))))

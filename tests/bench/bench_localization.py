@@ -1,23 +1,28 @@
 """How well, how often and how fast avdetect-audio's methods localize, beside the Cramér-Rao bound.
 
-    make bench-localization                        # localization.md, .jsonl and .svg in bench-out/
-    make bench-localization BENCH_FLAGS=--fit      # fit the score and the covariance on the scenes that decide
+    make bench-localization                           # localization.md, .jsonl and .svg in bench-out/
+    make bench-localization BENCH_FLAGS="--seed 5"    # other places and other noise
 
 The rooms are simulated by pyroomacoustics, not by us, with real speech (CMU ARCTIC) where ../shared/data or
-AVCLI_SHARED_DATA has it and espeak-ng's otherwise. The scenes that decide settings (--fit) and those that are reported
-share no place, no path and no voice. A detection is right within 0.5 m in x and y of a talker who is not taken yet.
+AVCLI_SHARED_DATA has it and espeak-ng's voices where it is installed. Score and covariance are fitted elsewhere (make
+fit-localization), on another simulator's rooms; the scenes that decide settings (--split fit) and those that are
+reported share no place, no path and no voice. A detection is right within 0.5 m in x and y of a talker who is not taken
+yet.
 """
 
 import argparse
 import importlib.util
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,39 +32,37 @@ if importlib.util.find_spec("pyroomacoustics") is None:
         sys.exit("bench-localization: needs pyroomacoustics; make setup-bench installs it")
     os.execv(bench, [str(bench), *sys.argv])
 
+sys.path.insert(0, str(ROOT / "tests"))
+
 import numpy as np  # noqa: E402
 import pyroomacoustics  # noqa: E402
+from localization_rooms import MICROPHONES, ROOM  # noqa: E402
 
-from avcli.localization import ssl3d, uncertainty  # noqa: E402
-from avcli.localization.array import Array  # noqa: E402
-from avcli.localization.steered import Settings, SteeredLocalizer  # noqa: E402
+from avcli.localization.array import Array, Decision  # noqa: E402
+from avcli.localization.settings import ClosedFormSettings, SteeredSettings  # noqa: E402
+from avcli.localization.ssl3d import ClosedFormLocalizer  # noqa: E402
+from avcli.localization.steered import SteeredLocalizer  # noqa: E402
+from avcli.localization.stream import Block  # noqa: E402
+
+Condition = tuple[str, float, float]
+"""What people do, T60 in s, and the noise in dB below them."""
 
 FS, SPEED = 44100, 343.0
-ROOM = np.array([4.66, 4.66, 3.0])
-MICROPHONES = np.array(
-    [
-        [0.115, 4.545, 2.493],
-        [2.401, 4.498, 2.385],
-        [4.545, 4.545, 2.484],
-        [4.498, 2.342, 2.380],
-        [4.545, 0.115, 2.489],
-        [2.395, 0.162, 2.378],
-        [0.115, 0.115, 2.489],
-        [2.386, 2.253, 2.489],
-    ]
-)
 ARRAY = Array(MICROPHONES, FS, ROOM, SPEED)
-SPLITS = {
+SPLITS: dict[str, tuple[int, str, tuple[tuple[str, str], ...]]] = {
     "fit": (11, "aew", (("en-us", "Could you open the window please, it is getting warm in this room."),
                         ("en-gb+f2", "Seven people walked along the corridor and talked about the weather."))),
     "report": (907, "axb", (("en-gb-scotland", "The meeting starts at nine and everybody should bring a notebook."),
                            ("en-us+f4", "My brother keeps his old bicycle behind the garden shed."))),
 }  # fmt: skip
-CONDITIONS = [
+CONDITIONS: list[Condition] = [
     ("still", 0.1, 30), ("still", 0.1, 10), ("still", 0.35, 30), ("still", 0.35, 10), ("still", 0.6, 30),
     ("still", 0.6, 10), ("still", 0.8, 30), ("walking", 0.35, 30), ("walking", 0.35, 10), ("two", 0.1, 30),
     ("two", 0.35, 30), ("two", 0.6, 30), ("turns", 0.35, 30),
 ]  # fmt: skip
+
+USUAL: Condition = ("still", 0.35, 30)
+"""The thesis's room, in which windows and grids are compared."""
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------------
@@ -74,7 +77,7 @@ class Talker:
     sounding: np.ndarray
     direct: np.ndarray
 
-    def at(self, time_s):
+    def at(self, time_s: float) -> np.ndarray:
         return np.array([np.interp(time_s, self.times, column) for column in self.places.T])
 
 
@@ -85,7 +88,7 @@ class Scene:
     noise: float
 
 
-def voices(split):
+def voices(split: str) -> list[np.ndarray]:
     import soundfile
     from scipy.signal import resample_poly
 
@@ -93,7 +96,10 @@ def voices(split):
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
     recordings = [soundfile.read(path) for path in sorted(folder.glob(f"*_{speaker}_*.wav"))]
     if not recordings:
-        print("bench-localization: no real speech here; espeak-ng's alone", file=sys.stderr)
+        print("bench-localization: found no real speech; uses espeak-ng alone", file=sys.stderr)
+    if recordings and not shutil.which("espeak-ng"):
+        print("bench-localization: espeak-ng is not installed; uses real speech alone", file=sys.stderr)
+        spoken = ()
     with tempfile.TemporaryDirectory() as directory:
         for number, (voice, text) in enumerate(spoken):
             path = Path(directory) / f"{number}.wav"
@@ -103,7 +109,7 @@ def voices(split):
     return [0.05 * x / np.sqrt(np.mean(x**2)) for x in resampled]
 
 
-def responses(t60, places, order):
+def responses(t60: float, places: Sequence[np.ndarray], order: int) -> np.ndarray:
     """Room impulse responses, (places, 8, n), by Eyring's absorption; without pyroomacoustics' 40 samples of delay."""
     volume, surface = ROOM.prod(), 2 * (ROOM[0] * ROOM[1] + ROOM[0] * ROOM[2] + ROOM[1] * ROOM[2])
     absorption = 1 - np.exp(-24 * np.log(10) * volume / (SPEED * surface * t60))
@@ -121,7 +127,7 @@ def responses(t60, places, order):
     return result[:, :, 40:]
 
 
-def sounding(dry, decibels=-25.0):
+def sounding(dry: np.ndarray, decibels: float = -25.0) -> np.ndarray:
     """Whether the voice is on, per sample: the energy of 100 ms within so many dB of the utterance's largest."""
     total = np.concatenate([[0.0], np.cumsum(dry**2)])
     half = FS // 20
@@ -130,7 +136,7 @@ def sounding(dry, decibels=-25.0):
     return energy > energy.max() * 10 ** (decibels / 10)
 
 
-def still(voice, t60, place, begin=0.5):
+def still(voice: np.ndarray, t60: float, place: np.ndarray, begin: float = 0.5) -> tuple[np.ndarray, Talker]:
     from scipy.signal import fftconvolve
 
     dry = np.concatenate([np.zeros(int(begin * FS)), voice, np.zeros(FS // 2)])
@@ -141,7 +147,9 @@ def still(voice, t60, place, begin=0.5):
     return wet, Talker(np.array([0.0]), place[None], sounding(dry), direct)
 
 
-def walking(voice, t60, start, end, step=0.01):
+def walking(
+    voice: np.ndarray, t60: float, start: np.ndarray, end: np.ndarray, step: float = 0.01
+) -> tuple[np.ndarray, Talker]:
     """A talker who walks from start to end at 1 m/s: each 10 ms of voice from its own place."""
     from scipy.signal import fftconvolve
 
@@ -165,14 +173,14 @@ def walking(voice, t60, start, end, step=0.01):
     return sums[0], Talker(np.arange(count) * step, places, sounding(dry), sums[1])
 
 
-def scenes(split, condition, count):
+def scenes(split: str, condition: Condition, count: int) -> Iterator[Scene]:
     """Yield the scenes of one condition, with noise: (kind, T60 in s, SNR in dB)."""
     kind, t60, snr = condition
     rng = np.random.default_rng([SPLITS[split][0], CONDITIONS.index((kind, t60, 30)) if snr != 30 else
                                  CONDITIONS.index(condition)])  # fmt: skip
     spoken = voices(split)
 
-    def somewhere():
+    def somewhere() -> np.ndarray:
         return np.append(rng.uniform(0.5, 4.16, 2), rng.uniform(1.2, 1.8))
 
     for number in range(count if kind != "walking" else max(1, count // 2)):
@@ -205,7 +213,7 @@ def scenes(split, condition, count):
 # --- the bound --------------------------------------------------------------------------------------------------------
 
 
-def cramer_rao(scene, talker, time_s, window=0.186):
+def cramer_rao(scene: Scene, talker: Talker, time_s: float, window: float = 0.186) -> tuple[float, float]:
     """Standard deviations (x and y, all three; m) that no unbiased estimator undercuts from one window.
 
     The talker is a Gaussian signal of the spectrum that the direct sound has, and everything else, echoes included, is
@@ -222,7 +230,7 @@ def cramer_rao(scene, talker, time_s, window=0.186):
     bins = np.flatnonzero((frequency > 80) & (frequency < 8000))
     kernel = np.ones(9) / 9
 
-    def smooth(power):
+    def smooth(power: np.ndarray) -> np.ndarray:
         return np.column_stack([np.convolve(column, kernel, "same") for column in power.T])[bins]
 
     ratio = smooth(np.abs(direct) ** 2) / np.maximum(smooth(np.abs(rest) ** 2), 1e-30)
@@ -233,48 +241,49 @@ def cramer_rao(scene, talker, time_s, window=0.186):
     offset = talker.at(time_s) - MICROPHONES
     slope = offset / np.linalg.norm(offset, axis=1, keepdims=True) / SPEED
     bound = np.linalg.inv(slope.T @ information @ slope)
-    return np.sqrt(bound[0, 0] + bound[1, 1]), np.sqrt(np.trace(bound))
+    return float(np.sqrt(bound[0, 0] + bound[1, 1])), float(np.sqrt(np.trace(bound)))
 
 
 # --- methods ----------------------------------------------------------------------------------------------------------
 
-METHODS = {
-    "3d-ssl": ssl3d.Settings(),
-    "3d-ssl --refine": ssl3d.Settings(refine=True),
-    "srp": Settings(),
+METHODS: dict[str, SteeredSettings | ClosedFormSettings] = {
+    "3d-ssl": ClosedFormSettings(),
+    "3d-ssl --refine": ClosedFormSettings(refine=True),
+    "srp": SteeredSettings(),
 }
-VARIANTS = {
-    "3d-ssl --refine --window 0.186": ssl3d.Settings(refine=True, window=0.186),
-    "srp --max-speakers 1": Settings(max_speakers=1),
-    "srp --context 0": Settings(context=0.0),
-    "srp --context 0 --window 0.093": Settings(context=0.0, window=0.093),
-    "srp --context 0 --window 0.372": Settings(context=0.0, window=0.372),
-    "srp --beta 0.7": Settings(beta=0.7),
-    "srp --cell 0.5": Settings(cell=0.5),
-    "srp --resolution 0.08": Settings(resolution=0.08),
-    "srp --keep 8": Settings(keep=8),
-    "srp --keep 64": Settings(keep=64),
+VARIANTS: dict[str, SteeredSettings | ClosedFormSettings] = {
+    "3d-ssl --refine --window 0.186": ClosedFormSettings(refine=True, window=0.186),
+    "srp --max-speakers 1": SteeredSettings(max_speakers=1),
+    "srp --context 0": SteeredSettings(context=0.0),
+    "srp --context 0 --window 0.093": SteeredSettings(context=0.0, window=0.093),
+    "srp --context 0 --window 0.372": SteeredSettings(context=0.0, window=0.372),
+    "srp --beta 0.7": SteeredSettings(beta=0.7),
+    "srp --cell 0.5": SteeredSettings(cell=0.5),
+    "srp --resolution 0.08": SteeredSettings(resolution=0.08),
+    "srp --keep 8": SteeredSettings(keep=8),
+    "srp --keep 64": SteeredSettings(keep=64),
 }
 """Windows, grids and the rest, compared where the thesis's room is: T60 0.35 s, 30 dB, one who stands."""
 
 
-def run(settings, scene):
+def run(settings: SteeredSettings | ClosedFormSettings, scene: Scene) -> tuple[list[Decision], float]:
     """Decisions, and CPU seconds a decision without the start."""
-    if isinstance(settings, ssl3d.Settings):
+    blocks = (Block(scene.samples[i : i + 4096]) for i in range(0, len(scene.samples), 4096))
+    if isinstance(settings, ClosedFormSettings):
         begin = time.process_time()
-        decisions = list(ssl3d.localize(scene.samples, ARRAY, settings))
+        decisions = list(ClosedFormLocalizer(ARRAY, settings).localize(blocks))
     else:
         localizer = SteeredLocalizer(ARRAY, settings, np.random.default_rng(0))
         localizer.noise(1)
         begin = time.process_time()
-        blocks = (scene.samples[i : i + 4096] for i in range(0, len(scene.samples), 4096))
         decisions = list(localizer.localize(blocks))
     return decisions, (time.process_time() - begin) / max(len(decisions), 1)
 
 
-def matched(decisions, scene):
+def matched(decisions: list[Decision], scene: Scene) -> tuple[list[tuple], int, int]:
     """One row a detection: right, error (3,), score, covariance (3, 3); and active talkers, and how many were found."""
-    rows, active, hit = [], 0, 0
+    rows: list[tuple] = []
+    active = hit = 0
     for decision in decisions:
         sample = min(int(decision.time * FS), len(scene.samples) - 1)
         places = np.array([talker.at(decision.time) for talker in scene.talkers])
@@ -292,8 +301,9 @@ def matched(decisions, scene):
     return rows, active, hit
 
 
-def summary(method, condition, prepared):
-    rows, active, hit, cost = [], 0, 0, []
+def summary(method: str, condition: Condition, prepared: list[Scene]) -> dict[str, Any]:
+    rows: list[tuple] = []
+    active, hit, cost = 0, 0, list[float]()
     for scene in prepared:
         decisions, seconds = run((METHODS | VARIANTS)[method], scene)
         more, on, found = matched(decisions, scene)
@@ -307,7 +317,7 @@ def summary(method, condition, prepared):
     squared_level = np.einsum("ni,nij,nj->n", errors[:, :2], level, errors[:, :2])
     scores = np.array([row[2] for row in rows])
 
-    def median(values):
+    def median(values: np.ndarray) -> float | None:
         return float(np.median(values)) if len(values) else None
 
     return {
@@ -330,161 +340,20 @@ def summary(method, condition, prepared):
     }
 
 
-def bounds(prepared):
-    found = []
+def bounds(prepared: list[Scene]) -> tuple[float, float]:
+    found: list[tuple[float, float]] = []
     for scene in prepared:
         for talker in scene.talkers:
             moments = np.arange(0.0, len(scene.samples) / FS, 0.1)
             found += [cramer_rao(scene, talker, t) for t in moments if talker.sounding[int(t * FS)]]
-    return np.nanmedian(found, axis=0)
-
-
-# --- the fit ----------------------------------------------------------------------------------------------------------
-
-
-def simulated(seed, count):
-    """Yield scenes of our own simulators, of people who walk, stand and take turns, as avsim-scene draws them."""
-    import soundfile
-
-    for number in range(count):
-        with tempfile.TemporaryDirectory() as directory:
-            common = ["-C", directory, "--seed", str(1000 * seed + number)]
-            people = ["--people", str(1 + number % 3), "--duration", "6"]
-            truth, sound = Path(directory) / "scene.jsonl", Path(directory) / "audio.jsonl"
-            our("avsim-scene", "random", "--no-video", *people, *common, "-o", truth)
-            our("avsim-audio", truth, *common, "-o", sound)
-            frames = [json.loads(line) for line in truth.read_text().splitlines()]
-            record = json.loads(sound.read_text().splitlines()[0])
-            samples, _ = soundfile.read(Path(directory) / record["audio"]["path"])
-        times = np.array([float(frame["timestamp"]) for frame in frames])
-        talkers = []
-        for index, person in enumerate(frames[0]["objects"]):
-            on = np.zeros(len(samples), bool)
-            for begin, end in record["activity"].get(str(person["object_id"]), []):
-                on[int(begin * FS) : int(end * FS)] = True
-            places = np.array([frame["objects"][index]["mouth_position"] for frame in frames])
-            talkers.append(Talker(times, places, on, np.zeros(0)))
-        yield Scene(samples, talkers, 0.0)
-
-
-def our(command, *arguments):
-    """Run one of our commands."""
-    module = command.replace("-", "_")
-    code = f"from avcli.commands.{module} import main; main()"
-    subprocess.run([sys.executable, "-c", code, *map(str, arguments)], check=True, cwd=ROOT)
-
-
-class Witness(SteeredLocalizer):
-    """A localizer that keeps what it judged: (time in s, peak, features, what other heights add to the covariance)."""
-
-    def step(self, step, windows):
-        self.moment = step / self.settings.rate
-        return super().step(step, windows)
-
-    def peaks(self, gccs, spectra, offsets, noise):
-        self.offsets_heard = offsets
-        return super().peaks(gccs, spectra, offsets, noise)
-
-    def judge(self, peaks, noise):
-        judged = super().judge(peaks, noise)
-        sharpness = uncertainty.SHARPNESS / noise.deviation
-        for _, peak, features in judged:
-            if peak.normal is not None:
-                motion = peak.position, peak.velocity
-                others = self.response.ambiguity(peak.gccs, self.offsets_heard, *motion, sharpness)
-                self.seen.append((self.moment, peak, features, others))
-        return judged
-
-
-def witnessed(scene):
-    """For each peak: whether it is right, its error (3,), its features, its normal matrix and what other heights add to
-    the covariance, its weight.
-
-    Right is within half a metre (x, y) of a talker who is not taken and sounds, or did 0.15 s ago or will 0.15 s later:
-    who fell silent is not to be reported from memory. Two at once are rarer in a room than among these scenes: what
-    comes after the first peak counts twice where one talks.
-    """
-    localizer = Witness(ARRAY, Settings(), np.random.default_rng(0))
-    localizer.seen = []
-    for _ in localizer.localize(scene.samples[i : i + 4096] for i in range(0, len(scene.samples), 4096)):
-        pass
-    rows, taken = [], set()
-    for moment, peak, features, others in localizer.seen:
-        errors = np.array([peak.position - talker.at(moment) for talker in scene.talkers])
-        nearest = int(np.argmin(np.hypot(errors[:, 0], errors[:, 1])))
-        begin, end = (int(max(moment + margin, 0.0) * FS) for margin in (-0.15, 0.15))
-        near = np.hypot(*errors[nearest, :2]) < 0.5 and (moment, nearest) not in taken
-        if near:
-            taken.add((moment, nearest))
-        right = near and bool(scene.talkers[nearest].sounding[begin:end].any())
-        weight = 2.0 if not features.first and sum(talker.sounding[begin] for talker in scene.talkers) < 2 else 1.0
-        rows.append((right, errors[nearest], features, (peak.normal, others), weight))
-    return rows
-
-
-def fit(count):
-    """Fit the score and the covariance of avcli.localization.uncertainty on the scenes that decide, and print them.
-
-    What a decision remembers rests on the coefficients at hand: run it again with the new ones until they stay.
-    """
-    rows = []
-    for number, condition in enumerate([*CONDITIONS, None]):
-        here = scenes("fit", condition, count) if condition else simulated(SPLITS["fit"][0], 2 * count)
-        rows += [(*row, number) for scene in here for row in witnessed(scene)]
-        print(condition or "avsim-audio", len(rows), flush=True)
-    chance = np.zeros(len(rows))
-    for first, names in ((True, uncertainty.FIRST), (False, uncertainty.FURTHER)):
-        chosen = np.array([row[2].first == first for row in rows])
-        mine = [row for row, is_mine in zip(rows, chosen, strict=True) if is_mine]
-        right = np.array([row[0] for row in mine], float)
-        terms = np.array([uncertainty.terms(row[2]) for row in mine])
-        counts = np.array([row[4] for row in mine])
-        weights = np.zeros(terms.shape[1])
-        for _ in range(50):  # Newton's method on the logistic likelihood
-            p = 1.0 / (1.0 + np.exp(-np.clip(terms @ weights, -30, 30)))
-            hessian = (terms * (counts * p * (1 - p))[:, None]).T @ terms + 1e-3 * np.eye(len(weights))
-            weights += np.linalg.solve(hessian, terms.T @ (counts * (right - p)) - 1e-3 * weights)
-        chance[chosen] = p
-        loss = -np.mean(right * np.log(p + 1e-12) + (1 - right) * np.log(1 - p + 1e-12))
-        print(f"{len(mine)} peaks, {right.mean():.3f} of them right, log loss {loss:.4f}")
-        found = dict(zip(names, weights.round(2).tolist(), strict=True))
-        print("FIRST =" if first else "FURTHER =", found)
-    sure = [row for row, p in zip(rows, chance, strict=True) if row[0] and p > 0.5]
-    fit_spread(sure)
-
-
-def fit_spread(rows):
-    """Fit SPREAD by maximum likelihood on rows of `witnessed` that are right, each condition as heavy as another."""
-    from scipy.optimize import minimize
-
-    errors = np.array([row[1] for row in rows])
-    normals, others = (np.array(matrices) for matrices in zip(*(row[3] for row in rows), strict=True))
-    every = [uncertainty.spread_terms(row[3][0], row[3][1], row[2]) for row in rows]
-    terms = {part: np.array([each[part] for each in every]) for part in uncertainty.SPREAD}
-    motion = np.array([uncertainty.paths(row[2]) for row in rows])
-    condition = np.array([row[5] for row in rows])
-    weight = 1.0 / np.bincount(condition)[condition]
-    weight /= weight.sum()
-    extent = np.array([ROOM[0], ROOM[1], 1.2]) / np.sqrt(12.0)
-    ends = np.cumsum([len(names) for names in uncertainty.SPREAD.values()])[:-1]
-
-    def parts(parameters):
-        return dict(zip(uncertainty.SPREAD, np.split(parameters, ends), strict=True))
-
-    def loss(parameters):
-        spread = uncertainty.spread(parts(parameters), terms, normals, others, motion, extent)
-        squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(spread), errors)
-        return float(weight @ (0.5 * np.linalg.slogdet(spread)[1] + 0.5 * squared))
-
-    start = np.concatenate([list(names.values()) for names in uncertainty.SPREAD.values()])
-    for part, weights in parts(minimize(loss, start, method="L-BFGS-B").x).items():
-        print(f"SPREAD {part}:", dict(zip(uncertainty.SPREAD[part], weights.round(2).tolist(), strict=True)))
+    level, space = np.nanmedian(found, axis=0).tolist()
+    return level, space
 
 
 # --- the report -------------------------------------------------------------------------------------------------------
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="folder for the table, records and plot")
     parser.add_argument("--scenes", type=int, default=8, help="scenes of each condition (walkers: half as many)")
@@ -493,20 +362,16 @@ def main():
     parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS | VARIANTS))
     parser.add_argument("--kinds", nargs="*", default=["still", "walking", "two", "turns"], help="kinds of scenes")
     parser.add_argument("--no-variants", action="store_true", help="leave windows and grids out")
-    parser.add_argument("--fit", action="store_true", help="fit score and covariance instead")
     options = parser.parse_args()
     if options.seed is not None:
         SPLITS[options.split] = (options.seed, *SPLITS[options.split][1:])
-    if options.fit:
-        fit(options.scenes)
-        return
     options.out.mkdir(parents=True, exist_ok=True)
     records = []
     for condition in (condition for condition in CONDITIONS if condition[0] in options.kinds):
         prepared = list(scenes(options.split, condition, options.scenes))
         level, space = bounds(prepared)
         methods = list(options.methods)
-        if condition == ("still", 0.35, 30) and not options.no_variants:
+        if condition == USUAL and not options.no_variants:
             methods += list(VARIANTS)
         for method in methods:
             record = {**summary(method, condition, prepared), "bound_2d_m": level, "bound_3d_m": space}
@@ -530,10 +395,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def row(record):
+def row(record: dict[str, Any]) -> str:
     """One row of a Markdown table."""
 
-    def shown(value, form):
+    def shown(value: Any, form: str | None) -> str:
         if value is None:
             return ""
         if form == "mm":
@@ -543,7 +408,7 @@ def row(record):
     return "| " + " | ".join(shown(record[key], form) for _, key, form in COLUMNS) + " |"
 
 
-def table(records, what):
+def table(records: list[dict[str, Any]], what: str) -> str:
     """What was measured, as Markdown."""
     head = "| " + " | ".join(name for name, _, _ in COLUMNS) + " |\n"
     head += "|" + "|".join(" --- " if form is None else " ---: " for _, _, form in COLUMNS) + "|\n"
@@ -572,7 +437,7 @@ The bound is Cramér and Rao's for one window of 0.186 s, echoes counted as nois
     return text
 
 
-def plot(records, path):
+def plot(records: list[dict[str, Any]], path: Path) -> None:
     """Recall against run time, and error against the bound."""
     import matplotlib
 

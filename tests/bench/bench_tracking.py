@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from tracking_scenes import EASY, HARD, KIND, Scene, Truth
 
 from avcli.formats.records import Detections
-from avcli.metrics.score import score
+from avcli.metrics.metric import Case
+from avcli.metrics.registry import score_case
 from avcli.metrics.sequence import Sequence
 from avcli.tracking import gaussian
 from avcli.tracking.fusion import Fusion
@@ -124,7 +125,7 @@ def track(
 def measure(truth: Truth, tracks: Tracks) -> list[float]:
     """The columns of the table: percent, OSPA(2) in m, the birth delay in frames."""
     sequence = Sequence.of([(ids.tolist(), xy) for _, ids, xy in truth], tracks)
-    summary = score(sequence)["summary"]
+    summary = score_case(Case(sequence))["summary"]
     values = [math.nan if summary[c] is None else summary[c] for c in COLUMNS]
     return [v * (1 if c in ("OSPA2", "BirthDelay") else 100) for c, v in zip(COLUMNS, values, strict=True)]
 

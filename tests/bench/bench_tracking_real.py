@@ -19,7 +19,8 @@ import numpy as np
 
 from avcli.formats import records
 from avcli.formats.experiment import Config, read_config
-from avcli.metrics.score import score
+from avcli.metrics.metric import Case
+from avcli.metrics.registry import score_case
 from avcli.metrics.sequence import Sequence
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.merging import Record
@@ -84,7 +85,7 @@ def hota(truth: list[tuple[float, list[int], np.ndarray]], found: list[Record], 
     for now, *_ in truth:
         (people,) = fusion.step(now, [one for one in found if one[0] == now])
         tracks.append((people.ids.tolist(), people.positions[:, :2]))
-    return 100 * score(Sequence.of([(ids, xy) for _, ids, xy in truth], tracks))["summary"]["HOTA"]
+    return 100 * score_case(Case(Sequence.of([(ids, xy) for _, ids, xy in truth], tracks)))["summary"]["HOTA"]
 
 
 def main() -> None:

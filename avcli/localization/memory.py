@@ -1,0 +1,58 @@
+"""What the decisions before this one found, and for how long it counts."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A peak of an earlier decision.
+
+    Attributes:
+        position: (3,) m.
+        velocity: (3,) m/s, as the decisions so far have it, the latest counting most.
+        lasting: how lasting it is, see `uncertainty.Law.remembered`.
+        age: how many decisions ago it was seen.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    lasting: float
+    age: int = 1
+
+
+class Memory:
+    """The traces of earlier decisions.
+
+    Args:
+        rate: decisions per second, Hz.
+        max_speed: m/s, the fastest that a talker walks along x or y.
+        kept: how much of a trace is left one decision later, 0 to 1.
+    """
+
+    def __init__(self, rate: float, max_speed: float, kept: float):
+        self.rate, self.max_speed, self.kept = rate, max_speed, kept
+        self.traces: list[Trace] = []
+
+    def reach(self, trace: Trace) -> float:
+        """Return how far, in m, its talker may seem to have moved since: people walk, and positions have errors."""
+        return 0.2 + self.max_speed * trace.age / self.rate
+
+    def known(self) -> list[Trace]:
+        """Return the traces that are worth looking for again."""
+        return [trace for trace in self.traces if trace.lasting > 0.5]
+
+    def keep(self, seen: list[Trace]) -> None:
+        """Take what a decision saw, and keep what fades of those before it."""
+        self.traces = seen + [
+            replace(trace, lasting=self.kept * trace.lasting, age=trace.age + 1)
+            for trace in self.traces
+            if abs(trace.lasting) > 0.05
+            and all(level_distance(trace.position, one.position) > self.reach(trace) for one in seen)
+        ]
+
+
+def level_distance(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the distance in x and y, m, of two positions (3,)."""
+    return float(np.hypot(*(one - other)[:2]))

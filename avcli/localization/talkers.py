@@ -1,0 +1,239 @@
+"""The talkers of one decision, one after another: each is searched for in what those before it leave.
+
+What a talker explains is taken away in three ways: by a mask over times and frequencies, by a notch around the lags of
+the direct sound, and by notches where the lags of the first echoes must be.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.localization import multilateration
+from avcli.localization.array import Array
+from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.noise import NoiseLaw
+from avcli.localization.settings import SteeredSettings
+from avcli.localization.srp import SteeredResponse
+from avcli.localization.windows import Correlator, Heard
+
+NOTCH_M, ECHO_NOTCH_M = 0.1, 0.012
+"""m of range difference: half the width of a notch around a talker's lags, and around those of an echo."""
+
+AGREED_BY_CHANCE, AGREED_BY_A_TALKER = 0.125, 0.475
+"""Agreement of the channels in a bin, up to which the mask keeps it whole, and from which it leaves nothing of it."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A place that is answered better than noise would.
+
+    Attributes:
+        position: (3,) m.
+        velocity: (3,) m/s.
+        response, agreement, support, own, residual, strongest: see uncertainty.Features.
+        normal: (3, 3) normal matrix of its range differences, with weights of mean 1.
+        gccs: (windows, pairs, lags) those that the peaks before left for it.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    response: float
+    agreement: float
+    support: float
+    own: float
+    residual: float
+    strongest: float
+    normal: np.ndarray
+    gccs: np.ndarray
+
+    def path(self, offsets: np.ndarray) -> np.ndarray:
+        """Return where it is at offsets (n,) s, (n, 3) m; (1, 3) m for all of them where it stands."""
+        return self.position + self.velocity * offsets[:, None] if self.velocity.any() else self.position[None]
+
+
+class TalkerSearch:
+    """Finds the talkers of one decision after another.
+
+    Args:
+        array: the microphones and the room.
+        settings: see SteeredSettings.
+        correlator, response: of the array.
+    """
+
+    def __init__(self, array: Array, settings: SteeredSettings, correlator: Correlator, response: SteeredResponse):
+        self.array, self.settings, self.correlator, self.response = array, settings, correlator, response
+
+    def peaks(self, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Peak]:
+        """Return the places that are answered better than noise would, each without those before it.
+
+        There is one more than there may be talkers, since a ghost may still come before the second talker. After the
+        first, talkers of the decisions before are searched for where they were: a known talker needs a smaller response
+        than a new one.
+
+        Args:
+            heard: the windows around the moment.
+            noise: what noise does to as many windows.
+            memory: what the decisions before found.
+        """
+        found: list[Peak] = []
+        taken: list[np.ndarray] = []  # where the peaks so far are, (windows, 3) m or (1, 3) m each
+        gccs, explained = heard.gccs, np.zeros((len(heard.spectra), len(self.correlator.band.weight)), np.float32)
+        known = memory.known()
+        for _ in range(self.settings.max_speakers + 1):
+            if taken:
+                gccs = self.left(heard, explained, taken)
+            known = [trace for trace in known if not any(_same(peak, trace, memory) for peak in found)]
+            again = known.pop(0) if found and known else None
+            threshold = noise.threshold(self.settings.candidate if found else self.settings.false_alarm)
+            start = again.position if again else self.brightest(gccs, noise, threshold)
+            if start is None:
+                break
+            peak, coherence = self.fitted(gccs, heard, start, noise, explained)
+            explained = np.maximum(explained, coherence)
+            if again is None and peak.response < threshold:
+                break
+            if again is not None and not _same(peak, again, memory):
+                continue
+            if all(level_distance(peak.position, one.position) > self.settings.separation for one in found):
+                found.append(peak)
+            taken.append(peak.path(heard.offsets))
+        return found
+
+    def brightest(self, gccs: np.ndarray, noise: NoiseLaw, threshold: float) -> np.ndarray | None:
+        """Return the place (3,) m that answers best; None where a fit could not lift it to the threshold.
+
+        The GCCs (windows, pairs, lags) are cut off well above their noise, so that many pairs must agree: two talkers
+        make ghosts where a few strong pairs of the one meet a few of the other.
+        """
+        mean = gccs.mean(axis=0)
+        start = self.response.search(np.minimum(mean, 7.0 * noise.deviation))[0][0]
+        return start if 1.5 * float(self.response.response(mean, start[None])[0]) >= threshold else None
+
+    def left(self, heard: Heard, explained: np.ndarray, taken: list[np.ndarray]) -> np.ndarray:
+        """Return the GCCs (windows, pairs, lags) that the peaks so far leave.
+
+        Args:
+            heard: the windows around the moment.
+            explained: (windows, bins) the peaks' coherence, see `coherence`.
+            taken: where each peak is, see `Peak.path`.
+        """
+        gccs = self.masked(heard.spectra, explained) * heard.gains[:, None, None]
+        for places in taken:
+            gccs = self.response.notch(gccs, places, NOTCH_M)
+        return self.response.notch_echoes(gccs, taken[0], self.array.room, ECHO_NOTCH_M)
+
+    def masked(self, spectra: np.ndarray, explained: np.ndarray) -> np.ndarray:
+        """Return GCCs (windows, pairs, lags) of those times and frequencies that are not explained yet.
+
+        Speech is sparse: of two talkers one or the other is the louder in most bins (Yilmaz and Rickard 2004). A bin
+        counts the less, the better the channels agree there on the peaks so far. What is left keeps its amplitude.
+
+        Args:
+            spectra: (windows, m, bins), whitened.
+            explained: (windows, bins), see `coherence`.
+        """
+        whole = self.correlator.band.weight
+        agreed = explained / (whole * (spectra.shape[1] - 1))
+        kept = (AGREED_BY_A_TALKER - agreed) / (AGREED_BY_A_TALKER - AGREED_BY_CHANCE)
+        weights = whole * np.clip(kept, 0.0, 1.0).astype(np.float32)
+        return np.stack(
+            [
+                self.correlator.gcc(each, weight) * (weight.sum() / whole.sum())
+                for each, weight in zip(spectra, weights, strict=True)
+            ]
+        )
+
+    def coherence(
+        self, spectra: np.ndarray, offsets: np.ndarray, position: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
+        """Return how far the channels agree, bin by bin, on sound from a place that moves, (windows, bins).
+
+        0 is what chance gives; neighbouring bins are averaged.
+
+        Args:
+            spectra: (windows, m, bins), whitened.
+            offsets: (windows,) s.
+            position: (3,) m.
+            velocity: (3,) m/s.
+        """
+        places = position + velocity * offsets[:, None]
+        ranges = np.linalg.norm(places[:, None] - self.array.microphones, axis=2)
+        delays = (ranges - ranges.mean(axis=1, keepdims=True)) / self.array.speed_of_sound
+        steered = (spectra * self._turned(delays)).sum(axis=1)
+        power = (spectra.real**2 + spectra.imag**2).sum(axis=1)
+        excess = steered.real**2 + steered.imag**2 - power
+        weight = self.correlator.band.weight
+        return weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
+
+    def _turned(self, delays: np.ndarray) -> np.ndarray:
+        """Return by how much the band's bins turn in so many s (...), (..., bins) complex64.
+
+        A bin's turn is that of a multiple of 32 bins times that of the rest: fewer exponentials.
+        """
+        band = self.correlator.band
+        count = band.bins.stop - band.bins.start
+        turn = 2j * np.pi * self.array.sample_rate / band.size * delays[..., None]
+        far = np.exp(turn * (band.bins.start + 32 * np.arange(-(-count // 32)))).astype(np.complex64)
+        near = np.exp(turn * np.arange(32)).astype(np.complex64)
+        return (far[..., :, None] * near[..., None, :]).reshape(*delays.shape, -1)[..., :count]
+
+    def fitted(
+        self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray
+    ) -> tuple[Peak, np.ndarray]:
+        """Fit place and velocity from a start, then the place to the peaks of each pair's GCC nearby.
+
+        The second fit is kept where it is answered better.
+
+        Args:
+            gccs: (windows, pairs, lags) that the peaks before leave.
+            heard: the windows around the moment.
+            start: (3,) m.
+            noise: what noise does to as many windows.
+            explained: (windows, bins) the coherence of the peaks before.
+
+        Returns:
+            The peak, and its coherence (windows, bins).
+        """
+        steered, offsets = self.response, heard.offsets
+        position, velocity, response = steered.follow(gccs, offsets, start, self.settings.max_speed)
+        aligned = steered.aligned(gccs, offsets, position, velocity, reach=6)
+        differences, height = steered.differences(aligned, position)
+        value = aligned[:, aligned.shape[1] // 2]
+        fitted, normal, _ = multilateration.refine(
+            position, self.array.microphones, steered.first, steered.second, differences, np.maximum(height, 0.0)
+        )
+        if ((fitted >= steered.low) & (fitted <= steered.high)).all():
+            moved = steered.aligned_at(aligned, position, fitted)
+            gain = float(moved.mean() - value.mean())
+            if gain > 0.0:
+                position, response, value = fitted, response + gain, moved
+        ranges = np.linalg.norm(position - self.array.microphones, axis=1)
+        misfit = differences - (ranges[steered.first] - ranges[steered.second])
+        places = position + velocity * offsets[:, None]
+        each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
+        coherence = self.coherence(heard.spectra, offsets, position, velocity)
+        peak = Peak(
+            position,
+            velocity,
+            response,
+            agreement=max(float(np.clip(value / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.0),
+            support=float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean()),
+            own=float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12)),
+            residual=float(np.sqrt(np.minimum(misfit**2, 0.02**2).mean())),
+            strongest=float(max(each) / max(np.mean(each), 0.1 * noise.deviation)),
+            normal=normal / max(np.maximum(height, 0.0).mean(), 1e-9),
+            gccs=gccs,
+        )
+        return peak, coherence
+
+
+def _same(peak: Peak, trace: Trace, memory: Memory) -> bool:
+    """Tell whether a peak may be the talker of a trace."""
+    return level_distance(peak.position, trace.position) <= memory.reach(trace)
+
+
+def _smooth(rows: np.ndarray) -> np.ndarray:
+    """Return the sums of five neighbours in each row (n, bins); beyond the ends are zeros."""
+    wide = np.pad(rows, ((0, 0), (2, 2)))
+    count = rows.shape[1]
+    return wide[:, :count] + wide[:, 1:-3] + wide[:, 2:-2] + wide[:, 3:-1] + wide[:, 4:]

@@ -1,0 +1,290 @@
+"""One window of sound: its spectra, the GCC of each pair of microphones, and which channels can be believed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.localization import correlation
+from avcli.localization.array import Array
+from avcli.localization.events import occupancy
+from avcli.localization.settings import SteeredSettings
+from avcli.numeric import fft_length
+
+
+@dataclass(frozen=True)
+class Band:
+    """The frequencies that a localizer uses, and how finely it correlates them.
+
+    Attributes:
+        size: samples of a window.
+        bins: where the band lies in a window's spectrum.
+        weight: (bins,) float32, by which each bin counts.
+        oversampling: lag steps per sample.
+    """
+
+    size: int
+    bins: slice
+    weight: np.ndarray
+    oversampling: float
+
+    @classmethod
+    def of(cls, settings: SteeredSettings, sample_rate: float) -> "Band":
+        """Choose the bins and the lag step for a sample rate in Hz.
+
+        Raises:
+            ValueError: the band holds too few bins.
+        """
+        size = fft_length(max(round(settings.window * sample_rate), 16))
+        first = max(1, int(np.ceil(settings.band[0] * size / sample_rate)))
+        last = min(size // 2 - 1, int(settings.band[1] * size / sample_rate))
+        if last < first + 16:
+            low, high = settings.band
+            raise ValueError(
+                f"the band from {low:g} to {high:g} Hz is empty or too narrow for sound sampled at {sample_rate:g} Hz"
+            )
+        weight = ((np.arange(first, last + 1) / first) ** -settings.tilt).astype(np.float32)
+        # The lag step is as long as the band allows (2.75 steps a period of the highest frequency), whatever the rate.
+        return cls(size, slice(first, last + 1), weight, fft_length(int(np.ceil(5.5 * last))) / size)
+
+
+@dataclass(frozen=True)
+class Correlated:
+    """What sounds in one window.
+
+    Attributes:
+        gcc: (pairs, lags).
+        whitened: (m, bins) complex64, the whitened spectra that it is of.
+        good: (m,) bool, which channels can be believed.
+        part: which part of a whole window the stream held of it, from 0 to 1.
+        centre: s from the window's middle to the middle of its energy: of a talker who walks, the window tells where he
+            was then.
+        energy: mean square of the median channel, times the band's bins.
+        occupancy: share of the bins within 40 dB of the strongest.
+    """
+
+    gcc: np.ndarray
+    whitened: np.ndarray
+    good: np.ndarray
+    part: float
+    centre: float
+    energy: float
+    occupancy: float
+
+
+@dataclass(frozen=True)
+class Window:
+    """One window of the stream.
+
+    Attributes:
+        correlated: None where nothing sounds.
+        notices: what was noticed about its channels, one sentence each.
+    """
+
+    correlated: Correlated | None
+    notices: tuple[str, ...] = ()
+
+
+class Correlator:
+    """Correlates windows of one array.
+
+    Args:
+        array: the microphones and the room.
+        band: the frequencies.
+        half_lags: half width of a GCC, in lag steps.
+        beta: exponent of the phase transform.
+
+    Attributes:
+        first, second: (pairs,) the two microphones of each pair.
+        baseline: (pairs,) m, the distance between them.
+    """
+
+    def __init__(self, array: Array, band: Band, half_lags: int, beta: float):
+        self.band, self.half_lags, self.beta = band, half_lags, beta
+        self.sample_rate = array.sample_rate
+        self.first, self.second = correlation.pairs(len(array.microphones))
+        self.baseline = np.linalg.norm(array.microphones[self.first] - array.microphones[self.second], axis=1)
+
+    def whitened(self, tapered: np.ndarray) -> np.ndarray:
+        """Return the whitened spectra (m, bins) of tapered samples (m, size)."""
+        return correlation.whiten(self._spectra(tapered), self.beta)
+
+    def gcc(self, whitened: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+        """Return the GCC of every pair, (pairs, lags), of whitened spectra (m, bins); the band's weights by default."""
+        band = self.band
+        weight = band.weight if weight is None else weight
+        return correlation.gcc(whitened, band.bins, band.size, self.half_lags, band.oversampling, weight)
+
+    def correlate(self, samples: np.ndarray, taper: np.ndarray) -> Window:
+        """Correlate one window of samples (m, size) under a taper (size,)."""
+        peak = np.maximum(samples.max(axis=1), -samples.min(axis=1))
+        broken, notices = np.zeros(len(samples), bool), list[str]()
+        if not np.isfinite(peak).all():
+            samples, broken, notices = _finite(samples)
+            peak = np.abs(samples).max(axis=1)
+        scale = peak.max()
+        if scale == 0.0:
+            return Window(None, tuple(notices))
+        tapered = (samples * (taper / scale)).astype(np.float32)
+        spectra = self._spectra(tapered)
+        power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
+        level = power.sum(axis=1)
+        dead = level <= 1e-6 * np.median(level)
+        good, found = _believed(samples, peak, dead, broken)
+        whitened = correlation.whiten(spectra, self.beta)
+        gcc = self.gcc(whitened)
+        good, twins = self._without_twins(gcc, good)
+        alive = not dead.all()
+        heard = (tapered[good if good.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
+        size = self.band.size
+        correlated = Correlated(
+            gcc,
+            whitened,
+            good,
+            part=float(np.count_nonzero(taper)) / size,
+            centre=float(heard @ np.arange(size) / heard.sum() - 0.5 * (size - 1)) / self.sample_rate,
+            energy=float(np.median(level[~dead])) * float(scale) ** 2 if alive else 0.0,
+            occupancy=occupancy(power[~dead].mean(axis=0)) if alive else 0.0,
+        )
+        return Window(correlated, (*notices, *found, *twins))
+
+    def _spectra(self, tapered: np.ndarray) -> np.ndarray:
+        return np.fft.rfft(tapered, axis=1)[:, self.band.bins]
+
+    def _without_twins(self, gcc: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """Return which channels (m,) are good and no copy of another one, and a notice of each pair of copies."""
+        first, second, notices = self.first, self.second, []
+        twins = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01) & good[first] & good[second]
+        good = good.copy()
+        for pair in np.flatnonzero(twins):
+            notices.append(f"channels {first[pair] + 1} and {second[pair] + 1} are the same signal and left out")
+            good[first[pair]] = good[second[pair]] = False
+        return good, notices
+
+
+def _finite(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return the samples (m, n) with 0 for NaN and infinity, which channels (m,) held many of them, and notices."""
+    finite = np.isfinite(samples)
+    count = (~finite).sum(axis=1)
+    notices = [f"channel {c + 1}: samples that are not numbers count as 0" for c in np.flatnonzero(count)]
+    return np.where(finite, samples, 0.0), count > 0.01 * samples.shape[1], notices
+
+
+def _believed(
+    samples: np.ndarray, peak: np.ndarray, dead: np.ndarray, broken: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    """Tell which channels (m,) can be believed, and what is wrong with the others.
+
+    Args:
+        samples: (m, n), finite.
+        peak: (m,) the largest magnitude of each.
+        dead, broken: (m,) bool, channels without sound, and with many samples that are not numbers.
+    """
+    clipped = peak > 0.05
+    if clipped.any():
+        clipped &= (np.abs(samples) >= 0.9999 * peak[:, None]).mean(axis=1) > 0.005
+    shift = np.abs(samples.mean(axis=1))
+    shifted = shift > 0.01
+    if shifted.any():
+        shifted &= shift > samples.std(axis=1)
+    notices = [f"channel {c + 1} is dead and left out" for c in np.flatnonzero(dead)]
+    notices += [f"channel {c + 1} is clipped" for c in np.flatnonzero(clipped)]
+    good = ~(dead | broken)
+    if (good & ~clipped).sum() >= max(5, 0.5 * len(good)):
+        good &= ~clipped
+    # The band has no constant in it, so that shifted channels still serve where there are too few others.
+    spared = (good & ~shifted).sum() >= 4
+    what = "is shifted by a constant (DC)" + " and left out" * bool(spared)
+    notices += [f"channel {c + 1} {what}" for c in np.flatnonzero(shifted & ~dead)]
+    if spared:
+        good &= ~shifted
+    return good, notices
+
+
+class Ballot:
+    """Lets the pairs vote about their channels wherever a place is clearly answered.
+
+    A channel that is late, that stands elsewhere, or that is swapped with another adds nothing where all others agree,
+    and one of wrong polarity takes away.
+
+    Args:
+        first, second: (pairs,) the microphones of each pair.
+        channels: how many there are.
+
+    Attributes:
+        outvoted: (channels,) bool, which are left out.
+    """
+
+    def __init__(self, first: np.ndarray, second: np.ndarray, channels: int):
+        self.first, self.second = first, second
+        self.outvoted = np.zeros(channels, bool)
+        self.votes = np.zeros(channels)
+        self.ballots = 0
+
+    def cast(self, value: np.ndarray) -> list[str]:
+        """Take each pair's GCC (pairs,) at such a place, and return a notice of each channel that is newly outvoted."""
+        channels = len(self.votes)
+        votes = np.bincount(self.first, value, channels) + np.bincount(self.second, value, channels)
+        self.votes = 0.95 * self.votes + votes
+        self.ballots += 1
+        if self.ballots < 5:
+            return []
+        usual = np.median(self.votes)
+        outvoted = self.votes < 0.1 * usual
+        new = np.flatnonzero(outvoted & ~self.outvoted)
+        if (~outvoted).sum() < max(4, 0.5 * channels):
+            return []
+        self.outvoted = outvoted
+        inverted = self.votes < -0.3 * usual
+        return [
+            f"channel {c + 1} has the wrong polarity and is left out"
+            if inverted[c]
+            else f"channel {c + 1} does not agree with the others (late, swapped, or elsewhere) and is left out"
+            for c in new
+        ]
+
+
+@dataclass(frozen=True)
+class Heard:
+    """The windows around one moment in which something sounds, without the channels that are left out.
+
+    Attributes:
+        gccs: (windows, pairs, lags), scaled up for the pairs that are missing.
+        spectra: (windows, m, bins), whitened; 0 in channels that are left out.
+        gains: (windows,) float32, how much each window counts.
+        offsets: (windows,) s of each from the moment.
+        count: how many whole windows they amount to.
+    """
+
+    gccs: np.ndarray
+    spectra: np.ndarray
+    gains: np.ndarray
+    offsets: np.ndarray
+    count: float
+
+
+def together(windows: list[tuple[Correlated, float]], ballot: Ballot) -> Heard | None:
+    """Put windows around one moment together, None where too few channels are left in any.
+
+    Args:
+        windows: each with its offset in s from the moment.
+        ballot: tells which channels are left out.
+    """
+    gccs, spectra, shares, parts, offsets = [], [], [], [], []
+    for window, offset in windows:
+        good = window.good & ~ballot.outvoted
+        if good.sum() < 4:
+            continue
+        kept = good[ballot.first] & good[ballot.second]
+        whole = bool(good.all())
+        gccs.append(window.gcc if whole else window.gcc * kept[:, None])
+        spectra.append(window.whitened if whole else window.whitened * good[:, None])
+        shares.append(1.0 if whole else kept.sum() / len(kept))
+        parts.append(window.part)
+        offsets.append(offset)
+    if not gccs:
+        return None
+    weights = np.array(shares) * parts
+    gains = (weights / weights.mean() / shares).astype(np.float32)
+    return Heard(
+        np.stack(gccs) * gains[:, None, None], np.stack(spectra), gains, np.array(offsets), float(weights.sum())
+    )
