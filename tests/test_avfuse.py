@@ -256,6 +256,7 @@ def test_the_manual_describes_every_tracker_and_its_unused_options():
     page = (ROOT / "man" / "avfuse.1").read_text()
     described = page.split(".Ss Trackers")[1].split(".Sh OPTIONS")[0]
     entries = re.split(r"^\.It Fl -", page.split(".Sh OPTIONS")[1], flags=re.MULTILINE)
+    assert "tracker Cm " + " | ".join(TRACKERS) + "\n" in page
     for name, one in TRACKERS.items():
         assert f".It Cm {name}\n" in described
         for key in one.unused - {"process_noise"}:  # which --motion cv alone uses

@@ -77,7 +77,17 @@ def named(name: str, detections: Iterable[Detections]) -> Iterator[Detections]:
 
 
 class Fusion:
-    """A tracker with its sensors, its output delay and its numbering of people.
+    """A tracker with its sensors, its output delay and its numbering of people, for use record by record.
+
+    >>> import numpy as np
+    >>> from avcli.formats.records import Detections
+    >>> fusion = Fusion(Settings(stay=20.0))
+    >>> nan, here = np.full((1, 3, 3), np.nan), np.array([[2.0, 1.0, 0.9]])
+    >>> for k in range(3):
+    ...     seen = Detections(k / 10, "ceiling", here, nan, np.array([0.9]), "camera")
+    ...     (tracks,) = fusion.step(k / 10, [(k / 10, "ceiling", seen)])
+    >>> tracks.timestamp, tracks.ids.tolist(), tracks.positions.round(2).tolist()
+    (0.2, [0], [[2.0, 1.0, 0.0]])
 
     Attributes:
         tracker: the filter.

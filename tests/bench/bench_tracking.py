@@ -134,10 +134,11 @@ def scene_of(case: str, seed: int) -> Scene:
     return {**EASY, **HARD}[case](np.random.default_rng(seed))
 
 
-Task = tuple[str, int, list[tuple[str, tuple[str, ...]]]]
+Variant = tuple[str, tuple[str, ...]]  # a tracker, and the sensors that it gets: (): all
+Task = tuple[str, int, list[Variant]]  # case, seed, what is run
 
 
-def job(task: Task) -> dict[tuple[str, tuple[str, ...]], list[float]]:
+def job(task: Task) -> dict[Variant, list[float]]:
     """What one scene gives each tracker: {(tracker, sensors): its columns and milliseconds a frame}."""
     case, seed, rows = task
     whole, out = scene_of(case, seed), {}
@@ -164,12 +165,15 @@ def main() -> None:
 
         names = [n for n in VARIANTS if n != "jpda" or importlib.util.find_spec("stonesoup")]
     seeds = range(options.first, options.first + options.seeds)
-    all_rows, tasks = {}, []
+    all_rows: dict[str, list[Variant]] = {}
+    tasks: list[Task] = []
     for case in options.cases:
-        main_rows = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
+        main_rows: list[Variant] = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
         if case in EASY and "ms-glmb" in names:
             main_rows += [("ms-glmb", (eye,)) for eye in ("audio", "video")]
-        others = [(name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())]
+        others: list[Variant] = [
+            (name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())
+        ]
         all_rows[case] = main_rows[:1] + others + main_rows[1:]
         count = max(options.seeds, MORE[case]) if "ms-glmb" in names and not options.no_more else options.seeds
         tasks += [(case, options.first + k, all_rows[case] if k < len(seeds) else main_rows) for k in range(count)]

@@ -82,36 +82,39 @@ def loss(motion: Motion, walks: np.ndarray) -> float:
 
 
 def parameters(described: dict[str, Any]) -> np.ndarray:
-    """Logarithms of all numbers of a motion: noises, memories where there are any, rates where not 0."""
+    """All numbers of a motion that are fitted: noises, memories where there are any, rates where not 0."""
     models = described["models"]
     numbers = [one["noise"] for one in models] + [one["memory"] for one in models if "memory" in one]
-    return np.log(numbers + [rate for row in described["rates"] for rate in row if rate])
+    return np.array(numbers + [rate for row in described["rates"] for rate in row if rate])
 
 
-def with_parameters(described: dict[str, Any], logs: np.ndarray) -> dict[str, Any]:
+def with_parameters(described: dict[str, Any], numbers: np.ndarray) -> dict[str, Any]:
     """The motion with other numbers."""
-    changed, numbers = copy.deepcopy(described), iter(np.exp(logs).tolist())
+    changed, left = copy.deepcopy(described), iter(numbers.tolist())
     for one in changed["models"]:
-        one["noise"] = next(numbers)
+        one["noise"] = next(left)
     for one in changed["models"]:
         if "memory" in one:
-            one["memory"] = next(numbers)
-    changed["rates"] = [[next(numbers) if rate else 0.0 for rate in row] for row in changed["rates"]]
+            one["memory"] = next(left)
+    changed["rates"] = [[next(left) if rate else 0.0 for rate in row] for row in changed["rates"]]
     return changed
 
 
 def fit(described: dict[str, Any], walks: np.ndarray, iterations: int) -> dict[str, Any]:
-    """The motion of least loss, by quasi-Newton steps from the one given; no number changes more than 20-fold."""
+    """The motion of least loss, by quasi-Newton steps from the one given, with three digits.
+
+    The steps are in the logarithms of the numbers; no number changes more than 20-fold.
+    """
     from scipy.optimize import minimize
 
-    begin = parameters(described)
+    begin = np.log(parameters(described))
 
     def objective(logs: np.ndarray) -> float:
-        return loss(Motion.of(with_parameters(described, logs)), walks)
+        return loss(Motion.of(with_parameters(described, np.exp(logs))), walks)
 
     bounds = [(one - math.log(20), one + math.log(20)) for one in begin.tolist()]
     found = minimize(objective, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": iterations, "eps": 1e-3})
-    return with_parameters(described, np.log([float(f"{number:.3g}") for number in np.exp(found.x).tolist()]))
+    return with_parameters(described, np.array([float(f"{number:.3g}") for number in np.exp(found.x).tolist()]))
 
 
 def hota(motion: Motion, seeds: int) -> np.ndarray:
