@@ -77,7 +77,8 @@ class People:
                 length = np.linalg.norm(step)
                 ahead = step / length if length > 1e-6 else np.array([1.0, 0.0])
                 ids.append(i)
-                rows.append((here, here + 0.1 * ahead, bool(speaks[min(int(np.searchsorted(times, time)), len(times) - 1)])))
+                turn = min(int(np.searchsorted(times, time)), len(times) - 1)
+                rows.append((here, here + 0.1 * ahead, bool(speaks[turn])))
         place = np.array([r[0] for r in rows]).reshape(-1, 2)
         return (
             np.array(ids, int),
