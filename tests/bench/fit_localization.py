@@ -42,8 +42,15 @@ from avcli.localization.windows import Heard  # noqa: E402
 FITTED = ROOT / "avcli" / "localization" / "fitted.json"
 FS, SECONDS = 44100, 5.0
 RIGHT_M, NEARBY_S = 0.5, 0.15
+LEAST_FLOOR_M = 0.02
 SEEDS = {"fit": 11, "held out": 4021, "check": 77}
 SPEAKERS = {"fit": "aew", "held out": "axb"}
+SIGNS: dict[str, tuple[float | None, float | None]] = {
+    **dict.fromkeys(("residual", "heights", "strayed", "new", "climbed", "pace", "moves", "strongest"), (0.0, None)),
+    "agreement": (None, 0.0),
+}
+"""Bounds of a covariance's weights: what speaks against a place makes it wider, whatever the errors at hand are."""
+
 MEMORIES, SHARPNESSES = (0.18, 0.28, 0.45), (5.0, 8.0, 12.0)
 
 
@@ -308,6 +315,21 @@ def log_loss(right: np.ndarray, probability: np.ndarray, weight: np.ndarray | No
     return float(np.average(-np.where(right, np.log(chance), np.log1p(-chance)), weights=weight))
 
 
+def supporting(terms: np.ndarray, right: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the weights (k,) as `logistic` does, but none below 0 after the first, the constant.
+
+    Every feature is made to speak for a peak. One that would speak against it only balances another one.
+    """
+    used = np.ones(terms.shape[1], bool)
+    while True:
+        found = np.zeros(terms.shape[1])
+        found[used] = logistic(terms[:, used], right, weight)
+        worst = 1 + int(np.argmin(found[1:]))
+        if found[worst] >= 0.0:
+            return found
+        used[worst] = False
+
+
 def logistic(terms: np.ndarray, right: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the weights (k,) of greatest likelihood for terms (n, k), by Newton's method, with a ridge of 1e-3."""
     found = np.zeros(terms.shape[1])
@@ -326,7 +348,7 @@ def fit_scores(rows: Sequence[Row], law: uncertainty.Law) -> tuple[uncertainty.L
         names = law.first if first else law.further
         terms = np.array([uncertainty.terms(row.features, names) for row in mine])
         right, weight = np.array([row.right for row in mine]), np.array([row.weight for row in mine])
-        found = logistic(terms, right, weight)
+        found = supporting(terms, right, weight)
         weights = dict(zip(names, rounded(found), strict=True))
         law = replace(law, first=weights) if first else replace(law, further=weights)
         total += weight.sum() * log_loss(right, 1.0 / (1.0 + np.exp(-np.clip(terms @ found, -30, 30))), weight)
@@ -399,7 +421,8 @@ def fit_spread(errors: Errors, law: uncertainty.Law) -> tuple[dict[str, dict[str
     def loss(parameters: np.ndarray) -> float:  # the ridge settles what the errors leave open
         return errors.loss(parts(parameters)) + 1e-4 * float(parameters @ parameters)
 
-    best = minimize(loss, start, method="L-BFGS-B", options={"maxiter": 100, "maxfun": 100_000})
+    limits = [SIGNS.get(name, (None, None)) for names in uncertainty.PARTS.values() for name in names]
+    best = minimize(loss, start, method="L-BFGS-B", bounds=limits, options={"maxiter": 100, "maxfun": 100_000})
     found = parts(best.x)
     named = {part: dict(zip(names, rounded(found[part]), strict=True)) for part, names in uncertainty.PARTS.items()}
     return named, float(best.fun)
@@ -432,13 +455,15 @@ def fit_closed_form(heard: Sequence[Scene], law: uncertainty.Law) -> tuple[uncer
         scatters = np.array([row[4] for row in rows])[right]
 
         def loss(parameters: np.ndarray, errors: np.ndarray = errors, scatters: np.ndarray = scatters) -> float:
-            covariances = np.exp(parameters[0]) * scatters + np.exp(2.0 * parameters[1]) * np.eye(3)
+            floor = max(np.exp(parameters[1]), LEAST_FLOOR_M)
+            covariances = np.exp(parameters[0]) * scatters + floor**2 * np.eye(3)
             squared = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
             return float(np.mean(np.linalg.slogdet(covariances)[1] + squared))
 
-        widened, floor = np.exp(minimize(loss, [0.0, np.log(0.1)], method="Nelder-Mead").x)
+        widened, floor = np.exp(minimize(loss, [0.0, np.log(0.1)], method="Nelder-Mead").x).tolist()
+        floor = max(floor, LEAST_FLOOR_M)
         one, spread, valid, events = rounded(weights)
-        found = uncertainty.ClosedForm(one, spread, valid, events, round(float(widened), 3), round(float(floor), 4))
+        found = uncertainty.ClosedForm(one, spread, valid, events, round(widened, 3), round(floor, 4))
         law = replace(law, closed_form_refined=found) if refine else replace(law, closed_form=found)
         after = log_loss(right, 1.0 / (1.0 + np.exp(-np.clip(terms @ weights, -30, 30))))
         losses[name] = {"steps": len(right), "before": round(log_loss(right, before), 4), "after": round(after, 4)}
