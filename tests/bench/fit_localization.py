@@ -9,7 +9,7 @@ recordings (CMU ARCTIC, one speaker for the fit, another for what is held out), 
 without it, the voices that avsim-audio has. A detection is right within 0.5 m in x and y of a talker who is not taken
 and who sounds within 0.15 s. bench-localization then measures the result with another simulator.
 
---covariance fits the covariance of srp too. That is not done by default: on scenes that were held out, 95 % ellipses
+--covariance fits the covariances too. That is not done by default: on scenes that were held out, 95 % ellipses
 then hold 96 instead of 99 % of the errors of people who stand, but avfuse, which assumes that the errors of successive
 records are independent, tracks worse (mean HOTA 0.591 instead of 0.626 on five random scenes).
 """
@@ -445,8 +445,10 @@ def fit_widened(errors: Errors, law: uncertainty.Law) -> dict[str, float]:
     return widened
 
 
-def fit_closed_form(heard: Sequence[Scene], law: uncertainty.Law) -> tuple[uncertainty.Law, dict[str, Any]]:
-    """Return the law with the scores and covariances of 3D-SSL, and their losses before and after."""
+def fit_closed_form(
+    heard: Sequence[Scene], law: uncertainty.Law, *, covariance: bool
+) -> tuple[uncertainty.Law, dict[str, Any]]:
+    """Return the law with the scores, and if asked for the covariances, of 3D-SSL, and the log losses of the scores."""
     from scipy.optimize import minimize
 
     losses: dict[str, Any] = {}
@@ -466,6 +468,9 @@ def fit_closed_form(heard: Sequence[Scene], law: uncertainty.Law) -> tuple[uncer
 
         widened, floor = np.exp(minimize(loss, [0.0, np.log(0.1)], method="Nelder-Mead").x).tolist()
         floor = max(floor, LEAST_FLOOR_M)
+        if not covariance:
+            kept = law.closed_form_refined if refine else law.closed_form
+            widened, floor = kept.widened, kept.floor
         one, spread, valid, events = rounded(weights)
         found = uncertainty.ClosedForm(one, spread, valid, events, round(widened, 3), round(floor, 4))
         law = replace(law, closed_form_refined=found) if refine else replace(law, closed_form=found)
@@ -568,7 +573,7 @@ def main() -> None:
     parser.add_argument("--speech", type=Path, default=shared if shared.is_dir() else None, help="folder of recordings")
     parser.add_argument("--scenes", type=int, default=4, help="scenes of each condition, of which the last is held out")
     parser.add_argument("--output", type=Path, default=FITTED, help="where the law goes")
-    parser.add_argument("--covariance", action="store_true", help="fit the covariance of srp too")
+    parser.add_argument("--covariance", action="store_true", help="fit the covariances too")
     parser.add_argument("--check", action="store_true", help="only renew the check")
     options = parser.parse_args()
     say = functools.partial(print, file=sys.stderr, flush=True)
@@ -580,7 +585,7 @@ def main() -> None:
         held_out = list(scenes("held out", 1, options.speech))
         say(f"{len(heard)} scenes to fit, {len(held_out)} held out")
         law, number = fit(heard, shipped, say, covariance=options.covariance)
-        law, closed = fit_closed_form(heard, law)
+        law, closed = fit_closed_form(heard, law, covariance=options.covariance)
         stated = {
             "law": asdict(law),
             "fit": {
