@@ -175,9 +175,10 @@ lint: $(READY)
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/mypy -p avcli
 	$(BIN)/mypy tests/bench
+	$(BIN)/python -m avcli.formats --check
 
 formats: | $(READY)
-	$(BIN)/python -m avcli.formats.describe
+	$(BIN)/python -m avcli.formats
 
 man: | $(READY)
 	@command -v mandoc >/dev/null || { echo 'make man: mandoc is missing (Debian: apt-get install mandoc)' >&2; exit 1; }

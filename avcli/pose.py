@@ -5,31 +5,53 @@ OpenCV's: x right, y down, z forward.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 # The camera of rotation [0, 0, 0] stands upright and looks along the room's y axis: its right is +x, its up is +z.
 _R_ROOM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
-def transform(rotation, translation):
-    """Build T_AB from the rotation R_AB (3, 3) and the origin of B in A, (3,) metres; returns (4, 4)."""
+def transform(rotation: ArrayLike, translation: ArrayLike) -> np.ndarray:
+    """Build a rigid transform.
+
+    Args:
+        rotation: R_AB (3, 3).
+        translation: (3,) m, the origin of B in A.
+
+    Returns:
+        T_AB (4, 4).
+    """
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = translation
     return matrix
 
 
-def inverse(T_AB):
-    """Invert a rigid transform (4, 4); returns T_BA (4, 4)."""
+def inverse(T_AB: np.ndarray) -> np.ndarray:
+    """Invert a rigid transform T_AB (4, 4); returns T_BA (4, 4)."""
     rotation = T_AB[:3, :3].T
     return transform(rotation, -rotation @ T_AB[:3, 3])
 
 
-def apply(T_AB, points):
-    """Map points (..., 3) in metres from frame B to frame A with T_AB (4, 4); returns (..., 3)."""
+def apply(T_AB: np.ndarray, points: ArrayLike) -> np.ndarray:
+    """Map points from frame B to frame A.
+
+        >>> from avcli.pose import apply, camera_pose
+        >>> T_room_camera = camera_pose([2.0, 2.0, 2.5], [90, 0, 0])
+        >>> apply(T_room_camera, [0.0, 0.0, 2.5])  # what a ceiling camera sees in its middle lies below it
+        array([2., 2., 0.])
+
+    Args:
+        T_AB: (4, 4).
+        points: (..., 3) m.
+
+    Returns:
+        (..., 3) m.
+    """
     return np.asarray(points, float) @ T_AB[:3, :3].T + T_AB[:3, 3]
 
 
-def camera_pose(position, rotation_deg):
+def camera_pose(position: ArrayLike, rotation_deg: ArrayLike) -> np.ndarray:
     """Build T_room_camera (4, 4) from `camera_position_m` (3,) and `camera_rotation_deg` (3,).
 
     The angles are [pitch, yaw, roll] as Unity, which the thesis used, orders them: from the upright camera that looks
@@ -43,7 +65,7 @@ def camera_pose(position, rotation_deg):
     return transform(_without_rounding(rotation), position)
 
 
-def camera_rotation_deg(T_room_camera):
+def camera_rotation_deg(T_room_camera: np.ndarray) -> np.ndarray:
     """Read `camera_rotation_deg` [pitch, yaw, roll] (3,) off T_room_camera (4, 4); the inverse of `camera_pose`.
 
     Where the camera looks straight up or down yaw and roll turn about one axis: yaw is then given as 0.
@@ -57,21 +79,21 @@ def camera_rotation_deg(T_room_camera):
     return np.rad2deg(np.array([pitch, yaw, roll])) + 0.0
 
 
-def _about_x(angle):
+def _about_x(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
-def _about_y(angle):
+def _about_y(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-def _about_z(angle):
+def _about_z(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _without_rounding(rotation):
+def _without_rounding(rotation: np.ndarray) -> np.ndarray:
     """Set the 6e-17 that cos(90 deg) leaves to 0, so that a ceiling camera's axes are the room's exactly."""
     return np.where(np.abs(rotation) < 1e-15, 0.0, rotation)

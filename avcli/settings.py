@@ -20,7 +20,7 @@ class Setting:
         text: one sentence for --help.
         unit: metavar on the command line: "S", "HZ", "M", "DB", "N", "P"…; empty for a flag or a choice.
         least, above, most, below: bounds; `above` and `below` are exclusive. None: no bound.
-        choices: the permitted words of a text field.
+        choices: the permitted values.
         flag: the option's name where it is not the field's ("--band" for band_hz); "--x/--no-x" for a switch.
         default_text: what --help says of the default where the value itself would say nothing.
         only: the method or mode that the setting belongs to; empty: all of them.
@@ -32,7 +32,7 @@ class Setting:
     above: float | None = None
     most: float | None = None
     below: float | None = None
-    choices: tuple[str, ...] = ()
+    choices: tuple[str | int, ...] = ()
     flag: str = ""
     default_text: str = ""
     only: str = ""
@@ -65,7 +65,7 @@ def check(settings: Any) -> None:
         if value is None:
             continue
         if known.choices and value not in known.choices:
-            raise ValueError(f"{name} must be one of {', '.join(known.choices)}, not {value}")
+            raise ValueError(f"{name} must be one of {', '.join(map(str, known.choices))}, not {value}")
         for number in value if isinstance(value, tuple) else (value,):
             if not isinstance(number, int | float):
                 continue
@@ -77,5 +77,5 @@ def check(settings: Any) -> None:
             ):
                 if bound is not None and not holds(number, bound):
                     raise ValueError(f"{name} must be {words} {bound:g}, not {number:g}")
-            if not math.isfinite(number):
+            if not math.isfinite(number) and number != known.most:
                 raise ValueError(f"{name} must be a finite number, not {number:g}")

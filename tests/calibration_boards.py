@@ -1,12 +1,13 @@
 """Pictures of calibration boards through an exact lens, for the tests and benchmarks of avcalib."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from avcli.calibration import fit
 from avcli.calibration.target import Board, draw
-from avcli.lens import KannalaBrandt
+from avcli.lens import KannalaBrandt, Lens
 
 THESIS = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
 """The thesis's real camera, 1920 × 1080."""
@@ -24,15 +25,26 @@ class Filmed:
 
 
 def film(
-    count, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), distance=(0.35, 1.2), tilt=0.7, shape=FLAT,
-    aim=None, margin=6, whole=True,
-):  # fmt: skip
+    count: int,
+    rng: np.random.Generator,
+    *,
+    lens: Lens = THESIS,
+    board: Board = BOARD,
+    size: tuple[int, int] = (1920, 1080),
+    distance: tuple[float, float] = (0.35, 1.2),
+    tilt: float = 0.7,
+    shape: np.ndarray = FLAT,
+    aim: tuple[Sequence[float], float] | None = None,
+    margin: float = 6,
+    whole: bool = True,
+) -> Filmed:
     """Put boards at random before the camera, whole in the picture, aimed at random pixels (or within `aim`)."""
     width, height = size
     corners = fit.surface(board.points, shape, board.half_extent)
     outer = (np.array(board.inner) + 1) / 2 * board.square_m
     rim = np.array([[sx * outer[0], sy * outer[1], 0] for sx in (-1, 1) for sy in (-1, 1)])
-    rotations, translations = [], []
+    rotations: list[np.ndarray] = []
+    translations: list[np.ndarray] = []
     while len(rotations) < count:
         pixel = rng.uniform([0, 0], [width - 1, height - 1])
         if aim is not None:
@@ -55,13 +67,21 @@ def film(
     return Filmed(np.array(rotations), np.array(translations))
 
 
-def exact(filmed, *, lens=THESIS, board=BOARD, shape=FLAT, noise=0.0, rng=None):
+def exact(
+    filmed: Filmed,
+    *,
+    lens: Lens = THESIS,
+    board: Board = BOARD,
+    shape: np.ndarray = FLAT,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> fit.Observations:
     """The corners of filmed boards without a picture, with Gaussian noise in px: fit.Observations."""
     flat = fit.surface(board.points, shape, board.half_extent)
     pixels = np.concatenate(
         [lens.project(flat @ R.T + t) for R, t in zip(filmed.rotations, filmed.translations, strict=True)]
     )
-    if noise:
+    if rng is not None:
         pixels = pixels + noise * rng.standard_normal(pixels.shape)
     n, m = len(filmed.rotations), len(flat)
     return fit.Observations(
@@ -69,7 +89,7 @@ def exact(filmed, *, lens=THESIS, board=BOARD, shape=FLAT, noise=0.0, rng=None):
     )
 
 
-def texture(board, per_square=48):
+def texture(board: Board, per_square: int = 48) -> np.ndarray:
     """The printed board as a picture, a quiet border of one square around it: (height, width) float 0 or 1."""
     drawing = draw(board)
     square = 1000 * board.square_m
@@ -85,8 +105,18 @@ def texture(board, per_square=48):
 
 
 def photograph(
-    R, t, rng, *, lens=THESIS, board=BOARD, size=(1920, 1080), shape=FLAT, blur=0.8, noise=3.0, oversample=1
-):  # fmt: skip
+    R: np.ndarray,
+    t: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    lens: Lens = THESIS,
+    board: Board = BOARD,
+    size: tuple[int, int] = (1920, 1080),
+    shape: np.ndarray = FLAT,
+    blur: float = 0.8,
+    noise: float = 3.0,
+    oversample: int = 1,
+) -> np.ndarray:
     """Photograph a board: (height, width) uint8, blurred by a Gaussian of `blur` px, with noise in grey levels.
 
     Every subpixel's ray is met with the (bowed) board exactly; squares are looked up in the board's own geometry, or,
@@ -140,16 +170,15 @@ def photograph(
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
-def _squares(column, row, board):
+def _squares(column: np.ndarray, row: np.ndarray, board: Board) -> np.ndarray:
     """How white each subpixel is, edges weighed by the area on either side of them."""
     with np.errstate(invalid="ignore", divide="ignore"):
 
-        def step(distance, width):
+        def step(distance: np.ndarray, width: np.ndarray) -> np.ndarray:
             return np.clip(distance / width, -0.5, 0.5)
 
         width = [np.hypot(*np.gradient(a)) for a in (column, row)]
-        black = 1.0
-        sign = 1.0
+        black = sign = np.ones_like(column)
         for a, w, count in ((column, width[0], board.columns), (row, width[1], board.rows)):
             nearest = np.clip(np.round(a), 1, count - 1)
             sign = sign * 2 * step(a - nearest, w) * np.where(nearest % 2 == 0, 1.0, -1.0)
@@ -158,7 +187,13 @@ def _squares(column, row, board):
     return np.nan_to_num(white, nan=1.0)
 
 
-def field_error(found, true=THESIS, size=(1920, 1080), step=20, theta_max=np.inf):
+def field_error(
+    found: Lens,
+    true: Lens = THESIS,
+    size: tuple[int, int] = (1920, 1080),
+    step: float = 20,
+    theta_max: float = np.inf,
+) -> tuple[float, float]:
     """Mean and largest difference of two lenses over the picture, px, after the rotation that suits best."""
     width, height = size
     pixels = np.stack(np.meshgrid(np.arange(0.0, width, step), np.arange(0.0, height, step)), -1).reshape(-1, 2)
@@ -168,7 +203,7 @@ def field_error(found, true=THESIS, size=(1920, 1080), step=20, theta_max=np.inf
     for _ in range(10):
         projected, by_point, _ = found.project_jacobian(rays)
         good = np.isfinite(projected).all(1)
-        by_turn = -by_point[good] @ fit._cross(rays[good])
+        by_turn = -by_point[good] @ fit.cross_matrix(rays[good])
         turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (pixels - projected)[good].ravel(), rcond=None)[0]
         rays = rays @ fit.rotation_from_vector(turn[None])[0].T
     error = np.linalg.norm(pixels - found.project(rays), axis=1)

@@ -12,9 +12,8 @@ from conftest import BIN, run
 from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli import pose
-from avcli.calibration import corners, place
+from avcli.calibration import corners, mjpeg, place
 from avcli.calibration.target import Board
-from avcli.commands import mjpeg
 from avcli.formats import footage
 from avcli.formats.media import write_png
 
@@ -41,7 +40,7 @@ def test_pictures_in_a_lens_out(pictures, tmp_path):
     assert (camera["image_width_px"], camera["image_height_px"]) == HALF_SIZE
     assert 50 < camera["theta_max_observed_deg"] < 90 < camera["theta_max_valid_deg"]
     assert camera["calibration"]["rms_px"] < 0.1
-    assert "verdict" in result.stderr
+    assert "Verdict: trust this calibration up to" in result.stderr
     rows = [json.loads(line) for line in details.read_text().splitlines()]
     assert [row["kept"] for row in rows] == [True] * 8
     assert run("avcalib", "calibrate", pictures, "--board", "6x8").stdout == result.stdout
@@ -84,6 +83,33 @@ def test_too_few_pictures_are_refused(pictures, tmp_path):
     assert not out.exists()
     result = run("avcalib", "calibrate", pictures / "board_00.png", "--force")
     assert result.returncode == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (["calibrate", "{}", "--max-rms", "1"], "--max-rms has no effect with --procedure avcli"),
+        (["calibrate", "{}", "--procedure", "thesis", "--board-shape", "no"], "--board-shape has no effect with"),
+        (["calibrate", "{}", "--procedure", "thesis", "--lens-model", "division"], "--lens-model has no effect with"),
+        (["calibrate", "{}", "--rate", "3"], "--rate has no effect with single pictures"),
+        (["calibrate", "{}", "--size", "640x480"], "--size has no effect without a camera"),
+        (["calibrate", "{}", "--lens-model", "pinhole"], "known are kannala_brandt, brown_conrady, division"),
+        (["undistort", "{}", "-c", "CAMERA", "--to", "x", "--fov", "90", "--balance", "1"], "--balance has no effect"),
+        (["undistort", "{}", "-c", "CAMERA", "--to", "x", "--projection", "whole", "--balance", "1"], "--balance has"),
+        (["pose", "-c", "CAMERA", "--points", "p.csv", "--yaw", "3"], "--yaw has no effect with --points"),
+        (["pose", "-c", "CAMERA", "--points", "p.csv", "--square", "3"], "--square has no effect with --points"),
+    ],
+)
+def test_options_without_effect_are_refused_by_name(pictures, camera, options, name):
+    places = {"{}": pictures, "CAMERA": camera}
+    result = run("avcalib", *(places.get(option, option) for option in options))
+    assert result.returncode == 2
+    assert name in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_what_a_preset_sets_is_not_refused(pictures):
+    assert "no effect" not in run("avcalib", "calibrate", pictures, "--preset", "thesis").stderr
 
 
 def test_bad_input(pictures, tmp_path):

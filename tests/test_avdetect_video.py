@@ -10,6 +10,7 @@ from conftest import run
 from detection_people import KB8, cast, ceiling_view
 from test_detection_network import model, rows
 
+from avcli.detection.detector import detect
 from avcli.detection.network import Letterbox
 from avcli.formats import experiment, media
 
@@ -77,7 +78,7 @@ def test_people_before_the_empty_room(made):
     records = found(run(*DEPTH, "-C", made, made / "frames.jsonl"))
     assert [record["timestamp"] for record in records] == ["0.0000000000", "0.1000000000", "0.2000000000"]
     assert [len(record["objects"]) for record in records] == [0, 1, 2]
-    assert {record["sensor"] for record in records} == {"video"}
+    assert {(record["sensor"], record["kind"]) for record in records} == {("video", "camera")}
     for one, person in zip(records[2]["objects"], PEOPLE, strict=True):
         assert np.linalg.norm(np.array(one["position"][:2]) - person[:2]) < 0.12
         assert np.linalg.eigvalsh(one["covariance"])[0] > 0
@@ -151,9 +152,33 @@ def test_a_real_network_runs(made, shared_data):
     assert len(records) == 3
 
 
+def test_a_size_for_a_model_that_has_its_own_is_refused(made, network):
+    options = ["--model", network, made / "frames.jsonl"]
+    refused(run("avdetect-video", "-C", made, "--imgsz", "640x384", *options), "--imgsz", "96 × 64", code=2)
+    assert len(found(run("avdetect-video", "-C", made, "--imgsz", "96x64", *options))) == 3
+
+
+def test_the_library_finds_the_same(made):
+    config = experiment.read_config(made / "config.json")
+    lines = [json.loads(line) for line in (made / "frames.jsonl").read_text().splitlines()]
+    shots = [media.Shot(line["timestamp"], None, media.read_depth(made / line["frame"]["depth"])) for line in lines]
+    empty = media.read_depth(made / experiment.Layout.background_depth)
+    for one, record in zip(
+        detect(config, shots, background=empty, detector="depth"),
+        found(run(*DEPTH, "-C", made, made / "frames.jsonl")),
+        strict=True,
+    ):
+        assert (f"{one.timestamp:.10f}", one.sensor, one.kind) == (record["timestamp"], "video", "camera")
+        keys = {"positions": "position", "covariances": "covariance", "scores": "score", "heights": "height"}
+        for name, key in keys.items():
+            expected = np.array([item[key] for item in record["objects"]], float)
+            assert np.array_equal(getattr(one, name), expected.reshape(getattr(one, name).shape), equal_nan=True)
+        assert one.boxes_px.tolist() == [item["bbox_px"] for item in record["objects"]]
+
+
 @pytest.mark.parametrize(
     ("content", "word"),
-    [(b"", "empty"), (b"no model", "no ONNX model"), (b"version https://git-lfs.github.com/spec/v1\n", "git-lfs")],
+    [(b"", "empty"), (b"no model", "not an ONNX model"), (b"version https://git-lfs.github.com/spec/v1\n", "git-lfs")],
 )
 def test_a_file_that_is_no_model(made, tmp_path, content, word):
     (tmp_path / "m.onnx").write_bytes(content)
@@ -260,7 +285,17 @@ def test_no_background(folder):
         (["/dev/video99", "--model", "m.onnx"], "/dev/video99"),
         (["--detector", "depth", "--model", "m.onnx"], "--model"),
         (["--detector", "depth", "--monocular"], "--monocular"),
+        (["--detector", "depth", "--imgsz", "640x384"], "--imgsz has no effect with --detector depth"),
+        (["--detector", "depth", "--iou", "0.5"], "--iou"),
+        (["--detector", "depth", "--confidence", "0.5"], "--confidence"),
+        (["--detector", "depth", "--refresh", "10"], "--refresh"),
+        (["--detector", "depth", "--threads", "1"], "--threads"),
+        (["--detector", "depth", "--position", "body"], "--position"),
+        (["--monocular", "--position", "centre"], "--position has no effect with --monocular"),
+        (["--rate", "5"], "--rate"),
+        (["--overlay", "one.jpg"], "--overlay"),
         (["--imgsz", "big"], "--imgsz"),
+        (["--imgsz", "16x16"], "--imgsz"),
         (["--confidence", "2"], "--confidence"),
         (["--model", "nowhere.onnx"], "nowhere.onnx"),
     ],

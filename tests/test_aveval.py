@@ -173,9 +173,10 @@ def test_fail_under(experiment):
     assert gate("video:HOTA=89", "video:MOTA=100").returncode == 0
     low = gate("HOTA=70")
     assert low.returncode == 3
-    assert low.stderr == "aveval: audio: HOTA is 48.78, under 70\n"
+    assert low.stderr == "aveval: audio: HOTA is 48.78, below 70\n"
     assert len(low.stdout.splitlines()) == 4
     assert gate("radar:HOTA=1").returncode == 3
+    assert "--fail-under: HOTTA=1 must be [TRACKER:]NAME=PERCENT" in gate("HOTTA=1").stderr
     assert gate("HOTTA=1").returncode == 2
     assert gate("HOTA").returncode == 2
 
@@ -190,7 +191,7 @@ def scored(tmp_path, truth, tracks, *options):
 
 def test_nothing_on_either_side(tmp_path):
     nobody = scored(tmp_path, lines(walk()), "")
-    assert "there are no tracks, so everybody is missed" in nobody.stderr
+    assert "there are no tracks, so all people are missed" in nobody.stderr
     found = records_of(nobody)[0]
     assert found["summary"]["HOTA"] == 0
     assert found["HOTA"]["HOTA_FN"] == [41] * 19
@@ -225,7 +226,7 @@ def test_repeated_identities(tmp_path):
     twice = lines(walk()) + lines(walk(frames=1))
     refused = scored(tmp_path, lines(walk()), twice)
     assert refused.returncode == 1
-    assert "identity 0 stands twice at 0 s in the tracks" in refused.stderr
+    assert "identity 0 occurs twice at 0 s in the tracks" in refused.stderr
     dropped = scored(tmp_path, lines(walk()), twice, "--skip-invalid")
     assert "1 points dropped" in dropped.stderr
     assert records_of(dropped)[0]["summary"]["HOTA"] == 1
@@ -296,6 +297,17 @@ def test_wrong_usage(experiment, tmp_path):
         assert result.returncode == 2, arguments
         assert result.stdout == b""
         assert result.stderr.count("\n") == 1
+
+
+def test_options_without_effect_are_refused_by_name(experiment, tmp_path):
+    truth, tracks = experiment / "groundtruth_sources.jsonl", experiment / "tracking" / "video_tracking.jsonl"
+    for option in (("--rate", "20"), ("--compare-thesis",)):
+        refused = run("aveval", truth, tracks, *option)
+        assert (refused.returncode, refused.stdout) == (2, b"")
+        assert f"{option[0]} has no effect with" in refused.stderr
+    for good in (("--preset", "thesis"), ("--compare-thesis", "--format", "csv")):
+        assert run("aveval", truth, tracks, *good).returncode == 0
+    assert run("aveval", truth, tracks, "--compare-thesis", "--html", tmp_path / "r.html").returncode == 0
 
 
 def test_two_files_of_one_name_are_told_apart(experiment, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import select
 import subprocess
 
@@ -9,6 +10,11 @@ import jsonschema
 import numpy as np
 import pytest
 from conftest import BIN, ROOT, run
+
+from avcli.formats import records
+from avcli.formats.experiment import read_config
+from avcli.tracking import track
+from avcli.tracking.trackers import TRACKERS
 
 LISTING = (
     r'{"timestamp": "0.0000000000", "objects": [{"position": [-0.63, 2.34, 0.52]}]}\n '
@@ -21,11 +27,17 @@ LISTING = (
 )
 """The thesis's Listing .4, its separators as printed."""
 
+GUESSED = "avfuse: sensor '{name}': kind '{kind}' is guessed from its name; state it in \"sensors\" of config.json\n"
+
+
+KINDS = {"video": "camera", "audio": "microphones"}
+
 
 def line(time, positions=(), sensor="video", **more):
     """One localization record."""
     record = {"timestamp": f"{time:.10f}", "objects": [{"position": list(p), **more} for p in positions]}
-    return json.dumps({**record, **({"sensor": sensor} if sensor else {})}) + "\n"
+    named = {"sensor": sensor} if sensor else {}
+    return json.dumps({**record, **named, "kind": KINDS.get(sensor, "camera")}) + "\n"
 
 
 def walk(sensor="video", steps=20, seed=0, people=1, begin=0.0, sigma=0.1):
@@ -129,11 +141,11 @@ def test_unix_time_off_the_grid_is_kept():
     assert len(records[5]["objects"]) == 1
 
 
-def test_a_lagging_sensor_is_left_behind_and_that_is_said(experiment):
+def test_a_lagging_sensor_is_not_waited_for_and_a_warning_says_so(experiment):
     result = run("avfuse", "-C", experiment, stdin="".join(walk(steps=40) + walk("audio", steps=40)))
     assert result.returncode == 0
     assert "'audio'" in result.stderr
-    assert "left behind" in result.stderr or "too late" in result.stderr
+    assert "not waited for" in result.stderr or "too late" in result.stderr
     assert result.stdout.count(b"\n") == 40
 
 
@@ -147,7 +159,8 @@ def test_the_thesis_listing_loads_as_it_stands(experiment):
     (experiment / "video_localizations.jsonl").write_text(LISTING)
     for options in ((), ("--preset", "thesis")):
         result = run("avfuse", "-C", experiment, *options, experiment / "video_localizations.jsonl")
-        assert (result.returncode, result.stderr) == (0, "")
+        assert result.returncode == 0
+        assert result.stderr == GUESSED.format(name="video", kind="camera")
         records = [json.loads(text) for text in result.stdout.splitlines()]
         assert [r["timestamp"] for r in records] == [f"{k / 10:.10f}" for k in range(7)]
         assert len(records[5]["objects"]) == 1
@@ -162,7 +175,9 @@ def test_detections_outside_the_room_are_dropped_by_margin(experiment):
 
 @pytest.mark.parametrize("text", ["", "\n\n", line(0.0), line(0.0, [[1, 1, None]]), line(0, [[1, 1]], None)])
 def test_hardly_any_input(text):
-    records = fuse([text])
+    result = run("avfuse", "-q", stdin=text)
+    assert (result.returncode, result.stderr) == (0, "")
+    records = result.stdout.splitlines()
     assert len(records) == (1 if text.strip() else 0)
 
 
@@ -190,8 +205,6 @@ def test_bad_input_is_located_or_skipped():
         ("--lag", "-1"),
         ("--sensor", "video="),
         ("missing.jsonl",),
-        ("--tracker", "gnn", "--lag", "3"),
-        ("--tracker", "jpda", "--explain", "x"),
         ("--rate", "0"),
     ],
 )
@@ -199,6 +212,56 @@ def test_wrong_usage(options):
     result = run("avfuse", *options, stdin=line(0.0))
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
+
+
+GIVEN = {
+    "lag": ("--lag", "3"),
+    "explain": ("--explain", "x"),
+    "motion": ("--motion", "cv"),
+    "process_noise": ("--process-noise", "0.3", "--motion", "cv"),
+    "birth": ("--birth", "adaptive"),
+    "stay": ("--stay", "3"),
+    "doors": ("--doors", "anywhere"),
+    "adapt": ("--no-adapt",),
+    "hidden": ("--no-hidden",),
+    "detection": ("--detection", "video=0.5"),
+    "clutter": ("--clutter", "video=3"),
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "because"),
+    [
+        *((("--tracker", name, *GIVEN[key]), name) for name, one in TRACKERS.items() for key in sorted(one.unused)),
+        (("--motion", "imm", "--process-noise", "3"), "imm"),
+        (("--process-noise", "3"), "imm"),
+        (("--room-margin", "1"), "config.json"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
+)
+def test_an_option_without_effect_is_refused_by_name(options, because):
+    result = run("avfuse", *options, stdin=line(0.0))
+    assert result.returncode == 2
+    assert "has no effect" in result.stderr
+    assert because in result.stderr
+    assert any(word in result.stderr for word in options if word.startswith("--"))
+
+
+def test_what_has_no_effect_may_come_from_a_preset_or_be_the_default():
+    assert run("avfuse", "--tracker", "gnn", "--preset", "thesis", "-q", stdin=line(0.0)).returncode == 0
+    assert run("avfuse", "--tracker", "gnn", "--lag", "0", "-q", stdin=line(0.0)).returncode == 0
+
+
+def test_the_manual_describes_every_tracker_and_its_unused_options():
+    page = (ROOT / "man" / "avfuse.1").read_text()
+    described = page.split(".Ss Trackers")[1].split(".Sh OPTIONS")[0]
+    entries = re.split(r"^\.It Fl -", page.split(".Sh OPTIONS")[1], flags=re.MULTILINE)
+    assert "tracker Cm " + " | ".join(TRACKERS) + "\n" in page
+    for name, one in TRACKERS.items():
+        assert f".It Cm {name}\n" in described
+        for key in one.unused - {"process_noise"}:  # which --motion cv alone uses
+            (entry,) = (entry for entry in entries if entry.startswith(key.replace("_", "-")))
+            assert name in entry.split("Not with")[1], (name, key)
 
 
 def test_options_of_a_sensor_reach_it():
@@ -209,6 +272,64 @@ def test_options_of_a_sensor_reach_it():
     assert wide[0]["objects"][0]["covariance"][0][0] == pytest.approx(0.25)
     assert fuse(lines, "--sigma", "video=0.3,0")[0]["objects"][0]["covariance"][1][1] > 3.0  # y is not observed
     assert not fuse(lines, "--detection", "video=0", "--no-adapt")[-1]["objects"]
+
+
+def test_options_of_a_kind_reach_all_its_sensors_and_those_of_a_name_win():
+    lines = walk()
+    wide = fuse(lines, "--sigma", "video=0.5")
+    assert fuse(lines, "--sigma", "camera=0.5") == wide
+    assert fuse(lines, "--sigma", "camera=0.1", "--sigma", "video=0.5") == wide
+    assert fuse(lines, "--sigma", "microphones=0.5") == fuse(lines)
+    result = run("avfuse", "--sigma", "vidoe=0.5", stdin="".join(lines))
+    assert result.stderr == "avfuse: sensor 'vidoe' has options but sent no record\n"
+
+
+@pytest.mark.parametrize("names", [("microphones", "ceiling"), ("video", "audio"), ("x1", "x2")])
+def test_renaming_a_sensor_changes_no_track(experiment, names):
+    """Which kind a sensor is stands in its records or in config.json; its name means nothing."""
+    woven = [one for pair in zip(walk(), walk("audio", seed=1), strict=True) for one in pair]
+    expected = run("avfuse", "-C", experiment, stdin="".join(woven)).stdout
+    stated, configured = [], []
+    for text in woven:
+        record = json.loads(text)
+        record["sensor"] = names[record["sensor"] == "audio"]
+        stated.append(json.dumps(record) + "\n")
+        del record["kind"]
+        configured.append(json.dumps(record) + "\n")
+    assert run("avfuse", "-C", experiment, stdin="".join(stated)).stdout == expected
+    config = json.loads((experiment / "config.json").read_text())
+    config["sensors"] = {name: {"kind": kind} for name, kind in zip(names, KINDS.values(), strict=True)}
+    (experiment / "config.json").write_text(json.dumps(config))
+    result = run("avfuse", "-C", experiment, stdin="".join(configured))
+    assert (result.stdout, result.stderr) == (expected, b"" if isinstance(result.stderr, bytes) else "")
+
+
+def test_a_guessed_kind_is_said_once(experiment):
+    lines = [text.replace(', "kind": "camera"', "") for text in walk()]
+    result = run("avfuse", "-C", experiment, stdin="".join(lines))
+    assert result.stderr == GUESSED.format(name="video", kind="camera")
+    assert result.stdout == run("avfuse", "-C", experiment, stdin="".join(walk())).stdout
+
+
+@pytest.mark.parametrize("lag", [0, 3])
+def test_the_library_gives_what_the_command_gives(experiment, lag):
+    seen, heard = (
+        [records.detections(records.decode(text.encode())) for text in lines]
+        for lines in (walk(people=2), walk("audio", seed=1))
+    )
+    (experiment / "v.jsonl").write_text("".join(walk(people=2)))
+    (experiment / "a.jsonl").write_text("".join(walk("audio", seed=1)))
+    files = experiment / "a.jsonl", experiment / "v.jsonl"
+    out = run("avfuse", "-C", experiment, "--lag", str(lag), *files).stdout
+    tracks = track(read_config(experiment / "config.json"), heard, iter(seen), lag=lag)
+    assert b"".join(records.encode(records.as_record(one)) for one in tracks) == out
+
+
+def test_an_unknown_tracker_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="there are ms-glmb, lmb, gnn, jpda"):
+        track(None, [], tracker="glmb")
+    with pytest.raises(ValueError, match="cannot smooth"):
+        track(None, [], tracker="gnn", lag=3)
 
 
 def test_without_hidden_states_a_few_misses_end_a_track():
@@ -238,8 +359,10 @@ def test_lag_delays_smooths_and_keeps_every_step():
     assert error(offline) < error(late) < error(online)
 
 
-@pytest.mark.parametrize("tracker", ["ms-glmb", "lmb", "gnn"])
+@pytest.mark.parametrize("tracker", list(TRACKERS))
 def test_every_tracker_follows_three_people(tracker):
+    if tracker == "jpda":
+        pytest.importorskip("stonesoup", reason="Stone Soup is optional")
     records = fuse(walk(people=3, steps=30), "--tracker", tracker)
     assert {p["object_id"] for r in records for p in r["objects"]} == {0, 1, 2}
     assert len(records[-1]["objects"]) == 3

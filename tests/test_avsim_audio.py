@@ -571,7 +571,7 @@ def test_records_that_are_wrong(experiment):
     [
         (None, 2, "no such file"),
         (b"", 1, "the file is empty"),
-        (b"RIFF and so on, but no sound", 1, "no sound that can be read"),
+        (b"RIFF and so on, but no sound", 1, "not a sound file that can be read"),
     ],
 )
 def test_speech_files_that_are_wrong(experiment, tmp_path, content, code, message):

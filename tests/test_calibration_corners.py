@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibration_boards import BOARD, exact, film, photograph
 
-from avcli.calibration import calibrate, corners, fit, target
+from avcli.calibration import calibrate, corners, fit, gather, target
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
@@ -126,8 +126,8 @@ def test_half_a_charuco_board_is_enough():
 def test_a_duplicate_is_recognised(shots):
     views = [corners.find(picture, BOARD) for picture in shots[1]]
     turned = corners.view_of(shots[1][0], views[0].ids, views[0].pixels[::-1] + 0.2)
-    assert calibrate.is_duplicate(turned, views)
-    assert not calibrate.is_duplicate(views[0], views[1:])
+    assert gather.is_duplicate(turned, views)
+    assert not gather.is_duplicate(views[0], views[1:])
 
 
 # --- targets ----------------------------------------------------------------------------------------------------------
@@ -158,7 +158,7 @@ def test_a_pdf_is_a_pdf_whose_offsets_hold():
 
 
 def test_a_board_that_does_not_fit_says_what_does():
-    with pytest.raises(ValueError, match="the largest that fit are 26 mm"):
+    with pytest.raises(ValueError, match="the largest squares that fit have 26 mm"):
         target.draw(Board(7, 10, 0.05), "A4")
     with pytest.raises(ValueError, match="too small"):
         Board(2, 8)

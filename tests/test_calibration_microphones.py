@@ -1,9 +1,13 @@
 """Microphone positions and clocks, from voices whose way is known."""
 
+import json
+
 import numpy as np
 import pytest
+import soundfile
 
-from avcli.calibration import microphones
+from avcli.calibration import camera, microphones
+from avcli.formats.records import Identified
 
 SPEED = 343.0
 ROOM = np.array(
@@ -73,8 +77,62 @@ def test_microphones_that_hang_right_are_left_alone():
 def test_too_little_is_refused():
     heard = hear(ROOM, 0.0, np.random.default_rng(2))
     few = microphones.Heard(heard.times[:5], heard.delays[:5], heard.first, heard.second)
-    with pytest.raises(ValueError, match="walks and talks"):
+    with pytest.raises(ValueError, match="talks or claps"):
         microphones.align(few, *walk(), ROOM, SPEED)
     t, path = walk()
     with pytest.raises(ValueError, match="do not overlap"):
         microphones.align(heard, t + 500, path, ROOM, SPEED)
+
+
+def person(timestamp, position, mouth=None):
+    mouths = None if mouth is None else np.array([mouth])
+    known = {} if mouths is None else {"mouths": mouths}
+    return Identified(timestamp, np.array([1]), np.array([position], float), **known)
+
+
+def test_a_mouth_is_where_the_record_says_or_ahead_of_the_walker():
+    stated = [person(t, [t, 1.0, 0.0], [t + 0.2, 1.1, 1.5]) for t in (0.2, 0.0, 0.1)]
+    times, path = microphones.mouths(stated, 1.7)
+    assert times.tolist() == [0.0, 0.1, 0.2]
+    assert np.allclose(path, [[0.2, 1.1, 1.5], [0.3, 1.1, 1.5], [0.4, 1.1, 1.5]])
+    walker = [person(t, [t, 1.0, 0.0]) for t in np.arange(0, 3, 0.1)]  # 1 m/s along x
+    times, path = microphones.mouths(walker, 1.7)
+    assert np.allclose(path, np.stack([times + microphones.MOUTH_AHEAD_M, 0 * times + 1, 0 * times + 1.7], -1))
+
+
+def test_records_with_several_people_or_none_are_left_out():
+    nobody = Identified(0.5, np.zeros(0, int), np.zeros((0, 3)))
+    two = Identified(0.6, np.array([1, 2]), np.zeros((2, 3)))
+    assert microphones.mouths([nobody, two, person(0.7, [1, 1, 0], [1, 1, 1.6])], 1.6)[0].tolist() == [0.7]
+
+
+def test_sound_follows_on_or_starts_at_the_time_in_its_name(tmp_path):
+    for name in ("multichannel_audio_0.0000000000.wav", "multichannel_audio_7.5000000000.wav"):
+        soundfile.write(tmp_path / name, np.zeros((800, 2)), 8000)
+    files = sorted(map(str, tmp_path.iterdir()))
+    assert [(start, len(x), rate) for start, x, rate in microphones.sounds(files, None)] == [
+        (0.0, 800, 8000),
+        (0.1, 800, 8000),
+    ]
+    assert [start for start, _, _ in microphones.sounds([], tmp_path)] == [0.0, 7.5]
+    with pytest.raises(ValueError, match="no sound in"):
+        list(microphones.sounds([], tmp_path / "empty"))
+
+
+def test_found_positions_go_into_a_config_and_all_else_stays(tmp_path):
+    raw = {
+        "session_id": "a",
+        "microphone_config": {
+            "audio_bit_depth": 24,
+            "mic_positions_m": [{"object_id": 1, "position": [0, 0, 0]}, [1, 1, 1]],
+        },
+    }
+    camera.write_microphones(tmp_path / "config.json", raw, [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3]])
+    assert json.loads((tmp_path / "config.json").read_text()) == {
+        "session_id": "a",
+        "microphone_config": {
+            "audio_bit_depth": 24,
+            "mic_positions_m": [{"object_id": 1, "position": [0.1, 0.2, 0.3]}, [1.1, 1.2, 1.3]],
+        },
+    }
+    assert raw["microphone_config"]["mic_positions_m"][1] == [1, 1, 1]

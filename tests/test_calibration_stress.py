@@ -95,7 +95,7 @@ def test_few_pictures_are_judged_by_what_they_know(shots, tmp_path, count):
 
 def test_duplicates_change_nothing(shots, tmp_path, usual):
     found, said = lens_of(write(tmp_path / "twice", [*shots, *shots, shots[0]]))
-    assert "9 as another does" in said
+    assert "9 of them as in another picture" in said
     assert found == usual
 
 
@@ -211,5 +211,5 @@ def test_a_tiled_floor_is_no_board(tmp_path, shots):
     y, x = np.mgrid[0:540, 0:960]
     tiles = (60 + 120 * ((x // 60 + y // 60) % 2)).astype(np.uint8)
     found, said = lens_of(write(tmp_path / "floor", [tiles, *shots]))
-    assert "going on with that" not in said
+    assert "continuing with a board" not in said
     assert found["calibration"]["views_used"] == 8

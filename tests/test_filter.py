@@ -49,8 +49,8 @@ def test_what_counts_as_records(stdin, count):
 
 
 BAD = {
-    b'{"timestamp": "0", "obj': "<stdin>:2:",
-    b"[1, 2]": "<stdin>:2: expected a JSON object",
+    b'{"timestamp": "0", "obj': "<stdin>:2:24: invalid JSON: ",
+    b"[1, 2]": "<stdin>:2: must be a JSON object, found [1,2]",
     b'{"objects": []}': '<stdin>:2: "timestamp" is missing',
     b'{"timestamp": "soon", "objects": []}': '<stdin>:2: "timestamp"',
     b'{"timestamp": "nan", "objects": []}': '<stdin>:2: "timestamp"',
@@ -128,6 +128,19 @@ def test_help_version_seed_and_presets():
     assert [row["seed"] for row in numbers] == [0, 5]
 
 
+def test_a_fault_of_the_program_is_one_line():
+    command = "import sys, click; sys.argv[0] = 'copy-records'\nfrom avcli.commands.filter import Filter, common\n"
+    command += "@click.command('copy-records', cls=Filter)\n@common()\ndef main(session): [][0]\nmain()"
+    quiet, verbose = (
+        subprocess.run([sys.executable, "-c", command, *options], capture_output=True, text=True)
+        for options in ([], ["-v"])
+    )
+    line = "copy-records: fault of the program (-v shows where): IndexError: list index out of range\n"
+    assert (quiet.returncode, quiet.stderr) == (70, line)
+    assert verbose.stderr.startswith("Traceback")
+    assert verbose.stderr.endswith(line)
+
+
 def test_full_disk_on_standard_output():
     with open("/dev/full", "wb") as full:
         result = subprocess.run(FILTER, input=GOOD, stdout=full, stderr=subprocess.PIPE, timeout=60)
@@ -151,6 +164,28 @@ def test_each_record_leaves_at_once():
         process.stdin.flush()
         assert process.stdout.readline()
     process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_inside_a_destructor_is_not_lost(number):
+    program = f"""
+import os, time, click
+from avcli.commands.filter import Filter
+class Texture:
+    def __del__(self):
+        os.kill(os.getpid(), {int(number)})
+        sum(range(1000))
+@click.command("x", cls=Filter)
+def main():
+    texture = Texture()
+    del texture
+    for _ in range(600):
+        time.sleep(0.1)
+    print("went on")
+main([])
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
+    assert (result.returncode, result.stdout, result.stderr) == (-number, b"", b"")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

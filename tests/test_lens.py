@@ -1,4 +1,13 @@
+import doctest
+import json
+import math
+import subprocess
+import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -6,7 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.lens import BrownConrady, Division, KannalaBrandt
+import avcli.lens
+from avcli import pose
+from avcli.lens import Angular, BrownConrady, Division, KannalaBrandt, shader
+from avcli.lens.radial import fold_of_odd_polynomial, odd_polynomial
 
 REAL = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
 WIDE = KannalaBrandt(350.0, 352.0, 960.3, 541.7, 0.02, -0.006, 0.001, -0.0001)  # images well past 110 degrees
@@ -14,7 +26,27 @@ BENT = KannalaBrandt(400.0, 400.0, 500.0, 400.0, 0.5, -0.3, 0.2, -0.05)  # plain
 VIRTUAL = BrownConrady(596.43, 596.43, 960.0, 540.0, -0.2)
 BARREL = BrownConrady(800.0, 790.0, 950.0, 530.0, -0.25, 0.08, -0.02, 0.003)
 LISTING = Division(596.43, 596.43, 960.0, 540.0, -0.2)
-LENSES = [REAL, WIDE, BENT, VIRTUAL, BARREL, LISTING]
+
+
+@dataclass(frozen=True)
+class Equisolid(Angular):
+    """The equal-area fisheye, written as CONTRIBUTING.md says, to hold that a lens is one class and one table entry."""
+
+    @cached_property
+    def theta_max(self) -> float:
+        return 2 * math.asin(min(fold_of_odd_polynomial(*self.coefficients), 2.0) / 2)
+
+    def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        m, slope = odd_polynomial(2 * np.sin(s / 2), *self.coefficients)
+        return m, slope * np.cos(s / 2)
+
+    def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
+        return [(2 * np.sin(s / 2)) ** n for n in (3, 5, 7, 9)]
+
+
+EQUAL_AREA = Equisolid(600.0, 600.0, 960.0, 540.0)
+BENT_AREA = Equisolid(600.0, 610.0, 960.0, 540.0, -0.05, 0.01)
+EXAMPLES = [REAL, WIDE, BENT, VIRTUAL, BARREL, LISTING, EQUAL_AREA, BENT_AREA]
 
 
 def rays(theta, phi):
@@ -68,7 +100,7 @@ def test_inverse_equals_forty_digits(lens, copies):
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", EXAMPLES)
 def test_round_trip_over_the_image(lens):
     u, v = np.meshgrid(np.linspace(0, 1919, 97), np.linspace(0, 1079, 61))
     pixels = np.stack([u.ravel(), v.ravel()], -1)
@@ -80,7 +112,7 @@ def test_round_trip_over_the_image(lens):
     assert np.isnan(ray[~seen]).all()
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", EXAMPLES)
 def test_round_trip_of_rays(lens):
     theta = np.linspace(0, lens.theta_max - np.deg2rad(1.0), 3000)
     ray = rays(theta, np.arange(3000.0))
@@ -190,7 +222,7 @@ def test_division_model_paints_a_third_of_its_image_black():
     )
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", EXAMPLES)
 def test_jacobian_equals_central_differences(lens):
     theta = np.concatenate([[1e-9, 1e-4], np.linspace(0.05, 0.8 * lens.theta_max, 12)])
     points = rays(theta, np.linspace(0.3, 9, 14)) * 1.3
@@ -214,7 +246,7 @@ def test_jacobian_equals_central_differences(lens):
 
 
 def test_jacobian_on_the_axis_and_outside():
-    for lens in LENSES:
+    for lens in EXAMPLES:
         pixels, d_point, d_parameters = lens.project_jacobian([[0.0, 0.0, 2.0], [0.0, 0.0, -1.0]])
         np.testing.assert_allclose(pixels[0], [lens.cx, lens.cy])
         np.testing.assert_allclose(d_point[0], [[lens.fx / 2, 0, 0], [0, lens.fy / 2, 0]], atol=1e-9)
@@ -239,6 +271,79 @@ def test_any_coefficients_give_an_exact_inverse_up_to_their_fold(k1, k2, k3, k4)
         np.testing.assert_allclose(again, pixels, rtol=1e-13, atol=1e-9)
         few = lens.unproject(pixels[:50])
         np.testing.assert_allclose(few, lens.unproject(pixels)[:50], rtol=0, atol=1e-12)
+
+
+def test_a_lens_is_registered_in_one_place():
+    """One entry of LENSES: the program then reads it from a config, lists it in errors, and draws through it."""
+    camera = {
+        "lens_model": "equisolid", "fx_px": 60.0, "fy_px": 60.0, "cx_px": 79.5, "cy_px": 59.5, "k1": -0.02,
+        "image_width_px": 160, "image_height_px": 120, "camera_position_m": [2.33, 2.33, 2.5],
+    }  # fmt: skip
+    program = f"""
+import json, sys
+import numpy as np
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_lens import Equisolid
+from avcli.lens import LENSES, name_of
+LENSES["equisolid"] = Equisolid
+from avcli.formats import experiment
+from avcli.scene.film import simulate
+scene = simulate({{"camera_config": json.loads({json.dumps(json.dumps(camera))}), "duration_s": 0.0}})
+lens = scene.config.camera.lens
+assert lens == Equisolid(60.0, 60.0, 79.5, 59.5, -0.02) and name_of(lens) == "equisolid"
+shot = next(scene.shots())
+rays = lens.unproject([[79.0, 59.0], [79.0, 30.0]])
+down = scene.background[[59, 30], 79] * 1e-4 * rays[:, 2]
+assert np.abs(down - 2.5).max() < 2e-4, down
+try:
+    experiment.lens_from_config({{"lens_model": "fisheye"}})
+except experiment.ConfigError as error:
+    print(error)
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "equisolid" in result.stdout
+
+
+def test_an_equisolid_lens_gives_equal_areas_to_equal_solid_angles():
+    radius = EQUAL_AREA.project(rays(np.linspace(0, np.pi, 20), np.zeros(20)))[:, 0] - 960.0
+    solid_angle = 2 * np.pi * (1 - np.cos(np.linspace(0, np.pi, 20)))
+    np.testing.assert_allclose(np.pi * (radius / 600.0) ** 2, solid_angle, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("lens", EXAMPLES)
+def test_the_shaders_rays_are_the_lens(lens):
+    values = shader.uniforms(lens, 1920, 1080)
+    u, v = np.meshgrid(np.linspace(0, 1919, 61), np.linspace(0, 1079, 41))
+    pixels = np.stack([u.ravel(), v.ravel()], -1)
+    m = (pixels - values["centre"]) * values["per_px"]
+    inverse_square, ends, limit, bounded = values["domain"]
+    square = np.sum(m * m, -1)
+    w = np.sqrt(np.maximum(1 - square * inverse_square, 0)) if ends else square * inverse_square
+    across, ahead = np.polynomial.chebyshev.chebval(2 * w - 1, np.array(values["series"]))
+    lateral = m * across[:, None]
+    ray = np.concatenate([lateral * values["stretch"], ahead[:, None]], 1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    seen = (square <= limit) & ~(bool(bounded) & (np.abs(lateral).max(1) > 1))
+    exact = lens.unproject(pixels)
+    assert (seen == np.isfinite(exact[:, 0])).all()
+    np.testing.assert_allclose(ray[seen], exact[seen], rtol=0, atol=2e-7)
+
+
+@pytest.mark.parametrize("lens", EXAMPLES)
+def test_a_clamped_projection_is_finite_and_keeps_what_is_seen(lens):
+    points = np.random.default_rng(1).normal(size=(500, 3))
+    pixels, clamped = lens.project(points), lens.project_clamped(points)
+    assert np.isfinite(clamped).all()
+    seen = np.isfinite(pixels[:, 0])
+    np.testing.assert_allclose(clamped[seen], pixels[seen], rtol=1e-7, atol=1e-4)
+
+
+@pytest.mark.parametrize("module", [avcli.lens, pose])
+def test_the_samples_in_the_docstrings_run(module):
+    tried = doctest.testmod(module)
+    assert tried.attempted
+    assert not tried.failed
 
 
 def test_wrong_shapes_are_refused():

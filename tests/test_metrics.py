@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli.metrics import clear, hota, identity
-from avcli.metrics.assignment import assign_each
+from avcli.metrics.matching import assign_each, match
 from avcli.metrics.sequence import Sequence
 from avcli.numeric import assign
 
@@ -31,7 +31,7 @@ def score(truth, track, d0=2.0):
     sequence = Sequence.of(truth, track)
     return {
         "HOTA": hota.hota(sequence, d0),
-        "CLEAR": clear.clear(sequence, clear.match(sequence, d0)),
+        "CLEAR": clear.clear(sequence, match(sequence, d0)),
         "Identity": identity.identity(sequence, d0),
         "Count": identity.count(sequence),
     }
@@ -77,7 +77,7 @@ def assert_equal_to(oracle, sequences, d0=2.0):
         for name, metric in oracle.items():
             theirs[name][str(k)] = metric.eval_sequence(data)
         ours["HOTA"].append(hota.hota(sequence, d0))
-        ours["CLEAR"].append(clear.clear(sequence, clear.match(sequence, d0)))
+        ours["CLEAR"].append(clear.clear(sequence, match(sequence, d0)))
         ours["Identity"].append(identity.identity(sequence, d0))
         ours["Count"].append(identity.count(sequence))
         for name, metric in oracle.items():
@@ -234,7 +234,7 @@ def test_half_of_the_frames_missing_and_a_ghost():
 
 
 def test_bad_sequences_are_refused():
-    with pytest.raises(ValueError, match="identity 4 stands twice in frame 1"):
+    with pytest.raises(ValueError, match="identity 4 occurs twice in frame 1"):
         Sequence.of([EMPTY, ([4, 4], np.zeros((2, 2)))], [EMPTY, EMPTY])
     with pytest.raises(ValueError, match="not finite"):
         Sequence.of([([1], np.array([[np.nan, 0]]))], [EMPTY])

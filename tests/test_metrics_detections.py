@@ -1,6 +1,7 @@
 """Scores of detections against known answers, and the figures that show them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from test_aveval import records_of
 from test_metrics_report import experiment
 
 from avcli.metrics import detections
+from avcli.metrics.detections import SensorCase
+from avcli.metrics.metric import Case
+from avcli.metrics.registry import SENSOR_METRIC, score_case
 from avcli.metrics.run import Detected, Run, Tracked
-from avcli.metrics.score import score
 from avcli.metrics.sequence import Sequence
 
 
@@ -107,13 +110,14 @@ def a_run(truth, track, found=()):
     sensors = {}
     if found:
         seen = Sequence.of(truth, found, sequence.time)
-        matches = detections.match(seen)
-        boxes = np.full((seen.track.identity.size, 4), np.nan)
-        sensors["audio"] = Detected(seen, matches, detections.score(seen, matches), boxes)
-    record = {"sequence": "s", "tracker": "audio", **score(sequence)}
-    tracked = Tracked(sequence, record, np.full(sequence.track.identity.size, np.nan))
+        count = seen.track.identity.size
+        case = SensorCase(seen, np.full((count, 2, 2), np.nan), "body", 1.0)
+        record = {"sequence": "s", "sensor": "audio", "Detections": SENSOR_METRIC.score(case)}
+        sensors["audio"] = Detected(case, record, np.full((count, 4), np.nan), "microphones")
     speaking = (np.arange(sequence.truth.identity.size) % 2).astype(float)
-    return Run("s", {"audio": tracked}, sensors, speaking, 2.0, room=np.array([4.66, 4.66]))
+    case = Case(replace(sequence, truth=replace(sequence.truth, speaking=speaking)))
+    tracked = Tracked(case, {"sequence": "s", "tracker": "audio", **score_case(case)})
+    return Run("s", {"audio": tracked}, sensors, room=np.array([4.66, 4.66]))
 
 
 @pytest.fixture(scope="module")

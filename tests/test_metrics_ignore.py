@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_aveval import records_of
 from test_metrics import sequences, trackeval_data
 
-from avcli.metrics.ignore import ignore
+from avcli.metrics.matching import ignore
 
 
 def by_trackeval(trackeval, sequence, ignored):
@@ -80,5 +80,5 @@ def test_ears_are_judged_by_those_who_speak(tmp_path):
     assert scores("--speaking", "--html", "r.html", "--detections", "ears.jsonl") == {"ears": 1, "all": 1, "ghost": 0}
     silent = run("aveval", "all.jsonl", "ears.jsonl", "--speaking", cwd=tmp_path)
     assert (silent.returncode, silent.stdout) == (1, b"")
-    assert "does not say" in silent.stderr
+    assert 'needs "speaking" for every person' in silent.stderr
     assert run("aveval", "all.jsonl", "ears.jsonl", "--speaking", "--compare-thesis", cwd=tmp_path).returncode == 2

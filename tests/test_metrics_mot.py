@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_aveval import lines, record, records_of, walk
 
+from avcli.formats.records import Identified
 from avcli.metrics import mot
 from avcli.metrics.sequence import Sequence, align
 
@@ -83,7 +84,7 @@ def test_motchallenge_there_and_back(seed):
         rows = []
         for k in range(12):
             identity = rng.permutation(9)[: rng.integers(1, 4) if rng.random() < 0.7 else 0]
-            rows.append((k / 10, identity, rng.normal(0, 3, (identity.size, 3))))
+            rows.append(Identified(k / 10, identity, rng.normal(0, 3, (identity.size, 3))))
         return rows
 
     sequence, _ = align(side(), side(), dims=3)
@@ -91,9 +92,9 @@ def test_motchallenge_there_and_back(seed):
     step = float(np.median(np.diff(sequence.time)))
     truth, tracks = (mot.read(files[f"mot/s/{name}.txt"], 1 / step) for name in ("gt", "t"))
     for points, back in ((sequence.truth, truth), (sequence.track, tracks)):
-        position = np.concatenate([row[2] for row in back]) if back else np.zeros((0, 3))
+        position = np.concatenate([row.positions for row in back]) if back else np.zeros((0, 3))
         np.testing.assert_array_equal(position, points.position.reshape(-1, 3))
-        identity = np.concatenate([row[1] for row in back]) if back else np.zeros(0)
+        identity = np.concatenate([row.ids for row in back]) if back else np.zeros(0)
         np.testing.assert_array_equal(identity, points.identity + 1)
 
 
@@ -113,11 +114,11 @@ def test_aveval_reads_motchallenge(tmp_path):
 @pytest.mark.parametrize(
     ("row", "reason"),
     [
-        ("1,2,-1,-1,-1,-1,1,a,2,0", "not all numbers"),
+        ("1,2,-1,-1,-1,-1,1,a,2,0", "not a number"),
         ("0,2,-1,-1,-1,-1,1,1,2,0", "frame number from 1"),
-        ("1,2,10,10,5,5,1,-1,-1,-1", "no position in the room"),
-        ("1,2,10,10,5,5,1,1,0.8", "no position in the room"),
-        ("1,2,-1,-1,-1,-1,1", "no position in the room"),
+        ("1,2,10,10,5,5,1,-1,-1,-1", "must hold a position in the room"),
+        ("1,2,10,10,5,5,1,1,0.8", "must hold a position in the room"),
+        ("1,2,-1,-1,-1,-1,1", "must hold a position in the room"),
         ("1,2,-1,-1,-1,-1,1,nan,2,0", "frame number"),
     ],
 )
@@ -131,6 +132,6 @@ def test_rows_that_are_none_are_named(tmp_path, row, reason):
 
 
 def test_rows_without_confidence_are_left_out():
-    assert mot.read("1,1,-1,-1,-1,-1,0,1,2,0\n2,1,-1,-1,-1,-1,1,1,2,0\n", 10.0)[0][0] == pytest.approx(0.1)
+    assert mot.read("1,1,-1,-1,-1,-1,0,1,2,0\n2,1,-1,-1,-1,-1,1,1,2,0\n", 10.0)[0].timestamp == pytest.approx(0.1)
     nothing = ([], np.zeros((0, 2)))
     assert mot.write({"s": {"t": Sequence.of([nothing], [nothing])}})["mot/s/t.txt"] == ""

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.metrics import clear, position
+from avcli.formats.records import Identified
+from avcli.metrics import position
+from avcli.metrics.matching import match
 from avcli.metrics.ospa import ospa2, set_distances
 from avcli.metrics.sequence import Sequence, align
 
@@ -102,12 +104,12 @@ def test_errors_and_delay():
     truth = [([7], p[None]) for p in path]
     track = [EMPTY] * 3 + [([1], p[None] + [0.0, 0.3]) for p in path[3:]]
     sequence = Sequence.of(truth, track, np.arange(10) / 10)
-    found = position.position(sequence, clear.match(sequence))
+    found = position.position(sequence, match(sequence))
     assert found["RMSE"] == found["MAE"] == found["MaxError"] == pytest.approx(0.3)
     assert found["BirthDelay"] == pytest.approx(0.3)
     nobody = Sequence.of(truth, [EMPTY] * 10)
-    assert position.position(nobody, clear.match(nobody))["RMSE"] is None
-    both = position.combine([found, position.position(nobody, clear.match(nobody))])
+    assert position.position(nobody, match(nobody))["RMSE"] is None
+    both = position.combine([found, position.position(nobody, match(nobody))])
     assert (both["RMSE"], both["Found"]) == (pytest.approx(0.3), 1)
 
 
@@ -115,7 +117,7 @@ def test_errors_and_delay():
 
 
 def recording(times, ids=(0,)):
-    return [(t, np.array(ids), np.array([[t, k, 0.0] for k in ids]).reshape(-1, 3)) for t in times]
+    return [Identified(t, np.array(ids), np.array([[t, k, 0.0] for k in ids]).reshape(-1, 3)) for t in times]
 
 
 def test_records_meet_in_time_and_the_rest_is_counted():
@@ -147,7 +149,7 @@ def test_records_of_one_time_are_joined():
     sequence, odd = align(truth, parts)
     assert sequence.track.count.tolist() == [2]
     assert odd.repeated == 1
-    with pytest.raises(ValueError, match="identity 4 stands twice at 0 s in the tracks"):
+    with pytest.raises(ValueError, match="identity 4 occurs twice at 0 s in the tracks"):
         align(truth, parts + recording([0.0], (4,)))
     sequence, odd = align(truth, parts + recording([0.0], (4,)), keep_first=True)
     assert (sequence.track.count.tolist(), odd.dropped) == ([2], 1)
@@ -155,9 +157,9 @@ def test_records_of_one_time_are_joined():
 
 def test_heights_are_needed_in_three_dimensions_only():
     truth = recording([0.0])
-    flat = [(0.0, np.array([1]), np.array([[0.0, 0.0, np.nan]]))]
+    flat = [Identified(0.0, np.array([1]), np.array([[0.0, 0.0, np.nan]]))]
     assert align(truth, flat)[0].track.position.shape == (1, 2)
     with pytest.raises(ValueError, match="no height"):
         align(truth, flat, dims=3)
-    high = [(0.0, np.array([1]), np.array([[0.0, 0.0, 1.5]]))]
+    high = [Identified(0.0, np.array([1]), np.array([[0.0, 0.0, 1.5]]))]
     assert align(truth, high, dims=3)[1].height == pytest.approx(1.5)

@@ -1,7 +1,9 @@
 """avsim-scene as a command: the files and records of an experiment."""
 
+import doctest
 import json
 import os
+import shutil
 import signal
 import subprocess
 
@@ -11,6 +13,7 @@ import pytest
 from conftest import BIN, ROOT, run
 
 from avcli.formats import experiment, media, records
+from avcli.scene import film, render
 
 SMALL = {
     "name": "small",
@@ -249,15 +252,22 @@ def test_sensor_effects_are_seeded_and_leave_depth_alone(tmp_path):
 
 
 def test_what_cannot_go_together_is_said(tmp_path):
-    for options in (["--no-video", "--masks"], ["--no-video", "--coco", "x.json"]):
-        result = run("avsim-scene", "s1", "-C", tmp_path / "exp", *options)
+    for option in (["--masks"], ["--coco", "x.json"], ["--samples", "4"], ["--shutter", "0.1"], ["--jpeg", "50"]):
+        result = run("avsim-scene", "s1", "-C", tmp_path / "exp", "--no-video", *option)
         assert result.returncode == 2
-        assert "--no-video" in result.stderr
+        assert f"{option[0]} has no effect with --no-video" in result.stderr
+    assert run("avsim-scene", "s1", "-C", tmp_path / "exp", "--no-video", "--preset", "thesis").returncode == 0
+    crowd = run("avsim-scene", "s1", "-C", tmp_path / "exp", "--people", "5")
+    assert crowd.returncode == 2
+    assert "--people has no effect on a scenario that is not random" in crowd.stderr
+    shutil.rmtree(tmp_path / "exp")
     assert run("avsim-scene", "s1").returncode == 2
-    assert run("avsim-scene", "s9", "-C", tmp_path / "exp").returncode == 2
+    unknown = run("avsim-scene", "s9", "-C", tmp_path / "exp")
+    assert unknown.returncode == 2
+    assert "s1, s2, s3, s4, random" in unknown.stderr
     broken = run("avsim-scene", "-", "-C", tmp_path / "exp", stdin='{"people": [')
     assert broken.returncode == 1
-    assert "<stdin>:1:13: no JSON" in broken.stderr
+    assert "<stdin>:1:13: invalid JSON" in broken.stderr
     assert not (tmp_path / "exp").exists()
 
 
@@ -277,3 +287,49 @@ def test_another_camera_is_a_twin(tmp_path):
 def test_the_examples_are_scenarios(name):
     result = run("avsim-scene", ROOT / "examples" / "scenarios" / f"{name}.json", "--print-scenario")
     assert result.returncode == 0, result.stderr
+
+
+def test_the_library_gives_what_the_command_writes(tmp_path):
+    lines = simulate(tmp_path, SMALL)
+    exp = tmp_path / "exp"
+    scene = film.simulate(SMALL)
+    written = experiment.read_config(exp / "config.json")
+    assert {**scene.config.raw, "written_by": written.raw["written_by"]} == written.raw
+    np.testing.assert_array_equal(scene.background, media.read_depth(exp / written.camera.background_depth))
+    for record, truth, shot, frame in zip(lines, scene.truth, scene.shots(), scene.frames(), strict=True):
+        assert truth.timestamp == shot.timestamp == frame.timestamp == record["timestamp"]
+        paths = records.frame(record)
+        np.testing.assert_array_equal(shot.rgb, media.read_rgb(exp / paths.rgb))
+        np.testing.assert_array_equal(shot.depth, media.read_depth(exp / paths.depth))
+        assert frame.record == {key: value for key, value in record.items() if key != "frame"}
+        said = records.identified(record)
+        np.testing.assert_array_equal(truth.mouths, said.mouths)
+        np.testing.assert_array_equal(truth.speaking, said.speaking)
+        assert np.isfinite(said.boxes_px).all()
+        assert np.isnan(truth.boxes_px).all()
+
+
+def test_a_scene_without_video_needs_no_graphics_and_refuses_pictures(monkeypatch):
+    monkeypatch.setattr(render, "Renderer", None)
+    scene = film.simulate("random", people=2, duration=0.5, seed=4, video=False)
+    assert scene.background is None
+    assert [len(truth) for truth in scene.truth] == [2] * 6
+    with pytest.raises(ValueError, match="video=True"):
+        scene.shots()
+
+
+def test_a_scene_is_drawn_when_it_is_asked_for():
+    shots = film.simulate({**SMALL, "duration_s": 3600.0}).shots()
+    assert next(shots).timestamp == 0.0
+    assert next(shots).timestamp == 0.1
+
+
+def test_an_unknown_scenario_lists_the_known_ones():
+    with pytest.raises(FileNotFoundError, match="s1, s2, s3, s4, random"):
+        film.simulate("s9", video=False)
+
+
+def test_the_samples_in_the_docstring_run():
+    tried = doctest.testmod(film)
+    assert tried.attempted
+    assert not tried.failed

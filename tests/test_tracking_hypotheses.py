@@ -10,12 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli.formats.experiment import Config
+from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import coverage, gaussian
+from avcli.tracking.densities import Densities
 from avcli.tracking.glmb import GLMB
-from avcli.tracking.hypotheses import Cluster, Densities
-from avcli.tracking.model import Sensor, Settings, sensor
+from avcli.tracking.hypotheses import Cluster
+from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
 from avcli.tracking.rates import Rates
+from avcli.tracking.settings import Sensor, Settings, sensor
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
 import tracking_scenes as scenes
@@ -40,8 +43,8 @@ def test_two_pairs_that_know_nothing_of_each_other_are_two_clusters():
     joint = cluster({a + b: p * q for a, p in pair.items() for b, q in other.items()})
     assert joint.parts() == [[0, 1], [2, 3]]
     one, two = (joint.only(part) for part in joint.parts())
-    assert dict(zip(one.rows, one.shares, strict=True)) == pytest.approx(pair)
-    assert dict(zip(two.rows, two.shares, strict=True)) == pytest.approx(other)
+    assert dict(zip(one.hypotheses, one.shares, strict=True)) == pytest.approx(pair)
+    assert dict(zip(two.hypotheses, two.shares, strict=True)) == pytest.approx(other)
 
 
 def test_who_depends_on_another_through_a_third_stays_with_them():
@@ -60,15 +63,15 @@ def test_parts_keep_every_marginal(seed):
     assert sorted(at for part in parts for at in part) == [0, 1, 2, 3]
     exist = np.ones(40)
     for part in parts:
-        for place, at in enumerate(part):
-            assert whole.only(part).marginals(place, exist)[0] == pytest.approx(whole.marginals(at, exist)[0])
+        for k, at in enumerate(part):
+            assert whole.only(part).marginals(k, exist)[0] == pytest.approx(whole.marginals(at, exist)[0])
 
 
 def test_densities_that_are_alike_become_one_with_the_moments_of_both():
     crowd = people([[1, 1, 0, 0], [1.05, 1, 0, 0], [3, 3, 0, 0]], [0, 0, 1])
     mean, cov = gaussian.moments(crowd.mean, crowd.cov, crowd.mode)
     merged = cluster({(0, 2): 0.75, (1, 2): 0.25}).condensed(crowd)
-    assert merged.rows == [(0, 2)]
+    assert merged.hypotheses == [(0, 2)]
     assert merged.shares == pytest.approx([1.0])
     got, spread = gaussian.moments(crowd.mean[[0]], crowd.cov[[0]], crowd.mode[[0]])
     expected = 0.75 * mean[0] + 0.25 * mean[1]
@@ -81,7 +84,7 @@ def test_densities_that_are_alike_become_one_with_the_moments_of_both():
 def test_two_people_and_places_far_apart_never_merge(labels):
     crowd = people([[1, 1, 0, 0], [1, 1, 0, 0] if labels[1] else [1.3, 1, 0, 0]], labels)
     rows = {(0, 1): 1.0} if labels[1] else {(0,): 0.5, (1,): 0.5}
-    assert cluster(rows).condensed(crowd).rows == list(rows)
+    assert cluster(rows).condensed(crowd).hypotheses == list(rows)
 
 
 def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
@@ -95,21 +98,21 @@ def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
 
 
 def test_when_nobody_is_found_for_two_seconds_nobody_is_given_up():
-    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(1)
+    tracker, rng = GLMB(Settings(), Population(), [sensor("video")]), np.random.default_rng(1)
     for k in range(60):
         places = np.array([[1.5, 1.5], [3.0, 3.0]]) + 0.12 * rng.standard_normal((2, 2))
         z = places[:0] if 20 <= k < 42 else places
-        tracker.scan(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
+        tracker.update(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
         assert [t.label for t in tracker.tracks(k / 10)] == [0, 1]
 
 
 def test_who_meet_face_to_face_and_turn_back_keep_their_labels():
     kept = 0
     for seed in range(5):
-        tracker = GLMB(Settings(), [sensor("video"), sensor("audio")])
+        tracker = GLMB(Settings(), Population(), [sensor("video"), sensor("audio", MICROPHONES)])
         before = None
         for t, name, z, sigma, _ in scenes.turning_back(np.random.default_rng(seed)).records:
-            tracker.scan(t, name, z, np.tile(sigma**2 * np.eye(2), (len(z), 1, 1)))
+            tracker.update(t, name, z, np.tile(sigma**2 * np.eye(2), (len(z), 1, 1)))
             if before is None and t >= 1.0:
                 before = [one.label for one in sorted(tracker.tracks(t), key=lambda one: one.state[0])]
         kept += before == [one.label for one in sorted(tracker.tracks(6.0), key=lambda one: one.state[0])]
@@ -119,30 +122,30 @@ def test_who_meet_face_to_face_and_turn_back_keep_their_labels():
 @pytest.mark.parametrize("share", [0.3, 1.0])
 @pytest.mark.parametrize("n", [1, 3])
 def test_one_person_found_twice_a_few_centimetres_apart_is_one_track(n, share):
-    tracker, rng = GLMB(Settings(), [sensor("video")]), np.random.default_rng(3)
+    tracker, rng = GLMB(Settings(), Population(), [sensor("video")]), np.random.default_rng(3)
     for k in range(60):
         z = np.column_stack([np.full(n, 0.4 + 0.05 * k), 0.8 + 1.2 * np.arange(n)]) + 0.12 * rng.standard_normal((n, 2))
         again = (z + 0.03 + 0.02 * rng.standard_normal((n, 2)))[rng.random(n) < share]
         z = np.vstack([z, again])
-        tracker.scan(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
+        tracker.update(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
         assert len(tracker.tracks(k / 10)) == n
 
 
 def test_predictions_stop_at_the_walls_and_only_from_inside():
-    tracker, noise = GLMB(Settings(), [sensor("video")]), 0.0144 * np.eye(2)[None]
+    tracker, noise = GLMB(Settings(), Population(), [sensor("video")]), 0.0144 * np.eye(2)[None]
     for k in range(12):
-        tracker.scan(k / 10, "video", np.array([[3.0 + 0.1 * k, 2.3]]), noise)
-    tracker.advance(5.0)
+        tracker.update(k / 10, "video", np.array([[3.0 + 0.1 * k, 2.3]]), noise)
+    tracker.predict(5.0)
     assert tracker.people.mean[..., 0].max() <= 4.66
     for k in range(12):
-        tracker.scan(6 + k / 10, "video", np.array([[5.0 + 0.1 * k, 2.3]]), noise)
+        tracker.update(6 + k / 10, "video", np.array([[5.0 + 0.1 * k, 2.3]]), noise)
     assert tracker.tracks(7.1)[-1].state[0] > 5.9
 
 
 def test_who_comes_to_a_wall_unseen_is_expected_to_turn_inwards():
-    tracker, noise = GLMB(Settings(), [sensor("video")]), 0.0144 * np.eye(2)[None]
+    tracker, noise = GLMB(Settings(), Population(), [sensor("video")]), 0.0144 * np.eye(2)[None]
     for k in range(15):
-        tracker.scan(k / 10, "video", np.array([[2.5 + 0.1 * k, 2.33]]), noise)
+        tracker.update(k / 10, "video", np.array([[2.5 + 0.1 * k, 2.33]]), noise)
     (walking,) = tracker.tracks(1.4)
     ahead = [tracker.tracks(1.4 + k / 10)[0].state for k in range(1, 31)]
     x, vx = np.array(ahead)[:, [0, 2]].T
@@ -157,10 +160,10 @@ def test_names_that_nothing_can_tell_apart_any_more_are_decided():
     crowd = people([here, there, there, near, [2, 2, 0, 0]], [0, 0, 1, 1, 1])
     either = cluster({(0, 2): 0.55, (1, 3): 0.35, (0, 4): 0.1})  # somebody at (2, 2) is another matter
     decided = either.decided(crowd)
-    assert decided.rows == [(0, 2), (0, 4)]
+    assert decided.hypotheses == [(0, 2), (0, 4)]
     assert decided.shares == pytest.approx([0.9, 0.1])
-    crowd.found[3] = 0.5  # one speaks and the other does not: that may yet tell who is who
-    assert either.decided(crowd).rows == [(0, 2), (1, 3), (0, 4)]
+    crowd.detectable[3] = 0.5  # one speaks and the other does not: that may yet tell who is who
+    assert either.decided(crowd).hypotheses == [(0, 2), (1, 3), (0, 4)]
 
 
 def camera(focal, **more):
@@ -197,11 +200,11 @@ def test_whoever_walks_where_the_camera_sees_nobody_is_kept_and_found_again(seen
     share = np.ones((47, 47))
     share[30:] = coverage.LEAST  # nobody is found beyond x = 3 m
     one = sensor("video", coverage=None if seen else coverage.Coverage(np.zeros(2), coverage.STEP, share))
-    tracker = GLMB(Settings(), [one])
+    tracker = GLMB(Settings(), Population(), [one])
     for k in range(80):
         x = 1.0 + 0.1 * min(k, 25) - 0.1 * max(k - 50, 0)
         z = np.array([[x, 0.5]] if x < 3.0 else []).reshape(-1, 2)
-        tracker.scan(k / 10, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+        tracker.update(k / 10, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
         if k == 40:
             assert bool(tracker.tracks(k / 10)) != seen
     assert len(tracker.tracks(7.9)) == 1
@@ -209,6 +212,6 @@ def test_whoever_walks_where_the_camera_sees_nobody_is_kept_and_found_again(seen
 
 def test_who_stands_at_a_wall_leaves_less_readily_than_who_walks_there():
     states = np.array([[0.3, 2.3, 0.0, 0.0], [0.3, 2.3, 0.0, -1.0], [2.3, 2.3, 0.0, 0.0], [2.3, 2.3, 1.0, 0.0]])
-    still, walks, amid, through = Settings(stay=100.0, pass_by=10.0).staying(states, 1.0)
+    still, walks, amid, through = Population(stay=100.0, pass_by=10.0).survival(states, 1.0)
     assert walks == pytest.approx(math.exp(-0.1))
     assert still == amid == through == pytest.approx(math.exp(-0.01))

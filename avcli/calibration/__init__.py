@@ -1,1 +1,1 @@
-"""Camera calibration: boards and their corners, the KB-8 fit, its quality, and where the camera hangs."""
+"""Camera calibration: boards and their corners, the fit of a lens and its uncertainty, and the camera's pose."""

@@ -1,16 +1,21 @@
-"""From the corners of many pictures to a lens that says how far it may be believed."""
+"""From pictures of a board to a lens, with how far it can be trusted."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import corners, fit, opencv, quality
+from avcli.calibration import corners, fit, gather, opencv, quality
 from avcli.calibration.corners import View
+from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
-from avcli.lens import KannalaBrandt
+from avcli.formats.footage import Picture
+from avcli.lens import LENSES, Lens, name_of
 
 BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
+
+DEFAULTS = FitSettings()
 
 
 @dataclass(frozen=True)
@@ -19,18 +24,17 @@ class Calibration:
 
     Attributes:
         board: the board.
-        width, height: px, of the pictures.
+        views: that were given, with the corners in them.
         solution: the fit, of the kept views.
         observations: the kept views' corners.
-        kept: (views,) bool, of the views that were given.
+        kept: (views,) bool, which views the fit used.
         view_rms_px: (views,) residual of each given view under the lens, kept or not.
-        quality: what is known beyond the RMS.
+        quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
     """
 
     board: Board
-    width: int
-    height: int
+    views: tuple[View, ...]
     solution: fit.Solution
     observations: fit.Observations
     kept: np.ndarray
@@ -40,16 +44,36 @@ class Calibration:
     shaped_px: float = float("nan")
 
     @property
+    def lens(self) -> Lens:
+        """The lens."""
+        return self.solution.lens
+
+    @property
+    def width(self) -> int:
+        """Width of the pictures, px."""
+        return self.views[0].width
+
+    @property
+    def height(self) -> int:
+        """Height of the pictures, px."""
+        return self.views[0].height
+
+    @property
     def bow_m(self) -> float:
         """How far the board's middle stands out of the plane of its corners, m; 0 for a flat one."""
         return float(self.solution.shape[:2].sum())
 
+    @property
+    def verdict(self) -> str:
+        """One sentence on how far the calibration can be trusted."""
+        return self.quality.verdict
+
     def camera_config(self) -> dict:
-        """The calibration as the keys of config.json's camera_config."""
-        lens, q = self.solution.lens, self.quality
+        """Return the calibration as the keys of config.json's camera_config."""
+        lens, q = self.lens, self.quality
         names = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
         return {
-            "lens_model": "kannala_brandt",
+            "lens_model": name_of(lens),
             **dict(zip(names, (float(v) for v in self.solution.parameters[: fit.LENS]), strict=True)),
             "image_width_px": self.width,
             "image_height_px": self.height,
@@ -76,6 +100,91 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+def calibrate(
+    pictures: Iterable[Picture | np.ndarray],
+    *,
+    board: Board | tuple[int, int] = (6, 8),
+    square_m: float = 0.095,
+    settings: FitSettings = DEFAULTS,
+    say: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """Find a camera's lens from pictures of a printed board that was held in many places.
+
+    >>> from avcli.formats import footage
+    >>> found = calibrate(footage.pictures(["boards"]), board=(6, 8), square_m=0.095)
+    >>> print(f"{found.lens.fx:.0f} px, {int(found.kept.sum())} views, {found.quality.rms_px:.2f} px RMS")
+    431 px, 8 views, 0.01 px RMS
+    >>> found.verdict
+    'trust this calibration up to 61.9° from the axis; beyond that it is extrapolated'
+
+    Args:
+        pictures: of one size; arrays (height, width[, 3 RGB or 4 RGBA]), or what `footage.pictures` reads. Pictures
+            without the board are skipped.
+        board: squares as printed, along a row and along a column; or a Board, which may have markers.
+        square_m: side of a square, m, where `board` is a pair of counts.
+        settings: how the lens is fitted, and which model: FitSettings(lens_model="brown_conrady").
+        say: gets sentences for the user, such as that the board has another size.
+
+    Returns:
+        The calibration. Check `verdict` and `quality.refusals` before you use its lens.
+
+    Raises:
+        fit.NoFit: no picture shows the board, or the corners determine no lens.
+        ValueError: the pictures differ in size.
+    """
+    if not isinstance(board, Board):
+        board = Board(*board, square_m)
+    seen = gather.collect(pictures, board, say=say)
+    seen.require_views()
+    return calibrate_views(seen.board, seen.views, settings)
+
+
+def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEFAULTS) -> Calibration:
+    """Calibrate the lens that took the views.
+
+    Args:
+        board: what was filmed.
+        views: at least one, all of one size, none a duplicate of another.
+        settings: the procedure, and what it needs.
+
+    Raises:
+        fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
+        ValueError: the lens model is unknown.
+    """
+    if settings.lens_model not in LENSES:
+        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(LENSES)}")
+    if settings.procedure == "thesis":
+        everything = observe(board, views)
+        solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
+        return judged(board, views, everything, solution, kept)
+    return _calibrate_robustly(board, views, settings)
+
+
+def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) -> Calibration:
+    everything = observe(board, views)
+    solution, kept = fit.fit_robustly(everything, views[0].width, views[0].height, model=settings.lens_model)
+    flat = quality.held_out_rms(everything.of_views(kept), solution)
+    finer = polished(everything, solution, kept, board, views)
+    better = fit.fit(finer.of_views(kept), solution)
+    better, finer_kept = fit.refit_robustly(finer, better, kept)
+    finer_flat = quality.held_out_rms(finer.of_views(finer_kept), better)
+    if not finer_flat >= flat:  # a coarse or compressed picture may have no finer corners to give
+        everything, solution, kept, flat = finer, better, finer_kept, finer_flat
+    shaped = float("nan")
+    if settings.board_shape == "yes" or (settings.board_shape == "auto" and kept.sum() >= 6):
+        # From all views again: a flat board may have made good ones of a bowed board look bad.
+        start = fit.fit(everything, _all_poses(everything, solution, kept), board_shape=True)
+        bent, bent_kept = fit.refit_robustly(everything, start, np.ones(len(views), bool), board_shape=True)
+        common = kept & bent_kept
+        some = everything.of_views(common)
+        flat = quality.held_out_rms(some, solution.of_views(common[kept]))
+        shaped = quality.held_out_rms(some, bent.of_views(common[bent_kept]))
+        if settings.board_shape == "yes" or shaped < (1 - BOARD_GAIN) * flat:
+            solution, kept = bent, bent_kept
+    held_out = shaped if solution.free[fit.LENS :].any() else flat
+    return replace(judged(board, views, everything, solution, kept, held_out), flat_px=flat, shaped_px=shaped)
+
+
 def observe(board: Board, views: list[View]) -> fit.Observations:
     """Stack the corners of all views."""
     return fit.Observations(
@@ -87,88 +196,34 @@ def observe(board: Board, views: list[View]) -> fit.Observations:
     )
 
 
-def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool:
-    """Tell whether a board stood where it stood in one of the others: its corners moved less than `motion_px` (RMS)."""
-    for other in others:
-        if len(view.ids) != len(other.ids) or not np.array_equal(view.ids, other.ids):
-            continue
-        for pixels in (other.pixels, other.pixels[::-1]):  # a board may be read turned by 180 degrees
-            if np.mean(((view.pixels - pixels) ** 2).sum(1)) < motion_px**2:
-                return True
-    return False
-
-
-def calibrate(board: Board, views: list[View], *, board_shape: bool | None = None, polish: bool = True) -> Calibration:
-    """Calibrate the lens that took the views.
-
-    Args:
-        board: what was filmed.
-        views: at least one, all of one size, none a duplicate of another.
-        board_shape: fit the board's bow and stretch; None lets held-out views decide.
-        polish: refine the corners once more with the lens known, where held-out views become better by it.
-
-    Raises:
-        fit.NoFit: there are fewer equations than unknowns.
-    """
-    width, height = views[0].width, views[0].height
-    everything = observe(board, views)
-    solution, kept = fit.fit_robustly(everything, width, height)
-    flat = quality.held_out_rms(everything.of_views(kept), solution)
-    if polish:
-        finer = polished(everything, solution, kept, board, views)
-        better = fit.fit(finer.of_views(kept), solution)
-        better, finer_kept = fit.refit_robustly(finer, better, kept)
-        finer_flat = quality.held_out_rms(finer.of_views(finer_kept), better)
-        if not finer_flat >= flat:  # a coarse or compressed picture may have no finer corners to give
-            everything, solution, kept, flat = finer, better, finer_kept, finer_flat
-    shaped = float("nan")
-    if board_shape or (board_shape is None and kept.sum() >= 6):
-        # From all views again: a flat board may have made good ones of a bowed board look bad.
-        start = fit.fit(everything, _all_poses(everything, solution, kept), board_shape=True)
-        bent, bent_kept = fit.refit_robustly(everything, start, np.ones(len(views), bool), board_shape=True)
-        common = kept & bent_kept
-        some = everything.of_views(common)
-        flat = quality.held_out_rms(some, solution.of_views(common[kept]))
-        shaped = quality.held_out_rms(some, bent.of_views(common[bent_kept]))
-        if board_shape or shaped < (1 - BOARD_GAIN) * flat:
-            solution, kept = bent, bent_kept
-    held_out = shaped if solution.free[fit.LENS :].any() else flat
-    return replace(judged(board, everything, solution, kept, width, height, held_out), flat_px=flat, shaped_px=shaped)
-
-
-def calibrate_as_thesis(board: Board, views: list[View], limit_px: float = 0.75) -> Calibration:
-    """Calibrate with OpenCV as the thesis did, and judge the result as any other.
-
-    Raises:
-        opencv.OpenCVRefused: OpenCV gives up, or no picture is left.
-    """
-    width, height = views[0].width, views[0].height
-    everything = observe(board, views)
-    solution, kept = opencv.thesis_procedure(everything, width, height, limit_px)
-    held_out = quality.held_out_rms(everything.of_views(kept), solution)
-    return judged(board, everything, solution, kept, width, height, held_out)
-
-
 def judged(
     board: Board,
+    views: list[View],
     everything: fit.Observations,
     solution: fit.Solution,
     kept: np.ndarray,
-    width: int,
-    height: int,
-    held_out: float,
+    held_out: float | None = None,
 ) -> Calibration:
-    """Put a solution for the kept views together with what can be said of it."""
+    """Put a solution for the kept views together with its uncertainty.
+
+    Args:
+        board, views: what was given.
+        everything: the corners of all views.
+        solution: the fit of the kept views.
+        kept: (views,) bool.
+        held_out: px, the held-out RMS; None computes it.
+    """
     some = everything.of_views(kept)
+    if held_out is None:
+        held_out = quality.held_out_rms(some, solution)
     return Calibration(
         board=board,
-        width=width,
-        height=height,
+        views=tuple(views),
         solution=solution,
         observations=some,
         kept=kept,
         view_rms_px=rms_of_all(everything, solution, kept),
-        quality=quality.assess(some, solution, width, height, held_out),
+        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out),
         flat_px=held_out,
     )
 
@@ -238,7 +293,7 @@ def _board_offsets(observations: fit.Observations, solution: fit.Solution, squar
     return np.where(np.isfinite(met).all((1, 2))[:, None, None], offsets, 0.0)
 
 
-def check(board: Board, views: list[View], lens: KannalaBrandt) -> dict:
+def check(board: Board, views: list[View], lens: Lens) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
     Returns:

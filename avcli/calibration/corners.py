@@ -4,10 +4,14 @@ A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from avcli.calibration.target import Board
+
+if TYPE_CHECKING:
+    import cv2
 
 _SEARCH_WIDTH = 960
 _KEEP_WIDTH = 1280
@@ -79,10 +83,10 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
 
 
 def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
-    """Put corners (n, 2) px together with the picture around them."""
+    """Make a view of corners (n, 2) px with the picture around each."""
     import cv2
 
-    padded = cv2.copyMakeBorder(grey, *[PATCH] * 4, cv2.BORDER_REPLICATE)
+    padded = cv2.copyMakeBorder(grey, PATCH, PATCH, PATCH, PATCH, cv2.BORDER_REPLICATE)
     height, width = grey.shape
     origins = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(int)
     patches = np.stack([padded[y : y + 2 * PATCH + 1, x : x + 2 * PATCH + 1] for x, y in origins])
@@ -92,7 +96,9 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 # --- checkerboards ----------------------------------------------------------------------------------------------------
 
 
-def _find_checkerboard(grey: np.ndarray, inner: tuple[int, int], thorough: bool):
+def _find_checkerboard(
+    grey: np.ndarray, inner: tuple[int, int], thorough: bool
+) -> tuple[np.ndarray, np.ndarray] | None:
     import cv2
 
     small, scale = shrunk(grey)
@@ -256,8 +262,7 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
 # --- ChArUco ----------------------------------------------------------------------------------------------------------
 
 
-def _find_charuco(grey: np.ndarray, board: Board):
-
+def _find_charuco(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None:
     detector = _charuco_detector(board)
     corners, ids, _, _ = detector.detectBoard(grey)
     if ids is None or len(ids) < 6:
@@ -277,7 +282,7 @@ def _find_charuco(grey: np.ndarray, board: Board):
     return ids, _subpixel(grey, pixels, 0.4 * spacing)
 
 
-def _charuco_detector(board: Board):
+def _charuco_detector(board: Board) -> "cv2.aruco.CharucoDetector":
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()
@@ -291,8 +296,16 @@ def _charuco_detector(board: Board):
 
 
 def polish(
-    patches, pixels, origins, to_board, *, reach: float = 0.75, clear: float = 1.0, half: int = PATCH, rounds: int = 5
-):
+    patches: np.ndarray,
+    pixels: np.ndarray,
+    origins: np.ndarray,
+    to_board: np.ndarray,
+    *,
+    reach: float = 0.75,
+    clear: float = 1.0,
+    half: int = PATCH,
+    rounds: int = 5,
+) -> tuple[np.ndarray, np.ndarray]:
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 
     The lens and the pose give how a pixel's offset from the corner maps to the board, so that the fitted model
@@ -324,7 +337,16 @@ def polish(
     return out, sd
 
 
-def _polish_some(patches, pixels, origins, to_board, reach, clear, half, rounds):
+def _polish_some(
+    patches: np.ndarray,
+    pixels: np.ndarray,
+    origins: np.ndarray,
+    to_board: np.ndarray,
+    reach: float,
+    clear: float,
+    half: int,
+    rounds: int,
+) -> tuple[np.ndarray, np.ndarray]:
     n = len(pixels)
     span = np.arange(-half, half + 1)
     middle = slice(PATCH - half, PATCH + half + 1)
@@ -332,7 +354,7 @@ def _polish_some(patches, pixels, origins, to_board, reach, clear, half, rounds)
     dv, du = (a.ravel().astype(float) for a in np.meshgrid(span, span, indexing="ij"))
     base = origins - pixels
     shift, blur = np.zeros((n, 2)), np.full(n, 0.8)
-    mask = None
+    mask = np.zeros(0)
     linear = to_board[:, :, :2]
     slope = np.linalg.norm(linear, axis=2)[:, :, None]
     for _ in range(rounds):
@@ -340,7 +362,7 @@ def _polish_some(patches, pixels, origins, to_board, reach, clear, half, rounds)
         b = dv + (base - shift)[:, 1:]
         terms = np.stack([a, b, a * a, a * b, b * b], 1)
         x, y = np.moveaxis(to_board @ terms, 1, 0)
-        if mask is None:
+        if not mask.size:
             near, far = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
             mask = ((far < reach) & (near < clear)).astype(float)
         width = blur[:, None] * slope[:, :, 0][..., None].transpose(1, 0, 2)
@@ -368,15 +390,11 @@ def _polish_some(patches, pixels, origins, to_board, reach, clear, half, rounds)
         blur = np.clip(blur + np.clip(step[:, 6], -0.3, 0.3), 0.3, 4.0)
     count = mask.sum(1)
     noise = np.sqrt((mask * left**2).sum(1) / np.maximum(count - 7, 1))
+    settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, 4:6], axis=1) < 0.05)
+    clear_enough = (count >= 24) & (np.abs(gain[:, 3]) > 3 * noise)
     inverse = np.linalg.inv(normal)
     sd = noise * np.sqrt((inverse[:, 4, 4] + inverse[:, 5, 5]) / 2)
-    good = (
-        np.isfinite(sd)
-        & (np.linalg.norm(shift, axis=1) < 1.5)
-        & (count >= 24)
-        & (np.abs(gain[:, 3]) > 3 * noise)
-        & (np.linalg.norm(step[:, 4:6], axis=1) < 0.05)
-    )
+    good = np.isfinite(sd) & settled & clear_enough
     return np.where(good[:, None], pixels + shift, pixels), np.where(good, sd, np.inf)
 
 

@@ -1,17 +1,20 @@
-"""The KB-8 fit: focal scan, poses from rays, and robust Levenberg-Marquardt with the poses eliminated.
+"""The fit of a lens: focal scan, poses from rays, and robust Levenberg-Marquardt with the poses eliminated.
 
 A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y / Y)²)) of its own frame, X and Y being
 the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The fit has the
-eleven common unknowns fx fy cx cy k1 k2 k3 k4 b0 b1 b2 and six a view.
+eleven common unknowns fx fy cx cy k1 k2 k3 k4 b0 b1 b2 and six a view. The lens is any model of avcli.lens, which gives
+its own derivatives.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from avcli.lens import KannalaBrandt
+from avcli.lens import LENSES, KannalaBrandt, Lens
 
-LENS, SHAPE = 8, 3
+LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
+LENS, SHAPE = len(LENS_PARAMETERS), 3
 _UNSEEN_PX = 100.0
 """Residual of a corner that the lens, as it stands in an iteration, does not image."""
 
@@ -36,10 +39,12 @@ class Observations:
 
     @property
     def views(self) -> int:
+        """Number of images."""
         return int(self.view[-1]) + 1 if len(self.view) else 0
 
     @property
     def starts(self) -> np.ndarray:
+        """(views,) index of the first corner of each image."""
         return np.searchsorted(self.view, np.arange(self.views))
 
     def of_views(self, keep: np.ndarray) -> "Observations":
@@ -69,33 +74,38 @@ class Solution:
         parameters: (11,) fx fy cx cy px, k1..k4, b0 b1 m, b2.
         rotations, translations: (views, 3, 3) and (views, 3) m, board to camera.
         free: (11,) bool, which parameters were fitted.
-        covariance: (11, 11) of the parameters, 0 where not fitted; None before the end of a fit.
+        covariance: (11, 11) of the parameters, 0 where not fitted; NaN before the end of a fit.
         sigma_px: standard deviation of a common corner's error along one axis.
         delta_px: residual beyond which a corner counts less (Huber).
+        like: any lens of the model that is fitted.
     """
 
     parameters: np.ndarray
     rotations: np.ndarray
     translations: np.ndarray
     free: np.ndarray
-    covariance: np.ndarray | None = None
+    covariance: np.ndarray = field(default_factory=lambda: np.full((LENS + SHAPE, LENS + SHAPE), np.nan))
     sigma_px: float = np.nan
     delta_px: float = np.inf
+    like: Lens = field(default_factory=lambda: KannalaBrandt(1.0, 1.0, 0.0, 0.0))
 
     @property
-    def lens(self) -> KannalaBrandt:
-        return KannalaBrandt(*self.parameters[:LENS].tolist())
+    def lens(self) -> Lens:
+        """The lens."""
+        return replace(self.like, **dict(zip(LENS_PARAMETERS, self.parameters.tolist(), strict=False)))
 
     @property
     def shape(self) -> np.ndarray:
+        """The board's shape terms b0, b1 (m) and b2."""
         return self.parameters[LENS:]
 
     def of_views(self, keep: np.ndarray) -> "Solution":
+        """The poses of some views only: `keep` (views,) bool, or indices."""
         return replace(self, rotations=self.rotations[keep], translations=self.translations[keep])
 
 
 class NoFit(ValueError):
-    """The corners determine no lens."""
+    """The pictures do not determine a lens."""
 
 
 # --- geometry ---------------------------------------------------------------------------------------------------------
@@ -115,7 +125,7 @@ def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
 
 
-def poses_from_rays(lens: KannalaBrandt, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
+def poses_from_rays(lens: Lens, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Board poses from the rays of their corners, right beyond 90 degrees too.
 
     Solves ray × (H [x y 1]) = 0 for each view by least squares and takes the nearest rotation (Zhang 2000, section
@@ -148,14 +158,15 @@ def poses_from_rays(lens: KannalaBrandt, observations: Observations) -> tuple[np
 def rotation_from_vector(omega: np.ndarray) -> np.ndarray:
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) rad (Rodrigues)."""
     angle = np.linalg.norm(omega, axis=-1)[..., None, None]
-    K = _cross(omega)
+    K = cross_matrix(omega)
     with np.errstate(invalid="ignore", divide="ignore"):
         a = np.where(angle > 1e-8, np.sin(angle) / angle, 1.0)
         b = np.where(angle > 1e-8, (1 - np.cos(angle)) / angle**2, 0.5)
     return np.eye(3) + a * K + b * K @ K
 
 
-def _cross(v: np.ndarray) -> np.ndarray:
+def cross_matrix(v: np.ndarray) -> np.ndarray:
+    """Matrices (n, 3, 3) that take a vector w to v × w, of vectors v (n, 3)."""
     zero = np.zeros(v.shape[:-1])
     x, y, z = np.moveaxis(v, -1, 0)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
@@ -164,7 +175,7 @@ def _cross(v: np.ndarray) -> np.ndarray:
 # --- one step ---------------------------------------------------------------------------------------------------------
 
 
-def _linearise(observations: Observations, solution: Solution):
+def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, 11) and to the pose (n, 2, 6)."""
     o, s = observations, solution
     flat = surface(o.points, s.shape, o.half_extent)
@@ -184,7 +195,7 @@ def _linearise(observations: Observations, solution: Solution):
         -1,
     )
     common = np.concatenate([by_lens, by_point @ bend], -1)
-    own = np.concatenate([-by_point @ _cross(turned), by_point], -1)
+    own = np.concatenate([-by_point @ cross_matrix(turned), by_point], -1)
     residual[unseen] = np.stack([zero[unseen] + _UNSEEN_PX, zero[unseen]], -1)
     common[unseen] = own[unseen] = 0.0
     scale = 1.0 / o.sigma
@@ -201,7 +212,18 @@ def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
     return cost, weight
 
 
-def _normal_equations(observations: Observations, solution: Solution, delta: float):
+class _Normal(NamedTuple):
+    """Cost and normal equations of one linearisation: A common, C of each view, B between, g and h right-hand sides."""
+
+    cost: float
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    g: np.ndarray
+    h: np.ndarray
+
+
+def _normal_equations(observations: Observations, solution: Solution, delta: float) -> _Normal:
     residual, common, own = _linearise(observations, solution)
     common = common[:, :, solution.free]
     cost, weight = _huber(residual, delta)
@@ -212,7 +234,7 @@ def _normal_equations(observations: Observations, solution: Solution, delta: flo
     C = o.per_view(np.einsum("nia,nib->nab", weighted, own))
     g = np.einsum("nia,ni,n->a", common, residual, weight, optimize=True)
     h = o.per_view(np.einsum("nia,ni->na", weighted, residual))
-    return cost.sum(), A, B, C, g, h
+    return _Normal(float(cost.sum()), A, B, C, g, h)
 
 
 def _moved(solution: Solution, common: np.ndarray, own: np.ndarray) -> Solution:
@@ -227,7 +249,7 @@ def _moved(solution: Solution, common: np.ndarray, own: np.ndarray) -> Solution:
     )
 
 
-def _damped(blocks: np.ndarray, damping) -> np.ndarray:
+def _damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
     """Add `damping` times its diagonal to each of (..., m, m) blocks, and enough that none is singular."""
     diagonal = np.einsum("...ii->...i", blocks)
     added = np.asarray(damping)[..., None] * diagonal + 1e-12 * diagonal.max(-1, keepdims=True) + 1e-12
@@ -254,12 +276,12 @@ def refine(
             trial = _moved(solution, common, own)
             if _is_possible(trial):
                 found = _normal_equations(observations, trial, delta)
-                if found[0] <= cost:
+                if found.cost <= cost:
                     break
             damping *= 6
             if damping > 1e10:
                 return solution
-        drop = (cost - found[0]) / max(cost, 1e-300)
+        drop = (cost - found.cost) / max(cost, 1e-300)
         solution, (cost, A, B, C, g, h) = trial, found
         damping = max(damping / 6, 1e-12)
         if drop < gain or cost < 1e-18 * len(observations.pixels):
@@ -286,7 +308,7 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
     solution = replace(start, free=np.zeros(LENS + SHAPE, bool))
     damping = np.full(observations.views, 1e-3)
 
-    def normal(trial):
+    def normal(trial: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         residual, _, own = _linearise(observations, trial)
         cost, weight = _huber(residual, delta)
         weighted = own * weight[:, None, None]
@@ -338,13 +360,13 @@ LENS_FREE = np.arange(LENS + SHAPE) < LENS
 ALL_FREE = np.ones(LENS + SHAPE, bool)
 
 
-def start_from_rays(observations: Observations, lens: KannalaBrandt, shape: np.ndarray | None = None) -> Solution:
+def start_from_rays(observations: Observations, lens: Lens, shape: np.ndarray | None = None) -> Solution:
     """Poses from rays under a lens that is known or guessed."""
     parameters = np.zeros(LENS + SHAPE)
-    parameters[:LENS] = [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.k3, lens.k4]
+    parameters[:LENS] = [getattr(lens, name) for name in LENS_PARAMETERS]
     if shape is not None:
         parameters[LENS:] = shape
-    return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(LENS + SHAPE, bool))
+    return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(LENS + SHAPE, bool), like=lens)
 
 
 def view_rms(observations: Observations, solution: Solution) -> np.ndarray:
@@ -353,8 +375,8 @@ def view_rms(observations: Observations, solution: Solution) -> np.ndarray:
     return np.sqrt(observations.per_view(squared) / np.bincount(observations.view))
 
 
-def scan_focal(observations: Observations, width: int, height: int) -> Solution:
-    """Find a start: the equidistant lens, centred, whose boards come out flattest, with the poses under it.
+def scan_focal(observations: Observations, width: int, height: int, model: str = "kannala_brandt") -> Solution:
+    """Find a start: the centred lens without coefficients whose boards come out flattest, with the poses under it.
 
     OpenCV starts from max(width, height) / pi instead, which asserts or ends in nonsense on most wide lenses.
     """
@@ -363,10 +385,12 @@ def scan_focal(observations: Observations, width: int, height: int) -> Solution:
     sides = np.array([width, height], float)
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
 
-    def score(f):
-        lens = KannalaBrandt(f, f, (width - 1) / 2, (height - 1) / 2)
-        found = refine_poses(sample, start_from_rays(sample, lens), 4)
-        return np.median(view_rms(sample, found))
+    def centred(f: float) -> Lens:
+        return LENSES[model].of_image([f, f, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0, 0.0, 0.0], width, height)
+
+    def score(f: float) -> float:
+        found = refine_poses(sample, start_from_rays(sample, centred(f)), 4)
+        return float(np.median(view_rms(sample, found)))
 
     candidates = np.unique(np.outer(1 / angles, sides))
     scores = [score(f) for f in candidates]
@@ -375,9 +399,7 @@ def scan_focal(observations: Observations, width: int, height: int) -> Solution:
     for _ in range(6):  # golden section
         a, b = high - 0.618 * (high - low), low + 0.618 * (high - low)
         low, high = (low, b) if score(a) < score(b) else (a, high)
-    f = (low + high) / 2
-    lens = KannalaBrandt(f, f, (width - 1) / 2, (height - 1) / 2)
-    return refine_poses(observations, start_from_rays(observations, lens), 6)
+    return refine_poses(observations, start_from_rays(observations, centred((low + high) / 2)), 6)
 
 
 def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:
@@ -388,7 +410,9 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
     """
     free = ALL_FREE if board_shape else LENS_FREE
     if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
-        raise NoFit(f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens")
+        raise NoFit(
+            f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
+        )
     if not start.free.any():
         start = refine(observations, start, np.arange(LENS + SHAPE) < 5, 5.0, 15, 1e-4)
         start = refine(observations, start, LENS_FREE, 2.0, 25, 1e-5)
@@ -431,17 +455,30 @@ def outlying_views(rms: np.ndarray) -> np.ndarray:
     return rms > max(limit, 2 * middle, np.sort(rms)[:4][-1])
 
 
-def fit_robustly(observations: Observations, width: int, height: int, *, board_shape: bool = False):
+def fit_robustly(
+    observations: Observations, width: int, height: int, *, board_shape: bool = False, model: str = "kannala_brandt"
+) -> tuple[Solution, np.ndarray]:
     """Fit from nothing, leaving out views that do not belong.
+
+    Args:
+        observations: the corners.
+        width, height: px, of the pictures.
+        board_shape: fit the board's shape too.
+        model: a name in avcli.lens.LENSES.
 
     Returns:
         the Solution for the kept views, and `kept` (views,) bool.
+
+    Raises:
+        NoFit: there are fewer equations than unknowns.
     """
-    solution = fit(observations, scan_focal(observations, width, height), board_shape=board_shape)
+    solution = fit(observations, scan_focal(observations, width, height, model), board_shape=board_shape)
     return refit_robustly(observations, solution, np.ones(observations.views, bool), board_shape=board_shape)
 
 
-def refit_robustly(observations: Observations, solution: Solution, kept: np.ndarray, *, board_shape: bool = False):
+def refit_robustly(
+    observations: Observations, solution: Solution, kept: np.ndarray, *, board_shape: bool = False
+) -> tuple[Solution, np.ndarray]:
     """Fit the kept views again from where they stand, at most three times leaving out views that do not belong."""
     kept = kept.copy()
     for _ in range(3):

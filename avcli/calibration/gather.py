@@ -1,55 +1,28 @@
-"""The boards of many pictures, and what became of each picture."""
+"""Gathering the views of a board from many pictures, and what became of each picture."""
 
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from avcli.calibration import calibrate, corners
+from avcli.calibration import corners
 from avcli.calibration.corners import View
+from avcli.calibration.fit import NoFit
 from avcli.calibration.target import Board
+from avcli.formats.footage import Picture
+from avcli.formats.media import MediaError
 
 _THREADS = 4
 _MISSES = 8
 """Pictures without a board that are kept, to guess another board's size from."""
+_GUESS_AFTER = (4, 12)
+"""Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
-
-def look(image: np.ndarray, board: Board, thorough: bool) -> tuple[np.ndarray, View | None]:
-    """Find the board in a picture as a camera gives it: the grey picture, and the view if there is one."""
-    grey = corners.to_grey(image)
-    view = corners.find(grey, board, thorough=thorough)
-    if view is not None and not board.markers and not corners.is_whole(grey, view.pixels, board.inner):
-        view = None
-    return grey, view
-
-
-def look_ahead(pictures: Iterable, board: Callable[[], Board], thorough: bool, *, eager: bool) -> Iterator[tuple]:
-    """Yield (picture, grey, view or None) in order, several pictures looked at in threads.
-
-    OpenCV lets go of Python's lock, so that threads help.
-
-    Args:
-        pictures: things with an `image`.
-        board: says which board to look for, asked anew for every picture.
-        thorough: see corners.find.
-        eager: give each result before the next picture is waited for, as hints while filming need it.
-    """
-    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
-        waiting = deque()
-        try:
-            for picture in pictures:
-                waiting.append((picture, pool.submit(look, picture.image, board(), thorough)))
-                if eager or len(waiting) >= _THREADS:
-                    picture, found = waiting.popleft()
-                    yield picture, *found.result()
-            while waiting:
-                picture, found = waiting.popleft()
-                yield picture, *found.result()
-        finally:
-            for _, future in waiting:
-                future.cancel()
+Look = tuple[Picture, np.ndarray, View | None]
+"""A picture, the same in grey (height, width) uint8, and the view in it."""
 
 
 class Seen:
@@ -83,19 +56,19 @@ class Seen:
         Raises:
             ValueError: it has another size than those before.
         """
-        size = grey.shape[::-1]
+        size = grey.shape[1], grey.shape[0]
         self.size = self.size or size
         if size != self.size:
             raise ValueError(
-                f"{name} is {size[0]} × {size[1]} px and the pictures before it are {self.size[0]} × {self.size[1]} "
-                "px: one lens has one size"
+                f"{name} is {size[0]} × {size[1]} px, but the pictures before it are {self.size[0]} × {self.size[1]} "
+                "px; calibrate pictures of one size at a time"
             )
         why = None
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
                 self.misses.append(corners.shrunk(grey)[0])
-        elif calibrate.is_duplicate(view, self.views):
+        elif is_duplicate(view, self.views):
             why = "duplicate"
         else:
             self.views.append(view)
@@ -113,16 +86,184 @@ class Seen:
         """Whether the board was found so seldom that it may have another size."""
         return bool(self._pictures) and self.count("no board") > 0.7 * len(self)
 
-    def records(self, result: calibrate.Calibration | None) -> Iterator[dict]:
-        """Yield a record a picture; one that was used has its corners and its residual under `result`."""
+    def require_views(self) -> None:
+        """Check that a picture shows the board.
+
+        Raises:
+            NoFit: none does; the message says what may be wrong.
+        """
+        if self.views:
+            return
+        if not len(self):
+            raise NoFit("there are no pictures in the sources")
+        board = self.board
+        if board.markers:
+            raise NoFit(
+                f"none of the {len(self)} pictures shows six corners of a ChArUco board of {board} squares; check "
+                "the counts, and that the pictures are not mirrored"
+            )
+        raise NoFit(
+            f"none of the {len(self)} pictures shows a whole board of {board} squares ({board.inner[0]}x"
+            f"{board.inner[1]} inner corners); the board must be sharp, evenly lit and wholly inside the picture, with "
+            "a white border as wide as a square"
+        )
+
+    def records(self, kept: np.ndarray | None = None, rms_px: np.ndarray | None = None) -> Iterator[dict]:
+        """Yield a record for each picture; one that shows the board has its corners.
+
+        Args:
+            kept: (views,) bool, which views the fit used; None: there is no fit.
+            rms_px: (views,) residual of each view.
+        """
         for number, picture in enumerate(self._pictures):
             row = {"timestamp": picture["timestamp"], "frame_number": number, "picture": picture["picture"]}
-            index, why, kept = picture["view"], picture["why"], False
+            index, why, used = picture["view"], picture["why"], False
             if index is not None:
                 view, why = self.views[index], "no fit"
                 row["corner_ids"], row["corners_px"] = view.ids, view.pixels
-                if result is not None:
-                    kept = bool(result.kept[index])
-                    row["rms_px"] = float(result.view_rms_px[index])
-                    why = None if kept else "does not fit"
-            yield {**row, "kept": kept, "why": why}
+                if kept is not None and rms_px is not None:
+                    used = bool(kept[index])
+                    row["rms_px"] = float(rms_px[index])
+                    why = None if used else "does not fit"
+            yield {**row, "kept": used, "why": why}
+
+
+def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool:
+    """Tell whether a board stood where it stood in one of the others: its corners moved less than `motion_px` (RMS)."""
+    for other in others:
+        if len(view.ids) != len(other.ids) or not np.array_equal(view.ids, other.ids):
+            continue
+        for pixels in (other.pixels, other.pixels[::-1]):  # a board may be read turned by 180 degrees
+            if np.mean(((view.pixels - pixels) ** 2).sum(1)) < motion_px**2:
+                return True
+    return False
+
+
+def collect(
+    pictures: Iterable[Picture | np.ndarray],
+    board: Board,
+    *,
+    thorough: bool = True,
+    eager: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+    after: Callable[[Seen, np.ndarray, View | None], bool] = lambda *_: False,
+) -> Seen:
+    """Look for the board in all pictures.
+
+    If hardly any of the first pictures shows the board, another size is tried: people often count inner corners instead
+    of squares. If that one is found, the search continues with it.
+
+    Args:
+        pictures: pictures, or arrays (height, width[, 3 RGB or 4 RGBA]).
+        board: what they are expected to show.
+        thorough: see corners.find.
+        eager: look at each picture before the next one is asked for, as hints while filming need it.
+        say: gets sentences for the user.
+        after: is called after each picture with what was seen, the grey picture (height, width) uint8 and its view;
+            True ends the search.
+
+    Raises:
+        ValueError: the pictures differ in size.
+        MediaError: the source fails before any picture shows the board.
+    """
+    search = _Search(Seen(board), thorough, eager, say)
+    try:
+        for picture, grey, view in search.look_ahead(pictures):
+            search.take(picture, grey, view)
+            if after(search.seen, grey, view):
+                return search.seen
+    except MediaError as error:
+        if not search.seen.views:
+            raise
+        say(f"{error}; the calibration continues with the pictures before it")
+    search.try_another_size()
+    return search.seen
+
+
+@dataclass
+class _Search:
+    """A search for a board whose size may be corrected on the way.
+
+    Attributes:
+        seen: so far.
+        thorough, eager, say: see `collect`.
+        first: the pictures so far, while another size of the board may still be tried.
+    """
+
+    seen: Seen
+    thorough: bool
+    eager: bool
+    say: Callable[[str], None]
+    first: list[Picture] = field(default_factory=list)
+
+    def take(self, picture: Picture, grey: np.ndarray, view: View | None) -> None:
+        """Add a picture; after some of them, try another size."""
+        self.seen.take(picture.name, picture.timestamp, grey, view)
+        if len(self.seen) <= _GUESS_AFTER[-1]:
+            self.first.append(picture)
+        if len(self.seen) in _GUESS_AFTER:
+            self.try_another_size()
+        if len(self.seen) == _GUESS_AFTER[-1]:
+            self.first = []
+
+    def try_another_size(self) -> None:
+        """If hardly any of the first pictures shows the board, look in them for one of the size that they show."""
+        given = self.seen.board
+        if not self.first or given.markers or not self.seen.few:
+            return
+        other = corners.guess_board(self.seen.misses, given)
+        if other is None:
+            return
+        again = Seen(other)
+        for picture in self.first:
+            again.take(picture.name, picture.timestamp, *look(picture.image, other, self.thorough))
+        if len(again.views) < len(self.seen.views):
+            return
+        self.seen, self.first = again, []
+        self.say(
+            f"a board of {given} squares has {given.inner[0]}x{given.inner[1]} inner corners, but the pictures show "
+            f"{other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
+        )
+
+    def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
+        """Yield what is seen in each picture, in order; threads look at several pictures at once.
+
+        OpenCV releases Python's lock, so that threads help. The board may change on the way.
+        """
+        waiting: deque[tuple[Picture, Board, Future]] = deque()
+
+        def oldest() -> Look:
+            picture, board, found = waiting.popleft()
+            current = self.seen.board
+            return picture, *(found.result() if board is current else look(picture.image, current, self.thorough))
+
+        with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
+            failure = None
+            try:
+                try:
+                    for number, item in enumerate(pictures):
+                        picture = (
+                            item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
+                        )
+                        board = self.seen.board
+                        waiting.append((picture, board, pool.submit(look, picture.image, board, self.thorough)))
+                        if self.eager or len(waiting) >= _THREADS:
+                            yield oldest()
+                except MediaError as error:  # what came before is still good
+                    failure = error
+                while waiting:
+                    yield oldest()
+            finally:
+                for _, _, found in waiting:
+                    found.cancel()
+            if failure:
+                raise failure
+
+
+def look(image: np.ndarray, board: Board, thorough: bool) -> tuple[np.ndarray, View | None]:
+    """Find the board in a picture as a camera gives it: the grey picture, and the view if there is one."""
+    grey = corners.to_grey(image)
+    view = corners.find(grey, board, thorough=thorough)
+    if view is not None and not board.markers and not corners.is_whole(grey, view.pixels, board.inner):
+        view = None
+    return grey, view

@@ -1,10 +1,13 @@
 """Hints while someone films a board."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from avcli.calibration import fit, quality
 from avcli.calibration.calibrate import observe
 from avcli.calibration.corners import View
+from avcli.calibration.gather import Seen
 from avcli.calibration.target import Board
 
 
@@ -14,15 +17,37 @@ class Guide:
     Attributes:
         quality: of the fit to the views so far; None before the fourth.
         counts: (rows, columns) corners seen in each cell of the picture; None before the first view.
-        hint: the last thing that was said.
+        hint: the newest hint.
     """
 
-    def __init__(self):
+    def __init__(
+        self,
+        enough_px: float | None = None,
+        say: Callable[[str], None] = lambda _: None,
+        show: Callable[[np.ndarray], None] | None = None,
+    ):
+        """Start without knowledge.
+
+        Args:
+            enough_px: mean expected error over the picture that is good enough; None: none is.
+            say: gets each new hint.
+            show: gets each picture (height, width, 3) uint8 RGB with corners, coverage and hint drawn into it.
+        """
         self.quality: quality.Quality | None = None
         self.counts: np.ndarray | None = None
-        self.hint = "hold the board before the camera"
+        self.hint = "hold the board in front of the camera"
+        self._enough_px, self._say, self._show = enough_px, say, show
         self._known = 0
-        self._solution: fit.Solution | None = None
+
+    def after(self, seen: Seen, grey: np.ndarray, view: View | None) -> bool:
+        """Learn from the newest picture, (height, width) uint8, and tell whether enough is known."""
+        hint = self.take(seen.board, seen.views, view is not None)
+        if hint:
+            self._say(hint)
+        if self._show:
+            self._show(overlay(grey, view, self))
+        good = self.quality is not None and not self.quality.refusals
+        return good and self._enough_px is not None and self.mean_px <= self._enough_px
 
     @property
     def mean_px(self) -> float:
@@ -30,7 +55,7 @@ class Guide:
         return float(np.nanmean(self.quality.field_sd_px)) if self.quality else float("inf")
 
     def take(self, board: Board, views: list[View], found: bool) -> str | None:
-        """Learn from the views so far; say something when there is something new.
+        """Learn from the views so far; return a hint when something is new.
 
         Args:
             board: the board.
@@ -38,16 +63,17 @@ class Guide:
             found: whether the newest picture shows a board.
         """
         if len(views) == self._known:
-            said = "hold the board elsewhere" if found else self.hint
-            self.hint = said if found else self.hint
+            if found:
+                self.hint = "hold the board somewhere else"
             return None
         self._known = len(views)
         width, height = views[0].width, views[0].height
         seen = observe(board, views)
         self.counts = quality.coverage(seen.pixels, width, height)
         hit = 100 * float((self.counts > 0).mean())
+        progress = f"{len(views)} view{'s' if len(views) > 1 else ''}, {hit:.0f} % of the picture covered"
         if len(views) < quality.LEAST_VIEWS:
-            self.hint = f"{len(views)} views, {hit:.0f} % of the picture seen: now elsewhere, and tilted"
+            self.hint = f"{progress}: hold the board somewhere else, and tilt it"
             return self.hint
         try:
             solution, kept = fit.fit_robustly(seen, width, height)
@@ -55,7 +81,7 @@ class Guide:
             return None
         some = seen.of_views(kept)
         self.quality = quality.assess(some, solution, width, height, float("nan"))
-        self.hint = f"{len(views)} views, {hit:.0f} % of the picture seen: {quality.next_view(self.quality)}"
+        self.hint = f"{progress}: {quality.next_view(self.quality)}"
         return self.hint
 
 

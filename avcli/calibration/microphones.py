@@ -1,13 +1,18 @@
-"""Microphone positions and the clock between sound and picture, from a voice whose way the camera knows."""
+"""Microphone positions and the clock between sound and picture, from a speaker whose track is known."""
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from avcli.formats import media
+from avcli.formats.records import Identified
+
 POSITION_SD_M = 0.05
-"""How far a microphone may be expected to hang from where it was measured, m, before anything was heard."""
+"""Expected error of a measured microphone position, m (prior)."""
 SOURCE_SD_M = 0.1
-"""The same for the mouth against where the track puts it; one offset for the whole recording."""
+"""Expected offset of the mouth from the track, m (prior); one offset for the whole recording."""
 SMOOTH_S = 0.4
 """Width of the Gaussian over which a track is smoothed, s."""
 MOUTH_AHEAD_M = 0.1
@@ -34,7 +39,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Aligned:
-    """What the sound says of the microphones.
+    """Microphone positions and clock offset, as the sound shows them.
 
     Attributes:
         clock_offset: s, to add to a time on the sound's clock to get the picture's.
@@ -79,20 +84,21 @@ class Aligned:
         }
 
 
-def mouths(track: list, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Put a walker's mouth where the records say, or ahead of the body at a height where they say only where that is.
+def mouths(track: Iterable[Identified], height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a walker's mouth is: as the records state it, otherwise ahead of the body at a height.
 
     Args:
-        track: (timestamp s, body (2 or 3,) m, mouth (3,) m or None) of each record, in any order.
-        height: m.
+        track: records in any order; those with one person are used.
+        height: m, of the mouth where a record does not state it.
 
     Returns:
         times (k,) s, ascending, and mouths (k, 3) m.
     """
-    track = sorted(track, key=lambda one: one[0])
-    times = np.array([time for time, _, _ in track])
-    path = np.array([mouth or [*body[:2], np.nan] for _, body, mouth in track], float).reshape(-1, 3)
-    bare = ~np.isfinite(path[:, 2])
+    alone = sorted((one for one in track if len(one) == 1), key=lambda one: one.timestamp)
+    times = np.array([one.timestamp for one in alone])
+    path = np.array([one.mouths[0] for one in alone], float).reshape(-1, 3)
+    bare = np.isnan(path).any(1)
+    path[bare, :2] = np.array([one.positions[0, :2] for one in alone], float).reshape(-1, 2)[bare]
     if bare.any() and len(path) > 2:
         level, step = _smooth(times, path[:, :2])
         path[bare, :2] = level[bare]
@@ -118,6 +124,34 @@ def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return middle - step * late[:, None], step
 
 
+def sounds(paths: Sequence[str], folder: Path | None) -> Iterator[tuple[float, np.ndarray, int]]:
+    """Read sound that follows on: files one after another, or a folder's files, each from the time in its name.
+
+    Args:
+        paths: sound files in order of time, from time 0 on.
+        folder: where to look instead if there are no paths: DIR/audio/wav of an experiment.
+
+    Returns:
+        start in s, samples (n, channels) and sample rate in Hz of each.
+
+    Raises:
+        ValueError: there is no sound.
+    """
+    start = 0.0
+    for path in paths:
+        samples, rate = media.read_audio(path)
+        yield start, samples, rate
+        start += len(samples) / rate
+    if paths or folder is None:
+        return
+    files = sorted(folder.glob("multichannel_audio_*"))
+    if not files:
+        raise ValueError(f"no sound in {folder}; name the files with --audio")
+    for file in files:
+        samples, rate = media.read_audio(file)
+        yield float(file.stem.rsplit("_", 1)[1]), samples, rate
+
+
 def joined(parts: list[tuple[np.ndarray, np.ndarray]], microphones: int) -> Heard:
     """Join (times (n,), delays (n, pairs)) of stretches of sound; pairs in the order of the upper triangle."""
     first, second = np.triu_indices(microphones, 1)
@@ -129,20 +163,22 @@ def joined(parts: list[tuple[np.ndarray, np.ndarray]], microphones: int) -> Hear
 
 
 def words(result: Aligned) -> list[str]:
-    """Say what the sound tells of clock and microphones, in sentences without a full stop."""
+    """Describe the clock and the microphones, in sentences without a full stop."""
     lines = [
         f"clock: picture time = sound time {result.clock_offset:+.4f} s ± {result.clock_offset_sd:.4f} s; "
-        f"{result.windows} windows, delays within {1e6 * result.residual_s:.0f} µs, {100 * result.used:.0f} % fit"
+        f"{result.windows} windows, delay residual {1e6 * result.residual_s:.0f} µs, {100 * result.used:.0f} % of the "
+        "delays fit"
     ]
     for number, (shift, covariance) in enumerate(zip(result.shifts, result.covariances, strict=True), 1):
         size, sd = float(np.linalg.norm(shift)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
         elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
-        say = "hangs elsewhere" if elsewhere else "as measured"
-        lines.append(f"microphone {number}: {say}, shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm at worst")
-    better = "explain" if result.improves else "do not explain"
+        say = "is not where it was measured" if elsewhere else "agrees with its measured position"
+        lines.append(f"microphone {number} {say}: shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm")
+    better = "are better than" if result.improves else "are not better than"
     found, given = 1e6 * result.held_out_s, 1e6 * result.held_out_given_s
     lines.append(
-        f"the found positions {better} better what took no part: {found:.0f} µs, the given ones {given:.0f} µs"
+        f"on sound held out of the fit, the found positions {better} the given ones: residual {found:.0f} µs, given "
+        f"{given:.0f} µs"
     )
     return lines
 
@@ -175,8 +211,8 @@ def align(
     clear = np.isfinite(heard.delays)
     if clear.any(1).sum() < 8 or len(path_times) < 2:
         raise ValueError(
-            f"a voice is clear in {int(clear.any(1).sum())} windows and its way known at {len(path_times)} times: "
-            "record a person who walks and talks, or claps, at ten or more places"
+            f"too little to go by: a clear voice in {int(clear.any(1).sum())} windows, a track of {len(path_times)} "
+            "records; record one person who talks or claps at ten or more places"
         )
     problem = _Problem(heard, path_times, path, microphones, speed_of_sound)
     offsets = np.arange(-widest_offset, widest_offset + 1e-9, 0.02)
@@ -208,13 +244,13 @@ def align(
 class _Problem:
     """Unknowns: clock offset (s), offset of the mouth (3, m), shift of each microphone (3 m, m)."""
 
-    def __init__(self, heard, path_times, path, microphones, speed):
+    def __init__(self, heard: Heard, path_times: np.ndarray, path: np.ndarray, microphones: np.ndarray, speed: float):
         self.heard, self.path_times, self.path = heard, path_times, path
         self.microphones, self.speed = microphones, speed
         middle = path.mean(0)
         self.travel = float(np.linalg.norm(microphones - middle, axis=1).mean() / speed)
 
-    def _at(self, offset: float):
+    def _at(self, offset: float) -> tuple[np.ndarray, np.ndarray]:
         """Place and velocity of the mouth in each window, NaN where the track does not say."""
         t = self.heard.times + offset - self.travel
         inside = (t >= self.path_times[0]) & (t <= self.path_times[-1])
@@ -225,7 +261,7 @@ class _Problem:
         place[~inside] = np.nan
         return place, (ahead - behind) / (2 * h)
 
-    def _model(self, unknown: np.ndarray):
+    def _model(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted delays (n, p) and their derivatives (n, p, unknowns)."""
         place, velocity = self._at(unknown[0])
         m = self.microphones + unknown[4:].reshape(-1, 3)
@@ -257,7 +293,7 @@ class _Problem:
             return np.nan
         return float(np.minimum(rest[known], 1e-3).mean())
 
-    def solve(self, start: float, windows: np.ndarray, *, free: bool):
+    def solve(self, start: float, windows: np.ndarray, *, free: bool) -> tuple[np.ndarray, np.ndarray, float, float]:
         """Solve from a clock offset; `free` lets the microphones move.
 
         Returns the unknowns, their covariance, the delays' spread (s) and the share of delays within three of it.

@@ -5,30 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from avcli.calibration import fit
-from avcli.lens import KannalaBrandt
+from avcli.lens import Lens
 
 
-class OpenCVRefused(ValueError):
+class OpenCVRefused(fit.NoFit):
     """OpenCV's calibration gave up, or its result leaves no picture."""
 
 
-def version() -> str:
-    """OpenCV's version, such as "5.0.0"."""
-    import cv2
-
-    return cv2.__version__
-
-
-def flag(name: str) -> int:
-    """Value of a fisheye calibration flag by name: OpenCV 5 moved them from cv2.fisheye to cv2 and gave new numbers."""
-    import cv2
-
-    return getattr(cv2.fisheye, name) if hasattr(cv2.fisheye, name) else getattr(cv2, name)
-
-
-def calibrate(
-    observations: fit.Observations, width: int, height: int, start: KannalaBrandt | None = None
-) -> fit.Solution:
+def calibrate(observations: fit.Observations, width: int, height: int, start: Lens | None = None) -> fit.Solution:
     """Calibrate with cv2.fisheye.calibrate, all views at once.
 
     Args:
@@ -41,10 +25,11 @@ def calibrate(
     """
     import cv2
 
-    flags = flag("CALIB_RECOMPUTE_EXTRINSIC") | flag("CALIB_FIX_SKEW")
-    K, D = np.eye(3), np.zeros((4, 1))
+    flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
+    K: np.ndarray = np.eye(3)
+    D: np.ndarray = np.zeros((4, 1))
     if start is not None:
-        flags |= flag("CALIB_USE_INTRINSIC_GUESS")
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
         K[[0, 1, 0, 1], [0, 1, 2, 2]] = start.fx, start.fy, start.cx, start.cy
     flat = np.column_stack([observations.points, np.zeros(len(observations.points))])
     rows = np.split(np.arange(len(flat)), observations.starts[1:])
@@ -58,12 +43,13 @@ def calibrate(
     except cv2.error as error:
         reason = str(error.err or error).strip()
         raise OpenCVRefused(
-            f"OpenCV {cv2.__version__} gives up on these corners ({reason}); --procedure avcli finds its own start"
+            f"OpenCV {cv2.__version__} cannot fit these corners ({reason}); use the procedure avcli, which finds its "
+            "own start"
         ) from None
     parameters = np.zeros(fit.LENS + fit.SHAPE)
     parameters[: fit.LENS] = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:4]]
     if not np.isfinite(parameters).all():
-        raise OpenCVRefused(f"OpenCV {cv2.__version__} returns no finite lens")
+        raise OpenCVRefused(f"OpenCV {cv2.__version__} returns a lens that is not finite; use the procedure avcli")
     return fit.Solution(
         parameters,
         fit.rotation_from_vector(np.array(turns).reshape(-1, 3)),
@@ -88,8 +74,9 @@ def thesis_procedure(
     kept = rms <= limit_px
     if not kept.any():
         raise OpenCVRefused(
-            f"no picture lies within {limit_px:g} px of OpenCV's lens (f = {first.parameters[0]:.1f} px, best picture "
-            f"{rms.min():.1f} px): it started from f = {max(width, height) / np.pi:.0f} px and ended in the wrong place"
+            f"OpenCV's fit fails: every picture has an RMS residual above {limit_px:g} px (smallest {rms.min():.1f} "
+            f"px, f = {first.parameters[0]:.1f} px). OpenCV starts from f = {max(width, height) / np.pi:.0f} px, far "
+            "from many lenses; use the procedure avcli, which finds its own start"
         )
     few = observations.of_views(kept)
     second = calibrate(few, width, height)

@@ -1,13 +1,16 @@
-"""Where a camera of known lens hangs: its pose from pixels whose places in the room are known."""
+"""The pose of a camera of known lens, from pixels whose places in the room are known."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from avcli import pose
+from avcli.calibration.camera import KnownCamera
 from avcli.calibration.corners import View
-from avcli.calibration.fit import _cross, rotation_from_vector
+from avcli.calibration.fit import cross_matrix, rotation_from_vector
 from avcli.calibration.target import Board
+from avcli.lens import Lens
 
 _STARTS = 400
 _TRIED = 12
@@ -41,7 +44,7 @@ class Place:
         }
 
 
-def locate(lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None = None) -> Place:
+def locate(lens: Lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None = None) -> Place:
     """Find the pose of a camera that sees room points (n, 3) m at pixels (n, 2), n >= 4; beyond 90 degrees too.
 
     Rotations are tried all over; for each the position follows linearly from ray × (R p + t) = 0. The best are polished
@@ -59,13 +62,13 @@ def locate(lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None 
     rays = lens.unproject(pixels)
     if not np.isfinite(rays).all():
         bad = pixels[~np.isfinite(rays).all(1)][0]
-        raise ValueError(f"the lens sees nothing at pixel ({bad[0]:.1f}, {bad[1]:.1f})")
+        raise ValueError(f"pixel ({bad[0]:.1f}, {bad[1]:.1f}) is outside the field of the lens")
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
     if len(points) < 4 or spread[1] < 1e-6 * max(spread[0], 1e-12):
-        raise ValueError(f"{len(points)} points{'' if len(points) < 4 else ' on a line'} do not hold a camera: give 4")
+        found = f"found {len(points)}" if len(points) < 4 else f"the {len(points)} points are on one line"
+        raise ValueError(f"a pose needs at least 4 points that are not on one line; {found}")
     starts = _starts(rays, points)
-    found = min((_polish(lens, pixels, points, *start) for start in starts), key=lambda one: one[2])
-    R, t, _ = found
+    R, t, _ = min((_polish(lens, pixels, points, *start) for start in starts), key=lambda one: one[2])
     residuals, jacobian = _residuals(lens, pixels, points, R, t)
     freedom = max(2 * len(points) - 6, 1)
     if sigma_px is None:
@@ -75,7 +78,7 @@ def locate(lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None 
     inner = sigma_px**2 * np.linalg.pinv(J.T @ J)
     change = np.zeros((6, 6))
     change[:3, :3] = -R.T
-    change[3:, :3] = -R.T @ _cross(t)
+    change[3:, :3] = -R.T @ cross_matrix(t)
     change[3:, 3:] = -R.T
     covariance = change @ inner @ change.T
     return Place(
@@ -88,7 +91,7 @@ def locate(lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None 
 
 
 def _starts(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The likeliest of many rotations, room to camera, with their positions."""
+    """The best of many rotations, room to camera, with their positions."""
     rotations = _rotations(_STARTS)
     turned = np.einsum("kij,nj->kni", rotations, points)
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]  # what of a vector lies across the ray
@@ -117,24 +120,28 @@ def _rotations(count: int) -> np.ndarray:
     )
 
 
-def _residuals(lens, pixels, points, R, t):
+def _residuals(
+    lens: Lens, pixels: np.ndarray, points: np.ndarray, R: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Seen minus predicted (n, 2) and the derivative of the prediction to a turn and a shift (n, 2, 6)."""
     turned = points @ R.T
     predicted, by_point, _ = lens.project_jacobian(turned + t)
     residuals = pixels - predicted
-    jacobian = np.concatenate([-by_point @ _cross(turned), by_point], -1)
+    jacobian = np.concatenate([-by_point @ cross_matrix(turned), by_point], -1)
     unseen = ~(np.isfinite(residuals).all(1) & np.isfinite(jacobian).all((1, 2)))
     residuals[unseen], jacobian[unseen] = 1000.0, 0.0
     return residuals, jacobian
 
 
-def _polish(lens, pixels, points, R, t):
+def _polish(
+    lens: Lens, pixels: np.ndarray, points: np.ndarray, R: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
     delta, damping = 50.0, 1e-3
 
-    def robust(residuals, limit):
+    def robust(residuals: np.ndarray, limit: float) -> tuple[float, np.ndarray]:
         size = np.linalg.norm(residuals, axis=1)
         weight = np.minimum(1.0, limit / np.maximum(size, 1e-12))
-        return np.where(size <= limit, size**2, 2 * limit * size - limit**2).sum(), weight
+        return np.where(size <= limit, size**2, 2 * limit * size - limit**2).sum().item(), weight
 
     residuals, jacobian = _residuals(lens, pixels, points, R, t)
     for _ in range(60):
@@ -158,7 +165,7 @@ def _polish(lens, pixels, points, R, t):
     return R, t, robust(residuals, 20.0)[0]
 
 
-def board_on_floor(corners: np.ndarray, position: np.ndarray, yaw: float) -> np.ndarray:
+def board_on_floor(corners: np.ndarray, position: ArrayLike, yaw: float) -> np.ndarray:
     """Room places (n, 3) m of corners (n, 2) m of a board that lies face up.
 
     Args:
@@ -172,7 +179,7 @@ def board_on_floor(corners: np.ndarray, position: np.ndarray, yaw: float) -> np.
 
 
 def board_choices(
-    board: Board, views: list[View], position: np.ndarray, yaw: float
+    board: Board, views: list[View], position: ArrayLike, yaw: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pixels (n, 2) and room points (n, 3) m of all corners in all views of a board that lies face up (board_on_floor).
 
@@ -181,21 +188,36 @@ def board_choices(
     """
     room = board_on_floor(board.points, position, yaw)
     pixels = np.concatenate([view.pixels for view in views])
-    turns = (room,) if board.markers or board.columns % 2 != board.rows % 2 else (room, room[::-1])
+    turns = (room, room[::-1]) if board.is_ambiguous else (room,)
     return [(pixels, np.concatenate([turned[view.ids] for view in views])) for turned in turns]
 
 
-def nearest(found: list[Place], position: np.ndarray, rotation_deg: np.ndarray) -> Place:
-    """Choose the place that is nearest to a rough one, in `camera_position_m` and `camera_rotation_deg`."""
-    T = pose.camera_pose(position, rotation_deg)
-    return min(found, key=lambda one: float(np.abs(one.T_room_camera - T).sum()))
+def best(
+    camera: KnownCamera, choices: list[tuple[np.ndarray, np.ndarray]], sigma_px: float | None = None
+) -> tuple[Place, list[Place]]:
+    """Locate a camera, and choose the pose that is nearest to the one that its camera_config states, if it does.
+
+    Args:
+        camera: what is known of the camera.
+        choices: pixels (n, 2) and room points (n, 3) m; several where it is unclear which is which (board_choices).
+        sigma_px: see `locate`.
+
+    Returns:
+        The pose, and the others that fit as well if the right one is unknown.
+    """
+    found = [locate(camera.lens, pixels, points, sigma_px) for pixels, points in choices]
+    known = camera.values.get("camera_position_m")
+    if not known:
+        return found[0], found[1:]
+    T = pose.camera_pose(known, camera.values.get("camera_rotation_deg", [90.0, 0.0, 0.0]))
+    return min(found, key=lambda one: float(np.abs(one.T_room_camera - T).sum())), []
 
 
 def parse_points(content: bytes, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Read a CSV with a header u,v,x,y,z: pixels (n, 2) and room points (n, 3) m.
 
     Raises:
-        ValueError: a column is missing, or something is no finite number; the message begins with `name`.
+        ValueError: a column is missing, or a value is not a finite number; the message begins with `name`.
     """
     import csv
     import io
@@ -204,32 +226,32 @@ def parse_points(content: bytes, name: str) -> tuple[np.ndarray, np.ndarray]:
     try:
         table = np.array([[float(row[key]) for key in ("u", "v", "x", "y", "z")] for row in rows]).reshape(-1, 5)
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{name}: expected a header u,v,x,y,z and numbers below it ({error})") from None
+        raise ValueError(f"{name}: expected a header u,v,x,y,z and rows of five numbers ({error})") from None
     if not np.isfinite(table).all():
-        raise ValueError(f"{name}: a number is not finite")
+        raise ValueError(f"{name}: every number must be finite")
     return table[:, :2], table[:, 2:]
 
 
 def words(place: Place, others: list[Place]) -> list[str]:
-    """Say where the camera hangs and how sure that is, in sentences without a full stop.
+    """Describe where the camera is and how certain that is, in sentences without a full stop.
 
     Args:
         place: what was found.
-        others: what it may as well be.
+        others: poses that fit as well.
     """
     error = np.linalg.norm(place.residuals, axis=1)
     sd_mm = 1000 * float(np.sqrt(np.trace(place.covariance[3:, 3:])))
     lines = [
-        f"the camera hangs at {_shown(place)} m ± {sd_mm:.1f} mm, residual {place.rms_px:.2f} px of {len(error)} points"
+        f"the camera is at {_shown(place)} m ± {sd_mm:.1f} mm; RMS residual {place.rms_px:.2f} px, {len(error)} points"
     ]
     lines += [
-        f"this board looks the same upside down, so that the camera may also hang at {_shown(other)} m: state "
-        "camera_position_m roughly, or use a board with one odd and one even count"
+        f"this board looks the same upside down, so the camera may also be at {_shown(other)} m: write a rough "
+        "camera_position_m into config.json, or use a board with one odd and one even count"
         for other in others
     ]
     bad = np.flatnonzero(error > max(5.0, 4 * float(np.median(error))))
     if len(bad):
-        lines.append(f"points that do not fit, counted from 1: {', '.join(map(str, bad + 1))}")
+        lines.append(f"these points do not fit (counted from 1): {', '.join(map(str, bad + 1))}; check them")
     return lines
 
 

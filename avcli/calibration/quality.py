@@ -1,11 +1,11 @@
-"""How far a calibration may be believed: held-out error, uncertainty over the picture, coverage, and a verdict."""
+"""How far a calibration can be trusted: held-out error, uncertainty over the picture, coverage, and a verdict."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from avcli.calibration import fit
-from avcli.lens import KannalaBrandt
+from avcli.lens import Lens
 
 FIELD_SD_LIMIT_PX = 1.0
 """Mean standard deviation over the picture beyond which a lens counts as not observed."""
@@ -56,7 +56,7 @@ def field_sd(solution: fit.Solution, width: int, height: int, step: int = 40) ->
     return _field_sd(solution.lens, solution.covariance[: fit.LENS, : fit.LENS], width, height, step)
 
 
-def _field_sd(lens: KannalaBrandt, covariance: np.ndarray, width: int, height: int, step: int):
+def _field_sd(lens: Lens, covariance: np.ndarray, width: int, height: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     u = np.linspace(0, width - 1, max(2, round(width / step)))
     v = np.linspace(0, height - 1, max(2, round(height / step)))
     grid = np.stack(np.meshgrid(u, v), -1)
@@ -71,7 +71,7 @@ def _field_sd(lens: KannalaBrandt, covariance: np.ndarray, width: int, height: i
         out[seen] = np.inf
         return grid, out.reshape(grid.shape[:2])
     _, by_point, by_lens = lens.project_jacobian(rays[seen])
-    turn = -by_point @ fit._cross(rays[seen])
+    turn = -by_point @ fit.cross_matrix(rays[seen])
     Q = np.linalg.qr(turn.reshape(-1, 3))[0]
     J = by_lens.reshape(-1, fit.LENS)
     J = (J - Q @ (Q.T @ J)).reshape(-1, 2, fit.LENS)
@@ -111,7 +111,7 @@ def split_half(
     for _ in range(4):
         projected, by_point, _ = other.project_jacobian(rays)
         good = np.isfinite(projected).all(1) & np.isfinite(by_point).all((1, 2))
-        by_turn = -by_point[good] @ fit._cross(rays[good])
+        by_turn = -by_point[good] @ fit.cross_matrix(rays[good])
         # Robust (Cauchy), so that a corner of the picture that no board reached does not turn the rest.
         off = (pixels - projected)[good]
         weight = 1 / (1 + (off**2).sum(1) / max(float(np.median((off**2).sum(1))), 1e-12))
@@ -122,7 +122,7 @@ def split_half(
     return grid, apart
 
 
-def seen_angles(lens: KannalaBrandt, pixels: np.ndarray) -> np.ndarray:
+def seen_angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
     rays = lens.unproject(pixels)
     return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
@@ -169,6 +169,16 @@ class Quality:
     tilt: float
     refusals: tuple[str, ...]
     advice: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """How far the calibration can be trusted, in words."""
+        if self.refusals:
+            return f"do not use this calibration: {'; '.join(self.refusals)}"
+        if self.theta_max_observed < 0.9 * self.theta_max_picture:
+            angle = np.rad2deg(self.theta_max_observed)
+            return f"trust this calibration up to {angle:.1f}° from the axis; beyond that it is extrapolated"
+        return "trust this calibration over the whole picture"
 
 
 def assess(observations: fit.Observations, solution: fit.Solution, width: int, height: int, held_out: float) -> Quality:
@@ -223,27 +233,27 @@ def _refusals(q: Quality, observations: fit.Observations, solution: fit.Solution
     fx, fy = solution.parameters[:2]
     if observations.views < LEAST_VIEWS:
         reasons.append(
-            f"{observations.views} different view{'s' if observations.views != 1 else ''} of the board cannot hold a "
-            f"lens: film at least {LEAST_VIEWS}, better 20, from different sides"
+            f"{observations.views} different view{'s' if observations.views != 1 else ''} of the board cannot "
+            f"determine a lens: film at least {LEAST_VIEWS}, better 20, from different sides"
         )
     relative = max(q.sd[0] / fx, q.sd[1] / fy)
     if not relative <= FOCAL_SD_LIMIT:
-        shown = f"{100 * relative:.1f} %" if relative < 10 else "nothing"
+        shown = f"± {100 * relative:.1f} %" if relative < 10 else "not known at all"
         reasons.append(
-            f"the focal length is known to {shown} only (boards' tilt spread {np.rad2deg(q.tilt):.0f}°): "
+            f"the focal length is too uncertain ({shown}; the tilt of the boards varies by {np.rad2deg(q.tilt):.0f}°): "
             "tilt the board by 30 to 50° in all directions"
         )
     mean = float(np.nanmean(q.field_sd_px))
-    seen, shown = np.rad2deg(q.theta_max_observed), np.rad2deg(q.theta_max_picture)
-    unseen = f"nothing was seen beyond {seen:.0f}°, of {shown:.0f}° that the picture shows"
+    seen, reach = np.rad2deg(q.theta_max_observed), np.rad2deg(q.theta_max_picture)
+    unseen = f"no corner was seen beyond {seen:.0f}° from the axis, but the picture reaches {reach:.0f}°"
     if not mean <= FIELD_SD_LIMIT_PX:
         size = f"{mean:.1f} px" if mean < 1000 else "more than 1000 px"
-        where = unseen if seen < 0.8 * shown else "the boards say too little"
+        where = unseen if seen < 0.8 * reach else "the views of the board are too few or too similar"
         reasons.append(f"the expected error over the picture is {size}: {where}; film the board {_places(q)}")
-    elif seen < LEAST_SEEN * shown:
+    elif seen < LEAST_SEEN * reach:
         reasons.append(f"{unseen}; film the board {_places(q)}")
     if not q.rms_px <= 0.005 * np.hypot(*solution.parameters[2:4]) + 2.0:
-        reasons.append(f"the corners lie {q.rms_px:.1f} px (RMS) from where this lens would put them: no fit")
+        reasons.append(f"the fit failed: the corners are {q.rms_px:.1f} px (RMS) from where this lens projects them")
     return tuple(reasons)
 
 
@@ -251,17 +261,18 @@ def _advice(q: Quality, refusals: tuple[str, ...]) -> tuple[str, ...]:
     advice = []
     if q.theta_max_observed < 0.9 * q.theta_max_picture:
         advice.append(
-            f"nothing was seen beyond {np.rad2deg(q.theta_max_observed):.0f}° (the picture shows "
-            f"{np.rad2deg(q.theta_max_picture):.0f}°): film the board near the corners"
+            f"no corner was seen beyond {np.rad2deg(q.theta_max_observed):.0f}° from the axis, but the picture reaches "
+            f"{np.rad2deg(q.theta_max_picture):.0f}°: film the board near the corners of the picture"
         )
     empty = float((q.counts == 0).mean())
     if empty > 0.2:
-        advice.append(f"{100 * empty:.0f} % of the picture saw no corner: film the board {_places(q)}")
+        advice.append(f"no corner was seen in {100 * empty:.0f} % of the picture: film the board {_places(q)}")
     if q.tilt < np.deg2rad(15):
-        advice.append(f"the boards' normals spread by {np.rad2deg(q.tilt):.0f}° only: tilt the board more")
+        advice.append(f"the tilt of the boards varies by only {np.rad2deg(q.tilt):.0f}°: tilt the board more")
     if np.isfinite(q.held_out_rms_px) and q.held_out_rms_px > 1.2 * q.rms_px + 0.02:
         advice.append(
-            f"pictures held out of the fit come out {q.held_out_rms_px / q.rms_px:.1f} times worse: take more of them"
+            f"the residual of pictures held out of the fit is {q.held_out_rms_px / q.rms_px:.1f} times as large: take "
+            "more pictures"
         )
     return () if refusals and not advice else tuple(advice)
 
@@ -275,12 +286,12 @@ def _places(q: Quality) -> str:
             if (q.counts[ys, xs] == 0).mean() > 0.34:
                 names.append(f"{label} {side}")
     if len(names) == 4 or not names:
-        return "near the corners" if names else "closer, larger and more tilted"
-    return f"at the {' and the '.join(names)}"
+        return "near the corners of the picture" if names else "closer, larger and more tilted"
+    return f"at the {', the '.join(names[:-1])} and the {names[-1]}" if len(names) > 1 else f"at the {names[0]}"
 
 
 def next_view(q: Quality) -> str:
-    """Say where the board should be held next: where the projection is known worst, or where nothing was seen."""
+    """Say where to hold the board next: where the projection is known worst."""
     rows = np.array_split(np.arange(q.field_sd_px.shape[0]), 3)
     columns = np.array_split(np.arange(q.field_sd_px.shape[1]), 3)
     names = [["top left", "top", "top right"], ["left", "middle", "right"], ["bottom left", "bottom", "bottom right"]]

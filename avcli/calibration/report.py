@@ -1,41 +1,51 @@
-"""What a calibration says for itself: in words, in a picture, in an HTML page."""
+"""The report on a calibration: in words, in a picture, in an HTML page."""
+
+from typing import Any
 
 import numpy as np
 
 from avcli.calibration import fit, quality, undistort
 from avcli.calibration.calibrate import Calibration
+from avcli.calibration.gather import Seen
+from avcli.calibration.settings import ProjectionSettings
+
+Axes = Any
+"""matplotlib's Axes and Figure: matplotlib has no types of its own."""
 
 
-def words(result: Calibration) -> list[str]:
-    """Say how good a calibration is, in sentences without a full stop."""
+def words(result: Calibration, seen: Seen) -> list[str]:
+    """Describe how good a calibration is, in sentences without a full stop.
+
+    Args:
+        result: the calibration.
+        seen: what became of each picture.
+    """
     q, lens, parameters = result.quality, result.solution.lens, result.solution.parameters
-    held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few)"
+    held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few pictures)"
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(("k1", "k2", "k3", "k4"), parameters[4:8], q.sd[4:8], strict=True)
     lines = [
-        f"RMS {q.rms_px:.3f} px, {q.inlier_rms_px:.3f} px without outliers; pictures held out of the fit {held_out}",
+        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the board of {result.board} squares, "
+        f"{seen.count('duplicate')} of them as in another picture; the fit uses {int(result.kept.sum())} pictures with "
+        f"{len(result.observations.pixels)} corners",
+        f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
+        f"{held_out}",
         ", ".join(f"{name} {value:.2f} ± {sd:.2f}" for name, value, sd in pixels) + " px",
         ", ".join(f"{name} {value:.5f} ± {sd:.5f}" for name, value, sd in terms),
-        f"expected error over the picture: mean {np.nanmean(q.field_sd_px):.3f} px, largest "
+        f"expected error of the projection over the picture: mean {np.nanmean(q.field_sd_px):.3f} px, largest "
         f"{np.nanmax(q.field_sd_px):.3f} px",
-        f"corners were seen to {_degrees(q.theta_max_observed)} from the axis; the lens is one-to-one to "
-        f"{_degrees(lens.theta_max)}; the picture shows {_degrees(q.theta_max_picture)}",
+        f"angles from the axis: corners were seen up to {_degrees(q.theta_max_observed)}, the picture reaches "
+        f"{_degrees(q.theta_max_picture)}, the lens model is one-to-one up to {_degrees(lens.theta_max)}",
     ]
     if result.solution.shape.any():
         lines.append(
-            f"the board is bowed by {1000 * result.bow_m:.2f} mm and {100 * result.solution.shape[2]:+.3f} % longer "
-            f"down than across (held out {result.flat_px:.3f} px without this, {result.shaped_px:.3f} with)"
+            f"the board is bowed by {1000 * result.bow_m:.2f} mm and stretched by "
+            f"{100 * result.solution.shape[2]:+.3f} % along its columns (held-out RMS {result.flat_px:.3f} px without "
+            f"this correction, {result.shaped_px:.3f} px with it)"
         )
         if abs(result.bow_m) > 0.0005:
-            lines.append("a bow of more than 0.5 mm: mount the board on something flat")
-    lines += q.advice
-    if q.refusals:
-        lines += [f"not observable: {reason}" for reason in q.refusals]
-    elif q.theta_max_observed < 0.9 * q.theta_max_picture:
-        lines.append(f"verdict: to be believed up to {_degrees(q.theta_max_observed)}, extrapolated beyond")
-    else:
-        lines.append("verdict: to be believed over the whole picture")
-    return lines
+            lines.append("the board is bowed by more than 0.5 mm: mount it on something flat")
+    return [*lines, *q.advice, f"Verdict: {q.verdict}"]
 
 
 def _degrees(angle: float) -> str:
@@ -65,7 +75,7 @@ def picture(result: Calibration, sample: np.ndarray | None = None, kind: str = "
     _draw_map(figure, axes[1, 0], result, "expected error of the projection", q.field_pixels, q.field_sd_px)
     _draw_views(axes[1, 1], result)
     halves = quality.split_half(result.observations, result.solution, result.width, result.height)
-    _draw_map(figure, axes[2, 0], result, "how far lenses from every other picture differ", *halves)
+    _draw_map(figure, axes[2, 0], result, "difference between the lenses of two halves of the pictures", *halves)
     _draw_sample(axes[2, 1], result, sample)
     out = io.BytesIO()
     # Neither the time nor a random salt belongs in a file that the same pictures must give again.
@@ -75,7 +85,7 @@ def picture(result: Calibration, sample: np.ndarray | None = None, kind: str = "
     return out.getvalue()
 
 
-def _frame(axis, result: Calibration, title: str) -> None:
+def _frame(axis: Axes, result: Calibration, title: str) -> None:
     axis.set(xlim=(-0.5, result.width - 0.5), ylim=(result.height - 0.5, -0.5), aspect="equal", title=title)
     axis.set_xlabel("u, px")
     axis.set_ylabel("v, px")
@@ -86,18 +96,18 @@ def _frame(axis, result: Calibration, title: str) -> None:
         axis.plot(*result.solution.lens.project(ring).T, color="0.5", lw=0.5, ls=":")
 
 
-def _draw_residuals(axis, result: Calibration) -> None:
+def _draw_residuals(axis: Axes, result: Calibration) -> None:
     rest = fit.residuals(result.observations, result.solution)
     length = float(np.nanquantile(np.linalg.norm(rest, axis=1), 0.9))
     enlarged = max(1.0, 0.03 * result.width / max(length, 1e-9))
     power = 10 ** np.floor(np.log10(enlarged))
     enlarged = np.floor(enlarged / power) * power
-    _frame(axis, result, f"residuals, {enlarged:g} times enlarged; rings every 15°")
+    _frame(axis, result, f"residuals, enlarged {enlarged:g} times; rings every 15°")
     u, v = result.observations.pixels.T
     axis.quiver(u, v, *(enlarged * rest.T), angles="xy", scale_units="xy", scale=1, width=0.0015, color="tab:blue")
 
 
-def _draw_coverage(figure, axis, result: Calibration) -> None:
+def _draw_coverage(figure: Axes, axis: Axes, result: Calibration) -> None:
     _frame(axis, result, "where corners were seen")
     drawn = axis.imshow(
         np.ma.masked_equal(result.quality.counts, 0),
@@ -109,7 +119,7 @@ def _draw_coverage(figure, axis, result: Calibration) -> None:
     figure.colorbar(drawn, ax=axis, label="corners in a cell", shrink=0.8)
 
 
-def _draw_map(figure, axis, result: Calibration, title: str, pixels: np.ndarray, error: np.ndarray) -> None:
+def _draw_map(figure: Axes, axis: Axes, result: Calibration, title: str, pixels: np.ndarray, error: np.ndarray) -> None:
     from matplotlib.colors import LogNorm
 
     values = np.where(np.isfinite(error), np.maximum(error, 1e-6), np.nan)
@@ -123,7 +133,7 @@ def _draw_map(figure, axis, result: Calibration, title: str, pixels: np.ndarray,
         axis.text(0.5, 0.5, "too few pictures", transform=axis.transAxes, ha="center")
 
 
-def _draw_views(axis, result: Calibration) -> None:
+def _draw_views(axis: Axes, result: Calibration) -> None:
     number = np.arange(len(result.kept))
     for kept, colour, label in ((True, "tab:blue", "used"), (False, "tab:red", "left out")):
         some = result.kept == kept
@@ -135,35 +145,33 @@ def _draw_views(axis, result: Calibration) -> None:
     axis.legend()
 
 
-def _draw_sample(axis, result: Calibration, sample: np.ndarray | None) -> None:
+def _draw_sample(axis: Axes, result: Calibration, sample: np.ndarray | None) -> None:
     axis.set_axis_off()
     if sample is None:
         return
     size = (result.width, result.height)
-    straight = undistort.straighten(result.solution.lens, size, "perspective", size, balance=0.5)
+    straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
     axis.imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
-    axis.set_title(f"a picture, straightened, {_degrees(straight.fov)} wide")
+    axis.set_title(f"a straightened picture, {_degrees(straight.fov)} wide")
 
 
-def page(result: Calibration, names: list[str], sample: np.ndarray | None = None) -> str:
+def page(result: Calibration, seen: Seen) -> str:
     """Write the report as one HTML page that needs nothing else.
 
     Args:
         result: the calibration.
-        names: what each given view is called, in order.
-        sample: see `picture`.
+        seen: what became of each picture.
     """
     import base64
     from html import escape
 
-    drawn = base64.b64encode(picture(result, sample)).decode()
-    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result))
+    drawn = base64.b64encode(picture(result, seen.sample)).decode()
+    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result, seen))
     rows = "\n".join(
         f"<tr{'' if kept else ' class=out'}><td>{escape(name)}</td><td>{rms:.3f}</td>"
         f"<td>{'used' if kept else 'left out'}</td></tr>"
-        for name, rms, kept in zip(names, result.view_rms_px, result.kept, strict=True)
+        for name, rms, kept in zip(seen.names, result.view_rms_px, result.kept, strict=True)
     )
-    verdict = "not observable" if result.quality.refusals else "observable"
     return f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -175,9 +183,9 @@ table {{ border-collapse: collapse; }}
 td, th {{ padding: 0.1rem 0.8rem; text-align: left; }}
 .out {{ color: #b00; }}
 </style>
-<h1>A calibrated camera: {verdict}</h1>
+<h1>Camera calibration</h1>
 <p>{result.width} × {result.height} px, {int(result.kept.sum())} of {len(result.kept)} pictures used,
-a board of {result.board} squares of {1000 * result.board.square_m:g} mm.</p>
+board of {result.board} squares of {1000 * result.board.square_m:g} mm.</p>
 <ul>
 {said}
 </ul>

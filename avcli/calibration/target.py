@@ -1,8 +1,12 @@
 """Calibration boards: their geometry, and drawings of them to print at true size."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import cv2
 
 PAPERS_MM = {
     "A4": (210.0, 297.0),
@@ -31,14 +35,19 @@ class Board:
     square_m: float = 1.0
     markers: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.columns < 3 or self.rows < 3:
-            raise ValueError(f"a board of {self} squares is too small: it needs at least 3 each way")
+            raise ValueError(f"a board of {self} squares is too small; it needs at least 3x3")
         if not 0 < self.square_m < np.inf:
-            raise ValueError(f"squares of {self.square_m * 1000:g} mm are no squares")
+            raise ValueError(f"the side of a square must be above 0 mm and finite, found {self.square_m * 1000:g} mm")
 
     def __str__(self) -> str:
         return f"{self.columns}x{self.rows}"
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether the board looks the same when it is turned by 180 degrees."""
+        return not self.markers and self.columns % 2 == self.rows % 2
 
     @property
     def inner(self) -> tuple[int, int]:
@@ -57,7 +66,7 @@ class Board:
         """Half the distance between the outermost inner corners, (2,) m."""
         return self.square_m * (np.array(self.inner) - 1) / 2
 
-    def charuco(self):
+    def charuco(self) -> "cv2.aruco.CharucoBoard":
         """OpenCV's description of the same board with markers (dictionary 5X5_250)."""
         import cv2
 
@@ -77,7 +86,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """
     parts = text.lower().replace("×", "x").split("x")
     if len(parts) != 2 or not all(part.strip().isdigit() for part in parts):
-        raise ValueError(f"a board is COLSxROWS, squares as printed (6x8), not {text!r}")
+        raise ValueError(f"expected the board's squares as COLSxROWS, for example 6x8, found {text!r}")
     return int(parts[0]), int(parts[1])
 
 
@@ -109,13 +118,13 @@ def draw(board: Board, paper: str | None = None) -> Drawing:
         page = wide + 2 * max(square, ruler), high + 2 * max(square, ruler)
     else:
         if paper not in PAPERS_MM:
-            raise ValueError(f"no paper is called {paper!r}; there are {', '.join(PAPERS_MM)}")
+            raise ValueError(f"unknown paper {paper!r}; known are {', '.join(PAPERS_MM)}")
         page = PAPERS_MM[paper] if wide <= high else PAPERS_MM[paper][::-1]
         if need[0] > page[0] or need[1] > page[1]:
             largest = min((page[0] - 2 * ruler) / board.columns, (page[1] - 2 * ruler) / board.rows)
             raise ValueError(
-                f"{board} squares of {square:g} mm need {need[0]:.0f} × {need[1]:.0f} mm, more than {paper} has; "
-                f"the largest that fit are {np.floor(largest):.0f} mm"
+                f"{board} squares of {square:g} mm need {need[0]:.0f} × {need[1]:.0f} mm and do not fit on {paper}; "
+                f"the largest squares that fit have {np.floor(largest):.0f} mm"
             )
     x0, y0 = (page[0] - wide) / 2, (page[1] - high) / 2
     rows, columns = np.nonzero(np.add.outer(np.arange(board.rows), np.arange(board.columns)) % 2 == 0)
@@ -156,7 +165,9 @@ def _marker_cells(board: Board, x0: float, y0: float, square: float) -> np.ndarr
     return np.array(found)
 
 
-def _ruler(length: float, start: float, place: float, *, along_x: bool):
+def _ruler(
+    length: float, start: float, place: float, *, along_x: bool
+) -> tuple[np.ndarray, list[tuple[float, float, float, str]]]:
     """Ticks every 10 mm over the whole centimetres in `length`, and their labels every 50 mm."""
     ticks = np.arange(0, length + 1e-9, 10.0)
     long = np.where(ticks % 50 == 0, 4.0, 2.0)
@@ -195,7 +206,7 @@ def to_pdf(drawing: Drawing) -> bytes:
     """Write a drawing as a PDF page at true size (ISO 32000-1; no time in it, so the same board is the same file)."""
     scale = 72 / 25.4
 
-    def at(x, y):
+    def at(x: float, y: float) -> str:
         return f"{_short(x * scale, 4)} {_short((drawing.height_mm - y) * scale, 4)}"
 
     lines = [

@@ -1,9 +1,16 @@
 """Pictures without the fisheye: perspective, cylindrical, or the whole field at once."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.calibration.camera import KnownCamera
+from avcli.calibration.settings import ProjectionSettings
+from avcli.formats.footage import Picture
+from avcli.lens import Lens
+
+DEFAULTS = ProjectionSettings()
 _WIDEST = np.deg2rad(80.0)
 """A perspective picture stretches by 1 / cos² of the angle; beyond this half angle there is nothing to see."""
 
@@ -14,24 +21,26 @@ class Straightened:
 
     Attributes:
         sources: (height, width, 2) px in the fisheye picture; NaN where the lens sees nothing.
+        projection: see ProjectionSettings.
         fov: rad, from the left edge to the right.
         focal_px: px; of a perspective picture its pinhole's focal length, of the others px a radian.
     """
 
     sources: np.ndarray
+    projection: str
     fov: float
     focal_px: float
 
-    def camera_config(self, projection: str) -> dict:
+    def camera_config(self) -> dict:
         """Describe the straightened pictures; a perspective one as a camera_config of config.json."""
         height, width = self.sources.shape[:2]
         found = {
-            "projection": projection,
+            "projection": self.projection,
             "fov_deg": float(np.rad2deg(self.fov)),
             "image_width_px": width,
             "image_height_px": height,
         }
-        if projection != "perspective":
+        if self.projection != "perspective":
             return {**found, "px_per_rad": self.focal_px}
         return {
             **found,
@@ -44,36 +53,34 @@ class Straightened:
 
 
 def straighten(
-    lens,
+    lens: Lens,
     source_size: tuple[int, int],
-    projection: str,
     size: tuple[int, int],
-    *,
-    balance: float = 0.0,
-    fov: float | None = None,
+    settings: ProjectionSettings = DEFAULTS,
     theta_max: float = np.inf,
 ) -> Straightened:
     """Map a straightened picture's pixels to the fisheye picture's.
 
+    "perspective" keeps straight lines straight; "cylindrical" keeps upright lines straight and goes around further;
+    "whole" shows azimuth and elevation about the camera (equirectangular), past 90 degrees too.
+
     Args:
         lens: a model of avcli.lens.
         source_size, size: width and height of the fisheye and of the straightened picture, px.
-        projection: "perspective" keeps straight lines straight; "cylindrical" keeps upright lines straight and goes
-            around further; "whole" shows azimuth and elevation about the camera (equirectangular), past 90 degrees too.
-        balance: of "perspective", without `fov`: 0 shows only what the fisheye picture fills, 1 all that it shows (to
-            80 degrees from the axis).
-        fov: rad, from the left edge to the right.
-        theta_max: rad; beyond it the lens is not believed and the picture stays black.
+        settings: the projection and its width.
+        theta_max: rad; beyond it the lens is not trusted and the picture stays black.
 
     Raises:
         ValueError: the field of view does not suit the projection.
     """
-    limit = {"perspective": np.pi, "cylindrical": 2 * np.pi, "whole": 2 * np.pi}[projection]
+    projection, fov = settings.projection, None if settings.fov_deg is None else float(np.deg2rad(settings.fov_deg))
+    limit = np.pi if projection == "perspective" else 2 * np.pi
     if fov is not None and not 0 < fov <= (0.99 * limit if projection == "perspective" else limit):
-        raise ValueError(f"a {projection} picture cannot show {np.rad2deg(fov):.0f} degrees")
+        most = 178 if projection == "perspective" else 360
+        raise ValueError(f"a {projection} picture cannot be {np.rad2deg(fov):.0f} degrees wide, only up to {most}")
     if fov is None:
         if projection == "perspective":
-            fov = 2 * np.arctan(_perspective_reach(lens, source_size, size, balance))
+            fov = 2 * np.arctan(_perspective_reach(lens, source_size, size, settings.balance))
         else:
             fov = min(2 * _reach(lens, source_size), 2 * np.pi)
     width, height = size
@@ -96,7 +103,28 @@ def straighten(
     sources = lens.project(flat)
     outside = np.arctan2(np.hypot(flat[:, 0], flat[:, 1]), flat[:, 2]) > theta_max
     sources[outside] = np.nan
-    return Straightened(sources.reshape(height, width, 2), float(fov), float(focal))
+    return Straightened(sources.reshape(height, width, 2), projection, float(fov), float(focal))
+
+
+def straightened(
+    pictures: Iterable[Picture], camera: KnownCamera, straight: Straightened
+) -> Iterator[tuple[Picture, np.ndarray]]:
+    """Straighten the pictures of a camera one after another.
+
+    Args:
+        pictures: as the camera took them.
+        camera: the camera.
+        straight: see `straighten`.
+
+    Returns:
+        each picture, and what it becomes (height, width[, channels]).
+
+    Raises:
+        ValueError: a picture is not of the camera's size.
+    """
+    for picture in pictures:
+        camera.require_size((picture.image.shape[1], picture.image.shape[0]), picture.name)
+        yield picture, resample(picture.image, straight)
 
 
 def resample(image: np.ndarray, straightened: Straightened) -> np.ndarray:
@@ -123,7 +151,7 @@ def _rim(size: tuple[int, int]) -> np.ndarray:
     )
 
 
-def _reach(lens, source_size: tuple[int, int]) -> float:
+def _reach(lens: Lens, source_size: tuple[int, int]) -> float:
     """Largest angle that the picture shows, rad."""
     rays = lens.unproject(_rim(source_size))
     if not np.isfinite(rays).all():
@@ -131,12 +159,12 @@ def _reach(lens, source_size: tuple[int, int]) -> float:
     return float(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]).max())
 
 
-def _perspective_reach(lens, source_size, size, balance: float) -> float:
+def _perspective_reach(lens: Lens, source_size: tuple[int, int], size: tuple[int, int], balance: float) -> float:
     """Half width of a perspective picture at distance 1: between the largest that is filled and all that is shown."""
     rim = _rim(size) - (np.array(size) - 1) / 2
     plane = np.column_stack([rim / (size[0] / 2), np.ones(len(rim))])
 
-    def filled(reach):
+    def filled(reach: float) -> bool:
         seen = lens.project(plane * [reach, reach, 1])
         with np.errstate(invalid="ignore"):
             return bool(((seen >= -0.5) & (seen <= np.array(source_size) - 0.5)).all())

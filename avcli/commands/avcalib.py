@@ -1,26 +1,26 @@
-"""avcalib: calibrate a real fisheye camera, and know whether to believe it."""
+"""avcalib: calibrate a real fisheye camera, and know how far to trust the result."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import click
 
+import avcli.calibration.settings as settings
 from avcli import __version__
 from avcli.commands import avcalib_room
-from avcli.commands.avcalib_pictures import (
-    POSITIVE,
-    Size,
-    board_options,
-    check_sources,
-    collect,
-    nothing_found,
-    parse_board,
-    rate_option,
-    read_camera,
-    views_for,
-    with_options,
-    write_camera,
-)
-from avcli.commands.filter import FilterGroup, GateNotMet, common
+from avcli.commands.avcalib_pictures import collect, parse_board, read_camera, usage_errors, views_for, write_camera
+from avcli.commands.filter import FilterGroup, GateNotMet, Session, common
+from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
+from avcli.settings import settings_of
 
-_THESIS = {"thesis": {"procedure": "thesis", "board_text": "6x8", "square": 95.0, "rate": 2.0}}
+if TYPE_CHECKING:
+    from avcli.calibration.calibrate import Calibration
+    from avcli.calibration.gather import Seen
+
+_THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "square_mm": 95.0, "rate_hz": 2.0}}
 
 
 @click.group(
@@ -31,7 +31,7 @@ _THESIS = {"thesis": {"procedure": "thesis", "board_text": "6x8", "square": 95.0
 )
 @click.help_option("-h", "--help")
 @click.version_option(__version__, "--version", message="%(prog)s %(version)s")
-def main():
+def main() -> None:
     """Calibrate a camera with a printed board: films, pictures or a USB camera in, a camera_config out."""
 
 
@@ -39,231 +39,147 @@ for _command in (avcalib_room.undistort_command, avcalib_room.pose_command, avca
     main.add_command(_command)
 
 
-# --- calibrate --------------------------------------------------------------------------------------------------------
-
-
-def _fit_options(function):
-    options = [
-        click.option(
-            "--procedure",
-            type=click.Choice(["avcli", "thesis"]),
-            default="avcli",
-            show_default=True,
-            help="avcli: our robust fit. thesis: OpenCV twice, dropping pictures above --max-rms between.",
-        ),
-        click.option(
-            "--max-rms",
-            type=POSITIVE,
-            default=0.75,
-            show_default=True,
-            metavar="PX",
-            help="Residual in px above which --procedure thesis drops a picture.",
-        ),
-        click.option(
-            "--board-shape",
-            type=click.Choice(["auto", "yes", "no"]),
-            default="auto",
-            show_default=True,
-            help="Fit the board's bow and stretch too; auto does where held-out pictures improve by 2 %.",
-        ),
-        click.option("--details", metavar="FILE", help="Write a record a picture: corners, residual, kept or why not."),
-        click.option("--plot", metavar="FILE", help="Draw residuals, coverage and expected error: .png, .svg or .pdf."),
-        click.option("--html", metavar="FILE", help="Write the report with its pictures as one HTML file."),
-        click.option(
-            "--force", is_flag=True, help="Write the result even where the lens is not observable (still exit 3)."
-        ),
-        click.option("--size", type=Size(), help="Size in px to ask of a camera, such as 1920x1080."),
-    ]
-    return with_options(function, options)
+def _fit_options(function: Callable) -> Callable:
+    """Add the options that calibrate and live share."""
+    for option in (
+        click.option("--size", type=Size(), help="Size in px to request from a camera, for example 1920x1080."),
+        click.option("--force", is_flag=True, help="Write the result even if the lens is not observable (exit 3)."),
+        click.option("--html", metavar="FILE", help="Write the report with its plots as one HTML file."),
+        click.option("--plot", metavar="FILE", help="Plot residuals, coverage and expected error: .png, .svg or .pdf."),
+        click.option("--details", metavar="FILE", help="Write one record per picture: corners, residual, used or not."),
+        from_settings(settings.FitSettings),
+        from_settings(settings.PictureSettings),
+        from_settings(settings.BoardSettings),
+    ):
+        function = option(function)
+    return function
 
 
 @main.command("calibrate", epilog="Example: avcalib calibrate film.mp4 --board 6x9 --square 90 -o camera.json")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
-@board_options()
-@rate_option()
 @_fit_options
 @common(presets=_THESIS)
-def calibrate_command(session, sources, board_text, square, charuco, rate, size, **options):
+def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any) -> None:
     """Find a camera's lens from pictures, a video or a camera that saw a printed board from many sides."""
-    board = parse_board(session, board_text, square, charuco)
-    sources = check_sources(session, sources)
-    with session.timing("look for boards"):
-        seen = collect(session, sources, board, rate, size)
-    _finish(session, seen, **options)
+    _check_options(session, values)
+    _finish(session, collect(session, list(sources), values), values)
 
 
-def _finish(session, seen, *, procedure, max_rms, board_shape, details, plot, html, force):
-    """Fit, judge, report, write."""
-    from avcli.calibration import calibrate, fit, opencv
+@main.command("live", epilog="Example: avcalib live /dev/video0 --board 7x10 --square 95 -C lab")
+@click.argument("source", default="/dev/video0", metavar="[CAMERA]")
+@_fit_options
+@from_settings(settings.LiveSettings)
+@common()
+def live_command(session: Session, source: str, port: int, enough_px: float | None, **values: Any) -> None:
+    """Calibrate while you film: hints say where to hold the board next.
 
-    if plot and plot.rsplit(".", 1)[-1].lower() not in ("png", "svg", "pdf"):
-        session.usage(f"--plot {plot}: expected a name that ends in .png, .svg or .pdf")
+    The first Ctrl-C ends the filming. The lens is then found from the collected pictures.
+    """
+    from avcli.calibration import live, mjpeg
 
-    if not seen.views:
-        _write_details(details, seen, None)
-        nothing_found(seen)
+    _check_options(session, values)
+    with contextlib.ExitStack() as stack:
+        show = stack.enter_context(mjpeg.serving(port)) if port else None
+        if show:
+            session.warn(f"open http://127.0.0.1:{show.port}/ to watch")
+        seen = collect(session, [source], values, live.Guide(enough_px, session.warn, show).after)
+    _finish(session, seen, values)
+
+
+def _check_options(session: Session, values: dict[str, Any]) -> None:
+    """Refuse, before any picture is read, what cannot be done or has no effect."""
+    from avcli.lens import LENSES
+
+    procedure, plot, model = values["procedure"], values["plot"], values["lens_model"]
+    foreign = [
+        name for name, (_, known) in settings_of(settings.FitSettings).items() if known.only not in ("", procedure)
+    ]
+    refuse_without_effect(foreign, f"with --procedure {procedure}")
+    if model not in LENSES:
+        session.usage(f"--lens-model {model} is unknown; known are {', '.join(LENSES)}")
+    if plot and not plot.lower().endswith((".png", ".svg", ".pdf")):
+        session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
+
+
+def _finish(session: Session, seen: Seen, values: dict[str, Any]) -> None:
+    """Fit, report, write."""
+    from avcli.calibration import calibrate, fit
+
+    result = None
     try:
         with session.timing("fit"):
-            if procedure == "thesis":
-                if not opencv.version().startswith("5."):
-                    session.warn(f"this is OpenCV {opencv.version()}; the thesis's procedure was tried with 5.0")
-                result = calibrate.calibrate_as_thesis(seen.board, seen.views, max_rms)
-            else:
-                shape = {"auto": None, "yes": True, "no": False}[board_shape]
-                result = calibrate.calibrate(seen.board, seen.views, board_shape=shape)
-    except (fit.NoFit, opencv.OpenCVRefused) as error:
-        _write_details(details, seen, None)
+            seen.require_views()
+            result = calibrate.calibrate_views(seen.board, seen.views, settings_from(settings.FitSettings, values))
+    except fit.NoFit as error:
         raise GateNotMet(str(error)) from None
-    _write_details(details, seen, result)
-    _report(session, seen, result)
-    with session.timing("draw"):
-        _draw(session, seen, result, plot, html)
-    refusals = result.quality.refusals
-    if not refusals or force:
+    finally:
+        _write_details(values["details"], seen, result)
+    _report(session, seen, result, values["plot"], values["html"])
+    if values["force"] or not result.quality.refusals:
         write_camera(session, result.camera_config())
-    if refusals:
-        raise GateNotMet(f"the lens is not observable: {'; '.join(refusals)}")
+    if result.quality.refusals:
+        raise GateNotMet(f"the lens is not observable: {'; '.join(result.quality.refusals)}")
 
 
-def _write_details(path, seen, result):
+def _write_details(path: str | None, seen: Seen, result: Calibration | None) -> None:
+    from avcli.formats import records
+    from avcli.formats.atomic import write_bytes
+
     if path:
-        from avcli.formats import records
-        from avcli.formats.atomic import write_bytes
-
-        write_bytes(path, b"".join(map(records.encode, seen.records(result))))
+        rows = seen.records(result.kept, result.view_rms_px) if result else seen.records()
+        write_bytes(path, b"".join(map(records.encode, rows)))
 
 
-def _report(session, seen, result):
-    from avcli.calibration import report
-
-    given, duplicates = len(seen), seen.count("duplicate")
-    session.warn(
-        f"{given - seen.count('no board')} of {given} pictures show the board of {result.board} squares, {duplicates} "
-        f"as another does; {int(result.kept.sum())} used, {len(result.observations.pixels)} corners"
-    )
-    for line in report.words(result):
-        session.warn(line)
-
-
-def _draw(session, seen, result, plot, html):
+def _report(session: Session, seen: Seen, result: Calibration, plot: str | None, html: str | None) -> None:
     from avcli.calibration import report
     from avcli.formats.atomic import write_bytes
 
-    if plot:
-        write_bytes(plot, report.picture(result, seen.sample, plot.rsplit(".", 1)[-1].lower()))
-    if html:
-        write_bytes(html, report.page(result, seen.names, seen.sample).encode())
-
-
-# --- check ------------------------------------------------------------------------------------------------------------
+    for line in report.words(result, seen):
+        session.warn(line)
+    with session.timing("draw"):
+        if plot:
+            write_bytes(plot, report.picture(result, seen.sample, plot[-3:].lower()))
+        if html:
+            write_bytes(html, report.page(result, seen).encode())
 
 
 @main.command("check", epilog="Example: avcalib check camera.json new/ --board 6x9 --square 90")
 @click.argument("camera", metavar="CONFIG")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
-@board_options()
-@rate_option()
-@click.option(
-    "--fail-over",
-    type=POSITIVE,
-    metavar="PX",
-    help="Exit 3 if the RMS residual is more than this many px.",
-)
+@from_settings(settings.BoardSettings)
+@from_settings(settings.PictureSettings)
+@from_settings(settings.CheckSettings)
 @common(experiment=False)
-def check_command(session, camera, sources, board_text, square, charuco, rate, fail_over):
-    """Score a calibration on new pictures of a board: only the board's pose is fitted, the lens is held."""
+def check_command(
+    session: Session, camera: str, sources: tuple[str, ...], fail_over_px: float | None, **values: Any
+) -> None:
+    """Test a calibration on new pictures of a board. Only the poses of the board are fitted; the lens is fixed."""
     from avcli.calibration import calibrate
 
-    lens, size, _ = read_camera(session, camera)
-    board = parse_board(session, board_text, square, charuco)
-    seen = views_for(session, sources, board, rate, size, camera)
-    score = calibrate.check(seen.board, seen.views, lens)
+    known = read_camera(session, camera)
+    seen = views_for(session, list(sources), values, known)
+    score = calibrate.check(seen.board, seen.views, known.lens)
     with session.output() as write:
         write({"pictures": len(seen), **score})
-    if fail_over is not None and not score["rms_px"] <= fail_over:
-        raise GateNotMet(f"RMS {score['rms_px']:.3f} px, more than {fail_over:g} px")
-
-
-# --- live -------------------------------------------------------------------------------------------------------------
-
-
-@main.command("live", epilog="Example: avcalib live /dev/video0 --board 7x10 --square 95 -C lab")
-@click.argument("source", default="/dev/video0", metavar="[CAMERA]")
-@board_options()
-@rate_option()
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=8080,
-    show_default=True,
-    help="Port on 127.0.0.1 of the page that shows the camera with corners and coverage; 0 for none.",
-)
-@click.option(
-    "--enough",
-    type=POSITIVE,
-    metavar="PX",
-    help="Stop when the mean expected error over the picture is below this many px.  [default: until Ctrl-C]",
-)
-@_fit_options
-@common()
-def live_command(session, source, board_text, square, charuco, rate, port, enough, size, **options):
-    """Film with hints: what was found, what is known so far, and where to hold the board next; then calibrate.
-
-    The first Ctrl-C ends the filming, and the lens is found from what was collected.
-    """
-    import contextlib
-
-    from avcli.calibration import live
-    from avcli.commands import mjpeg
-
-    board = parse_board(session, board_text, square, charuco)
-    sources = check_sources(session, [source])
-    with contextlib.ExitStack() as stack:
-        show = stack.enter_context(mjpeg.serving(port)) if port else None
-        if show:
-            session.warn(f"watch on http://127.0.0.1:{show.port}/")
-        guide = live.Guide()
-
-        def after(seen, grey, view):
-            line = guide.take(seen.board, seen.views, view is not None)
-            if line:
-                session.warn(line)
-            if show:
-                show(live.overlay(grey, view, guide))
-            return bool(enough and guide.quality and not guide.quality.refusals and guide.mean_px <= enough)
-
-        seen = collect(session, sources, board, rate, size, after)
-    _finish(session, seen, **options)
-
-
-# --- target -----------------------------------------------------------------------------------------------------------
+    if fail_over_px is not None and not score["rms_px"] <= fail_over_px:
+        raise GateNotMet(f"the RMS residual is {score['rms_px']:.3f} px, more than --fail-over {fail_over_px:g}")
 
 
 @main.command("target", epilog="Example: avcalib target --board 7x10 --square 25 --paper A4 -o board.pdf")
-@board_options("7x10", 25.0)
-@click.option(
-    "--paper",
-    type=click.Choice(["A4", "A3", "A2", "A1", "A0"]),
-    help="Paper to put it on, upright or across.  [default: a page as large as the board]",
-)
-@click.option(
-    "--format", "kind", type=click.Choice(["svg", "pdf"]), help="What to write.  [default: by the name of -o, else svg]"
-)
+@from_settings(settings.BoardSettings, defaults={"board": "7x10", "square_mm": 25.0})
+@from_settings(settings.PrintSettings)
 @common(experiment=False)
-def target_command(session, board_text, square, charuco, paper, kind):
-    """Draw a board to print at true size, with rulers that tell whether the printer kept it."""
+def target_command(session: Session, paper: str | None, format: str | None, **values: Any) -> None:
+    """Draw a board to print at true size, with rulers to check the print."""
     from avcli.calibration import target
 
-    board = parse_board(session, board_text, square, charuco)
-    try:
+    board = parse_board(session, values)
+    with usage_errors(session):
         drawing = target.draw(board, paper)
-    except ValueError as error:
-        session.usage(str(error))
-    if not charuco and board.columns % 2 == board.rows % 2:
+    if board.is_ambiguous:
         session.warn(
-            f"a checkerboard of {board} squares looks the same upside down: its pose is known up to half a turn"
+            f"a checkerboard of {board} squares looks the same upside down: avcalib pose cannot tell which way it lies"
         )
-    if kind is None:
-        kind = "pdf" if session.output_path.lower().endswith(".pdf") else "svg"
+    is_pdf = format == "pdf" or (format is None and session.output_path.lower().endswith(".pdf"))
     with session.output() as write:
-        write(target.to_pdf(drawing) if kind == "pdf" else target.to_svg(drawing))
+        write(target.to_pdf(drawing) if is_pdf else target.to_svg(drawing))

@@ -1,12 +1,24 @@
 """avfuse: fuse localizations of several sensors into tracks."""
 
+from __future__ import annotations
+
 import contextlib
+import itertools
 import math
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from avcli.commands.filter import Filter, common
+from avcli.commands.filter import Filter, Session, common
+from avcli.commands.options import from_settings, refuse_without_effect, settings_from
+from avcli.settings import settings_of
+from avcli.tracking.settings import SENSORS, TRACKERS, Settings
+
+if TYPE_CHECKING:
+    from avcli.formats.records import Detections
+    from avcli.tracking.fusion import Fusion
 
 _THESIS = {
     "motion": "cv",
@@ -15,9 +27,9 @@ _THESIS = {
     "adapt": False,
     "stay": 10.0,
     "doors": "anywhere",
-    "sigma": ["video=0.2,0.2,0", "audio=0.25,0.25,0"],
-    "detection": ["video=0.5", "audio=0.25"],
-    "clutter": ["video=0.01", "audio=0.01"],
+    "sigma": ["camera=0.2,0.2,0", "microphones=0.25,0.25,0"],
+    "detection": ["camera=0.5", "microphones=0.25"],
+    "clutter": ["camera=0.01", "microphones=0.01"],
     "hidden": False,
     "room_margin": 0.0,
 }
@@ -28,57 +40,50 @@ class _Lag(click.ParamType):
 
     name = "steps"
 
-    def convert(self, value, param, ctx):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if value in ("inf", math.inf):
             return math.inf
         return click.IntRange(0).convert(value, param, ctx)
 
 
 class _ForSensor(click.ParamType):
-    """NAME=VALUE: something of one sensor."""
+    """NAME=VALUE: something of one sensor, or of all of a kind."""
 
     name = "name=value"
 
-    def __init__(self, convert, wanted):
+    def __init__(self, convert: Callable[[str], Any], wanted: str) -> None:
         self.convert_value, self.wanted = convert, wanted
 
-    def convert(self, value, param, ctx):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, Any]:
         if isinstance(value, tuple):
             return value
         name, equals, text = value.partition("=")
         try:
-            if not (name and equals):
+            if not (name and equals and text):
                 raise ValueError
             return name, self.convert_value(text)
         except ValueError:
             self.fail(f"{value!r} is not {self.wanted}", param, ctx)
 
 
-def _file(text):
-    if not text:
+def _sigma(text: str) -> tuple[float, float]:
+    numbers = [_number(part) for part in text.split(",")]
+    if len(numbers) > 3:
         raise ValueError
-    return text
+    return numbers[0], numbers[min(1, len(numbers) - 1)]
 
 
-def _sigma(text):
-    numbers = [float(part) for part in text.split(",")]
-    if len(numbers) > 3 or not all(0 <= number < math.inf for number in numbers):
-        raise ValueError
-    return tuple((numbers * 2)[:2])
-
-
-def _probability(text):
+def _number(text: str, most: float = math.inf) -> float:
     number = float(text)
-    if not 0 <= number <= 1:
+    if not (0 <= number <= most and number < math.inf):
         raise ValueError
     return number
 
 
-def _count(text):
-    number = float(text)
-    if not 0 <= number < math.inf:
-        raise ValueError
-    return number
+def _usual(field: str) -> str:
+    """What --help says of the default of a sensor's field."""
+    values = {kind: getattr(one, field) for kind, one in SENSORS.items()}
+    return "[default: " + ", ".join(f"{k} {v[0] if isinstance(v, tuple) else v:g}" for k, v in values.items()) + "]"
 
 
 @click.command("avfuse", cls=Filter, epilog="Example: avfuse -C out/s1 a.jsonl v.jsonl -o tracks.jsonl")
@@ -87,16 +92,16 @@ def _count(text):
     "--sensor",
     "named",
     multiple=True,
-    type=_ForSensor(_file, "NAME=FILE"),
+    type=_ForSensor(str, "NAME=FILE"),
     metavar="NAME=FILE",
-    help="Read FILE too; its records are of sensor NAME unless they say otherwise.  May be repeated.",
+    help="Also read FILE; its records are of sensor NAME unless they state another.  Can be repeated.",
 )
 @click.option(
     "--tracker",
-    type=click.Choice(["ms-glmb", "lmb", "gnn", "jpda"]),
-    default="ms-glmb",
+    type=click.Choice(list(TRACKERS)),
+    default=next(iter(TRACKERS)),
     show_default=True,
-    help="ms-glmb: joint hypotheses; lmb: each one's marginals; gnn: best assignment; jpda: Stone Soup's.",
+    help="Association by " + "; ".join(f"{name}: {one.text}" for name, one in TRACKERS.items()) + ".",
 )
 @click.option(
     "--lag",
@@ -104,285 +109,122 @@ def _count(text):
     metavar="N|inf",
     default="0",
     show_default=True,
-    help="Put each record out N steps late, smoothed by what came since; inf: at the end, smoothed by everything.",
+    help="Delay each output by N steps and smooth it with what came since; inf: output at the end.",
 )
-@click.option(
-    "--motion",
-    type=click.Choice(["imm", "cv"]),
-    default="imm",
-    show_default=True,
-    help="imm: people walk on, stop and turn (interacting models); cv: constant velocity with --process-noise.",
-)
-@click.option(
-    "--process-noise",
-    type=click.FloatRange(min=0, min_open=True),
-    default=0.5,
-    show_default=True,
-    metavar="SIGMA",
-    help="With --motion cv: standard deviation in m/s2 of an acceleration that is constant over each step.",
-)
-@click.option(
-    "--birth",
-    type=click.Choice(["poisson", "adaptive"]),
-    default="poisson",
-    show_default=True,
-    help="poisson: a person begins with any unexplained detection; adaptive: with the next one (thesis).",
-)
-@click.option(
-    "--stay",
-    type=click.FloatRange(min=0, min_open=True),
-    default=100.0,
-    show_default=True,
-    metavar="S",
-    help="Mean time in s for which a person stays; with --doors walls, a tenth of that while within 0.7 m of a wall.",
-)
-@click.option(
-    "--doors",
-    type=click.Choice(["walls", "anywhere"]),
-    default="walls",
-    show_default=True,
-    help="Where people come and go: through the walls, mostly, or anywhere alike.",
-)
-@click.option(
-    "--adapt/--no-adapt",
-    default=True,
-    show_default=True,
-    help="Estimate each sensor's clutter and detection probability on the way.",
-)
-@click.option(
-    "--hidden/--no-hidden",
-    default=True,
-    show_default=True,
-    help="Let people be hidden from a sensor (occluded, silent) for a while; without, a miss is a miss.",
-)
+@from_settings(Settings)
 @click.option(
     "--sigma",
     multiple=True,
     type=_ForSensor(_sigma, "NAME=M[,M[,M]]"),
     metavar="NAME=M[,M[,M]]",
-    help="Noise in m of x, y and z for detections of a sensor that carry no covariance; 0: not observed.  "
-    "[default: audio 0.25, others 0.15]",
+    help="Noise in m of x, y and z for detections without a covariance; 0: not observed.  NAME is a sensor's name or a "
+    "kind: camera, microphones.  " + _usual("sigma"),
 )
 @click.option(
     "--detection",
     multiple=True,
-    type=_ForSensor(_probability, "NAME=P"),
+    type=_ForSensor(lambda text: _number(text, 1.0), "NAME=P"),
     metavar="NAME=P",
-    help="Probability with which a sensor finds someone whom it can find.  [default: audio 0.8, others 0.9]",
+    help="Probability that a sensor detects a person who is not hidden from it.  " + _usual("detection"),
 )
 @click.option(
     "--clutter",
     multiple=True,
-    type=_ForSensor(_count, "NAME=N"),
+    type=_ForSensor(_number, "NAME=N"),
     metavar="NAME=N",
-    help="False detections expected in one record of a sensor.  [default: audio 0.2, others 0.05]",
-)
-@click.option(
-    "--room-margin",
-    type=click.FloatRange(min=0),
-    default=0.5,
-    show_default=True,
-    metavar="M",
-    help="Drop detections farther than this, in m, outside the room of the config; without a config none is dropped.",
-)
-@click.option(
-    "--rate",
-    type=click.FloatRange(min=0, min_open=True, max=1000),
-    metavar="HZ",
-    help="Records a second that are put out.  [default: frame_rate_hz of the config, else the commonest step's]",
-)
-@click.option(
-    "--max-wait",
-    type=click.FloatRange(min=0),
-    default=1.0,
-    show_default=True,
-    metavar="S",
-    help="Leave a sensor behind that lags more than this, in s of data, behind another of its stream; inf: never.",
+    help="Expected number of false detections in one record of a sensor.  " + _usual("clutter"),
 )
 @click.option(
     "--explain",
     type=click.Path(dir_okay=False, writable=True),
     metavar="FILE",
-    help="Also write to FILE what each record meant: hypotheses, existence, who took which detection, came, went.",
+    help="Also write to FILE how each record was used: hypotheses, associations, births and deaths of tracks.",
 )
 @common(skip_invalid=True, presets={"thesis": _THESIS})
-def main(session, files, named, rate, max_wait, room_margin, lag, tracker, explain, **options):
-    """Fuse localizations of any sensors, merged in one stream or a file a sensor, into labelled tracks.
+def main(
+    session: Session,
+    files: tuple[str, ...],
+    named: tuple[tuple[str, str], ...],
+    tracker: str,
+    lag: float,
+    explain: str | None,
+    **options: Any,
+) -> None:
+    """Fuse localizations of any sensors, merged in one stream or one file per sensor, into labelled tracks.
 
-    Reads one record for each look of a sensor and writes one record of tracks for each step of a regular clock, as
+    Reads one record for each time a sensor looked. Writes one record of tracks for each step of a regular clock, as
     soon as every sensor has passed it. Tracks are points on the floor, with velocity, covariance, probability of
     existence and, where there are microphones, the probability that the person is speaking.
     """
-    if tracker in ("gnn", "jpda") and (lag or explain):
-        session.usage(
-            f"--tracker {tracker} has no {'smoothing: --lag must be 0' if lag else 'hypotheses to --explain'}"
-        )
+    settings = settings_from(Settings, options)
+    _refuse(tracker, lag, settings, session.has_config)
+    given: dict[str, dict[str, Any]] = {}
+    for key in ("sigma", "detection", "clutter"):
+        for name, value in options[key]:
+            given.setdefault(name, {})[key] = value
+    from avcli.formats.records import as_record
     from avcli.tracking.fusion import Fusion
-    from avcli.tracking.merging import Merger
+    from avcli.tracking.merging import in_turn
 
-    sources = [(_sensor_name(path), path) for path in files] + list(named)
-    sources = sources or [("sensor", "-")]
-    readers = _readers(session, sources)
-    merger = fusion = None
-
-    def steps():
-        for due in merger.closed():
-            with session.timing("tracking"):
-                ready = fusion.step(*due)
-            yield from ready
-
+    sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
+    events = in_turn(_readers(session, sources))
     with session.output() as write, _accounts(explain) as account:
-        for source, name, found in _in_turn(readers):
-            if merger is None:
-                config = session.config if session.has_config else None
-                rate = rate or (config and config.frame_rate_hz)
-                merger = Merger(len(sources), rate, max_wait, one_sensor=not files and bool(named))
-                fusion = Fusion(
-                    _settings(config, options),
-                    tracker,
-                    lag,
-                    _sensors(session, config, options),
-                    room_margin if config else None,
-                    bool(explain),
-                )
-            if found is None:
-                merger.end(source)
-            else:
-                merger.push(source, name, found.timestamp, found)
-            _tell_laggards(session, merger, max_wait)
-            for time, tracks in steps():
-                write(_record(time, tracks, fusion.tracker.column))
-            if explain:
-                account(fusion.accounts())
-        if fusion is not None:
-            for time, tracks in fusion.finish():
-                write(_record(time, tracks, fusion.tracker.column))
-            for name, count in sorted(merger.late.items()):
-                session.warn(
-                    f"{count} records of {name!r} came too late and were dropped; --max-wait inf waits for all"
-                )
-            if fusion.outside:
-                session.note(f"{fusion.outside} detections outside the room were dropped (--room-margin)")
+        first = next(events)  # as soon as there is a record, config.json is complete
+        config = session.config if session.has_config else None
+        fusion = Fusion.of(config, settings, tracker, lag, given=given, explain=bool(explain), say=session.warn)
+        merger = fusion.merger(len(sources), one_sensor=not files and bool(named))
+        for step in merger.steps(itertools.chain([first], events)):
+            with session.timing("tracking"):
+                ready = fusion.step(*step)
+            for tracks in ready:
+                write(as_record(tracks))
+            account(fusion)
+        for tracks in fusion.finish():
+            write(as_record(tracks))
+    for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
+        session.warn(f"sensor {name!r} has options but sent no record")
+    for note in fusion.notes():
+        session.note(note)
+
+
+def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> None:
+    """End with a usage error where an option was given that has no effect."""
+    refuse_without_effect(TRACKERS[tracker].unused - (set() if lag else {"lag"}), f"with --tracker {tracker}")
+    foreign = [name for name, (_, one) in settings_of(Settings).items() if one.only not in ("", settings.motion)]
+    refuse_without_effect(foreign, f"with --motion {settings.motion}")
+    if not has_config:
+        refuse_without_effect(["room_margin"], "without a config.json (-C or -c), which gives the room's size")
 
 
 @contextlib.contextmanager
-def _accounts(path):
-    """A function that writes what the tracker accounts for, to a file that appears whole."""
+def _accounts(path: str | None) -> Iterator[Callable[[Fusion], None]]:
+    """Yield a function that writes how a fusion used the latest records, to a file that appears whole."""
     if not path:
-        yield None
+        yield lambda fusion: None
         return
     from avcli.formats.atomic import replacing
     from avcli.formats.records import encode
 
     with replacing(path) as whole, open(whole, "wb") as stream:
-        yield lambda accounts: stream.writelines(map(encode, accounts))
+        yield lambda fusion: stream.writelines(map(encode, fusion.accounts()))
 
 
-def _sensor_name(path):
+def _sensor_name(path: str) -> str:
     stem = Path(path).stem.lower()
-    return next((kind for kind in ("audio", "video") if kind in stem), "sensor" if path == "-" else stem)
+    return next((word for word in ("audio", "video") if word in stem), "sensor" if path == "-" else stem)
 
 
-def _readers(session, sources):
-    """For each source an iterator of (sensor name, detections)."""
+def _readers(session: Session, sources: list[tuple[str, str]]) -> list[Iterator[Detections]]:
+    """Return an iterator over the detections of each source; all are opened first, so that a missing file is found."""
     from avcli.formats import records
+    from avcli.tracking.fusion import named
 
     streams = [(name, path, session.open(path)) for name, path in sources]
 
-    def read(name, path, stream):
+    def read(name: str, path: str, stream: Any) -> Iterator[Detections]:
         with stream:
-            shown = "<stdin>" if path == "-" else path
-            for found in session.stream_records(stream, shown, records.detections):
-                yield found.sensor or name, found
+            yield from named(
+                name, session.stream_records(stream, "<stdin>" if path == "-" else path, records.detections)
+            )
 
     return [read(*one) for one in streams]
-
-
-def _in_turn(readers):
-    """Records of all sources, always from the one that is behind: (source, sensor, detections), None at its end."""
-    reached = dict.fromkeys(range(len(readers)), -math.inf)
-    while reached:
-        source = min(reached, key=lambda k: (reached[k], k))
-        name, found = next(readers[source], (None, None))
-        if found is None:
-            del reached[source]
-        else:
-            reached[source] = max(reached[source], found.timestamp)
-        yield source, name, found
-
-
-def _settings(config, options):
-    from avcli.tracking.model import Settings
-    from avcli.tracking.motion import WALKING, Model, Motion
-
-    motion = WALKING
-    if options["motion"] == "cv":
-        motion = Motion((Model(0.0, pulse=options["process_noise"]),))
-    area = {"walls": False}
-    if config is not None:
-        x, y, _ = config.room.dimensions.tolist()
-        area = {"area": ((0.0, 0.0), (x, y))}
-    stay = options["stay"]
-    anywhere = {"pass_by": stay, "appear": 1.0} if options["doors"] == "anywhere" else {"pass_by": stay / 10}
-    return Settings(motion=motion, birth=options["birth"], adapt=options["adapt"], stay=stay, **anywhere, **area)
-
-
-def _sensors(session, config, options):
-    known = {}
-    for key in ("sigma", "detection", "clutter"):
-        for name, value in options[key]:
-            known.setdefault(name, {})[key] = value
-    if options["hidden"]:
-        return _Known(known, lambda name: {"coverage": _coverage(session, config)} if "video" in name else {})
-    return _Known(known, lambda name: {"hide": 0.0})
-
-
-class _Known(dict):
-    """What is known of each sensor, with what its name says."""
-
-    def __init__(self, known, by_name):
-        super().__init__(known)
-        self.by_name = by_name
-
-    def get(self, name, default=None):
-        return {**self.by_name(name), **super().get(name, default or {})}
-
-
-def _coverage(session, config):
-    """Where the camera of config.json, if it is described there, can see people."""
-    if config is None or "camera_config" not in config.raw:
-        return None
-    from avcli.formats.experiment import ConfigError
-    from avcli.tracking.coverage import of_camera
-
-    try:
-        x, y, _ = config.room.dimensions.tolist()
-        return of_camera(config.camera, ((0.0, 0.0), (x, y)))
-    except ConfigError as error:
-        session.note(f"where the camera sees nobody is not known: {error}")
-        return None
-
-
-def _tell_laggards(session, merger, max_wait):
-    for name in sorted(merger.laggards() - merger.lagging):
-        session.warn(f"sensor {name!r} lags more than {max_wait:g} s (--max-wait) and is left behind")
-    merger.lagging |= merger.laggards()
-
-
-def _record(time, tracks, sensors):
-    ears = [name for name in sensors if "audio" in name]
-    objects = []
-    for number, track in tracks:
-        x, y, vx, vy = track.state.tolist()
-        (xx, xy), (_, yy) = track.cov[:2, :2].tolist()
-        person = {
-            "object_id": number,
-            "position": [x, y, 0.0],
-            "velocity": [vx, vy, 0.0],
-            "covariance": [[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, 1e-4]],
-            "existence": track.existence,
-        }
-        if ears and track.found:
-            person["speaking"] = max(track.found.get(name, 0.0) for name in ears)
-        objects.append(person)
-    return {"timestamp": time, "objects": objects}

@@ -129,8 +129,7 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
         from avcli.formats import records
 
         nonlocal last
-        known = records.sources(record, bad)
-        people = records.Identified(known.timestamp, known.ids, known.positions, known.mouths, known.speaking * 1.0)
+        people = records.identified(record, bad)
         if people.timestamp <= last:
             raise records.RecordError(f"timestamp {people.timestamp:g} is not later than {last:g}")
         last = people.timestamp

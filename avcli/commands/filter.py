@@ -1,4 +1,4 @@
-"""The frame that the seven filters share: streams, located errors, exit codes, signals.
+"""The frame that all filters share: streams, located errors, exit codes, signals.
 
 A command is a click command of class `Filter` under `@common(...)`, whose first argument is the `Session`:
 
@@ -7,9 +7,11 @@ A command is a click command of class `Filter` under `@common(...)`, whose first
     @common(skip_invalid=True)
     def main(session, files): ...
 
-What click does by default and a Unix filter must not (exit 1 on a closed pipe, "Aborted!" on Ctrl-C, a traceback on a
-full disk, a half-written file renamed over a good one) is done right here and nowhere else.
+click's defaults do not suit a Unix filter: exit 1 on a closed pipe, "Aborted!" on Ctrl-C, a traceback on a full disk, a
+half-written file renamed over a good one. This module replaces them, and no other module does.
 """
+
+from __future__ import annotations
 
 import contextlib
 import errno
@@ -20,21 +22,23 @@ import stat
 import sys
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import click
 
 from avcli import __version__
 
-EXIT_FAILURE, EXIT_USAGE, EXIT_GATE, EXIT_IO = 1, 2, 3, 74
-LONGEST_LINE = 1 << 26
-"""bytes; a line beyond it is no record, and reading on would fill the memory."""
+if TYPE_CHECKING:
+    from avcli.formats.experiment import Config
+
+EXIT_FAILURE, EXIT_USAGE, EXIT_GATE, EXIT_FAULT, EXIT_IO = 1, 2, 3, 70, 74
 
 
 class Failure(click.ClickException):
-    """Bad data or a failed run: one line on stderr, exit 1."""
+    """Invalid data or a failed run: one line on stderr, exit 1."""
 
 
 class GateNotMet(click.ClickException):
@@ -44,13 +48,13 @@ class GateNotMet(click.ClickException):
 
 
 class InputOutputError(click.ClickException):
-    """The machine would not read or write: one line on stderr, exit 74 (EX_IO)."""
+    """Reading or writing failed: one line on stderr, exit 74 (EX_IO)."""
 
     exit_code = EXIT_IO
 
 
 class _Killed(BaseException):
-    """A signal that ends the process, once everything that was begun has been put away."""
+    """A signal that ends the process after all clean-up."""
 
     def __init__(self, number: int):
         self.number = number
@@ -59,22 +63,24 @@ class _Killed(BaseException):
 # --- how a command ends -----------------------------------------------------------------------------------------------
 
 
-class _Frame:
-    """What happens around a command: signals and exit codes (shared by a single command and a group of them)."""
+class Filter(click.Command):
+    """A filter with one action: the signals and exit codes of a Unix filter around a click command."""
 
-    def main(self, args=None, prog_name=None, **extra):
-        if f"_{self.name.replace('-', '_').upper()}_COMPLETE" in os.environ:
-            return super().main(args, prog_name=self.name, **extra)
+    def main(self, args: Any = None, prog_name: Any = None, *others: Any, **extra: Any) -> Any:
+        """Run the command and exit the process; only click's completion of shells returns to click."""
+        if f"_{str(self.name).replace('-', '_').upper()}_COMPLETE" in os.environ:
+            return super().main(args, self.name, *others, **extra)
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
             if signal.getsignal(number) is not signal.SIG_IGN:  # "nohup" and "&" ignore some on purpose
                 signal.signal(number, _kill)
+        sys.unraisablehook = _deliver_again
         try:
             code = self._run(list(sys.argv[1:] if args is None else args))
         except _Killed as killed:
             _die_of(killed.number)
         try:
             sys.stdout.flush()
-        except OSError:  # what a full disk did not take must not be tried again when the interpreter ends
+        except OSError:  # the interpreter must not try again at its end to write to a full disk
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(code)
 
@@ -89,42 +95,49 @@ class _Frame:
             return error.exit_code
         except click.UsageError as error:
             path = error.ctx.command_path if error.ctx else self.name
-            _say(self.name, f"{error.format_message()} (see '{path} --help')")
-            return EXIT_USAGE
+            return self._ended(f"{error.format_message()} (see '{path} --help')", EXIT_USAGE)
         except click.ClickException as error:
-            _say(self.name, error.format_message())
-            return error.exit_code
-        except (ValueError, ModuleNotFoundError) as error:
-            # Every stage refuses bad input by ValueError with a sentence made for the user.
-            if verbose:
-                traceback.print_exc()
-            _say(self.name, str(error))
-            return EXIT_FAILURE
+            return self._ended(error.format_message(), error.exit_code)
         except BrokenPipeError:
             _die_of(signal.SIGPIPE)
         except OSError as error:
-            _say(self.name, _reason(error))
-            return EXIT_IO
+            return self._ended(_reason(error), EXIT_IO)
         except MemoryError:
-            _say(self.name, "out of memory")
-            return EXIT_FAILURE
+            return self._ended("out of memory", EXIT_FAILURE)
+        except Exception as error:
+            if verbose:
+                traceback.print_exc()
+            # Every stage refuses invalid input by ValueError with a sentence made for the user.
+            if isinstance(error, ValueError | ModuleNotFoundError):
+                return self._ended(str(error), EXIT_FAILURE)
+            return self._ended(f"fault of the program (-v shows where): {type(error).__name__}: {error}", EXIT_FAULT)
+
+    def _ended(self, text: str, code: int) -> int:
+        _say(self.name, text)
+        return code
 
 
-class Filter(_Frame, click.Command):
-    """A filter with one action."""
-
-
-class FilterGroup(_Frame, click.Group):
+class FilterGroup(Filter, click.Group):
     """A filter with several actions (avcalib)."""
 
 
-def _kill(number: int, _frame) -> None:
+def _kill(number: int, _frame: object) -> NoReturn:
     signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the clean-up of the first
     raise _Killed(number)
 
 
-def _die_of(number: int) -> None:
-    """End as `cat` ends: of the signal itself, so that shells, loops and make see it."""
+def _deliver_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Deliver a signal again that arrived inside a __del__ (moderngl has many): Python drops what is raised there."""
+    killed = unraisable.exc_value
+    if not isinstance(killed, _Killed):
+        sys.__unraisablehook__(unraisable)
+        return
+    signal.signal(signal.SIGALRM, lambda _number, frame: _kill(killed.number, frame))
+    signal.setitimer(signal.ITIMER_REAL, 0.01)  # later, outside the __del__
+
+
+def _die_of(number: int) -> NoReturn:
+    """End by the signal itself, as `cat` does, so that shells, loops and make see it."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()
     signal.signal(number, signal.SIG_DFL)
@@ -137,16 +150,19 @@ def _reason(error: OSError) -> str:
     return f"{error.filename}: {text}" if error.filename else text
 
 
-def _say(name: str, text: str) -> None:
+def _say(name: str | None, text: str) -> None:
     with contextlib.suppress(OSError):
         print(f"{name}: {' '.join(text.split())}", file=sys.stderr, flush=True)
 
 
 # --- what a command works with ----------------------------------------------------------------------------------------
 
+Write = Callable[[Mapping[str, Any] | bytes | str], None]
+"""Writes one record, bytes or text."""
+
 
 class Session:
-    """One run of one command: its streams, its experiment, and what it says on stderr."""
+    """One run of one command: its streams, its experiment, and its messages on stderr."""
 
     def __init__(self, name: str, options: Mapping[str, Any]):
         self.name = name
@@ -158,17 +174,17 @@ class Session:
         self._experiment: str | None = options.get("experiment")
         self._config_path: str | None = options.get("config")
         self._stdin_used = False
-        self._warned: dict[str, int] = {}
-        self._skipped = {"record": 0, "object": 0}
+        self._warned: Counter[str] = Counter()
+        self._skipped: Counter[str] = Counter()
         self._timings: dict[str, float] = {}
         self._started = time.perf_counter()
 
-    # What it says
+    # Messages
 
     def warn(self, text: str, kind: str | None = None) -> None:
         """Print one line on stderr; of one `kind` only the first is printed and the others are counted."""
         kind = kind or text
-        self._warned[kind] = self._warned.get(kind, 0) + 1
+        self._warned[kind] += 1
         if self._warned[kind] == 1 and not self.quiet:
             _say(self.name, text)
 
@@ -177,11 +193,11 @@ class Session:
         if self.verbose:
             _say(self.name, text)
 
-    def fail(self, text: str) -> None:
+    def fail(self, text: str) -> NoReturn:
         """End with one line on stderr and exit 1."""
         raise Failure(text)
 
-    def usage(self, text: str) -> None:
+    def usage(self, text: str) -> NoReturn:
         """End with one line on stderr and exit 2."""
         raise click.UsageError(text, click.get_current_context(silent=True))
 
@@ -194,7 +210,7 @@ class Session:
         finally:
             self._timings[stage] = self._timings.get(stage, 0.0) + time.perf_counter() - begin
 
-    def progress(self, items: Iterable, total: int | None = None, label: str = "") -> Iterator:
+    def progress(self, items: Iterable[Any], total: int | None = None, label: str = "") -> Iterator[Any]:
         """Yield the items, with a progress bar on stderr where that is a terminal."""
         if self.quiet or not sys.stderr.isatty():
             yield from items
@@ -203,10 +219,9 @@ class Session:
             yield from bar
 
     def finish(self) -> None:
-        """Say what was skipped, what was warned of more than once and, under -v, what took how long."""
+        """Print the numbers of skipped records and of repeated warnings and, under -v, the time of each stage."""
         for what, count in self._skipped.items():
-            if count:
-                _say(self.name, f"skipped {count} invalid {what}{'s' if count > 1 else ''}")
+            _say(self.name, f"skipped {count} invalid {what}{'s' if count > 1 else ''}")
         if not self.quiet:
             for kind, count in self._warned.items():
                 if count > 1:
@@ -222,7 +237,7 @@ class Session:
     def experiment(self) -> Path:
         """The experiment's directory; usage error where -C was not given."""
         if self._experiment is None:
-            self.usage("-C/--experiment DIR is needed")
+            self.usage("-C/--experiment DIR is required")
         return Path(self._experiment)
 
     @property
@@ -242,12 +257,12 @@ class Session:
 
     @property
     def config_path(self) -> Path:
-        """Where the config.json lies that -c or -C names."""
+        """The path of the config.json that -c or -C names."""
         return Path(self._config_path) if self._config_path else self.experiment / "config.json"
 
     @functools.cached_property
-    def config(self):
-        """The experiment's config.json, read when it is first asked for: after the first record."""
+    def config(self) -> Config:
+        """The experiment's config.json, read at first use: after the first record."""
         from avcli.formats import experiment
 
         path = self.config_path
@@ -256,7 +271,7 @@ class Session:
         except FileNotFoundError:
             if self._config_path or not path.parent.is_dir():
                 self.usage(f"{path}: no such file")
-            raise Failure(f"{path}: no such file; avsim-scene writes it, and avcalib can") from None
+            raise Failure(f"{path}: no such file; avsim-scene or avcalib can write it") from None
         except IsADirectoryError:
             self.usage(f"{path}: is a directory")
 
@@ -266,8 +281,8 @@ class Session:
         """Open a file that the user named, "-" for stdin, for reading bytes."""
         if path == "-":
             if sys.stdin is None or sys.stdin.isatty():
-                context = click.get_current_context()
-                self.usage(f"nothing on standard input; {' '.join(context.get_usage().split()).replace('U', 'u', 1)}")
+                usage = " ".join(click.get_current_context().get_usage().split()).replace("U", "u", 1)
+                self.usage(f"standard input is a terminal; name a FILE or pipe records in; {usage}")
             if self._stdin_used:
                 self.usage("standard input ('-') is named twice")
             self._stdin_used = True
@@ -280,29 +295,32 @@ class Session:
             self.usage(f"{path}: {(error.strerror or str(error)).lower()}")
         return stream
 
-    def records(self, files: Iterable[str] = (), parse: Callable[[dict, Callable], Any] | None = None) -> Iterator[Any]:
+    def records(self, files: Iterable[str] = (), parse: Callable[..., Any] | None = None) -> Iterator[Any]:
         """Yield the records of the files one after another, stdin where none is named.
 
-        `parse(record, bad)` turns a decoded record into what the command works with; what it refuses
-        gets the place of its line. With --skip-invalid a bad line is dropped and counted, and so is a bad object that
-        `parse` reports by `bad`. All files are opened at once, so that a missing one is known before any work is done.
+        All files are opened at once, so that a missing one is known before any work is done.
+
+        Args:
+            files: paths; "-" is stdin.
+            parse: called with each decoded record and a function `bad`; its result is yielded. Where it raises
+                RecordError, the message gets the place of the line. With --skip-invalid an invalid line is dropped and
+                counted, and so is an invalid object that `parse` reports by calling `bad` with the reason.
         """
         streams = [(path, self.open(path)) for path in (tuple(files) or ("-",))]
         for path, stream in streams:
             with stream:
                 yield from self.stream_records(stream, "<stdin>" if path == "-" else path, parse)
 
-    def stream_records(self, stream: BinaryIO, name: str, parse: Callable | None = None) -> Iterator[Any]:
+    def stream_records(self, stream: BinaryIO, name: str, parse: Callable[..., Any] | None = None) -> Iterator[Any]:
         """Yield the records of one open stream, as `records` does."""
         from avcli.formats import records
 
-        for number, text in _texts(stream):
+        bad = self._drop_object if self.skip_invalid else records.refuse
+        for number, text in records.texts(stream):
             place = f"{name}:{number}"
             try:
-                if len(text) >= LONGEST_LINE:
-                    raise records.RecordError("the line is too long for a record")
                 record = records.decode(text)
-                parsed = record if parse is None else parse(record, self._drop_object if self.skip_invalid else _strict)
+                parsed = record if parse is None else parse(record, bad)
             except records.RecordError as error:
                 if not self.skip_invalid:
                     column = f":{error.column}" if error.column else ""
@@ -319,18 +337,16 @@ class Session:
     # Out
 
     @contextlib.contextmanager
-    def output(self) -> Iterator[Callable[[Mapping | bytes | str], None]]:
+    def output(self) -> Iterator[Write]:
         """Yield `write`, which sends one record (or bytes, or text) to -o FILE or stdout and flushes it.
 
         A regular file appears whole when the block ends well, and otherwise not at all.
         """
-        from avcli.formats import records
-        from avcli.formats.atomic import replacing
+        from avcli.formats import atomic, records
 
-        def writer(stream: BinaryIO) -> Callable:
-            def write(item: Mapping | bytes | str) -> None:
-                if isinstance(item, str):
-                    item = item.encode()
+        def writer(stream: BinaryIO) -> Write:
+            def write(item: Mapping[str, Any] | bytes | str) -> None:
+                item = item.encode() if isinstance(item, str) else item
                 stream.write(item if isinstance(item, bytes) else records.encode(item))
                 stream.flush()
 
@@ -339,60 +355,13 @@ class Session:
         if self.output_path == "-":
             yield writer(sys.stdout.buffer)
             return
-        path = Path(self.output_path)
         try:
-            special = path.exists() and not path.is_file()
-            if special and path.is_dir():
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-            if path.is_file() and not os.access(path, os.W_OK):
-                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-            with contextlib.ExitStack() as stack:
-                target = path if special else stack.enter_context(replacing(path))
-                with open(target, "wb") as stream:
-                    yield writer(stream)
+            with atomic.writing(self.output_path) as stream:
+                yield writer(stream)
         except OSError as error:
             if error.errno == errno.EPIPE:
                 raise
-            raise InputOutputError(f"{path}: {error.strerror or error}") from None
-
-
-def _strict(reason: str) -> None:
-    from avcli.formats.records import RecordError
-
-    raise RecordError(reason)
-
-
-def _texts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield (line number, text) of each JSON text of a stream.
-
-    A record is a line. Two habits of other writers are taken too, since the thesis's listings have them: an object
-    printed over several lines (its first line is a lone brace, its last a brace in the same column), and records that
-    are separated by a literal backslash-n.
-    """
-    number, block, begin, indent = 0, [], 0, b""
-    while line := stream.readline(LONGEST_LINE):
-        number += 1
-        if number == 1:
-            line = line.removeprefix(b"\xef\xbb\xbf")
-        text = line.strip()
-        if block:
-            block.append(line)
-            if text in (b"}", b"},") and line[: len(line) - len(line.lstrip())] == indent:
-                yield begin, b"".join(block).strip().removesuffix(b",")
-                block = []
-            elif sum(map(len, block)) > LONGEST_LINE:
-                yield begin, b"".join(block)
-                block = []
-        elif text == b"{":
-            block, begin, indent = [line], number, line[: len(line) - len(line.lstrip())]
-        elif b"}\\n" in text:
-            for part in text.replace(b"}\\n", b"}\n").split(b"\n"):
-                if part.strip():
-                    yield number, part.strip()
-        elif text:
-            yield number, text
-    if block:
-        yield begin, b"".join(block)
+            raise InputOutputError(f"{self.output_path}: {error.strerror or error}") from None
 
 
 # --- the options that all share ---------------------------------------------------------------------------------------
@@ -405,7 +374,7 @@ def common(
     skip_invalid: bool = False,
     output: bool = True,
     presets: Mapping[str, Mapping[str, Any]] | None = None,
-) -> Callable:
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add the shared options to a command and hand it a Session as its first argument.
 
     Args:
@@ -417,63 +386,35 @@ def common(
     """
     options = []
     if experiment:
-        options += [
-            click.option(
-                "-C", "--experiment", metavar="DIR", help="Experiment directory; media paths are relative to it."
-            ),
-            click.option("-c", "--config", metavar="FILE", help="config.json to use instead of DIR/config.json."),
-        ]
+        text = "Experiment directory; media paths are relative to it."
+        options.append(click.option("-C", "--experiment", metavar="DIR", help=text))
+        options.append(click.option("-c", "--config", metavar="FILE", help="Use this file instead of DIR/config.json."))
     if output:
-        options.append(
-            click.option(
-                "-o",
-                "--output",
-                metavar="FILE",
-                default="-",
-                show_default=True,
-                help="Where the records go, whole or not at all; - is standard output.",
-            )
-        )
+        text = "Output file, written whole or not at all; - is standard output."
+        options.append(click.option("-o", "--output", metavar="FILE", default="-", show_default=True, help=text))
     if presets:
-        options.append(
-            click.option(
-                "--preset",
-                type=click.Choice(list(presets)),
-                is_eager=True,
-                expose_value=False,
-                callback=functools.partial(_apply_preset, presets),
-                help="Set the options to what the thesis did; options that are given still win.",
-            )
-        )
+        text = "Use the settings of the thesis; options that are given still win."
+        words: dict[str, Any] = {"is_eager": True, "expose_value": False, "help": text}
+        words["callback"] = functools.partial(_apply_preset, presets)
+        options.append(click.option("--preset", type=click.Choice(list(presets)), **words))
     if seed:
-        options.append(
-            click.option(
-                "--seed",
-                type=click.IntRange(0),
-                default=0,
-                show_default=True,
-                help="Seed of all chance: the same inputs and seed give the same bytes.",
-            )
-        )
+        text = "Random seed; the same inputs and seed give the same bytes."
+        options.append(click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help=text))
     if skip_invalid:
-        options.append(
-            click.option(
-                "--skip-invalid", is_flag=True, help="Drop bad lines and bad objects, count them, say how many."
-            )
-        )
+        options.append(click.option("--skip-invalid", is_flag=True, help="Drop and count invalid lines and objects."))
     options += [
-        click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors on stderr."),
-        click.option("-v", "--verbose", is_flag=True, help="Say more on stderr, with the time of each stage."),
+        click.option("-q", "--quiet", is_flag=True, help="Print only errors on stderr."),
+        click.option("-v", "--verbose", is_flag=True, help="Print details on stderr, with the time of each stage."),
         click.version_option(__version__, "--version", message="%(prog)s %(version)s"),
         click.help_option("-h", "--help"),
     ]
     shared = {"experiment", "config", "output", "seed", "skip_invalid", "quiet", "verbose"}
 
-    def decorate(function: Callable) -> Callable:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
-        def run(**values):
+        def run(**values: Any) -> Any:
             context = click.get_current_context()
-            session = Session(context.find_root().info_name, values)
+            session = Session(context.find_root().info_name or "", values)
             result = function(session, **{key: value for key, value in values.items() if key not in shared})
             session.finish()
             return result
@@ -485,6 +426,6 @@ def common(
     return decorate
 
 
-def _apply_preset(presets: Mapping, context: click.Context, _parameter, value: str | None) -> None:
+def _apply_preset(presets: Mapping[str, Any], context: click.Context, _parameter: object, value: str | None) -> None:
     if value is not None:
         context.default_map = {**(context.default_map or {}), **presets[value]}

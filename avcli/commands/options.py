@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -14,13 +15,16 @@ import click
 from avcli.settings import Setting, settings_of
 
 
-def from_settings(kind: type, *names: str, leave_out: tuple[str, ...] = ()) -> Callable:
+def from_settings(
+    kind: type, *names: str, leave_out: tuple[str, ...] = (), defaults: Mapping[str, Any] | None = None
+) -> Callable:
     """Add an option for each setting of a stage, in the order of declaration.
 
     Args:
         kind: a dataclass whose fields were declared by `avcli.settings.setting`.
         names: the fields to take; none: all that are declared.
         leave_out: fields to leave out.
+        defaults: field name -> default, where this command's differs from that of the settings.
 
     Returns:
         A decorator. The command gets each value by the field's name.
@@ -31,7 +35,7 @@ def from_settings(kind: type, *names: str, leave_out: tuple[str, ...] = ()) -> C
     def decorate(function: Callable) -> Callable:
         for name in reversed(chosen):
             field, setting = known[name]
-            function = _option(kind, field, setting)(function)
+            function = _option(kind, field, setting, defaults or {})(function)
         return function
 
     return decorate
@@ -63,8 +67,28 @@ def was_given(name: str) -> bool:
     return source in (click.core.ParameterSource.COMMANDLINE, click.core.ParameterSource.ENVIRONMENT)
 
 
-def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
+class Size(click.ParamType):
+    """A width and a height in px, such as 1920x1080, each from `least` to `most`."""
+
+    name = "WxH"
+
+    def __init__(self, least: float | None = None, most: float | None = None):
+        self.least, self.most = least or 1, most or math.inf
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> tuple[int, int]:
+        """Read "1920x1080"; a pair is taken as it is."""
+        if isinstance(value, tuple):
+            return value
+        match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", value)
+        if not match or not all(self.least <= int(side) <= self.most for side in match.groups()):
+            bounds = f" from {self.least:g} to {self.most:g} px each" if math.isfinite(self.most) else ""
+            self.fail(f"expected a width and a height such as 640x384{bounds}, found {value!r}", parameter, context)
+        return int(match[1]), int(match[2])
+
+
+def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Mapping[str, Any]) -> Callable:
     default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    default = defaults.get(field.name, default)
     annotation = typing.get_type_hints(kind)[field.name]
     parts = [part for part in typing.get_args(annotation) if part is not type(None)]
     if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
@@ -72,13 +96,16 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
     flag = setting.flag or "--" + field.name.replace("_", "-")
     text = f"{setting.only}: {setting.text}" if setting.only else setting.text
     words: dict[str, Any] = {"default": default, "help": text}
-    words["show_default"] = setting.default_text or (default is not None and annotation is not bool)
+    switch = "/" in flag  # "--x/--no-x", whose default is worth showing; a flag alone is off
+    words["show_default"] = setting.default_text or (default is not None and (annotation is not bool or switch))
     if setting.unit:
         words["metavar"] = setting.unit
     if annotation is bool:
         return click.option(flag, field.name, is_flag=True, **words)
     if setting.choices:
         words["type"] = click.Choice(setting.choices)
+    elif setting.unit == Size.name:
+        words["type"] = Size(setting.least, setting.most)
     elif typing.get_origin(annotation) is tuple:
         sides = typing.get_args(annotation)
         words["nargs"], words["type"] = len(sides), _range(sides[0], setting)
@@ -89,13 +116,16 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting) -> Callable:
 
 
 class FiniteRange(click.FloatRange):
-    """A range of numbers without NaN and infinity."""
+    """A range of numbers without NaN, and without infinity unless that is its end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
+        if not math.isfinite(number) and number != self.max:
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+    def _describe_range(self) -> str:  # click would write "x<=None" where there is no bound
+        return "" if self.min is self.max is None else super()._describe_range()
 
 
 def _range(annotation: type, setting: Setting) -> click.ParamType:

@@ -1,1 +1,1 @@
-"""People from a ceiling camera: in depth pictures or by an ONNX network, and from there to places in the room."""
+"""People from a ceiling camera: found in depth pictures or by an ONNX network, then placed in the room."""

@@ -1,25 +1,26 @@
-"""Where a person stands, from what a ceiling camera sees of the body."""
+"""The position of a person's axis, from the part of the body that a ceiling camera sees."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.detection.fitted import AXIS, AxisLaw
 from avcli.detection.view import View
 
 FLOOR_M = 0.25
-"""m; what is lower may be floor, shadow or a foot far in front of the body."""
+"""m; lower points may be floor, shadow or a foot far in front of the body."""
 
 MID_BODY_M = 0.90
-"""m; height of the middle of an adult, which stands for z where the height is not seen."""
+"""m; height of the middle of an adult: z of a position, since depth does not tell a height on the axis."""
 
 REACH_M = 0.45
-"""m; farther from the axis than an elbow: an outlier or somebody else."""
+"""m; points farther from the axis than an elbow are outliers or another person."""
 
 _RADII = [0.7, 0.85, 1.0, 1.1, 1.25, 1.37, 1.46], [0.095, 0.13, 0.145, 0.145, 0.13, 0.12, 0.07]
-"""Radius, m, of a body at a height, m: 1.27 times what its surface stands before the axis on average."""
+"""Heights, m, and radii, m, of a body: 1.27 times the mean distance of its visible surface from the axis."""
 
 _TOP_M, _SHOULDER_M = 1.74, 1.44
-_DISCS = ((1.62, 0.09), (_SHOULDER_M, 0.19))  # heights and radii, m, of the head and the shoulders, which hide the rest
+_DISCS = ((1.62, 0.09), (_SHOULDER_M, 0.19))  # heights and radii, m, of head and shoulders, which hide the rest
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Person:
         bbox_px: (4,) [x0, y0, x1, y1] px in the full picture.
         height: m, None where the top of the head is not seen.
         method: "depth" or "monocular": what the position was measured by.
+        visible: visible fraction of the body, None where it is not known.
     """
 
     position: np.ndarray
@@ -41,6 +43,7 @@ class Person:
     bbox_px: np.ndarray
     height: float | None
     method: str
+    visible: float | None = None
 
 
 def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -69,7 +72,7 @@ _POINTS, _NORMALS, _AREAS = _standard_body()
 
 
 def _trust(z: np.ndarray) -> np.ndarray:
-    """How much a piece of the body at height z (m) tells of where the axis is: legs swing, hips and above do not."""
+    """Weights of body parts at heights z (m) in finding the axis: legs swing, hips and above do not."""
     return np.interp(z, [0.45, 0.75, 1.0, 1.4], [0.15, 0.3, 1.0, 1.5])
 
 
@@ -78,8 +81,9 @@ def locate(
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Find a person's axis from points on the visible surface of the body.
 
-    The mean of the points is corrected by how far the mean of what the camera would see of a standard body in that
-    place lies from its axis: only the side that faces it, not what is outside the picture or behind something nearer.
+    The mean of the visible points does not lie on the axis, since the camera sees only the side that faces it. The same
+    mean of a standard body at that position gives the correction. Parts outside the picture or behind something nearer
+    are left out of it.
 
     Args:
         points: (n, 3) m in the room.
@@ -88,8 +92,8 @@ def locate(
         depth: (h, w) m, radial depth at the view's samples; 0 where there is none.
 
     Returns:
-        The axis's (x, y), m; its covariance (2, 2), m²; and the visible fraction of the body. None where nothing
-        stands higher than the floor.
+        The axis's (x, y), m; its covariance (2, 2), m²; and the visible fraction of the body. None if no point is
+        higher than the floor.
     """
     raised = points[:, 2] > FLOOR_M
     if not raised.any():
@@ -103,16 +107,25 @@ def locate(
         observed = np.average(points[near, :2], axis=0, weights=weights[near])
         offset, fraction = _visible_offset(centre, points[near, 2].max(), view, depth)
         centre = observed - offset
-    direction = centre - view.origin[:2]
-    direction = direction / max(np.linalg.norm(direction), 1e-9)
+    return centre, axis_covariance(centre - view.origin[:2], fraction), fraction
+
+
+def axis_covariance(away: np.ndarray, fraction: float, law: AxisLaw = AXIS) -> np.ndarray:
+    """Covariance (2, 2), m², of the axis (x, y) of a body that a depth picture shows.
+
+    Args:
+        away: (2,) from the camera to the axis, on the floor.
+        fraction: visible fraction of the body.
+        law: the fitted standard deviations.
+    """
+    direction = away / max(float(np.linalg.norm(away)), 1e-9)
     hidden = (1 - fraction) ** 2
-    radial, tangential = 0.035**2 + 0.07**2 * hidden, 0.03**2 + 0.07**2 * hidden  # fitted to renders of random scenes
-    covariance = tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
-    return centre, covariance, fraction
+    radial, tangential = law.radial_m**2 + law.hidden_m**2 * hidden, law.tangential_m**2 + law.hidden_m**2 * hidden
+    return tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
 
 
 def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarray) -> tuple[np.ndarray, float]:
-    """Mean (x, y), m, from the axis of what the camera sees of a standard body, and the visible fraction of it."""
+    """Mean offset (x, y), m, from the axis of the visible part of a standard body, and the visible fraction of it."""
     body = _POINTS + np.append(centre, 0.0)
     rays = body - view.origin
     distance = np.linalg.norm(rays, axis=1)
@@ -122,7 +135,7 @@ def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarra
             crossing = view.origin[:2] + rays[:, :2] * ((view.origin[2] - height) / -rays[:, 2:])
         hidden = (_POINTS[:, 2] < height - 0.02) & (np.linalg.norm(crossing - centre, axis=1) < radius)
         facing[hidden] = 0.0
-    total = facing.sum()  # of a whole adult: where the border cuts off all but the legs, these are little of somebody
+    total = facing.sum()  # of a whole adult: legs alone, at the picture's border, are a small fraction of one
     facing[_POINTS[:, 2] > max(top, 0.5) + 0.05] = 0.0
     pixels = view.project(body)
     inside = view.inside(pixels)

@@ -1,7 +1,9 @@
-"""People in a depth picture: what stands nearer than the empty room, seen from above as a plan of the room.
+"""People in a depth picture: everything nearer than the empty room, separated in a plan view of the room.
 
-The plan view (Harville, 2004, Stereo person tracking with adaptive plan-view templates) separates people who touch or
-hide each other in the picture: however they overlap there, their bodies stand apart on the floor.
+People who touch or hide each other in the picture still stand apart on the floor.
+
+Source: M. Harville, "Stereo person tracking with adaptive plan-view templates of height and occupancy statistics",
+Image and Vision Computing 22 (2004).
 """
 
 from collections.abc import Callable
@@ -11,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, locate
+from avcli.detection.fitted import SCORE
 from avcli.detection.monocular import HEIGHT_M, locate_box
 from avcli.detection.network import Boxes
 from avcli.detection.view import View
@@ -19,20 +22,20 @@ MARGIN_M = 0.08
 """m by which a surface must be nearer than the background; more than a sensor's noise, less than a limb."""
 
 TALLEST_M = 2.3
-"""m; what is higher is no person."""
+"""m; higher points do not belong to a person."""
 
 CELL_M = 0.05
 SPREAD_M = 0.08
 """m; standard deviation of the smoothing of the plan view: a head."""
 
 APART_M = 0.30
-"""m; two people's axes are never nearer to each other."""
+"""m; the least distance of two people's axes."""
 
 SHOULDER_M, REACH_M = 1.4, 0.45
-"""m; what ends below a shoulder, is less than half of somebody, and no farther from them than an elbow, is a limb."""
+"""m; a part lower than a shoulder, less than half as large as a body, and nearer to it than an elbow is a limb."""
 
 Z_VARIANCE_M2 = 0.5**2
-"""m²; z of a position is some point of the body's axis: its spread over a standing adult."""
+"""m²; z of a position may be any point of the body's axis: the variance over a standing adult."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +49,14 @@ class _Body:
 
 
 class DepthDetector:
-    """Finds people as what stands before the empty room, or where a network has seen them.
+    """Finds people as what stands nearer than the empty room, or measures the positions of a network's people.
 
     Args:
         view: the camera.
-        background: (h, w) m, radial depth of the empty room at the view's samples, 0 where there is none; None where
-            nobody has recorded it (then only `place` can be asked).
-        min_surface: m² of body that must be seen.
-        min_height: m; what is seen to be lower, with free space above it, is furniture.
+        background: (h, w) m, radial depth of the empty room at the view's samples, 0: unknown. None if it was not
+            recorded; then only `place` can be used.
+        min_surface: m²; least visible surface of a body.
+        min_height: m; lower things with free space above them are furniture.
     """
 
     def __init__(self, view: View, background: np.ndarray | None, min_surface: float = 0.02, min_height: float = 1.0):
@@ -63,31 +66,37 @@ class DepthDetector:
             self.limit = np.where(background > 0, background - np.float32(MARGIN_M), np.float32(np.inf))
 
     def detect(self, depth: np.ndarray) -> list[Person]:
-        """Find the people in a depth picture (h, w), m radial at the view's samples; 0 where there is none."""
+        """Find the people in a depth picture (h, w), m radial at the view's samples; 0: unknown.
+
+        Raises:
+            ValueError: the detector has no background.
+        """
+        if self.limit is None:
+            raise ValueError("people can be found in depth only with the depth picture of the empty room")
         people = []
         for body in self._bodies(depth, (depth > 0) & (depth < self.limit)):
             surface = body.surface.sum()
             if surface < self.min_surface:
                 continue
-            person = self._person(body, depth, float(surface / (surface + 0.01)))
+            person = self._person(body, depth, float(surface / (surface + SCORE.surface_m2)))
             if person and not (body.points[:, 2].max() < self.min_height and self._free_above(person, depth)):
                 people.append(person)
         return people
 
     def place(self, found: Boxes, depth: np.ndarray | None) -> list[Person]:
-        """Find where the people stand whom a network has seen.
+        """Measure the positions of the people that a network has found.
 
-        Each box takes the body in it that stands nearest to where the box alone would put the person. A box without a
-        body is placed by the box alone if there is no depth in it, and dropped if the depth shows the empty room.
+        Each box takes the body in it that is nearest to the position by the box alone. A box without a body is dropped
+        if its depth shows the empty room, and placed by the box alone if its depth is unknown.
 
         Args:
             found: the network's people, px of the full picture.
-            depth: (h, w) m radial at the view's samples, 0 where there is none; None where there is no depth at all.
+            depth: (h, w) m radial at the view's samples, 0: unknown; None without a depth picture.
         """
         if not len(found):
             return []
 
-        def by_box(index: int) -> tuple | None:
+        def by_box(index: int) -> tuple[np.ndarray, np.ndarray, float] | None:
             return locate_box(found.boxes[index], self.view, None if found.parts is None else found.parts[index])
 
         bodies, empty = [], np.zeros(len(found), bool)
@@ -106,7 +115,7 @@ class DepthDetector:
         for index in range(len(found)):
             chosen = self._choose([bodies[k] for k in free], inside[index], partial(by_box, index)) if bodies else None
             person = None
-            if chosen is not None:
+            if chosen is not None and depth is not None:
                 body = bodies[free.pop(chosen)]
                 person = self._person(body, depth, float(found.scores[index]))
             elif not empty[index] and (guess := by_box(index)) is not None:
@@ -129,7 +138,7 @@ class DepthDetector:
         ]
 
     def _choose(self, bodies: list[_Body], inside: np.ndarray, by_box: Callable) -> int | None:
-        """The body that a box means, of those that lie in it for the most part; None if there is none."""
+        """Index of the body that a box most likely means, of those that are mostly inside it; None if there is none."""
         amounts = {}
         for index, body in enumerate(bodies):
             amount = body.surface[inside[body.rows, body.columns]].sum()
@@ -139,10 +148,10 @@ class DepthDetector:
             for index in amounts:
                 away = np.average(bodies[index].points[:, :2], axis=0, weights=bodies[index].surface) - guess[0]
                 amounts[index] *= np.exp(-0.5 * (away @ away) / 0.4**2)
-        return max(amounts, key=amounts.get) if amounts else None
+        return max(amounts, key=lambda index: amounts[index]) if amounts else None
 
     def _free_above(self, person: Person, depth: np.ndarray) -> bool:
-        """Whether the camera sees through the place where the body of someone who stands there would be."""
+        """Whether the camera sees through the space that the upper body of a standing person would fill."""
         heights = np.array([self.min_height, self.min_height + 0.25])
         body = np.column_stack([np.tile(person.position[:2], (2, 1)), heights])
         pixels = self.view.project(body)
@@ -159,7 +168,7 @@ class DepthDetector:
         found = locate(body.points, body.surface, self.view, depth)
         if found is None:
             return None
-        centre, covariance, _ = found
+        centre, covariance, fraction = found
         box = np.array([body.columns.min(), body.rows.min(), body.columns.max() + 1, body.rows.max() + 1])
         return Person(
             position=np.array([*centre, MID_BODY_M]),
@@ -168,21 +177,22 @@ class DepthDetector:
             bbox_px=np.minimum(box * float(self.view.stride), [*self.view.size, *self.view.size]),
             height=self._height(body, centre),
             method="depth",
+            visible=fraction,
         )
 
     def _height(self, body: _Body, centre: np.ndarray) -> float | None:
-        """Height, m, of the highest point, None where the border of the picture cuts the head off."""
+        """Height, m, of the highest point; None if the border of the picture cuts the head off."""
         top = float(body.points[:, 2].max())
         above = self.view.project(np.array([[*centre, top + 0.05]]))
         return top if self.view.inside(above)[0] else None
 
 
 def place_centre(found: Boxes, depth: np.ndarray, view: View) -> list[Person]:
-    """Place people as the thesis does: at the surface that the one pixel in the middle of each box shows.
+    """Place people as the thesis does: at the surface that the middle pixel of each box shows.
 
     Args:
         found: the network's people, px of the full picture.
-        depth: (h, w) m radial at the view's samples; a person where there is none is dropped.
+        depth: (h, w) m radial at the view's samples, 0: unknown; a person whose middle pixel is unknown is dropped.
         view: the camera.
     """
     middles = found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5
@@ -244,20 +254,20 @@ def separate(points: np.ndarray, surface: np.ndarray) -> list[np.ndarray]:
     window = 2 * int(APART_M / 2 / CELL_M) + 1
     peaks = np.argwhere((plan == cv2.dilate(plan, np.ones((window, window), np.uint8))) & (plan > 1e-4))
     peaks = peaks[np.argsort(-plan[tuple(peaks.T)], kind="stable")]
-    kept = []
+    kept: list[np.ndarray] = []
     for peak in peaks:
         if all(_divided(plan, peak, other) for other in kept):
             kept.append(peak)
     if not kept:
         return []
-    kept = np.array(sorted(map(tuple, kept)))
-    nearest = ((cells[:, None, :] - kept[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
-    nearest = _with_their_limbs(nearest, kept, points[:, 2], surface)
+    centres = np.array(sorted(map(tuple, kept)))
+    nearest = ((cells[:, None, :] - centres[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
+    nearest = _with_their_limbs(nearest, centres, points[:, 2], surface)
     return [np.flatnonzero(nearest == index) for index in np.unique(nearest)]
 
 
 def _with_their_limbs(nearest: np.ndarray, peaks: np.ndarray, heights: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """Give what stands apart, but low and small (a leg behind, a hand before), to the body beside it."""
+    """Give low and small parts that stand apart (a leg behind, a hand in front) to the body beside them."""
     tops = np.array([heights[nearest == index].max(initial=0.0) for index in range(len(peaks))])
     sizes = np.bincount(nearest, surface, minlength=len(peaks))
     for limb in np.flatnonzero(tops < SHOULDER_M):
@@ -274,4 +284,4 @@ def _divided(plan: np.ndarray, peak: np.ndarray, other: np.ndarray) -> bool:
     between = np.rint(peak + steps * (other - peak)).astype(int)
     distance = np.linalg.norm(peak - other) * CELL_M
     lowest = plan[tuple(between.T)].min()
-    return distance >= APART_M and lowest < 0.75 * plan[tuple(peak)]
+    return bool(distance >= APART_M and lowest < 0.75 * plan[tuple(peak)])

@@ -2,8 +2,12 @@
 
 import ast
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import onnxruntime
 
 PAD = 114
 """Grey level around a letterboxed picture, as ultralytics and YOLOX pad."""
@@ -12,17 +16,17 @@ MOST = 300
 """Most people reported in one picture."""
 
 REACH_PX, CONTEXT_PX = 16, 96
-"""px of the network's input: how far around a changed region what is found may change; and around that, what is looked
-at with it."""
+"""px of the network's input: a change reaches the network's output up to this far around it; and the context that the
+network needs around that."""
 
 WHOLE = 0.6
-"""Share of the input from which on it is cheaper to look at all of it."""
+"""Share of the input above which it is cheaper to look at all of it."""
 
 PARTS = ("torso", "head", "foot")
 
 
 class ModelError(ValueError):
-    """A file that is no ONNX model, or one whose output is no person detection."""
+    """The file is not an ONNX model, or its output is not a person detection."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Boxes:
     Attributes:
         boxes: (n, 4) [x0, y0, x1, y1] px of the picture; may reach over its border.
         scores: (n,) from 0 to 1, in falling order.
-        parts: (n, 3, 2) px of torso, head and foot, None where the network does not tell them.
+        parts: (n, 3, 2) px of torso, head and foot; None if the network does not give them.
     """
 
     boxes: np.ndarray
@@ -92,7 +96,7 @@ class Network:
         threads: threads of the inference; more than one pays only on an idle machine.
 
     Raises:
-        ModelError: no ONNX file, or its output is none of the known detection heads.
+        ModelError: the file is not an ONNX model, or its output is none of the known detection heads.
     """
 
     def __init__(
@@ -121,7 +125,8 @@ class Network:
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size)
         self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
-        self._maps, self._shape = None, None
+        self._maps: np.ndarray | None = None
+        self._shape: tuple | None = None
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
         self.head = find_head([output.shape for output in outputs], self.size, self.names, self.metadata)
 
@@ -131,8 +136,8 @@ class Network:
         Args:
             picture: (height, width, 3) uint8 RGB.
             regions: (n, 4) [x0, y0, x1, y1] px that hold all that has changed since the last call, if it was of a
-                picture of this size; None: anything may have. A network of this project then looks at them and a margin
-                only, and says of the rest what it said before; a YOLO export looks at all.
+                picture of this size; None: the whole picture. A network of this project then looks at them and a margin
+                only, and repeats what it found in the rest. A YOLO export looks at the whole picture.
         """
         yolox = self.head.kind == "yolox"
         fit = Letterbox.fit((picture.shape[1], picture.shape[0]), self.size, centred=not yolox)
@@ -149,27 +154,28 @@ class Network:
 
     def _maps_of(self, image: np.ndarray, shape: tuple, fit: Letterbox, regions: np.ndarray | None) -> np.ndarray:
         """The maps (1, 11, h, w) of an input, of which only what the regions reach is computed anew."""
-        known = self._maps is not None and self._shape == shape and regions is not None and self._open
-        cores = [] if not known else _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size)
+        cores, maps = [], self._maps if self._shape == shape and regions is not None and self._open else None
+        if maps is not None and regions is not None:
+            cores = _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size)
         crops = [_wider(core, self.size) for core in cores]
-        if not known or sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in crops) > WHOLE * self.size[0] * self.size[1]:
+        if maps is None or sum(map(_area, crops)) > WHOLE * self.size[0] * self.size[1]:
             self._maps, self._shape = self._run(image, bgr=False)[0], shape
             return self._maps
-        stride = self.size[0] // self._maps.shape[3]
+        stride = self.size[0] // maps.shape[3]
         for core, (left, top, right, bottom) in zip(cores, crops, strict=True):
             new = self._run(np.ascontiguousarray(image[top:bottom, left:right]), bgr=False)[0]
             x0, y0, x1, y1 = (side // stride for side in core)
-            self._maps[:, :, y0:y1, x0:x1] = new[
+            maps[:, :, y0:y1, x0:x1] = new[
                 :, :, y0 - top // stride : y1 - top // stride, x0 - left // stride : x1 - left // stride
             ]
-        return self._maps
+        return maps
 
     def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
         if bgr:
             tensor = picture[:, :, ::-1].transpose(2, 0, 1).astype(self._type)
         else:
             tensor = picture.transpose(2, 0, 1).astype(self._type)
-            tensor *= self._type(1 / 255)
+            np.multiply(tensor, self._type(1 / 255), out=tensor)
         try:
             return self._session.run(None, {self._input.name: np.ascontiguousarray(tensor[None])})
         except Exception as error:  # onnxruntime raises RuntimeError's children of many names
@@ -228,11 +234,11 @@ def _area(box: list[int]) -> int:
     return (box[2] - box[0]) * (box[3] - box[1])
 
 
-def _open(model: bytes, threads: int):
+def _open(model: bytes, threads: int) -> "onnxruntime.InferenceSession":
     import onnxruntime
 
     if model.startswith(b"version https://git-lfs"):
-        raise ModelError("a git-lfs pointer, not the model itself; fetch it with git lfs pull")
+        raise ModelError("a git-lfs pointer instead of the model; fetch the model with git lfs pull")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -242,7 +248,7 @@ def _open(model: bytes, threads: int):
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     except Exception as error:
-        raise ModelError(f"no ONNX model that can be read: {_first_line(error)}") from None
+        raise ModelError(f"not an ONNX model that can be read: {_first_line(error)}") from None
 
 
 def _first_line(error: Exception) -> str:
@@ -252,7 +258,7 @@ def _first_line(error: Exception) -> str:
 def _names(text: str | None) -> list[str] | None:
     """Class names in the order of their index, from a model's metadata."""
     try:
-        value = ast.literal_eval(text)
+        value = ast.literal_eval(text or "")
         if isinstance(value, dict):
             value = [value[index] for index in range(len(value))]
         return [str(name).lower() for name in value]
@@ -274,34 +280,38 @@ class Head:
 
 
 def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | None, metadata: dict) -> Head:
-    """Tell a detection head by the shape of its output, the input's size and the names of the classes.
+    """Recognize a detection head by the shape of its output, the input's size and the names of the classes.
 
     Raises:
-        ModelError: it is none of the known ones, or it has no class for people.
+        ModelError: the head is not known, or it has no class for people.
     """
-    shape = tuple(shapes[0])
-    found = ", ".join(str(list(item)) for item in shapes)
     if metadata.get("head") == "points":
         return Head("points", 0)
-    if len(shape) != 3 or shape[0] != 1 or len(shapes) > 1:
-        raise ModelError(f"no detection head that is known: the outputs are {found}")
-    anchors = sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32))
-    columns = 4 + len(names) if names else None
-    _, rows, width = shape
-    if width == 6 and rows <= 1000 and rows not in (anchors, 3 * anchors):
+    head, shape = None, tuple(shapes[0])
+    if len(shapes) == 1 and len(shape) == 3 and shape[0] == 1:
+        head = _yolo_head(*shape[1:], sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32)), names)
+    if head is None:
+        found = ", ".join(str(list(item)) for item in shapes)
+        raise ModelError(f"not a known detection head: the outputs are {found}, the classes {len(names or ())}")
+    return head
+
+
+def _yolo_head(rows: int, width: int, anchors: int, names: list[str] | None) -> Head | None:
+    """Recognize a YOLO head by its rows and columns, and by the number of places that the input's size gives."""
+    grids = anchors, 3 * anchors
+    if width == 6 and rows <= 1000 and rows not in grids:
         return Head("end2end", _person(names, len(names or ()) or 80))
-    transposed = width not in (anchors, 3 * anchors) and (rows in (anchors, 3 * anchors) or rows > width)
+    transposed = width not in grids and (rows in grids or rows > width)
     count, fields = (rows, width) if transposed else (width, rows)
-    if fields < 5 or (columns and fields not in (columns, columns + 1)):
-        raise ModelError(f"no detection head that is known: the outputs are {found}, the classes {len(names or ())}")
-    plain = not transposed or (count == anchors and fields == 84)  # what is likely where no names tell the classes
-    kind = "yolox" if count == anchors else "v5"
-    if columns == fields or (columns is None and plain):
-        kind = "v8"
-    classes = fields - (4 if kind == "v8" else 5)
-    if classes < 1:
-        raise ModelError(f"no detection head that is known: the outputs are {found}")
-    return Head(kind, _person(names, classes), transposed)
+    if names:
+        if fields not in (4 + len(names), 5 + len(names)):
+            return None
+        boxes_only = fields == 4 + len(names)
+    else:
+        boxes_only = not transposed or (count == anchors and fields == 84)  # the likely layout
+    kind = "v8" if boxes_only else "yolox" if count == anchors else "v5"
+    classes = fields - (4 if boxes_only else 5)
+    return Head(kind, _person(names, classes), transposed) if classes >= 1 else None
 
 
 def _person(names: list[str] | None, classes: int) -> int:
@@ -310,7 +320,7 @@ def _person(names: list[str] | None, classes: int) -> int:
     for name in ("person", "people", "human", "pedestrian"):
         if name in names:
             return names.index(name)
-    raise ModelError(f"the model knows no class 'person', only {', '.join(names[:8])}{'…' if len(names) > 8 else ''}")
+    raise ModelError(f"the model has no class 'person', only {', '.join(names[:8])}{'…' if len(names) > 8 else ''}")
 
 
 def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confidence: float) -> tuple:
@@ -341,9 +351,9 @@ def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confide
     keep = np.isfinite(boxes).all(axis=1) & (scores >= confidence) & np.isfinite(scores)
     if parts is not None:
         keep &= np.isfinite(parts).all(axis=(1, 2))
-    keep = np.flatnonzero(keep)
-    keep = keep[np.argsort(-scores[keep], kind="stable")]
-    return boxes[keep], np.clip(scores[keep], 0.0, 1.0), None if parts is None else parts[keep]
+    kept = np.flatnonzero(keep)
+    kept = kept[np.argsort(-scores[kept], kind="stable")]
+    return boxes[kept], np.clip(scores[kept], 0.0, 1.0), None if parts is None else parts[kept]
 
 
 def _from_grid(centre: np.ndarray, extent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -356,9 +366,9 @@ def _from_grid(centre: np.ndarray, extent: np.ndarray, size: tuple[int, int]) ->
         v, u = np.mgrid[: size[1] // stride, : size[0] // stride]
         cells.append(np.stack([u.ravel(), v.ravel()], axis=1))
         strides.append(np.full(u.size, stride))
-    strides = np.concatenate(strides)[:, None]
+    scale = np.concatenate(strides)[:, None]
     with np.errstate(over="ignore"):
-        return (centre + np.concatenate(cells)) * strides, np.exp(extent) * strides
+        return (centre + np.concatenate(cells)) * scale, np.exp(extent) * scale
 
 
 def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -> tuple:
@@ -384,7 +394,7 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
     """
     order = np.argsort(-scores, kind="stable")
     area = np.maximum(boxes[:, 2:] - boxes[:, :2], 0).prod(axis=1)
-    kept = []
+    kept: list[int] = []
     while order.size and len(kept) < MOST:
         best, order = order[0], order[1:]
         kept.append(best)

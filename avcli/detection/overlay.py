@@ -1,4 +1,4 @@
-"""A frame with what was found drawn on it."""
+"""Draws the people that were found into a picture."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ COLOUR = {"depth": (40, 220, 60), "monocular": (255, 190, 0)}
 
 
 def draw(picture: np.ndarray, people: list[Person], view: View) -> np.ndarray:
-    """Draw boxes, body axes from the floor up, two-sigma ellipses on the floor, and positions in words.
+    """Draw boxes, body axes from the floor up, two-sigma ellipses on the floor, and positions as text.
 
     Args:
         picture: (height, width, 3) uint8 RGB; it is not changed.
-        people: what was found in it.
+        people: the people found in it.
         view: the camera.
     """
     import cv2

@@ -4,23 +4,27 @@ from functools import cached_property
 
 import numpy as np
 
+from avcli.lens import Lens
+
 
 class View:
     """A camera that stands still in a room.
 
     Args:
-        lens: has `project((n, 3)) -> (n, 2)` and `unproject((n, 2)) -> (n, 3)` unit rays; NaN where it cannot see.
+        lens: a lens of avcli.lens.
         T_room_camera: (4, 4) rigid transform from the camera's frame to the room's.
         size: (width, height) px.
-        theta_max: largest angle from the optical axis at which the lens may be believed, rad.
+        theta_max: largest angle from the optical axis at which the lens is valid, rad.
         stride: distance of the samples of `rays`, px.
     """
 
-    def __init__(self, lens, T_room_camera, size: tuple[int, int], theta_max: float = np.pi, stride: int = 4):
-        self.lens, self.size, self.stride = lens, size, stride
+    def __init__(
+        self, lens: Lens, T_room_camera: np.ndarray, size: tuple[int, int], theta_max: float = np.pi, stride: int = 4
+    ):
+        self.lens, self.size, self.stride, self.theta_max = lens, size, stride, min(theta_max, np.pi)
         T_room_camera = np.asarray(T_room_camera, float)
         self.rotation, self.origin = T_room_camera[:3, :3], T_room_camera[:3, 3]
-        self._cos_max = np.cos(min(theta_max, np.pi)) - 1e-12
+        self._cos_max = np.cos(self.theta_max) - 1e-12
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project points (n, 3), m in the room, to pixels (n, 2); NaN where the lens cannot see them."""

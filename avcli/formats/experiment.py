@@ -10,22 +10,152 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import orjson
 
 from avcli import lens, pose
 from avcli.formats import atomic
+from avcli.formats.descriptions import PROBABILITY, Format
 from avcli.formats.records import format_timestamp
+from avcli.formats.schema import (
+    Choice,
+    Either,
+    Integer,
+    Invalid,
+    Key,
+    ListOf,
+    MapOf,
+    Number,
+    Numbers,
+    Object,
+    Text,
+    Written,
+    shown,
+)
 from avcli.formats.sensors import KINDS
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
 DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardioid": 0.25, "bidirectional": 0.0}
 """Microphone patterns a + (1 − a) cos θ by their a; the thesis's file says "omni"."""
 
+# --- what config.json may hold ----------------------------------------------------------------------------------------
+
+_LENGTH = Number(above=0)
+_DIRECTION = Numbers(3)
+_PLACE = Numbers(3)
+
+_LENS_KEYS = {
+    "lens_model": Key(
+        Choice(tuple(lens.LENSES)),
+        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
+        "the thesis's shader",
+        default="division",
+    ),
+    "fx_px": Key(_LENGTH, "focal length, px", required=True),
+    "fy_px": Key(_LENGTH, "focal length, px", required=True),
+    "cx_px": Key(Number(), "principal point, px; pixel (0, 0) is the centre of the top-left pixel", required=True),
+    "cy_px": Key(Number(), "principal point, px", required=True),
+    **{f"k{i}": Key(Number(), "coefficient of the lens model", default=0.0) for i in (1, 2, 3, 4)},
+}
+_CAMERA = Object(
+    {
+        **_LENS_KEYS,
+        "camera_position_m": Key(
+            _PLACE, "position of the camera in the room, m; required by commands that place things in the room"
+        ),
+        "camera_rotation_deg": Key(
+            _DIRECTION,
+            "orientation: pitch, yaw, roll; [90, 0, 0] looks straight down with image right = +x and image up = +y",
+            default=[90.0, 0.0, 0.0],
+        ),
+        "image_width_px": Key(Integer(least=1), "width of the image, px", default=1920),
+        "image_height_px": Key(Integer(least=1), "height of the image, px", default=1080),
+        "frame_rate_hz": Key(_LENGTH, "frames in a second, Hz", default=10.0),
+        "depth_kind": Key(
+            Choice(("radial", "z")),
+            "meaning of depth: m along the pixel's ray (radial), or along the optical axis (z)",
+            default="radial",
+        ),
+        "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
+        "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
+        "theta_max_observed_deg": Key(
+            Number(least=0), "largest angle from the axis at which the calibration saw corners; no rays beyond it"
+        ),
+        "theta_max_valid_deg": Key(Number(least=0), "largest angle at which the lens is one-to-one; no rays beyond it"),
+    }
+)
+_PATTERN = Choice(tuple(DIRECTIVITIES))
+_MICROPHONES = Object(
+    {
+        "mic_positions_m": Key(
+            ListOf(
+                Either(
+                    (
+                        _PLACE,
+                        Object(
+                            {
+                                "object_id": Key(Integer(), "number of the microphone", read=False),
+                                "position": Key(_PLACE, "position, m", required=True),
+                            }
+                        ),
+                    )
+                ),
+                least=1,
+            ),
+            "positions in the order of the channels, m: lists [x, y, z], or objects",
+            required=True,
+        ),
+        "audio_sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", default=44100),
+        "audio_bit_depth": Key(Choice((16, 24, 32)), "bits of a sample", default=32),
+        "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
+        "directivities": Key(ListOf(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
+        "orientations": Key(
+            ListOf(_DIRECTION), "direction in which each microphone looks, a vector of any length; default: down"
+        ),
+    }
+)
+_ROOM = Object(
+    {
+        "room_dimensions_m": Key(Numbers(3, _LENGTH), "size of the room along x, y and z, m", required=True),
+        "reverberation_time_s": Key(Number(least=0), "reverberation time T60, s"),
+        "absorption": Key(
+            Either((PROBABILITY, Numbers(6, PROBABILITY))),
+            "energy absorption of all walls, or of each in the order x0 x1 y0 y1 z0 z1",
+        ),
+        "speed_of_sound_m_s": Key(_LENGTH, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
+    }
+)
+_SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "what the sensor is", required=True)}))
+CONFIG = Format(
+    "config",
+    "config.json of an experiment (Listing .1 of the thesis, with more keys)",
+    Object(
+        {
+            "session_id": Key(Text(), "any text", read=False),
+            "camera_config": Key(_CAMERA, "the camera: its lens, its place, its pictures"),
+            "microphone_config": Key(_MICROPHONES, "the microphones"),
+            "room_config": Key(_ROOM, "the room"),
+            "sensors": Key(
+                _SENSORS,
+                'what each named sensor is: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
+                "a sensor that is not listed, and whose records do not say their kind, is guessed from its name",
+            ),
+            "written_by": Key(
+                Written({"type": "object"}),
+                "command that wrote the file; a run overwrites only its own directory",
+                read=False,
+            ),
+        }
+    ),
+)
+
+# --- its reader -------------------------------------------------------------------------------------------------------
+
 
 class ConfigError(ValueError):
-    """A key of config.json that is missing or wrong."""
+    """A key of config.json that is missing or invalid."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +163,17 @@ class Camera:
     """The camera of an experiment.
 
     Attributes:
-        lens: avcli.lens model; camera frame x right, y down, z forward, pixels from the first pixel's centre.
+        lens: maps points in the camera frame to pixels and back.
         T_room_camera: (4, 4) maps camera coordinates to the room's, m.
         width_px, height_px: image size, px.
         frame_rate_hz: Hz.
         depth_kind: "radial" (along the ray) or "z" (along the optical axis).
         depth_step_m: m of one step of a depth picture.
         background_depth: path of the empty room's depth picture, None where there is none.
-        theta_max: largest angle from the axis at which the lens may be believed, rad.
+        theta_max: largest angle from the axis at which the lens is valid, rad.
     """
 
-    lens: lens.KannalaBrandt | lens.BrownConrady | lens.Division
+    lens: lens.Lens
     T_room_camera: np.ndarray
     width_px: int
     height_px: int
@@ -93,201 +223,137 @@ class Room:
 class Config:
     """A config.json; `raw` is the JSON object as it was read.
 
-    `camera`, `microphones` and `room` raise ConfigError, naming file and key, where a key that they need is wrong.
+    `camera`, `microphones`, `room` and `sensors` raise ConfigError, which names the file and the key, where a key that
+    they need is missing or invalid.
     """
 
-    def __init__(self, raw: Mapping, name: str = "config.json"):
+    def __init__(self, raw: Mapping[str, Any], name: str = "config.json"):
         if not isinstance(raw, Mapping):
-            raise ConfigError(f"{name}: expected a JSON object")
+            raise ConfigError(f"{name}: must be a JSON object, found {shown(raw)}")
         self.raw, self.name = raw, name
 
     @functools.cached_property
     def camera(self) -> Camera:
-        section = _Section(self, "camera_config")
-        width, height = section.count("image_width_px", 1920), section.count("image_height_px", 1080)
-        depth_kind = section.choice("depth_kind", ("radial", "z"), "radial")
-        optics = lens_from_config(section.values, name=self.name, width_px=width, height_px=height)
-        limits = [section.number(f"theta_max_{kind}_deg", 180.0, least=0.0) for kind in ("observed", "valid")]
+        """The camera: its lens, its place and its pictures."""
+        values = self._section("camera_config", _CAMERA)
+        if values["camera_position_m"] is None:
+            raise self._error(Invalid("is missing", ("camera_config", "camera_position_m")))
+        width, height = values["image_width_px"], values["image_height_px"]
+        optics = _lens(values, width, height)
+        limits = [values[f"theta_max_{kind}_deg"] for kind in ("observed", "valid")]
         return Camera(
             lens=optics,
-            T_room_camera=pose.camera_pose(
-                section.vector("camera_position_m"), section.vector("camera_rotation_deg", default=(90.0, 0.0, 0.0))
-            ),
+            T_room_camera=pose.camera_pose(values["camera_position_m"], values["camera_rotation_deg"]),
             width_px=width,
             height_px=height,
-            frame_rate_hz=self.frame_rate_hz,
-            depth_kind=depth_kind,
-            depth_step_m=section.number("depth_step_m", 1e-4, above=0.0),
-            background_depth=section.text("background_depth", None),
-            theta_max=min(optics.theta_max, math.radians(min(limits))),
+            frame_rate_hz=values["frame_rate_hz"],
+            depth_kind=values["depth_kind"],
+            depth_step_m=values["depth_step_m"],
+            background_depth=values["background_depth"],
+            theta_max=min(optics.theta_max, *(math.radians(180.0 if limit is None else limit) for limit in limits)),
         )
 
     @functools.cached_property
     def frame_rate_hz(self) -> float:
         """The camera's frame rate, Hz (10 where it is not stated, as in the thesis)."""
-        return _Section(self, "camera_config", needed=False).number("frame_rate_hz", 10.0, above=0.0)
+        rate = _CAMERA.only("frame_rate_hz")
+        return self._section("camera_config", rate, needed=False)["frame_rate_hz"]
 
     @functools.cached_property
     def microphones(self) -> Microphones:
-        section = _Section(self, "microphone_config")
-        listed = section.get("mic_positions_m")
-        if not isinstance(listed, list) or not listed:
-            section.refuse("mic_positions_m", "expected a list of microphones")
-        positions = np.array(
-            [
-                section.check_vector(f"mic_positions_m[{i}]", item.get("position") if isinstance(item, dict) else item)
-                for i, item in enumerate(listed)
-            ]
-        )
-        count = len(positions)
-        kinds = section.get("directivities", section.get("mic_directivity", "omni"))
-        kinds = kinds if isinstance(kinds, list) else [kinds] * count
-        if len(kinds) != count or not all(isinstance(kind, str) and kind in DIRECTIVITIES for kind in kinds):
-            section.refuse("directivities", f"expected one for each microphone of {', '.join(DIRECTIVITIES)}")
-        looks = section.get("orientations", [[0.0, 0.0, -1.0]] * count)
-        if not isinstance(looks, list) or len(looks) != count:
-            section.refuse("orientations", f"expected {count} vectors")
-        orientations = np.array([section.check_vector(f"orientations[{i}]", v) for i, v in enumerate(looks)])
+        """The microphones: their places, their format and their patterns."""
+        values = self._section("microphone_config", _MICROPHONES)
+        listed = values["mic_positions_m"]
+        positions = np.array([item["position"] if isinstance(item, dict) else item for item in listed])
+        patterns, looks = values["directivities"], values["orientations"]
+        patterns = [values["mic_directivity"]] * len(listed) if patterns is None else patterns
+        orientations = np.array([[0.0, 0.0, -1.0]] * len(listed) if looks is None else looks)
+        for key, given in (("directivities", patterns), ("orientations", orientations)):
+            if len(given) != len(listed):
+                reason = f"must be a list of {len(listed)}, one for each microphone, found {len(given)}"
+                raise self._error(Invalid(reason, ("microphone_config", key)))
         lengths = np.linalg.norm(orientations, axis=1, keepdims=True)
         if (lengths == 0).any():
-            section.refuse("orientations", "a vector of length 0 looks nowhere")
+            reason = "must be a vector that is longer than 0"
+            where = ("microphone_config", "orientations", int((lengths == 0).argmax()))
+            raise self._error(Invalid(reason, where))
         return Microphones(
             positions=positions,
-            sample_rate_hz=section.count("audio_sample_rate_hz", 44100),
-            bit_depth=section.count("audio_bit_depth", 32),
-            directivities=np.array([DIRECTIVITIES[kind] for kind in kinds]),
+            sample_rate_hz=values["audio_sample_rate_hz"],
+            bit_depth=values["audio_bit_depth"],
+            directivities=np.array([DIRECTIVITIES[kind] for kind in patterns]),
             orientations=orientations / lengths,
         )
 
     @functools.cached_property
     def sensors(self) -> dict[str, str]:
-        """What each named sensor is: name -> "camera" or "microphones"."""
-        listed = self.raw.get("sensors", {})
-        if not isinstance(listed, Mapping):
-            raise ConfigError(f'{self.name}: "sensors" must be an object')
-        kinds = {}
-        for name, known in listed.items():
-            kind = known.get("kind") if isinstance(known, Mapping) else None
-            if kind not in KINDS:
-                raise ConfigError(f"{self.name}: sensors.{name}.kind must be one of {', '.join(KINDS)}")
-            kinds[name] = kind
-        return kinds
+        """What each named sensor is: name -> "camera" or "microphones"; empty where the file does not say it."""
+        listed = self._section("sensors", _SENSORS, needed=False)
+        return {name: known["kind"] for name, known in listed.items()}
 
     @functools.cached_property
     def room(self) -> Room:
-        section = _Section(self, "room_config")
-        dimensions = section.vector("room_dimensions_m")
-        if (dimensions <= 0).any():
-            section.refuse("room_dimensions_m", f"expected three lengths above 0, found {dimensions.tolist()}")
-        absorption = section.get("absorption", None)
-        if absorption is not None:
-            listed = absorption if isinstance(absorption, list) else [absorption] * 6
-            if len(listed) != 6 or not all(_is_number(a) and 0 <= a <= 1 for a in listed):
-                section.refuse("absorption", "expected one number from 0 to 1, or six in the order x0 x1 y0 y1 z0 z1")
-            absorption = np.array(listed, dtype=float)
+        """The room: its size, its reverberation and its speed of sound."""
+        values = self._section("room_config", _ROOM)
+        absorption = values["absorption"]
         return Room(
-            dimensions=dimensions,
-            reverberation_time_s=section.number("reverberation_time_s", None, least=0.0),
-            absorption=absorption,
-            speed_of_sound_m_s=section.number("speed_of_sound_m_s", SPEED_OF_SOUND_M_S, above=0.0),
+            dimensions=np.array(values["room_dimensions_m"]),
+            reverberation_time_s=values["reverberation_time_s"],
+            absorption=None if absorption is None else np.broadcast_to(absorption, 6).astype(float),
+            speed_of_sound_m_s=values["speed_of_sound_m_s"],
         )
 
+    def _section(self, key: str, kind: Object | MapOf, *, needed: bool = True) -> dict[str, Any]:
+        values = self.raw.get(key)
+        if values is None and needed:
+            raise self._error(Invalid("is missing", (key,)))
+        try:
+            return kind.read({} if values is None else values)
+        except Invalid as error:
+            raise self._error(error.within(key)) from None
 
-def lens_from_config(values: Mapping, *, name: str = "config.json", width_px: int = 1920, height_px: int = 1080):
+    def _error(self, error: Invalid) -> ConfigError:
+        return ConfigError(f"{self.name}: {error}")
+
+
+def lens_from_config(
+    values: Mapping[str, Any], *, name: str = "config.json", width_px: int = 1920, height_px: int = 1080
+) -> lens.Lens:
     """Make the lens that a camera_config describes (no "lens_model": the thesis's virtual camera, "division").
 
     Raises:
-        ConfigError: a key is missing or wrong.
+        ConfigError: a key is missing or invalid.
     """
-    section = _Section(Config({"camera_config": values}, name), "camera_config")
-    model = section.choice("lens_model", ("kannala_brandt", "brown_conrady", "division"), "division")
-    fx, fy = section.number("fx_px", above=0.0), section.number("fy_px", above=0.0)
-    cx, cy = section.number("cx_px"), section.number("cy_px")
-    k = [section.number(f"k{i}", 0.0) for i in (1, 2, 3, 4)]
-    if model == "division":
-        return lens.Division(fx, fy, cx, cy, *k, width_px, height_px)
-    return (lens.KannalaBrandt if model == "kannala_brandt" else lens.BrownConrady)(fx, fy, cx, cy, *k)
+    try:
+        return _lens(_OPTICS.read(values), width_px, height_px)
+    except Invalid as error:
+        raise ConfigError(f"{name}: {error.within('camera_config')}") from None
 
 
-def read_config(path: str | os.PathLike) -> Config:
+_OPTICS = Object(_LENS_KEYS)
+
+
+def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens:
+    numbers = [values[key] for key in ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")]
+    return lens.LENSES[values["lens_model"]].of_image(numbers, width_px, height_px)
+
+
+def read_config(path: str | os.PathLike[str]) -> Config:
     """Read a config.json.
 
     Raises:
-        ConfigError: it is no JSON object.
+        ConfigError: it is not a JSON object.
         OSError: it cannot be read.
     """
     try:
         return Config(orjson.loads(Path(path).read_bytes()), str(path))
     except orjson.JSONDecodeError as error:
-        raise ConfigError(f"{path}:{error.lineno}:{error.colno}: no JSON: {error.msg}") from None
+        raise ConfigError(f"{path}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
 
 
-def write_config(path: str | os.PathLike, raw: Mapping) -> None:
+def write_config(path: str | os.PathLike[str], raw: Mapping[str, Any]) -> None:
     """Write a config.json, whole or not at all."""
     atomic.write_bytes(path, orjson.dumps(raw, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
-
-
-class _Section:
-    """One section of a config, with checks that name file and key."""
-
-    def __init__(self, config: Config, key: str, *, needed: bool = True):
-        self.name, self.key = config.name, key
-        values = config.raw.get(key, None if needed else {})
-        if not isinstance(values, Mapping):
-            raise ConfigError(f'{config.name}: "{key}" is missing or no object')
-        self.values = values
-
-    def refuse(self, key: str, reason: str):
-        raise ConfigError(f"{self.name}: {self.key}.{key}: {reason}")
-
-    def get(self, key: str, *default):
-        if key not in self.values and not default:
-            self.refuse(key, "is missing")
-        return self.values.get(key, *default)
-
-    def number(self, key: str, *default, least: float = -math.inf, above: float = -math.inf) -> float | None:
-        value = self.get(key, *default)
-        if value is None and default:
-            return default[0]
-        if not _is_number(value) or value < least or value <= above:
-            bound = f" above {above:g}" if above > -math.inf else f" of at least {least:g}" if least > -math.inf else ""
-            self.refuse(key, f"expected a number{bound}, found {_shown(value)}")
-        return float(value)
-
-    def count(self, key: str, *default: int) -> int:
-        value = self.get(key, *default)
-        if not _is_number(value) or value != int(value) or value < 1:
-            self.refuse(key, f"expected a whole number above 0, found {_shown(value)}")
-        return int(value)
-
-    def text(self, key: str, *default) -> str | None:
-        value = self.get(key, *default)
-        if value is not None and not isinstance(value, str):
-            self.refuse(key, f"expected text, found {_shown(value)}")
-        return value
-
-    def choice(self, key: str, choices: tuple[str, ...], *default: str) -> str:
-        value = self.get(key, *default)
-        if value not in choices:
-            self.refuse(key, f"expected one of {', '.join(choices)}, found {_shown(value)}")
-        return value
-
-    def vector(self, key: str, default=None) -> np.ndarray:
-        return self.check_vector(key, self.get(key) if default is None else self.get(key, list(default)))
-
-    def check_vector(self, key: str, value) -> np.ndarray:
-        if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
-            self.refuse(key, f"expected three numbers, found {_shown(value)}")
-        return np.array(value, dtype=float)
-
-
-def _is_number(value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _shown(value) -> str:
-    text = orjson.dumps(value).decode()
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 @dataclass(frozen=True)
@@ -296,12 +362,27 @@ class Layout:
 
     directory: Path
 
-    config = property(lambda self: self.directory / "config.json")
-    groundtruth = property(lambda self: self.directory / "groundtruth_sources.jsonl")
-    localization = property(lambda self: self.directory / "localization")
-    tracking = property(lambda self: self.directory / "tracking")
-
     background_depth = "video/depth/Depth_background.png"
+
+    @property
+    def config(self) -> Path:
+        """The config.json."""
+        return self.directory / "config.json"
+
+    @property
+    def groundtruth(self) -> Path:
+        """The ground-truth records."""
+        return self.directory / "groundtruth_sources.jsonl"
+
+    @property
+    def localization(self) -> Path:
+        """The directory of the detectors' records."""
+        return self.directory / "localization"
+
+    @property
+    def tracking(self) -> Path:
+        """The directory of the tracks."""
+        return self.directory / "tracking"
 
     @staticmethod
     def rgb(timestamp: float, extension: str = "png") -> str:

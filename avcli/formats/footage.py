@@ -1,24 +1,37 @@
 """Pictures in order of time from whatever a user names (files, folders, videos, a camera, JPEGs), and out again."""
 
 import contextlib
+import errno
 import os
+import re
+import sys
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 import numpy as np
 
 from avcli.formats.atomic import replacing, write_bytes
-from avcli.formats.media import MediaError, read_bytes
+from avcli.formats.media import MediaError, decode_picture, encode_picture, quiet_decoders, read_picture, swapped
+
+if TYPE_CHECKING:
+    import cv2
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2", ".npy"}
 """Extensions of single pictures."""
-VIDEOS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
-"""Extensions of videos that can be written, and their codecs (FourCC)."""
+VIDEOS = {
+    ".mp4": "mp4v", ".m4v": "mp4v", ".mov": "mp4v", ".mkv": "mp4v", ".mpg": "mp4v", ".mpeg": "mp4v",
+    ".avi": "MJPG", ".webm": "VP80", ".ogv": "VP80",
+}  # fmt: skip
+"""Extensions of videos, and the codecs (FourCC) that we write them with."""
 _STREAM_RATE = 30.0
 """Hz; a stream of JPEGs carries no times."""
+_AHEAD = 3
+"""Shots that are read ahead of the one in hand."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +39,8 @@ class Picture:
     """One picture.
 
     Attributes:
-        name: what to call it in a message.
-        timestamp: s; of single pictures their number.
+        name: its name in messages.
+        timestamp: s; the number of a picture file.
         image: (height, width[, 3 RGB or 4 RGBA]) uint8 or uint16, as the sensor saw it: a note on which way is up
             (EXIF, a video's rotation) is not followed, since a lens does not turn with it.
     """
@@ -37,138 +50,185 @@ class Picture:
     image: np.ndarray
 
 
-def is_camera(source: str) -> bool:
+@dataclass(frozen=True)
+class UnreadShot:
+    """What a camera saw at one time, with its pictures still in their files (`media.Shot` has them in memory).
+
+    Attributes:
+        timestamp: s.
+        rgb: reads the colour picture; None where there is none.
+        depth: reads the depth picture; None where there is none.
+    """
+
+    timestamp: float
+    rgb: Callable[[], np.ndarray] | None
+    depth: Callable[[], np.ndarray] | None
+
+
+# --- what a name means ------------------------------------------------------------------------------------------------
+
+Kind = Literal["picture", "folder", "video", "camera", "stream", "file"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source of pictures that a user named.
+
+    Attributes:
+        name: the name: a path, a camera ("/dev/video0" or its number), or "-".
+        kind: "picture"; "folder" of pictures; "video", also a pattern such as "frame_%03d.png"; "camera"; "stream",
+            standard input; or "file", a name that tells nothing.
+    """
+
+    name: str
+    kind: Kind
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the source may never end: a camera or a stream."""
+        return self.kind in ("camera", "stream")
+
+    def files(self) -> list[Path]:
+        """Return the picture files of a picture or a folder, in the order of their names; of other kinds none."""
+        if self.kind == "folder":
+            return sorted(path for path in Path(self.name).iterdir() if path.suffix.lower() in PICTURES)
+        return [Path(self.name)] if self.kind == "picture" else []
+
+
+def source(name: str) -> Source:
+    """Tell what a name means, from its letters and, of a folder, from the file system; it need not exist."""
+    suffix = Path(name).suffix.lower()
+    kind: Kind = "file"
+    if name == "-":
+        kind = "stream"
+    elif name.startswith("/dev/video") or name.isdigit():
+        kind = "camera"
+    elif Path(name).is_dir():
+        kind = "folder"
+    elif "%" in name or suffix in VIDEOS:
+        kind = "video"
+    elif suffix in PICTURES:
+        kind = "picture"
+    return Source(name, kind)
+
+
+def sources(names: Iterable[str]) -> list[Source]:
+    """Tell what each of the names means, and check that it exists.
+
+    Raises:
+        FileNotFoundError: a file or a camera does not exist; `filename` and `strerror` say which, and what is missing.
+    """
+    found = [source(name) for name in names]
+    for one in found:
+        path, missing = one.name, "no such file or directory"
+        if one.kind == "camera":
+            path, missing = f"/dev/video{path.removeprefix('/dev/video')}", "no such camera"
+        if one.kind != "stream" and "%" not in path and not os.path.exists(path):
+            raise FileNotFoundError(errno.ENOENT, missing, path)
+    return found
+
+
+def is_camera(name: str) -> bool:
     """Tell whether a source is a camera: "/dev/video0", or just its number."""
-    return source.startswith("/dev/video") or source.isdigit()
+    return source(name).kind == "camera"
+
+
+def stamped(paths: list[Path], rate_hz: float) -> list[tuple[float, Path]]:
+    """Give picture files their times, s: those that all their names end in ("RGB_frame_0.1000000000"), else k / rate.
+
+    Args:
+        paths: in the order of time.
+        rate_hz: pictures a second where a name has no time.
+    """
+    times = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
+    named = all(times)
+    return [
+        (float(time[1]) if named and time else index / rate_hz, path)
+        for index, (path, time) in enumerate(zip(paths, times, strict=True))
+    ]
+
+
+# --- pictures in ------------------------------------------------------------------------------------------------------
 
 
 def pictures(
-    sources: list[str],
+    names: list[str],
     rate_hz: float | None = None,
     *,
     stream: BinaryIO | None = None,
     size: tuple[int, int] | None = None,
 ) -> Iterator[Picture]:
-    """Yield the pictures of the sources one after another.
+    """Yield the pictures of the sources with these names one after another.
 
     Args:
-        sources: picture files, folders of them, videos (or "frame_%03d.png"), cameras, or "-" for JPEGs on `stream`.
-        rate_hz: how many a second to take from a video or a camera; None takes all.
-        stream: what "-" means.
+        names: picture files, folders of them, videos (or "frame_%03d.png"), cameras, or "-" for JPEGs on `stream`.
+        rate_hz: pictures per second to take from a video or a camera; None: all.
+        stream: is read for "-"; None: standard input.
         size: width and height in px to ask of a camera.
 
     Raises:
         MediaError: a source cannot be opened, or a picture file is broken.
     """
     number = 0
-    for source in sources:
-        if source == "-":
-            yield from _stream_pictures(stream, rate_hz)
-        elif is_camera(source):
-            yield from _camera_pictures(source, rate_hz, size)
+    for one in map(source, names):
+        if one.kind == "stream":
+            yield from _stream_pictures(stream or sys.stdin.buffer, rate_hz)
+        elif one.kind == "camera":
+            yield from _camera_pictures(one.name, rate_hz, size)
+        elif one.kind in ("video", "file"):
+            yield from _video_pictures(one.name, rate_hz)
         else:
-            names = [source]
-            if Path(source).is_dir():
-                names = sorted(str(p) for p in Path(source).iterdir() if p.suffix.lower() in PICTURES)
-                if not names:
-                    raise MediaError(f"{source}: no pictures in this folder")
-            if "%" not in source and all(Path(name).suffix.lower() in PICTURES for name in names):
-                for name in names:
-                    yield Picture(name, float(number), read_picture(name))
-                    number += 1
-            else:
-                yield from _video_pictures(source, rate_hz)
+            files = one.files()
+            if not files:
+                raise MediaError(f"{one.name}: no pictures in this folder")
+            for path in files:
+                yield Picture(str(path), float(number), read_picture(path))
+                number += 1
 
 
-def count_pictures(sources: list[str], rate_hz: float | None = None) -> int | None:
-    """Tell how many pictures `pictures` will yield, as far as files tell; None where they do not."""
+def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None:
+    """Count the pictures that `pictures` will yield; None if the sources do not say."""
     total = 0
-    for source in sources:
-        path = Path(source)
-        if source == "-" or is_camera(source):
+    for one in map(source, names):
+        if one.is_live:
             return None
-        if path.is_dir():
-            total += sum(p.suffix.lower() in PICTURES for p in path.iterdir())
-        elif path.suffix.lower() in PICTURES and "%" not in source:
-            total += 1
-        else:
-            capture = _open_video(source)
-            import cv2
-
-            frames, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
-            capture.release()
-            if not frames > 0:
-                return None
-            total += int(frames if not rate_hz or not fps > rate_hz else np.ceil(frames / fps * rate_hz))
+        if one.kind in ("folder", "picture"):
+            total += len(one.files())
+            continue
+        frames, fps = _length(one.name)
+        if not frames > 0:
+            return None
+        total += int(frames if not rate_hz or not fps > rate_hz else np.ceil(frames / fps * rate_hz))
     return total
 
 
-def frame_rate(source: str) -> float | None:
-    """Frames a second of a video, Hz; None of pictures, folders, and where the video does not say."""
-    path = Path(source)
-    if source == "-" or is_camera(source) or path.is_dir() or path.suffix.lower() in PICTURES:
+def frame_rate(name: str) -> float | None:
+    """Frames per second of a video, Hz; None for pictures and folders, and if the video does not say."""
+    if source(name).kind not in ("video", "file"):
         return None
-    import cv2
-
-    capture = _open_video(source)
-    fps = capture.get(cv2.CAP_PROP_FPS)
-    capture.release()
+    fps = _length(name)[1]
     return fps if 0 < fps < 1000 else None
 
 
-def read_picture(path: str | os.PathLike) -> np.ndarray:
-    """Read a picture file as it is, (height, width[, 3 or 4]), colours in the order red, green, blue.
-
-    Raises:
-        MediaError: the file is missing, empty or no picture.
-    """
-    content = read_bytes(path)
-    if Path(path).suffix.lower() == ".npy":
-        import io
-
-        try:
-            return np.load(io.BytesIO(content), allow_pickle=False)
-        except ValueError as error:
-            raise MediaError(f"{path}: a broken .npy file: {error}") from None
-    image = _decode(content)
-    if image is None:
-        raise MediaError(f"{path}: no picture that can be read ({len(content)} bytes)")
-    return image
-
-
-def _decode(content: bytes) -> np.ndarray | None:
-    _hush()
+def _length(name: str) -> tuple[float, float]:
+    """Frames of a video and frames a second, as its header states them; both may be wrong."""
     import cv2
 
-    try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        return None
-    return None if image is None else _swapped(image)
+    capture = _open_video(name)
+    frames, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
+    capture.release()
+    return frames, fps
 
 
-def _swapped(image: np.ndarray) -> np.ndarray:
-    """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
-    if image.ndim == 3 and image.shape[2] in (3, 4):
-        return np.ascontiguousarray(image[:, :, [2, 1, 0, 3][: image.shape[2]]])
-    return image
-
-
-def _hush() -> None:
-    """Keep the decoders' own lines off stderr; what went wrong is said once, by us."""
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-
-
-def _open_video(source: str):
-    _hush()
+def _open_video(source: str) -> "cv2.VideoCapture":
+    quiet_decoders()
     import cv2
 
     if "%" not in source and not os.path.getsize(source):
         raise MediaError(f"{source}: the file is empty")
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
-        raise MediaError(f"{source}: no video and no picture that can be opened")
+        raise MediaError(f"{source}: neither a video nor a picture that can be opened")
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture
 
@@ -196,18 +256,18 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
     finally:
         capture.release()
     if frame == 0:
-        raise MediaError(f"{source}: a video without a picture that can be read")
+        raise MediaError(f"{source}: the video has no picture that can be read")
 
 
 def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] | None) -> Iterator[Picture]:
-    """Newest pictures of a live camera: what waits in the driver's buffer is drained, so that a picture is of now."""
-    _hush()
+    """Newest pictures of a live camera: older ones in the driver's buffer are dropped."""
+    quiet_decoders()
     import cv2
 
     capture = cv2.VideoCapture(int(source.removeprefix("/dev/video")), cv2.CAP_V4L2)
     if not capture.isOpened():
         raise MediaError(f"{source}: the camera cannot be opened (absent, busy, or no permission)")
-    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter_fourcc(*"MJPG"))
+    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
     if size:
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
@@ -230,7 +290,7 @@ def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] |
 
 
 def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Picture]:
-    """Pictures of a stream of JPEGs, as "ffmpeg -f mjpeg -" and USB cameras send it."""
+    """Pictures of a stream of JPEGs, such as "ffmpeg -f mjpeg -" and USB cameras send."""
     buffer, number, due = b"", 0, 0.0
     while chunk := stream.read1(1 << 16) if hasattr(stream, "read1") else stream.read(1 << 16):
         buffer += chunk
@@ -241,94 +301,130 @@ def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Pictur
                 if begin < 0:
                     buffer = buffer[-2:]
                 elif len(buffer) > 1 << 27:
-                    raise MediaError("<stdin>: no stream of JPEGs")
+                    raise MediaError("<stdin>: not a stream of JPEGs")
                 break
             content, buffer = buffer[begin : end + 2], buffer[end + 2 :]
             now, number = number / _STREAM_RATE, number + 1
             if rate_hz and now < due - 1e-9:
                 continue
             due = now + 1 / rate_hz if rate_hz else 0.0
-            image = _decode(content)
+            image = decode_picture(content)
             if image is not None:
                 yield Picture(f"<stdin> picture {number}", now, image)
     if number == 0:
         raise MediaError("<stdin>: no JPEG in this stream")
 
 
-class Sink:
-    """Where new pictures go: a folder, one picture file, or a video, whole or not at all; a context manager."""
+def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Iterator[UnreadShot]:
+    """Yield the same shots while the pictures of the next few are read in threads.
 
-    def __init__(self, target: str | os.PathLike, size: tuple[int, int], rate_hz: float, *, single: bool):
-        """Choose by the extension of `target`.
+    A live pipeline must not be read ahead, since that holds back the shot in hand.
 
-        Args:
-            target: path.
-            size: width and height in px.
-            rate_hz: of a video.
-            single: whether the sources are one picture or one video, and not several.
+    Args:
+        shots: in the order of time.
+        rgb, depth: which of the pictures will be needed of each shot.
+    """
+    with ThreadPoolExecutor(2) as pool:
+        waiting: deque[UnreadShot] = deque()
+        for shot in shots:
+            colour = pool.submit(shot.rgb).result if rgb and shot.rgb else shot.rgb
+            distance = pool.submit(shot.depth).result if depth and shot.depth else shot.depth
+            waiting.append(UnreadShot(shot.timestamp, colour, distance))
+            if len(waiting) > _AHEAD:
+                yield waiting.popleft()
+        yield from waiting
 
-        Raises:
-            ValueError: `target` is one picture, and the sources are not.
-        """
-        self.path, self.size, self.rate_hz = Path(target), size, rate_hz
+
+# --- pictures out -----------------------------------------------------------------------------------------------------
+
+
+class Sink(contextlib.ExitStack):
+    """Where new pictures go: a folder, one picture file, or a video, by the extension of its name; a context manager.
+
+    Args:
+        target: path.
+        size: width and height in px.
+        rate_hz: of a video.
+        single: whether the sources are one picture or one video, and not several.
+        prefix: begins the name of a picture in a folder that comes from no file: "frame_0.1000000000.png".
+        whole: a video appears when it is complete, and not at all where an error ends the block.
+
+    Raises:
+        ValueError: `target` is one picture, and the sources are not.
+    """
+
+    def __init__(
+        self,
+        target: str | os.PathLike,
+        size: tuple[int, int],
+        rate_hz: float,
+        *,
+        single: bool,
+        prefix: str = "frame",
+        whole: bool = True,
+    ):
+        super().__init__()
+        self.path, self.size, self.rate_hz, self.prefix, self.whole = Path(target), size, rate_hz, prefix, whole
         suffix = self.path.suffix.lower()
         self._is_video = suffix in VIDEOS
-        self._is_picture = bool(suffix) and not self._is_video
+        self._is_picture = bool(suffix) and not self._is_video and not self.path.is_dir()
         self._count = 0
         if self._is_picture and not single:
             raise ValueError(f"{target} is one picture; several need a folder or a video")
 
     def __enter__(self) -> "Sink":
-        self._stack = contextlib.ExitStack()
         if self._is_video:
-            import cv2
-
-            self._whole = self._stack.enter_context(replacing(self.path))
-            self._temporary = self._whole.with_suffix(self.path.suffix)  # OpenCV looks at the extension
-            self._stack.callback(self._temporary.unlink, missing_ok=True)
-            codec = cv2.VideoWriter_fourcc(*VIDEOS[self.path.suffix.lower()])
-            self._writer = cv2.VideoWriter(str(self._temporary), codec, self.rate_hz, self.size)
-            if not self._writer.isOpened():
-                error = MediaError(f"{self.path}: this OpenCV cannot write such a video")
-                self._stack.__exit__(MediaError, error, None)
-                raise error
+            self._video = self.enter_context(_video_writer(self.path, self.size, self.rate_hz, self.whole))
         elif not self._is_picture:
             self.path.mkdir(parents=True, exist_ok=True)
         return self
 
     def write(self, picture: Picture, image: np.ndarray) -> None:
-        """Write what became of a picture: (height, width[, 3 or 4]) uint8 or uint16.
+        """Write the new image of a picture: (height, width[, 3 or 4]) uint8 or uint16.
 
         Raises:
-            ValueError: it is the second one of a single picture, or of no kind of picture that can be written.
+            MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written.
         """
-        import cv2
-
         self._count += 1
-        image = _swapped(image)
         if self._is_video:
+            import cv2
+
             if image.dtype == np.uint16:
                 image = (image >> 8).astype(np.uint8)
-            colour = image[:, :, :3] if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-            self._writer.write(np.ascontiguousarray(colour))
+            colour = swapped(image)[:, :, :3] if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+            self._video.write(np.ascontiguousarray(colour))
             return
         path = self.path
         if not self._is_picture:
-            stem = Path(picture.name).stem if os.path.exists(picture.name) else f"frame_{picture.timestamp:.10f}"
+            stem = (
+                Path(picture.name).stem if os.path.exists(picture.name) else f"{self.prefix}_{picture.timestamp:.10f}"
+            )
             path = self.path / f"{stem}.png"
         elif self._count > 1:
             raise MediaError(f"{self.path} is one picture; this source has several")
         try:
-            coded, content = cv2.imencode(path.suffix, image)
-        except cv2.error:
-            coded = False
-        if not coded:
-            raise MediaError(f"{path}: no kind of picture that can be written")
-        write_bytes(path, content.tobytes())
+            content = encode_picture(image, path.suffix)
+        except MediaError as error:
+            raise MediaError(f"{path}: {error}") from None
+        write_bytes(path, content)
 
-    def __exit__(self, kind, error, trace):
-        if self._is_video:
-            self._writer.release()
-            if kind is None:
-                os.replace(self._temporary, self._whole)
-        return self._stack.__exit__(kind, error, trace)
+
+@contextlib.contextmanager
+def _video_writer(path: Path, size: tuple[int, int], rate_hz: float, whole: bool) -> Iterator["cv2.VideoWriter"]:
+    quiet_decoders()
+    import cv2
+
+    with contextlib.ExitStack() as stack:
+        place = stack.enter_context(replacing(path)) if whole else path
+        temporary = place.with_suffix(path.suffix)  # OpenCV looks at the extension
+        if whole:
+            stack.callback(temporary.unlink, missing_ok=True)
+        codec = cv2.VideoWriter.fourcc(*VIDEOS[path.suffix.lower()])
+        writer = cv2.VideoWriter(str(temporary), codec, rate_hz, size)
+        stack.callback(writer.release)
+        if not writer.isOpened():
+            raise MediaError(f"{path}: this OpenCV cannot write such a video")
+        yield writer
+        writer.release()
+        if whole:
+            os.replace(temporary, place)

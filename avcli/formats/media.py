@@ -1,14 +1,15 @@
 """Pictures and sound in files: lossless PNG frames, WAV and FLAC.
 
-Writing is whole or not at all. Times and other chance stay out of the files: the same content gives the same bytes.
+A file appears whole or not at all. It holds no time of writing, so that the same content gives the same bytes.
 """
 
+import contextlib
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from avcli.formats import atomic
 
 
 class MediaError(ValueError):
-    """A file that is no picture or sound, or not the one that was expected."""
+    """A file that is not a picture or sound, or not the expected kind."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,11 @@ def read_rgb(path: str | os.PathLike) -> np.ndarray:
         (height, width, 3) uint8 RGB.
 
     Raises:
-        MediaError: the file is missing, empty or no picture.
+        MediaError: the file is missing, empty or not a picture.
     """
-    image = _read_image(path)
+    image = read_picture(path)
+    if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
+        raise MediaError(f"{path}: not a picture of 8 or 16 bits, but {_described(image)}")
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     if image.ndim == 2:
@@ -111,10 +114,10 @@ def read_depth(path: str | os.PathLike) -> np.ndarray:
         (height, width) uint8 or uint16; 0 where there is no depth.
 
     Raises:
-        MediaError: the file is missing, empty, no picture, or has several channels.
+        MediaError: the file is missing, empty, not a picture, or has several channels.
     """
-    image = _read_image(path)
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    image = read_picture(path)
+    if image.ndim != 2 or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
         raise MediaError(f"{path}: a depth picture has one channel of 8 or 16 bits, not {_described(image)}")
     return image
 
@@ -132,10 +135,15 @@ def is_depth(path: str | os.PathLike) -> bool:
     return head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
 
 
-def _read_image(path: str | os.PathLike) -> np.ndarray:
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # what is wrong with a picture is said once, by us
-    import cv2
+def read_picture(path: str | os.PathLike) -> np.ndarray:
+    """Read a picture file as it is (PNG, JPEG and what else OpenCV reads, or raw .npy).
 
+    Returns:
+        (height, width[, 3 RGB or 4 RGBA]), in the type that the file holds: mostly uint8 or uint16.
+
+    Raises:
+        MediaError: the file is missing, empty or not a picture.
+    """
     content = read_bytes(path)
     if content.startswith(b"\x93NUMPY"):
         import io
@@ -145,17 +153,60 @@ def _read_image(path: str | os.PathLike) -> np.ndarray:
         except ValueError as error:
             raise MediaError(f"{path}: a broken .npy file: {error}") from None
     else:
-        try:
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            image = None
+        image = decode_picture(content)
         if image is None:
-            raise MediaError(f"{path}: no picture that can be read ({len(content)} bytes)")
-        if image.ndim == 3:
-            image = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB)
-    if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
-        raise MediaError(f"{path}: no picture of 8 or 16 bits, but {_described(image)}")
+            raise MediaError(f"{path}: not a picture that can be read ({len(content)} bytes)")
     return image
+
+
+def decode_picture(content: bytes) -> np.ndarray | None:
+    """Decode the content of a picture file, (height, width[, 3 RGB or 4 RGBA]); None where it is not a picture."""
+    quiet_decoders()
+    import cv2
+
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return None if image is None else swapped(image)
+
+
+def encode_picture(image: np.ndarray, suffix: str) -> bytes:
+    """Encode a picture in the format of an extension, such as ".png" or ".jpg".
+
+    Args:
+        image: (height, width[, 3 RGB or 4 RGBA]) uint8 or uint16.
+        suffix: the extension, with its dot.
+
+    Raises:
+        MediaError: there is no such format, or it does not take such a picture.
+    """
+    if suffix.lower() == ".png" and (image.dtype.name, image.shape[2] if image.ndim == 3 else 1) in _PNG_KINDS:
+        return encode_png(image)
+    import cv2
+
+    try:
+        coded, content = cv2.imencode(suffix, swapped(image))
+    except cv2.error:
+        coded = False
+    if not coded:
+        raise MediaError(f"pictures of {_described(image)} cannot be written as {suffix!r}")
+    return content.tobytes()
+
+
+def swapped(image: np.ndarray) -> np.ndarray:
+    """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
+    import cv2
+
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        return cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB)
+    return image
+
+
+def quiet_decoders() -> None:
+    """Keep the messages of OpenCV's decoders off stderr: our own error says what is wrong with a file."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 def _described(image: np.ndarray) -> str:
@@ -199,35 +250,36 @@ class AudioWriter:
         self.flac = self.path.suffix.lower() == ".flac"
         if bit_depth not in ((16, 24) if self.flac else (16, 24, 32)):
             raise MediaError(
-                f"{path}: {bit_depth} bits; {'FLAC takes 16 or 24' if self.flac else 'WAV takes 16, 24 or 32'}"
+                f"{path}: {'FLAC takes 16 or 24' if self.flac else 'WAV takes 16, 24 or 32'} bits, not {bit_depth}"
             )
         self.num_samples = self.clipped = 0
+        self._file: Any = None
 
     def __enter__(self) -> "AudioWriter":
-        self._replacing = atomic.replacing(self.path)
-        temporary = self._replacing.__enter__()
-        if self.flac:
-            import soundfile
+        with contextlib.ExitStack() as stack:
+            temporary = stack.enter_context(atomic.replacing(self.path))
+            if self.flac:
+                import soundfile
 
-            self._file = soundfile.SoundFile(
-                temporary, "w", self.sample_rate_hz, self.channels, f"PCM_{self.bit_depth}", format="FLAC"
-            )
-        else:
-            self._file = open(temporary, "wb")
-            self._file.write(self._wav_header())
+                kind = f"PCM_{self.bit_depth}"
+                file = soundfile.SoundFile(temporary, "w", self.sample_rate_hz, self.channels, kind, format="FLAC")
+                self._file = stack.enter_context(file)
+            else:
+                self._file = stack.enter_context(open(temporary, "wb"))
+                self._file.write(self._wav_header())
+                stack.push(self._complete)
+            self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, kind, error, trace) -> None:
-        try:
-            if not self.flac and kind is None:
-                self._file.write(b"\0" * (self.num_samples * self.channels * self.bit_depth // 8 % 2))
-                self._file.seek(0)
-                self._file.write(self._wav_header())
-            self._file.close()
-        except BaseException as failure:
-            self._replacing.__exit__(type(failure), failure, failure.__traceback__)
-            raise
-        self._replacing.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def _complete(self, kind: type[BaseException] | None, *_error: object) -> None:
+        """State the length in the header, now that it is known."""
+        if kind is None:
+            self._file.write(b"\0" * (self.num_samples * self.channels * self.bit_depth // 8 % 2))
+            self._file.seek(0)
+            self._file.write(self._wav_header())
 
     def write(self, samples: np.ndarray) -> None:
         """Append samples, (n, channels) floats with full scale at 1."""
@@ -286,7 +338,7 @@ def read_audio(path: str | os.PathLike) -> tuple[np.ndarray, int]:
         (n, channels) float64 with full scale at 1, and the sample rate in Hz.
 
     Raises:
-        MediaError: the file is missing, empty, cut short or no sound.
+        MediaError: the file is missing, empty, cut short or not sound.
     """
     blocks, rate = [], 0
     for block, rate in audio_blocks(path):  # noqa: B007 - the rate is the same in each
@@ -298,7 +350,7 @@ def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator
     """Yield a sound file's samples, (≤ block_size, channels) float64, each with the sample rate in Hz.
 
     Raises:
-        MediaError: the file is missing, empty, cut short or no sound.
+        MediaError: the file is missing, empty, cut short or not sound.
     """
     import soundfile
 
@@ -316,17 +368,17 @@ def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator
                 yield block, file.samplerate
             stated = _stated_wav_bytes(path)
             if found < expected or (stated is not None and stated > size):
-                raise MediaError(f"{path}: cut short: {found} samples, and its header states more")
+                raise MediaError(f"{path}: cut short: it has {found} samples, and its header states more")
             if found == 0:
-                raise MediaError(f"{path}: no samples in it")
+                raise MediaError(f"{path}: there are no samples in it")
     except OSError as error:
         raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except soundfile.LibsndfileError as error:
-        raise MediaError(f"{path}: no sound that can be read: {error.error_string}") from None
+        raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
 
 
 def _stated_wav_bytes(path: str | os.PathLike) -> int | None:
-    """Return the end of the file that a WAV's header states; libsndfile reads a file cut short without a word."""
+    """Return the end of the file that a WAV's header states; libsndfile does not report a file that is cut short."""
     with open(path, "rb") as file:
         head = file.read(12)
         if len(head) < 12 or head[:4] != b"RIFF" or head[8:] != b"WAVE":
@@ -345,11 +397,11 @@ def wav_stream_blocks(stream: BinaryIO, name: str, block_size: int = 1 << 10) ->
     A length that a live recorder could not know (0 or the largest) means "until the stream ends".
 
     Raises:
-        MediaError: it is no WAV of integers of 8 to 32 bits or floats, or it ends before its header says.
+        MediaError: it is not a WAV of integers of 8 to 32 bits or floats, or it ends before its header says.
     """
     head = _exactly(stream, 12, name)
     if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
-        raise MediaError(f"{name}: no WAV")
+        raise MediaError(f"{name}: not a WAV file")
     layout = None
     while True:
         kind, length = struct.unpack("<4sI", _exactly(stream, 8, name))
@@ -359,7 +411,7 @@ def wav_stream_blocks(stream: BinaryIO, name: str, block_size: int = 1 << 10) ->
         if kind == b"fmt ":
             layout = _wav_layout(content, name)
     if layout is None:
-        raise MediaError(f"{name}: a WAV without a format")
+        raise MediaError(f"{name}: the WAV has no format")
     decode, width, channels, rate = layout
     frame = width * channels
     left = None if length == 0 or length >= 0x7FFFFFFF - 0x1000 else length - length % frame
@@ -378,21 +430,21 @@ def wav_stream_blocks(stream: BinaryIO, name: str, block_size: int = 1 << 10) ->
             left -= wanted
 
 
-def _wav_layout(content: bytes, name: str):
+def _wav_layout(content: bytes, name: str) -> tuple[Callable[[bytes], np.ndarray], int, int, int]:
     """Read a WAV's format chunk: how to decode its samples, their bytes, the channels, the rate in Hz."""
     if len(content) < 16:
-        raise MediaError(f"{name}: a WAV's format is cut short")
+        raise MediaError(f"{name}: the WAV's format is cut short")
     tag, channels, rate, _, _, bits = struct.unpack("<HHIIHH", content[:16])
     if tag == 0xFFFE and len(content) >= 26:
         tag = struct.unpack("<H", content[24:26])[0]
     if channels == 0 or rate == 0 or (tag, bits) not in {(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)}:
-        raise MediaError(f"{name}: a WAV of format {tag} with {bits} bits and {channels} channels")
+        raise MediaError(f"{name}: a WAV of format {tag} with {bits} bits and {channels} channels cannot be read")
     if tag == 3:
         kind = f"<f{bits // 8}"
         return (lambda content: np.frombuffer(content, kind).astype(np.float64)), bits // 8, channels, rate
 
     def integers(content: bytes) -> np.ndarray:
-        octets = np.frombuffer(content, np.uint8).reshape(-1, bits // 8)
+        octets: np.ndarray = np.frombuffer(content, np.uint8).reshape(-1, bits // 8)
         if bits == 8:  # eight bits alone are unsigned
             octets = octets ^ 0x80
         wide = np.zeros((len(octets), 4), np.uint8)
@@ -414,5 +466,5 @@ def _as_much_as(stream: BinaryIO, size: int) -> bytes:
 def _exactly(stream: BinaryIO, size: int, name: str) -> bytes:
     content = _as_much_as(stream, size)
     if len(content) < size:
-        raise MediaError(f"{name}: a WAV that ends within its header")
+        raise MediaError(f"{name}: the WAV ends within its header")
     return content

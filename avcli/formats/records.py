@@ -1,50 +1,109 @@
-"""JSON Lines records: one object a line, checked where it enters and where it leaves.
+r"""JSON Lines records: one object a line, checked where it enters and where it leaves.
 
-`decode` and `encode` know the line; the functions after them turn a decoded record into arrays. A reader takes what it
-knows and passes over the rest. Everything that is wrong raises RecordError, which says what was found.
+`texts` finds the records in a stream, `decode` and `encode` know the line, and the functions after them turn a decoded
+record into arrays and back. Readers check the keys that they know (avcli.formats.descriptions) and ignore others.
+Whatever is invalid raises RecordError, which says what was found.
+
+    >>> from avcli.formats import records
+    >>> line = b'{"timestamp": 0.1, "objects": [{"object_id": 4, "position": [1, 2, 0], "speaking": true}]}'
+    >>> people = records.identified(records.decode(line))
+    >>> people.ids, people.positions, people.speaking
+    (array([4]), array([[1., 2., 0.]]), array([1.]))
+    >>> records.encode(records.as_record(people))
+    b'{"timestamp":"0.1000000000","objects":[{"object_id":4,"position":[1.0,2.0,0.0],"speaking":true}]}\n'
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from math import isfinite
+import functools
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 import orjson
 
+from avcli.formats import atomic, descriptions
+from avcli.formats.schema import Invalid, Object, shown
+
+LONGEST_LINE = 1 << 26
+"""bytes; a longer line is not a record, and reading on would fill the memory."""
+
 
 class RecordError(ValueError):
-    """What is wrong with a record; `column` is where in its line, from 1, if that is known."""
+    """An invalid record; `column` is the place in its line, from 1, if that is known."""
 
     def __init__(self, reason: str, column: int | None = None):
         super().__init__(reason)
         self.column = column
 
 
-def refuse(reason: str) -> None:
-    """Refuse the whole record because of one bad object (the strict way to treat it)."""
+def refuse(reason: str) -> NoReturn:
+    """Refuse the whole record because of one invalid object (the strict way to treat it)."""
     raise RecordError(reason)
 
 
 Bad = Callable[[str], None]
-"""Called with the reason for each bad object: it raises RecordError, or returns to drop that object alone."""
+"""Called with the reason for each invalid object: it raises RecordError, or returns to drop that object alone."""
 
 
 # --- lines ------------------------------------------------------------------------------------------------------------
 
 
-def decode(line: bytes) -> dict:
+def texts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    r"""Yield (line number, text) of each JSON text of a stream.
+
+    A record is a line. Two habits of other writers are read too, since the thesis's listings have them: an object
+    printed over several lines (its first line is a lone brace, its last a brace in the same column), and records that
+    are separated by a literal \n. Blank lines are ignored.
+    """
+    block: list[bytes] = []
+    number, begin, indent = 0, 0, b""
+    while line := stream.readline(LONGEST_LINE):
+        number += 1
+        if number == 1:
+            line = line.removeprefix(b"\xef\xbb\xbf")
+        text = line.strip()
+        if block:
+            block.append(line)
+            if text in (b"}", b"},") and line[: len(line) - len(line.lstrip())] == indent:
+                yield begin, b"".join(block).strip().removesuffix(b",")
+                block = []
+            elif sum(map(len, block)) > LONGEST_LINE:
+                yield begin, b"".join(block)
+                block = []
+        elif text == b"{":
+            block, begin, indent = [line], number, line[: len(line) - len(line.lstrip())]
+        elif b"}\\n" in text:
+            for part in text.replace(b"}\\n", b"}\n").split(b"\n"):
+                if part.strip():
+                    yield number, part.strip()
+        elif text:
+            yield number, text
+    if block:
+        yield begin, b"".join(block)
+
+
+def decode(line: bytes) -> dict[str, Any]:
     """Decode one line to a record whose "timestamp" is a float in seconds.
 
     Raises:
-        RecordError: the line is no JSON object, or its timestamp is missing or no finite number.
+        RecordError: the line is not a JSON object, is too long, or its timestamp is missing or not a finite number.
     """
+    if len(line) >= LONGEST_LINE:
+        raise RecordError(f"longer than {LONGEST_LINE >> 20} MiB, which is not a record")
     try:
         record = orjson.loads(line)
     except orjson.JSONDecodeError as error:
-        raise RecordError(f"no JSON: {error.msg}", error.colno) from None
+        raise RecordError(f"invalid JSON: {error.msg}", error.colno) from None
     if not isinstance(record, dict):
-        raise RecordError(f"expected a JSON object, found {_shown(record)}")
-    record["timestamp"] = _timestamp(record)
+        raise RecordError(f"must be a JSON object, found {shown(record)}")
+    if "timestamp" not in record:
+        raise RecordError('"timestamp" is missing')
+    try:
+        record["timestamp"] = descriptions.TIMESTAMP.kind.read(record["timestamp"])
+    except Invalid as error:
+        raise RecordError(str(error.within("timestamp"))) from None
     return record
 
 
@@ -64,20 +123,20 @@ def encode(record: Mapping) -> bytes:
 
 def format_timestamp(seconds: float) -> str:
     """Write a time in seconds as records and media names do: "0.1000000000"."""
-    if not isfinite(seconds):
+    if not math.isfinite(seconds):
         raise RecordError(f"timestamp is {seconds}")
     return f"{seconds + 0.0:.10f}" if round(seconds, 10) else "0.0000000000"
 
 
-def _listed(value):
+def _listed(value: Any) -> list[Any]:
     if isinstance(value, np.ndarray):  # orjson itself takes only C-contiguous arrays of native type
         return value.tolist()
     raise TypeError(type(value).__name__)
 
 
-def _refuse_non_finite(value, where: str) -> None:
+def _refuse_non_finite(value: Any, where: str) -> None:
     if isinstance(value, float | np.floating):
-        if not isfinite(value):
+        if not math.isfinite(value):
             raise RecordError(f"{where or 'value'} is {float(value)}, which JSON cannot hold")
     elif isinstance(value, Mapping):
         for key, item in value.items():
@@ -89,38 +148,35 @@ def _refuse_non_finite(value, where: str) -> None:
         raise RecordError(f"{where or 'array'} holds NaN or infinity, which JSON cannot hold")
 
 
-def _timestamp(record: Mapping) -> float:
-    if "timestamp" not in record:
-        raise RecordError('"timestamp" is missing')
-    value = record["timestamp"]
-    try:
-        if isinstance(value, bool) or not isinstance(value, int | float | str) or "_" in str(value):
-            raise ValueError
-        seconds = float(value)
-        if not isfinite(seconds):
-            raise ValueError
-    except (ValueError, OverflowError):
-        raise RecordError(f'"timestamp" is no finite number of seconds: {_shown(value)}') from None
-    return seconds
-
-
-def _shown(value) -> str:
-    text = orjson.dumps(value).decode()
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 # --- objects ----------------------------------------------------------------------------------------------------------
 
 
-def _fill_with_nan(item, **shapes: tuple[int, ...]) -> None:
+_UNKNOWN = np.empty(0)
+_UNKNOWN.flags.writeable = False
+
+
+def _unknown() -> np.ndarray:
+    """Stand for an array that is not given: NaN in the shape that the number of objects asks for."""
+    return _UNKNOWN
+
+
+def _fill_unknown(item: "Detections | Identified", count: int, **shapes: tuple[int, ...]) -> None:
     for name, shape in shapes.items():
-        if getattr(item, name) is None:
-            object.__setattr__(item, name, np.full((len(item.positions), *shape), np.nan))
+        if getattr(item, name) is _UNKNOWN:
+            object.__setattr__(item, name, _nan((count, *shape)))
+
+
+@functools.lru_cache(maxsize=256)
+def _nan(shape: tuple[int, ...]) -> np.ndarray:
+    """Return an array of NaN that all records share, and that nobody can write to."""
+    array = np.full(shape, np.nan)
+    array.flags.writeable = False
+    return array
 
 
 @dataclass(frozen=True)
 class Detections:
-    """What one sensor found at one time.
+    """What one sensor found at one time: n objects.
 
     Attributes:
         timestamp: s.
@@ -136,14 +192,14 @@ class Detections:
     timestamp: float
     sensor: str | None
     positions: np.ndarray
-    covariances: np.ndarray
-    scores: np.ndarray
+    covariances: np.ndarray = field(default_factory=_unknown)
+    scores: np.ndarray = field(default_factory=_unknown)
     kind: str | None = None
-    boxes_px: np.ndarray = None  # type: ignore[assignment]  # NaN of the right shape where it is left out
-    heights: np.ndarray = None  # type: ignore[assignment]
+    boxes_px: np.ndarray = field(default_factory=_unknown)
+    heights: np.ndarray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
-        _fill_with_nan(self, boxes_px=(4,), heights=())
+        _fill_unknown(self, len(self.positions), covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -151,188 +207,220 @@ class Detections:
 
 @dataclass(frozen=True)
 class Identified:
-    """Ground truth or tracks at one time.
+    """Ground truth or tracks at one time: n people.
 
     Attributes:
         timestamp: s.
         ids: (n,) int64, unique.
         positions: (n, 3) m in the room frame; z is NaN where it was not given.
         mouths: (n, 3) m.
-        speaking: (n,) of ground truth 0 or 1, of tracks a probability.
+        speaking: (n,) 0 or 1 in ground truth, a probability in tracks.
         boxes_px: (n, 4) x0, y0, x1, y1 in the full image.
         velocities: (n, 3) m/s.
         covariances: (n, 3, 3) m².
         existence: (n,) probability.
-    Each from `mouths` on is NaN where the record does not give it.
+    All from `mouths` on are NaN where the record does not give them.
     """
 
     timestamp: float
     ids: np.ndarray
     positions: np.ndarray
-    mouths: np.ndarray = None  # type: ignore[assignment]  # NaN of the right shape where it is left out
-    speaking: np.ndarray = None  # type: ignore[assignment]
-    boxes_px: np.ndarray = None  # type: ignore[assignment]
-    velocities: np.ndarray = None  # type: ignore[assignment]
-    covariances: np.ndarray = None  # type: ignore[assignment]
-    existence: np.ndarray = None  # type: ignore[assignment]
+    mouths: np.ndarray = field(default_factory=_unknown)
+    speaking: np.ndarray = field(default_factory=_unknown)
+    boxes_px: np.ndarray = field(default_factory=_unknown)
+    velocities: np.ndarray = field(default_factory=_unknown)
+    covariances: np.ndarray = field(default_factory=_unknown)
+    existence: np.ndarray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
-        _fill_with_nan(self, mouths=(3,), speaking=(), boxes_px=(4,), velocities=(3,), covariances=(3, 3), existence=())
+        count = len(self.ids)
+        _fill_unknown(self, count, mouths=(3,), speaking=(), boxes_px=(4,))
+        _fill_unknown(self, count, velocities=(3,), covariances=(3, 3), existence=())
 
     def __len__(self) -> int:
         return len(self.ids)
 
 
-@dataclass(frozen=True)
-class Sources:
-    """Who may sound at one time.
-
-    Attributes:
-        timestamp: s.
-        ids: (n,) int64, unique.
-        positions: (n, 3) m, the points on the floor under the people.
-        mouths: (n, 3) m; NaN where the record does not say where the mouth is.
-        speaking: (n,) bool; true where the record does not say it, as the thesis's ground truth does not.
-    """
-
-    timestamp: float
-    ids: np.ndarray
-    positions: np.ndarray
-    mouths: np.ndarray
-    speaking: np.ndarray
+_SENSOR = descriptions.LOCALIZATION.content.only("sensor", "kind")
 
 
-def detections(record: Mapping, bad: Bad = refuse) -> Detections:
+def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
     """Read the detections of a decoded record.
 
+    Args:
+        record: as `decode` returns it.
+        bad: called with the reason for each invalid object; it raises RecordError (as `refuse` does), or returns, and
+            the object is dropped.
+
     Raises:
-        RecordError: "objects" is missing or no list, or, by `bad`, an object's position, covariance or score is wrong.
+        RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid.
     """
-    rows = []
-    for index, item in enumerate(_objects(record)):
-        try:
-            score = item.get("score") if isinstance(item, Mapping) else None
-            position = _position(item, "position", missing_z=True)
-            covariance = _covariance(item)
-            if score is not None and (not _is_number(score) or not 0.0 <= score <= 1.0):
-                raise RecordError(f'"score" is no number from 0 to 1: {_shown(score)}')
-        except RecordError as error:
-            bad(f"objects[{index}]: {error}")
-            continue
-        rows.append((position, covariance, np.nan if score is None else float(score)))
-    sensor = record.get("sensor")
-    if sensor is not None and not (isinstance(sensor, str) and sensor):
-        raise RecordError(f'"sensor" is no name: {_shown(sensor)}')
+    try:
+        head = _SENSOR.read(record)
+    except Invalid as error:
+        raise RecordError(str(error)) from None
+    rows = _rows(record, descriptions.DETECTION, bad)
     return Detections(
         timestamp=record["timestamp"],
-        sensor=sensor,
-        positions=np.array([row[0] for row in rows], dtype=float).reshape(-1, 3),
-        covariances=np.array([row[1] for row in rows], dtype=float).reshape(-1, 3, 3),
-        scores=np.array([row[2] for row in rows], dtype=float),
+        sensor=head["sensor"],
+        kind=head["kind"],
+        positions=_column(rows, "position", 3) if rows else np.empty((0, 3)),
+        covariances=_column(rows, "covariance", 3, 3),
+        scores=_column(rows, "score"),
+        boxes_px=_column(rows, "bbox_px", 4),
+        heights=_column(rows, "height"),
     )
 
 
-def identified(record: Mapping, bad: Bad = refuse) -> Identified:
-    """Read the objects of a ground-truth or track record.
+def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
+    """Read the people of a ground-truth or track record.
+
+    Args:
+        record, bad: as `detections` has them.
 
     Raises:
-        RecordError: "objects" is missing or no list, or, by `bad`, an object's identity or position is wrong.
+        RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid or an identity
+            occurs twice.
     """
-    items = _identified_items(record, bad)
+
+    def bad_person(reason: str) -> None:
+        hint = "; detections have none, but tracks and ground truth do"
+        bad(reason + hint if reason.endswith('"object_id" is missing') else reason)
+
+    rows = _rows(record, descriptions.PERSON, bad_person)
+    known: set[int] = set()
+    for place, row in list(rows.items()):
+        if row["object_id"] in known:
+            bad(f'objects[{place}]: "object_id" {row["object_id"]} occurs twice in one record')
+            del rows[place]
+        known.add(row["object_id"])
     return Identified(
         timestamp=record["timestamp"],
-        ids=np.array([identity for identity, _, _ in items], dtype=np.int64),
-        positions=np.array([position for _, position, _ in items], dtype=float).reshape(-1, 3),
+        ids=np.array([row["object_id"] for row in rows.values()], dtype=np.int64),
+        positions=_column(rows, "position", 3) if rows else np.empty((0, 3)),
+        mouths=_column(rows, "mouth_position", 3),
+        speaking=_column(rows, "speaking"),
+        boxes_px=_column(rows, "bbox_px", 4),
+        velocities=_column(rows, "velocity", 3),
+        covariances=_column(rows, "covariance", 3, 3),
+        existence=_column(rows, "existence"),
     )
 
 
-def sources(record: Mapping, bad: Bad = refuse) -> Sources:
-    """Read who may sound, and from where, of a ground-truth record.
-
-    Raises:
-        RecordError: as `identified`, or a mouth's position or "speaking" is wrong.
-    """
-    rows = []
-    for identity, position, item in _identified_items(record, bad):
-        try:
-            mouth = _position(item, "mouth_position") if "mouth_position" in item else [np.nan] * 3
-            speaking = item.get("speaking", True)
-            if not isinstance(speaking, bool):
-                raise RecordError(f'"speaking" is neither true nor false: {_shown(speaking)}')
-        except RecordError as error:
-            bad(f"object_id {identity}: {error}")
-            continue
-        rows.append((identity, position, mouth, speaking))
-    return Sources(
-        timestamp=record["timestamp"],
-        ids=np.array([row[0] for row in rows], dtype=np.int64),
-        positions=np.array([row[1] for row in rows], dtype=float).reshape(-1, 3),
-        mouths=np.array([row[2] for row in rows], dtype=float).reshape(-1, 3),
-        speaking=np.array([row[3] for row in rows], dtype=bool),
-    )
+Row = dict[str, Any]
 
 
-def _objects(record: Mapping) -> list:
+def _rows(record: Mapping[str, Any], kind: Object, bad: Bad) -> dict[int, Row]:
+    """Return the checked objects of a record by their places in its list; those that `bad` lets drop are left out."""
     if "objects" not in record:
         raise RecordError('"objects" is missing')
     if not isinstance(record["objects"], list):
-        raise RecordError(f'"objects" is no list: {_shown(record["objects"])}')
-    return record["objects"]
-
-
-def _identified_items(record: Mapping, bad: Bad) -> list[tuple[int, list[float], Mapping]]:
-    items, seen = [], set()
-    for index, item in enumerate(_objects(record)):
+        raise RecordError(f'"objects" must be a list, found {shown(record["objects"])}')
+    rows = {}
+    for place, item in enumerate(record["objects"]):
         try:
-            position = _position(item, "position")
-            identity = item.get("object_id")
-            if not isinstance(identity, int) or isinstance(identity, bool) or not -(2**63) <= identity < 2**63:
-                raise RecordError(f'"object_id" is no integer: {_shown(identity)}')
-            if identity in seen:
-                raise RecordError(f'"object_id" {identity} stands twice in one record')
-        except RecordError as error:
-            bad(f"objects[{index}]: {error}")
-            continue
-        seen.add(identity)
-        items.append((identity, position, item))
-    return items
+            rows[place] = kind.read(item)
+        except Invalid as error:
+            bad(f"objects[{place}]: {error}")
+    return rows
 
 
-def _is_number(value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+def _column(rows: Mapping[int, Row], key: str, *shape: int) -> np.ndarray:
+    """Return one key of all objects, (n, *shape); NaN where an object does not give it."""
+    values = [row[key] for row in rows.values()]
+    if values.count(None) == len(values):
+        return _UNKNOWN
+    if None in values:
+        missing = [np.nan] * math.prod(shape) if shape else np.nan
+        values = [missing if value is None else value for value in values]
+    return np.array(values, dtype=float).reshape(-1, *shape)
 
 
-def _position(item, key: str, *, missing_z: bool = False) -> list[float]:
-    if not isinstance(item, Mapping):
-        raise RecordError(f"expected an object, found {_shown(item)}")
-    if key not in item:
-        raise RecordError(f'"{key}" is missing')
-    value = item[key]
-    numbers = value[:2] if missing_z and isinstance(value, list) and len(value) == 3 and value[2] is None else value
-    if not isinstance(value, list) or len(value) not in (2, 3) or not all(map(_is_number, numbers)):
-        raise RecordError(f'"{key}" is no list of two or three finite numbers: {_shown(value)}')
-    return [float(number) for number in numbers] + [np.nan] * (3 - len(numbers))
+# --- writing ----------------------------------------------------------------------------------------------------------
 
 
-def _covariance(item: Mapping) -> np.ndarray:
-    covariance = np.full((3, 3), np.nan)
-    value = item.get("covariance")
-    if value is None:
-        return covariance
+def as_record(item: Detections | Identified) -> dict[str, Any]:
+    """Turn detections or people into a record for `encode`.
+
+    Values that are NaN are left out, but the unknown height of a detection with a box is null. `speaking` is written as
+    true or false where it is 0 or 1 and the person has no existence (ground truth), else as a probability (tracks).
+    """
+    if isinstance(item, Detections):
+        named = {"sensor": item.sensor, "kind": item.kind}
+        columns = {
+            "position": item.positions,
+            "covariance": item.covariances,
+            "score": item.scores,
+            "bbox_px": item.boxes_px,
+            "height": item.heights,
+        }
+    else:
+        named = {}
+        columns = {
+            "object_id": item.ids,
+            "position": item.positions,
+            "mouth_position": item.mouths,
+            "velocity": item.velocities,
+            "covariance": item.covariances,
+            "existence": item.existence,
+            "speaking": item.speaking,
+            "bbox_px": item.boxes_px,
+        }
+    objects: list[Row] = [{} for _ in range(len(item))]
+    for key, column in columns.items():
+        known = ~np.isnan(column.reshape(len(item), -1)).any(axis=1) if len(item) else np.empty(0, bool)
+        for row, value, given in zip(objects, column.tolist(), known.tolist(), strict=True):
+            if given:
+                row[key] = bool(value) if key == "speaking" and value in (0, 1) and "existence" not in row else value
+            elif key == "position":
+                row[key] = value[:2] if "object_id" in row else [*value[:2], None]
+            elif key == "height" and "bbox_px" in row:
+                row[key] = None
+    said = {key: value for key, value in named.items() if value is not None}
+    return {"timestamp": item.timestamp, **said, "objects": objects}
+
+
+def save(path: str | os.PathLike[str], items: Iterable[Detections | Identified]) -> None:
+    """Write detections, ground truth or tracks as JSON Lines; the file appears whole or not at all.
+
+    >>> import numpy as np
+    >>> save("tracks.jsonl", [Identified(0.0, np.array([1]), np.array([[1.0, 2.0, 0.0]]))])
+    >>> load("tracks.jsonl")[0].positions
+    array([[1., 2., 0.]])
+    """
+    with atomic.writing(path) as stream:
+        stream.writelines(encode(as_record(item)) for item in items)
+
+
+def load(path: str | os.PathLike[str]) -> list[Detections | Identified]:
+    """Read a file of detections, ground truth or tracks.
+
+    Objects with "object_id" are people, and records with "sensor" or "kind" or with other objects are detections. A
+    file without any object and any sensor holds people.
+
+    Raises:
+        RecordError: a record is invalid; the message names the file and the line.
+        OSError: the file cannot be read.
+    """
+    with open(path, "rb") as stream:
+        lines = list(texts(stream))
+    decoded = [(number, _located(path, number, decode, text)) for number, text in lines]
+    read = detections if any(_holds_detections(record) for _, record in decoded) else identified
+    return [_located(path, number, read, record) for number, record in decoded]
+
+
+def _located(path: str | os.PathLike[str], number: int, read: Callable[[Any], Any], value: Any) -> Any:
     try:
-        matrix = np.array(value, dtype=float)
-    except (ValueError, TypeError):
-        matrix = np.empty(0)
-    if matrix.shape not in ((2, 2), (3, 3)) or not np.isfinite(matrix).all():
-        raise RecordError(f'"covariance" is no 2 × 2 or 3 × 3 matrix of finite numbers: {_shown(value)}')
-    scale = np.abs(matrix).max()
-    if np.abs(matrix - matrix.T).max() > 1e-6 * scale or np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
-        raise RecordError(f'"covariance" is not symmetric and positive: {_shown(value)}')
-    size = len(matrix)
-    covariance[:size, :size] = (matrix + matrix.T) / 2
-    if size == 2:
-        covariance[2, :] = covariance[:, 2] = 0.0  # the height was not observed
-    return covariance
+        return read(value)
+    except RecordError as error:
+        raise RecordError(f"{os.fspath(path)}:{number}: {error}", error.column) from None
+
+
+def _holds_detections(record: Mapping[str, Any]) -> bool:
+    if "sensor" in record or "kind" in record:
+        return True
+    objects = record.get("objects")
+    return isinstance(objects, list) and any(isinstance(item, dict) and "object_id" not in item for item in objects)
 
 
 # --- media ------------------------------------------------------------------------------------------------------------
@@ -364,40 +452,35 @@ class AudioChunk:
     tail_samples: int | None = None
 
 
-def frame(record: Mapping) -> Frame | None:
-    """Read a record's frame, None where the record is about something else.
+def frame(record: Mapping[str, Any]) -> Frame | None:
+    """Read a record's frame, None where the record has none.
 
     Raises:
-        RecordError: the frame has no colour picture, or a path is no text.
+        RecordError: the frame has no colour picture, or a path is not text.
     """
-    value = record.get("frame")
-    if value is None:
+    if record.get("frame") is None:
         return None
-    if not isinstance(value, Mapping) or not isinstance(value.get("rgb"), str):
-        raise RecordError(f'"frame" names no "rgb" file: {_shown(value)}')
-    if not isinstance(value.get("depth"), str | None):
-        raise RecordError(f'"frame": "depth" is no path: {_shown(value["depth"])}')
-    return Frame(record["timestamp"], value["rgb"], value.get("depth"))
+    value = _read_media("frame", descriptions.FRAME, record)
+    return Frame(record["timestamp"], value["rgb"], value["depth"])
 
 
-def audio(record: Mapping) -> AudioChunk | None:
-    """Read a record's audio chunk, None where the record is about something else.
+def audio(record: Mapping[str, Any]) -> AudioChunk | None:
+    """Read a record's audio chunk, None where the record has none.
 
     Raises:
         RecordError: a key is missing or of the wrong kind.
     """
-    value = record.get("audio")
-    if value is None:
+    if record.get("audio") is None:
         return None
-    if not isinstance(value, Mapping) or not isinstance(value.get("path"), str):
-        raise RecordError(f'"audio" names no "path": {_shown(value)}')
-    counts = []
-    for key, least in (("start_sample", None), ("num_samples", 0), ("sample_rate_hz", 1), ("num_channels", 1)):
-        count = value.get(key)
-        if not isinstance(count, int) or isinstance(count, bool) or (least is not None and count < least):
-            raise RecordError(f'"audio": "{key}" is no {"integer" if least is None else "count"}: {_shown(count)}')
-        counts.append(count)
-    tail = value.get("tail_samples")
-    if tail is not None and (not isinstance(tail, int) or isinstance(tail, bool) or not 0 <= tail <= counts[1]):
-        raise RecordError(f'"audio": "tail_samples" is no count up to "num_samples": {_shown(tail)}')
-    return AudioChunk(record["timestamp"], value["path"], *counts, tail)
+    value = _read_media("audio", descriptions.AUDIO, record)
+    tail = value["tail_samples"]
+    if tail is not None and tail > value["num_samples"]:
+        raise RecordError(f'"audio.tail_samples" must be at most "num_samples", {value["num_samples"]}, found {tail}')
+    return AudioChunk(record["timestamp"], **value)
+
+
+def _read_media(key: str, kind: Object, record: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        return kind.read(record[key])
+    except Invalid as error:
+        raise RecordError(str(error.within(key))) from None

@@ -1,67 +1,16 @@
-"""CLEAR MOT scores, equal to TrackEval's, and the matches from which they come."""
+"""CLEAR MOT scores, equal to TrackEval's."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 from math import log10
 
 import numpy as np
 
+from avcli.metrics.matching import Matches
+from avcli.metrics.metric import Case, Field, Metric
 from avcli.metrics.sequence import Sequence
-from avcli.numeric import assignment_solver
 
 SUMMED = ("CLR_TP", "CLR_FN", "CLR_FP", "IDSW", "MT", "PT", "ML", "Frag", "CLR_Frames", "MOTP_sum")
 RATES = ("MOTA", "MOTP", "MODA", "CLR_Re", "CLR_Pr", "CLR_F1", "MTR", "PTR", "MLR", "sMOTA", "MOTAL", "FP_per_frame")
-THRESHOLD = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Matches:
-    """Pairs that belong together, in the order of time.
-
-    Attributes:
-        truth: (p,) index of the true point.
-        track: (p,) index of the tracked point.
-        similarity: (p,) max(0, 1 - d / d0).
-    """
-
-    truth: np.ndarray
-    track: np.ndarray
-    similarity: np.ndarray
-
-
-def match(sequence: Sequence, d0: float = 2.0) -> Matches:
-    """Match each frame's points as CLEAR does: keep the pairs of the frame before, then take the most similar ones.
-
-    A pair may match where its similarity reaches 0.5, that is within d0 / 2. The frame before is the last one in which
-    there were true and tracked points.
-
-    Args:
-        sequence: ground truth and tracks.
-        d0: m, distance at which the similarity becomes zero.
-
-    Source: K. Bernardin and R. Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics",
-    EURASIP JIVP, 2008; TrackEval 1.3.0, trackeval/metrics/clear.py.
-    """
-    truth, track = sequence.truth, sequence.track
-    shapes = list(zip(truth.count.tolist(), track.count.tolist(), strict=True))
-    work = 0
-    before: dict[int, int] = {}
-    found = [(np.zeros(0, int), np.zeros(0, int), np.zeros(0))]
-    for frame, row, column, similarity in _candidates(sequence, d0):
-        true, tracked = truth.start[frame] + row, track.start[frame] + column
-        identities = truth.identity[true].tolist(), track.identity[tracked].tolist()
-        kept, settled = _settle(*identities, before)
-        if not settled:
-            score = np.zeros(shapes[frame])
-            work += score.size * min(score.shape)
-            score[row, column] = similarity
-            score[row[kept], column[kept]] += 1000
-            chosen = np.zeros(score.shape, dtype=bool)
-            chosen[assignment_solver(work)(-score)] = True
-            kept = np.flatnonzero(chosen[row, column]).tolist()
-        before = {identities[0][i]: identities[1][i] for i in kept}
-        found.append((true[kept], tracked[kept], similarity[kept]))
-    return Matches(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def clear(sequence: Sequence, matches: Matches) -> dict[str, float]:
@@ -69,11 +18,14 @@ def clear(sequence: Sequence, matches: Matches) -> dict[str, float]:
 
     Args:
         sequence: ground truth and tracks.
-        matches: what `match` found in it.
+        matches: what `matching.match` found in it.
 
     Returns:
         The fields of TrackEval: SUMMED counts and RATES. As there, a sequence without tracks or without ground
         truth has fractions of 0 but MLR = 1, and no frames.
+
+    Source: K. Bernardin and R. Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics",
+    EURASIP JIVP, 2008; TrackEval 1.3.0, trackeval/metrics/clear.py.
     """
     truth, track = sequence.truth, sequence.track
     scores: dict[str, float] = dict.fromkeys((*SUMMED, *RATES), 0)
@@ -108,46 +60,6 @@ def combine(results: Iterable[dict[str, float]]) -> dict[str, float]:
     return _finish({name: sum(result[name] for result in results) for name in SUMMED})
 
 
-def _candidates(sequence: Sequence, d0: float) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Frame, rows, columns and similarities of the pairs that may match, frame by frame in order."""
-    for groups in sequence.blocks():
-        frames = {}
-        for group in groups:
-            similarity = group.similarity(d0)
-            frame, row, column = np.nonzero(similarity >= THRESHOLD - np.finfo(float).eps)
-            similarity = similarity[frame, row, column]
-            ends = np.searchsorted(frame, np.arange(group.frame.size + 1)).tolist()
-            for k, f in enumerate(group.frame.tolist()):
-                part = slice(ends[k], ends[k + 1])
-                frames[f] = row[part], column[part], similarity[part]
-        for f in sorted(frames):
-            yield f, *frames[f]
-
-
-def _settle(truth: list[int], track: list[int], before: dict[int, int]) -> tuple[list[int], bool]:
-    """Choose among a frame's candidate pairs without solving an assignment, where that can be done.
-
-    Continued pairs weigh 1000 in TrackEval, more than all others together, and compete with each other for nothing:
-    they stand. Only where the rest competes is there something to solve, for the whole frame then, because ties must
-    fall as they fall there.
-
-    Args:
-        truth, track: the identities of each candidate pair.
-        before: the tracked identity of each true one in the frame before.
-
-    Returns:
-        The chosen pairs and True, or the continued pairs and False.
-    """
-    kept = [i for i, identity in enumerate(truth) if before.get(identity) == track[i]]
-    if len(kept) == len(truth):
-        return kept, True
-    true, tracked = {truth[i] for i in kept}, {track[i] for i in kept}
-    rest = [i for i in range(len(truth)) if truth[i] not in true and track[i] not in tracked]
-    if len({truth[i] for i in rest}) == len(rest) == len({track[i] for i in rest}):
-        return kept + rest, True
-    return kept, False
-
-
 def _breaks(sequence: Sequence, matches: Matches) -> tuple[int, int]:
     """Count the identity switches and the fragmentations in the matches."""
     truth, track = sequence.truth, sequence.track
@@ -178,3 +90,44 @@ def _finish(scores: dict[str, float]) -> dict[str, float]:
         "MOTAL": (tp - fp - (log10(switches) if switches else 0)) / true,
         "FP_per_frame": fp / max(1, scores["CLR_Frames"]),
     }
+
+
+METRIC: Metric[Case] = Metric(
+    name="CLEAR",
+    text="CLEAR MOT scores: errors counted frame by frame; a track matches a person within half of d0",
+    fields=(
+        Field(
+            "MOTA",
+            "accuracy: 1 minus the misses, false points and identity switches per true point",
+            "%",
+            "up",
+            True,
+            "MOTA",
+        ),
+        Field("MOTP", "mean similarity 1 - d/d0 of the matches (a similarity, not a distance)", "%", "up", True),
+        Field("MODA", "MOTA without identity switches", "%", "up", True),
+        Field(
+            "IDSW", "identity switches: a person is matched by another track than before", "count", "down", True, "IDSW"
+        ),
+        Field("Frag", "fragmentations: the track of a person is interrupted", "count", "down", True),
+        Field("MT", "people tracked for more than 80 % of their time", "count", "up", True),
+        Field("PT", "people tracked for 20 % to 80 % of their time", "count", "", True),
+        Field("ML", "people tracked for less than 20 % of their time", "count", "down", True),
+        Field("CLR_TP", "matched points", "count", "up"),
+        Field("CLR_FN", "missed points", "count", "down"),
+        Field("CLR_FP", "false points", "count", "down"),
+        Field("CLR_Frames", "frames", "count"),
+        Field("MOTP_sum", "sum of the similarities of the matches"),
+        Field("CLR_Re", "share of the true points that are matched", "%", "up"),
+        Field("CLR_Pr", "share of the tracked points that are matched", "%", "up"),
+        Field("CLR_F1", "harmonic mean of CLR_Re and CLR_Pr", "%", "up"),
+        Field("MTR", "MT as a share of the people", "%", "up"),
+        Field("PTR", "PT as a share of the people", "%"),
+        Field("MLR", "ML as a share of the people", "%", "down"),
+        Field("sMOTA", "MOTA with the similarity of each match in place of 1", "%", "up"),
+        Field("MOTAL", "MOTA with the logarithm of the identity switches", "%", "up"),
+        Field("FP_per_frame", "false points per frame", "", "down"),
+    ),
+    score=lambda case: clear(case.sequence, case.matches),
+    combine=lambda scores, _cases: combine(scores),
+)

@@ -1,10 +1,13 @@
 """Scores of one sensor's detections, which have no identity."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from avcli.metrics.assignment import assign_each
+from avcli.metrics.matching import assign_each
+from avcli.metrics.metric import Field, Metric, Scores
 from avcli.metrics.sequence import Sequence
 
 COUNTS = ("TP", "FN", "FP", "Speaking", "Speaking_TP")
@@ -39,7 +42,7 @@ def score(
     matches: tuple[np.ndarray, np.ndarray],
     covariance: np.ndarray | None = None,
     speaking: np.ndarray | None = None,
-) -> dict[str, float | list[float] | None]:
+) -> Scores:
     """Score one sensor: how many people it finds, how many of its detections are right, and how far off these are.
 
     Args:
@@ -49,12 +52,12 @@ def score(
         speaking: (g,) whether each true point speaks; None where that is not known.
 
     Returns:
-        Precision, Recall, F1, and Recall_speaking among those who speak; RMSE, MAE and Bias (d,) of the right
+        Precision, Recall, F1, and Recall_speaking among speaking people; RMSE, MAE and Bias (d,) of the right
         detections in m; ANEES, their squared error in units of the claimed covariance for each dimension, which is 1
         for an honest sensor and above 1 for one that claims too much; the counts. None where a score has no meaning.
     """
     truth, detection = matches
-    result = _finish(
+    result: Scores = _finish(
         {
             "TP": truth.size,
             "FN": sequence.truth.identity.size - truth.size,
@@ -82,7 +85,7 @@ def score(
     return result
 
 
-def combine(results: Iterable[dict]) -> dict:
+def combine(results: Iterable[Scores]) -> Scores:
     """Combine the scores of one sensor over several sequences, every right detection counting the same."""
     results = [{**r, "square": r["RMSE"] and r["RMSE"] ** 2} for r in results]
     counts = {name: None if any(r[name] is None for r in results) else sum(r[name] for r in results) for name in COUNTS}
@@ -105,7 +108,7 @@ def combine(results: Iterable[dict]) -> dict:
     )
 
 
-def _finish(counts: dict) -> dict:
+def _finish(counts: Scores) -> Scores:
     tp, fn, fp = counts["TP"], counts["FN"], counts["FP"]
     return {
         "Precision": tp / (tp + fp) if tp + fp else None,
@@ -114,3 +117,64 @@ def _finish(counts: dict) -> dict:
         "Recall_speaking": counts["Speaking_TP"] / counts["Speaking"] if counts["Speaking"] else None,
         **counts,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class SensorCase:
+    """The detections of one sensor in one sequence.
+
+    Attributes:
+        sequence: ground truth, and the detections as its tracks (their identities mean nothing).
+        covariance: (n, d, d) m² that each detection claims; NaN where it claims none.
+        reference: "mouth" or "body", the point of a person that the ground truth gives.
+        reach: m, farthest distance of a detection from its person.
+    """
+
+    sequence: Sequence
+    covariance: np.ndarray
+    reference: str
+    reach: float
+
+    @cached_property
+    def matches(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices (p,) of the true points and (p,) of the detections that belong together."""
+        return match(self.sequence, self.reach)
+
+
+def _score(case: SensorCase) -> Scores:
+    speaking = case.sequence.truth.speaking
+    known = None if np.isnan(speaking).any() or not speaking.size else speaking > 0.5
+    return score(case.sequence, case.matches, case.covariance, known) | {"Reference": case.reference}
+
+
+METRIC: Metric[SensorCase] = Metric(
+    name="Detections",
+    text="scores of one sensor, which stand alone in a record with sensor in place of tracker; a detection is right "
+    "within half of d0 of a person; null where a score has no meaning",
+    fields=(
+        Field("Precision", "share of the detections that are right", "%", "up", column="Prec", optional=True),
+        Field("Recall", "share of the people who are found", "%", "up", column="Rec", optional=True),
+        Field(
+            "Recall_speaking", "share of the speaking people who are found", "%", "up", column="RecSp", optional=True
+        ),
+        Field("F1", "harmonic mean of Precision and Recall", "%", "up", column="F1", optional=True),
+        Field("RMSE", "root mean square error of the right detections", "m", "down", column="RMSE", optional=True),
+        Field("MAE", "mean error of the right detections", "m", "down", column="MAE", optional=True),
+        Field(
+            "ANEES",
+            "squared error relative to the claimed covariance, per dimension: 1 for an honest covariance, above 1 if "
+            "the claimed errors are too small",
+            column="ANEES",
+            optional=True,
+        ),
+        Field("TP", "right detections", "count", "up", column="TP"),
+        Field("FN", "people not found", "count", "down", column="FN"),
+        Field("FP", "false detections", "count", "down", column="FP"),
+        Field("Bias", "mean offset of the right detections", "m", kind="vector", optional=True),
+        Field("Speaking", "true points of speaking people", "count", optional=True),
+        Field("Speaking_TP", "of these, points that are found", "count", "up", optional=True),
+        Field("Reference", "the point of a person with which detections are compared: mouth or body", kind="word"),
+    ),
+    score=_score,
+    combine=lambda scores, _cases: combine(scores),
+)

@@ -1,19 +1,20 @@
 """Higher order tracking accuracy (HOTA) and its parts, equal to TrackEval's."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
-from avcli.metrics.assignment import assign_each
+from avcli.metrics.matching import assign_each
+from avcli.metrics.metric import Case, Field, Metric
 from avcli.metrics.sequence import Group, Sequence
 
 ALPHA = np.arange(0.05, 0.99, 0.05)
 PARTS = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA", "OWTA")
 COUNTS = ("HOTA_TP", "HOTA_FN", "HOTA_FP")
 
-Scores = dict[str, np.ndarray | float]
+Scores = dict[str, Any]
+"""Arrays (19,) and, at the lowest alpha, numbers."""
 
 
 def hota(sequence: Sequence, d0: float = 2.0) -> Scores:
@@ -96,7 +97,7 @@ def _held(passed: np.ndarray) -> np.ndarray:
 def _alignment(sequence: Sequence, d0: float, truth_frames: np.ndarray, track_frames: np.ndarray) -> np.ndarray:
     """Jaccard alignment (g, k) of each true with each tracked identity over the whole sequence, before any matching."""
     tracks = track_frames.size
-    potential = np.zeros(truth_frames.size * tracks)
+    flat = np.zeros(truth_frames.size * tracks)
     for groups in sequence.blocks():
         pairs = sum(group.distance.size for group in groups)
         keys, weights = np.empty(pairs, dtype=int), np.empty(pairs)
@@ -109,8 +110,8 @@ def _alignment(sequence: Sequence, d0: float, truth_frames: np.ndarray, track_fr
             keys[place] = truth * tracks + sequence.track.identity[group.track][:, None, :]
             weights[place] = share
         # Added frame by frame: another order would round otherwise and could break a tie that TrackEval sees.
-        np.add.at(potential, keys, weights)
-    potential = potential.reshape(truth_frames.size, tracks)
+        np.add.at(flat, keys, weights)
+    potential = flat.reshape(truth_frames.size, tracks)
     return potential / (truth_frames[:, None] + track_frames[None, :] - potential)
 
 
@@ -157,3 +158,47 @@ def _finish(scores: Scores) -> Scores:
     scores["LocA(0)"] = float(scores["LocA"][0])
     scores["HOTALocA(0)"] = scores["HOTA(0)"] * scores["LocA(0)"]
     return scores
+
+
+METRIC: Metric[Case] = Metric(
+    name="HOTA",
+    text="higher order tracking accuracy: curves over 19 thresholds alpha of the similarity 1 - d/d0",
+    fields=(
+        Field(
+            "HOTA", "higher order tracking accuracy: geometric mean of DetA and AssA", "%", "up", True, "HOTA", "curve"
+        ),
+        Field(
+            "DetA",
+            "detection accuracy: share of matches among matches, misses and false points",
+            "%",
+            "up",
+            True,
+            "DetA",
+            "curve",
+        ),
+        Field(
+            "AssA",
+            "association accuracy: how well each person keeps one track, and each track one person",
+            "%",
+            "up",
+            True,
+            "AssA",
+            "curve",
+        ),
+        Field("DetRe", "share of the true points that are found", "%", "up", True, "DetRe", "curve"),
+        Field("DetPr", "share of the tracked points that are right", "%", "up", True, "DetPr", "curve"),
+        Field("AssRe", "share of a person's points that one track follows", "%", "up", True, "AssRe", "curve"),
+        Field("AssPr", "share of a track's points that lie on one person", "%", "up", True, "AssPr", "curve"),
+        Field("LocA", "mean similarity of the matches; 1 if nothing matches", "%", "up", True, "LocA", "curve"),
+        Field("OWTA", "open-world tracking accuracy: geometric mean of DetRe and AssA", "%", "up", kind="curve"),
+        Field("HOTA_TP", "matched points", "count", "up", kind="curve"),
+        Field("HOTA_FN", "missed points", "count", "down", kind="curve"),
+        Field("HOTA_FP", "false points", "count", "down", kind="curve"),
+        Field("alpha", "the thresholds", kind="curve"),
+        Field("HOTA(0)", "HOTA at the lowest threshold", "%", "up"),
+        Field("LocA(0)", "LocA at the lowest threshold", "%", "up"),
+        Field("HOTALocA(0)", "the product of both", "%", "up"),
+    ),
+    score=lambda case: {"alpha": np.round(ALPHA, 2), **hota(case.sequence, case.settings.d0)},
+    combine=lambda scores, _cases: {"alpha": np.round(ALPHA, 2), **combine(scores)},
+)

@@ -4,10 +4,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from avcli.metrics.matching import THRESHOLD
+from avcli.metrics.metric import Case, Field, Metric
 from avcli.metrics.sequence import Sequence
 from avcli.numeric import assignment_solver
-
-THRESHOLD = 0.5
 
 
 def identity(sequence: Sequence, d0: float = 2.0) -> dict[str, float]:
@@ -24,21 +24,20 @@ def identity(sequence: Sequence, d0: float = 2.0) -> dict[str, float]:
     workshops 2016; TrackEval 1.3.0, trackeval/metrics/identity.py.
     """
     truth, track = sequence.truth, sequence.track
-    together = np.zeros(truth.label.size * track.label.size, dtype=int)
+    flat = np.zeros(truth.label.size * track.label.size, dtype=int)
     for groups in sequence.blocks():
         for group in groups:
             frame, row, column = np.nonzero(group.similarity(d0) >= THRESHOLD)
             true, tracked = truth.identity[group.truth[frame, row]], track.identity[group.track[frame, column]]
             key = true * track.label.size + tracked
-            together += np.bincount(key, minlength=together.size)
-    together = together.reshape(truth.label.size, track.label.size)
+            flat += np.bincount(key, minlength=flat.size)
+    together = flat.reshape(truth.label.size, track.label.size)
     # TrackEval's square problem costs every identity all its points less those that it shares with its partner, which
     # is least where the shared points are most.
     matched = 0
     if together.any():
-        matched = int(
-            together[assignment_solver(float(together.size * min(together.shape)))(-together.astype(float))].sum()
-        )
+        solve = assignment_solver(float(together.size * min(together.shape)))
+        matched = int(together[solve(-together.astype(float))].sum())
     return _finish({"IDTP": matched, "IDFN": truth.identity.size - matched, "IDFP": track.identity.size - matched})
 
 
@@ -72,3 +71,33 @@ def _finish(scores: dict[str, float]) -> dict[str, float]:
         "IDP": tp / max(1, tp + fp),
         "IDF1": tp / max(1, tp + 0.5 * fp + 0.5 * fn),
     }
+
+
+IDENTITY: Metric[Case] = Metric(
+    name="Identity",
+    text="how long each person keeps one identity, by the best one-to-one map of people to tracks over the sequence",
+    fields=(
+        Field("IDF1", "harmonic mean of IDP and IDR", "%", "up", True, "IDF1"),
+        Field("IDP", "share of the tracked points that have the right identity", "%", "up", True),
+        Field("IDR", "share of the true points that are tracked under the right identity", "%", "up", True),
+        Field("IDTP", "points with the right identity", "count", "up"),
+        Field("IDFN", "true points without the right identity", "count", "down"),
+        Field("IDFP", "tracked points without the right identity", "count", "down"),
+    ),
+    score=lambda case: identity(case.sequence, case.settings.d0),
+    combine=lambda scores, _cases: combine(scores),
+)
+
+COUNT: Metric[Case] = Metric(
+    name="Count",
+    text="points and identities of both sides, and frames",
+    fields=(
+        Field("Dets", "tracked points", "count"),
+        Field("GT_Dets", "true points", "count"),
+        Field("IDs", "tracks", "count"),
+        Field("GT_IDs", "people", "count"),
+        Field("Frames", "frames", "count"),
+    ),
+    score=lambda case: count(case.sequence),
+    combine=lambda scores, _cases: combine_counts(scores),
+)

@@ -1,13 +1,16 @@
-"""MOTChallenge's and TrackEval's text files: others' tools can check our figures, and we can score their tracks."""
+"""MOTChallenge's and TrackEval's text files: other tools can check our figures, and we can score their tracks."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
-from avcli.metrics.sequence import Points, Recording, Sequence
+from avcli.formats.atomic import write_bytes
+from avcli.formats.records import Identified
+from avcli.metrics.sequence import Points, Sequence
 
 
-def read(text: str, rate_hz: float) -> Recording:
+def read(text: str, rate_hz: float) -> list[Identified]:
     """Read points from a MOTChallenge file: frame, id, left, top, width, height, confidence, x, y[, z].
 
     Frame 1 is time 0. Rows of confidence 0, which MOTChallenge does not score, are left out.
@@ -17,7 +20,7 @@ def read(text: str, rate_hz: float) -> Recording:
         rate_hz: frames a second.
 
     Raises:
-        ValueError: a row, named by its line, is no such row, or holds a box in pixels and no point in the room.
+        ValueError: a row, named by its line, is not such a row, or holds a box in pixels and no point in the room.
     """
     frames: dict[int, list[tuple[int, list[float]]]] = {}
     for number, line in enumerate(text.splitlines(), 1):
@@ -26,18 +29,18 @@ def read(text: str, rate_hz: float) -> Recording:
         try:
             cells = [float(cell) for cell in line.replace(",", " ").split()]
         except ValueError:
-            raise ValueError(f"line {number}: not all numbers") from None
+            raise ValueError(f"line {number}: a value is not a number") from None
         if not np.isfinite(cells).all() or len(cells) < 2 or cells[0] < 1 or any(cell % 1 for cell in cells[:2]):
-            raise ValueError(f"line {number}: expected a frame number from 1 on and an identity first")
+            raise ValueError(f"line {number}: must begin with a frame number from 1 on and an identity")
         point = cells[7:10]
         boxed = any(cell != -1 for cell in cells[2:6])
         if len(point) < 2 or (len(point) == 2 and boxed) or (boxed and point == [-1, -1, -1]):
-            raise ValueError(f"line {number}: has no position in the room in columns 8 to 10")
+            raise ValueError(f"line {number}: columns 8 to 10 must hold a position in the room, in m")
         if cells[6] == 0:
             continue
         frames.setdefault(int(cells[0]), []).append((int(cells[1]), point + [np.nan] * (3 - len(point))))
     return [
-        ((frame - 1) / rate_hz, np.array([i for i, _ in rows]), np.array([p for _, p in rows]))
+        Identified((frame - 1) / rate_hz, np.array([i for i, _ in rows]), np.array([p for _, p in rows]))
         for frame, rows in sorted(frames.items())
     ]
 
@@ -74,6 +77,14 @@ def write(sequences: Mapping[str, Mapping[str, Sequence]]) -> dict[str, str]:
         )
     files[f"gt/seqmaps/{split}.txt"] = "\n".join(["name", *sequences]) + "\n"
     return files
+
+
+def save_mot(directory: Path, sequences: Mapping[str, Mapping[str, Sequence]]) -> None:
+    """Write the files of `write` into a directory, which is made if it does not exist."""
+    for name, text in write(sequences).items():
+        path = directory / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, text.encode())
 
 
 def _rows(points: Points, frame: np.ndarray, form: str) -> str:

@@ -1,11 +1,14 @@
 """Distances between sets of points: OSPA and GOSPA of every frame, OSPA(2) of every window of frames."""
 
+from collections.abc import Sequence as List
 from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.metrics.assignment import assign_each
+from avcli.metrics.matching import assign_each
+from avcli.metrics.metric import Case, Field, Metric, Scores
 from avcli.metrics.sequence import Points, Sequence, length
+from avcli.metrics.tgospa import tgospa
 from avcli.numeric import assignment_solver
 
 _FRAMES_A_CHUNK = 256
@@ -137,3 +140,85 @@ def _windowed(values: np.ndarray, window: int) -> np.ndarray:
     result = total.copy()
     result[window:] -= total[:-window]
     return result
+
+
+def _score(case: Case) -> Scores:
+    cutoff, order, window = case.settings.cutoff_m, case.settings.order, case.settings.window
+    distances = set_distances(case.sequence, cutoff, order)
+    trajectories = tgospa(case.sequence, cutoff, order)
+    frames = max(1, case.sequence.time.size)
+    return {
+        "cutoff": cutoff,
+        "order": order,
+        "window": window,
+        "OSPA": float(distances.ospa.sum()) / frames,
+        "OSPA_localization": float(distances.localization.sum()) / frames,
+        "OSPA_cardinality": float(distances.cardinality.sum()) / frames,
+        "OSPA2": float(ospa2(case.sequence, cutoff, order, window).sum()) / frames,
+        "GOSPA": float(distances.gospa.sum()) / frames,
+        "GOSPA_localization": float(distances.gospa_localization.sum()) / frames,
+        "GOSPA_missed": float(distances.missed.sum()) / frames,
+        "GOSPA_false": float(distances.false.sum()) / frames,
+        "TGOSPA": trajectories and float(trajectories.total),
+        "TGOSPA_switches": trajectories and float(trajectories.switches),
+    }
+
+
+def _combine(scores: List[Scores], cases: List[Case]) -> Scores:
+    """Average over all frames; T-GOSPA, which is a sum over frames, is added up."""
+    frames = np.array([case.sequence.time.size for case in cases])
+    combined = dict(scores[0])
+    for name in combined:
+        parts = [each[name] for each in scores]
+        if name in ("TGOSPA", "TGOSPA_switches"):
+            power = combined["order"] if name == "TGOSPA" else 1
+            combined[name] = None if None in parts else sum(part**power for part in parts) ** (1 / power)
+        elif name not in ("cutoff", "order", "window"):
+            combined[name] = float(np.dot(parts, frames) / max(1, frames.sum()))
+    return combined
+
+
+METRIC: Metric[Case] = Metric(
+    name="OSPA",
+    text="distances between the sets of people and tracks, means over the frames; T-GOSPA is a sum over the frames",
+    fields=(
+        Field("OSPA", "distance per person; a missed or false person counts as the cutoff", "m", "down", True, "OSPA"),
+        Field(
+            "OSPA2",
+            "OSPA between whole tracks over a window, which also sees broken identities",
+            "m",
+            "down",
+            True,
+            "OSPA2",
+        ),
+        Field(
+            "GOSPA",
+            "distance of all people together; a missed or false person counts as half of the cutoff",
+            "m",
+            "down",
+            True,
+            "GOSPA",
+        ),
+        Field("OSPA_localization", "part of OSPA from distances", "m", "down"),
+        Field("OSPA_cardinality", "part of OSPA from a wrong number of people", "m", "down"),
+        Field("GOSPA_localization", "part of GOSPA from distances, in m to the power of the order", "", "down"),
+        Field("GOSPA_missed", "missed people per frame", "", "down"),
+        Field("GOSPA_false", "false people per frame", "", "down"),
+        Field(
+            "TGOSPA",
+            "distance of the sets of trajectories, with the cutoff as the price of a switch; null if too many people "
+            "come close to too many tracks for an exact solution",
+            "m",
+            "down",
+            optional=True,
+        ),
+        Field(
+            "TGOSPA_switches", "part of TGOSPA from switches, in m to the power of the order", "", "down", optional=True
+        ),
+        Field("cutoff", "the cutoff", "m"),
+        Field("order", "the order"),
+        Field("window", "the window of OSPA2 in frames", "count"),
+    ),
+    score=_score,
+    combine=_combine,
+)

@@ -1,21 +1,46 @@
 """Figures of a run: the room from above, HOTA over its thresholds, the error over time, a timeline of each person."""
 
+from __future__ import annotations
+
 import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from avcli.formats.atomic import write_bytes
+from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.metrics.hota import ALPHA
-from avcli.metrics.run import Run, error_over_time, timeline
+from avcli.metrics.run import Lane, Run, error_over_time, timeline
+
+if TYPE_CHECKING:  # an extra
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 IDENTITY_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A5195", "#8C564B")
-"""Okabe and Ito's colours without black and yellow, which are told apart by colour-blind readers too, and two more."""
-_MARKERS = {"audio": "x", "video": "+"}
-_SCORES = {
+"""Okabe and Ito's colours without black and yellow, which colour-blind readers can distinguish, and two more."""
+_MARKERS = {MICROPHONES: "x", CAMERA: "+"}
+_SHADES = {MICROPHONES: "0.55", CAMERA: "0.3"}
+_SCORES: dict[str, dict[str, Any]] = {
     "HOTA": {"color": "#000000", "linewidth": 2.2},
     "DetA": {"color": "#0072B2", "linewidth": 1.5, "linestyle": (0, (4, 2))},
     "AssA": {"color": "#D55E00", "linewidth": 1.5, "linestyle": (0, (1, 1.5))},
     "LocA": {"color": "#009E73", "linewidth": 1.2},
 }
+
+
+def save_plots(path: Path, runs: Sequence[Run]) -> None:
+    """Draw each run to a file, PNG, SVG or PDF by its suffix; of several runs, the run's name is added before the dot.
+
+    Raises:
+        ModuleNotFoundError: matplotlib, an extra, is not installed.
+    """
+    for run in runs:
+        name = re.sub(r"[^\w.-]+", "-", run.name).strip("-")
+        own = path if len(runs) == 1 else path.with_name(f"{path.stem}-{name}{path.suffix}")
+        write_bytes(own, plot(run, path.suffix.lower()[1:]))
 
 
 def plot(run: Run, kind: str) -> bytes:
@@ -38,18 +63,14 @@ def plot(run: Run, kind: str) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    style = {
-        "svg.hashsalt": "avcli",
-        "svg.fonttype": "none",
-        "font.size": 9,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.titlesize": 10,
-        "axes.titleweight": "bold",
-    }
-    with matplotlib.rc_context(style):
+    with matplotlib.rc_context():
+        matplotlib.rc("svg", hashsalt="avcli", fonttype="none")
+        matplotlib.rc("font", size=9)
+        matplotlib.rc("axes", titlesize=10, titleweight="bold")
+        matplotlib.rc("axes.spines", top=False, right=False)
         columns = len(run.trackers)
         lanes = {name: timeline(run, name) for name in run.trackers}
+        shades = {name: _SHADES[sensor.kind] for name, sensor in run.sensors.items()} | {"speaks": "#E69F00"}
         rows = max(4, max(len(lane) for lane in lanes.values()))
         heights = (3.9, 2.0, 1.8, 0.5 + 0.16 * rows)
         figure = Figure(figsize=(max(4.4, 4.0 * columns), sum(heights) + 1.2), layout="constrained")
@@ -62,7 +83,7 @@ def plot(run: Run, kind: str) -> bytes:
             _draw_room(axes[0, k], run, name)
             _draw_hota(axes[1, k], tracked.record)
             _draw_error(axes[2, k], run, name)
-            _draw_timeline(axes[3, k], lanes[name])
+            _draw_timeline(axes[3, k], lanes[name], shades)
             if k:
                 for row in range(3):
                     axes[row, k].set_ylabel("")
@@ -73,15 +94,15 @@ def plot(run: Run, kind: str) -> bytes:
     return content.getvalue()
 
 
-def _draw_room(axes, run: Run, name: str) -> None:
+def _draw_room(axes: Axes, run: Run, name: str) -> None:
     from matplotlib.patches import Rectangle
 
     x0, x1, y0, y1 = run.extent()
     if run.room is not None:
         axes.add_patch(Rectangle((0, 0), *run.room, fill=False, linewidth=1.2, color="0.35", zorder=0))
-    axes.scatter(*run.microphones.T, marker="^", s=22, color="0.6", linewidths=0, zorder=1)
+    axes.scatter(run.microphones[:, 0], run.microphones[:, 1], marker="^", s=22, color="0.6", linewidths=0, zorder=1)
     if run.camera is not None:
-        axes.scatter(*run.camera, marker="s", s=28, facecolor="none", edgecolor="0.6", zorder=1)
+        axes.scatter(run.camera[0], run.camera[1], marker="s", s=28, facecolor="none", edgecolor="0.6", zorder=1)
 
     tracked = run.trackers[name]
     end = max([1e-9, *tracked.sequence.time.tolist()])
@@ -98,7 +119,7 @@ def _draw_room(axes, run: Run, name: str) -> None:
                 cmap="gray",
                 vmin=0,
                 vmax=1,
-                marker=_MARKERS.get(sensor, "1"),
+                marker=_MARKERS[detected.kind],
                 s=26,
                 linewidths=0.9,
                 zorder=2,
@@ -121,14 +142,14 @@ def _draw_room(axes, run: Run, name: str) -> None:
     axes.set_aspect("equal")
 
 
-def _birth_and_death(axes, path: np.ndarray, edge: str, face: str, size: float) -> None:
+def _birth_and_death(axes: Axes, path: np.ndarray, edge: str, face: str, size: float) -> None:
     for point, marker in ((path[0], "o"), (path[-1], "s")):
         axes.scatter(
             point[0], point[1], marker=marker, s=size, facecolor=face, edgecolor=edge, linewidths=1.0, zorder=5
         )
 
 
-def _draw_hota(axes, record: dict) -> None:
+def _draw_hota(axes: Axes, record: dict) -> None:
     for name, style in _SCORES.items():
         axes.plot(ALPHA, 100 * np.asarray(record["HOTA"][name]), label=name, **style)
     axes.set(xlim=(0, 1), ylim=(0, 103), xlabel="α", ylabel="percent")
@@ -136,23 +157,22 @@ def _draw_hota(axes, record: dict) -> None:
     axes.legend(loc="best", fontsize=8, ncols=2, handlelength=2, edgecolor="none", framealpha=0.8)
 
 
-def _draw_error(axes, run: Run, name: str) -> None:
+def _draw_error(axes: Axes, run: Run, name: str) -> None:
     tracked = run.trackers[name]
-    error, distances = error_over_time(tracked, run.d0)
+    error, distances = error_over_time(tracked)
     time = tracked.sequence.time
     axes.fill_between(time, distances.ospa, step="mid", color="0.88", linewidth=0, label="OSPA")
     axes.plot(time, error, color="#0072B2", linewidth=1.4, marker=".", markersize=3, label="mean error of matches")
-    axes.set(xlabel="time in s", ylabel="m", ylim=(0, tracked.record["OSPA"]["cutoff"] * 1.05))
+    axes.set(xlabel="time in s", ylabel="m", ylim=(0, tracked.case.settings.cutoff_m * 1.05))
     axes.grid(color="0.9", linewidth=0.6)
     axes.legend(loc="upper right", fontsize=8, edgecolor="none", framealpha=0.8)
 
 
-def _draw_timeline(axes, lanes: list) -> None:
-    shade = {"speaks": "#E69F00", "audio": "0.55", "video": "0.3"}
+def _draw_timeline(axes: Axes, lanes: list[Lane], shades: Mapping[str, str]) -> None:
     for row, lane in enumerate(lanes):
         for begin, end, identity in lane.spans:
             color = IDENTITY_COLORS[identity % len(IDENTITY_COLORS)]
-            color = color if lane.what in ("tracked", "false") else shade.get(lane.what, "0.45")
+            color = color if lane.what in ("tracked", "false") else shades[lane.what]
             height = 0.3 if lane.what == "false" else 0.7
             axes.barh(row, end - begin, left=begin, height=height, color=color, linewidth=0)
         if row and lane.who != lanes[row - 1].who:
@@ -162,10 +182,10 @@ def _draw_timeline(axes, lanes: list) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def _legend(run: Run) -> list:
+def _legend(run: Run) -> list[Line2D]:
     from matplotlib.lines import Line2D
 
-    def entry(label: str, **style):
+    def entry(label: str, **style: Any) -> Line2D:
         return Line2D([], [], **{"color": "black", "linewidth": 0, **style}, label=label)
 
     entries = [
@@ -175,8 +195,8 @@ def _legend(run: Run) -> list:
         entry("death", marker="s", markerfacecolor="none"),
     ]
     entries += [
-        entry(f"{sensor} detection, dark to light over time", marker=_MARKERS.get(sensor, "1"), color="0.4")
-        for sensor in run.sensors
+        entry(f"{name} detection, dark to light over time", marker=_MARKERS[sensor.kind], color="0.4")
+        for name, sensor in run.sensors.items()
     ]
     if len(run.microphones):
         entries.append(entry("microphone", marker="^", color="0.6"))

@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from avcli.metrics.clear import Matches
+from avcli.metrics.matching import Matches
+from avcli.metrics.metric import Case, Field, Metric, Scores
 from avcli.metrics.sequence import Sequence, length
 
 
@@ -14,12 +15,12 @@ def errors(sequence: Sequence, matches: Matches) -> np.ndarray:
     return length(offset)
 
 
-def position(sequence: Sequence, matches: Matches) -> dict[str, float | None]:
+def position(sequence: Sequence, matches: Matches) -> Scores:
     """Measure the error of matched points, and the delay between a person's first frame and its first match.
 
     Returns:
         Matches; RMSE, MAE, MaxError in m, None without a match; Found, how many of the people were ever matched;
-        BirthDelay and MaxBirthDelay of those in s, None where nobody was.
+        BirthDelay and MaxBirthDelay of these in s, None if there are none.
     """
     distance = errors(sequence, matches)
     identity = sequence.truth.identity
@@ -38,7 +39,7 @@ def position(sequence: Sequence, matches: Matches) -> dict[str, float | None]:
     }
 
 
-def combine(results: Iterable[dict[str, float | None]]) -> dict[str, float | None]:
+def combine(results: Iterable[Scores]) -> Scores:
     """Combine several sequences: every match and every person found counts the same."""
     results = list(results)
     matched = [r for r in results if r["Matches"]]
@@ -57,3 +58,28 @@ def combine(results: Iterable[dict[str, float | None]]) -> dict[str, float | Non
         "BirthDelay": mean("BirthDelay", "Found"),
         "MaxBirthDelay": max((r["MaxBirthDelay"] for r in matched), default=None),
     }
+
+
+METRIC: Metric[Case] = Metric(
+    name="Position",
+    text="errors of the matched points, and how late each person is found; null if nothing matches",
+    fields=(
+        Field("RMSE", "root mean square distance of the matches", "m", "down", True, "RMSE", optional=True),
+        Field("MAE", "mean distance of the matches", "m", "down", True, optional=True),
+        Field(
+            "BirthDelay",
+            "mean time from a person's first record to the first match",
+            "s",
+            "down",
+            True,
+            "Delay",
+            optional=True,
+        ),
+        Field("MaxError", "largest distance of a match", "m", "down", optional=True),
+        Field("MaxBirthDelay", "longest such time", "s", "down", optional=True),
+        Field("Matches", "matched points", "count", "up"),
+        Field("Found", "people who were ever matched", "count", "up"),
+    ),
+    score=lambda case: position(case.sequence, case.matches),
+    combine=lambda scores, _cases: combine(scores),
+)

@@ -7,29 +7,17 @@ import re
 from collections.abc import Sequence as List
 from importlib.resources import files
 from math import isfinite
+from pathlib import Path
 
 import numpy as np
 
 from avcli import __version__
-from avcli.metrics import table
+from avcli.formats.atomic import write_bytes
+from avcli.metrics import registry, table
 from avcli.metrics.hota import ALPHA
 from avcli.metrics.plots import IDENTITY_COLORS
 from avcli.metrics.run import Detected, Run, error_over_time, timeline
 from avcli.metrics.sequence import Points
-
-_WIDTH_PX = 720
-
-
-def thumbnail(image: np.ndarray) -> bytes:
-    """Make a small JPEG of a camera frame (h, w, 3) uint8 RGB, as the player shows it."""
-    import cv2
-
-    height, width = image.shape[:2]
-    scale = min(1.0, _WIDTH_PX / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, content = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 72])
-    return content.tobytes()
 
 
 def report(runs: List[Run], records: List[dict], compare: bool = False) -> str:
@@ -51,10 +39,27 @@ def report(runs: List[Run], records: List[dict], compare: bool = False) -> str:
     content = {
         "title": html.escape(title),
         "tables": table.render(records, "html", compare),
+        "legend": _legend(records),
         "version": __version__,
         "data": text,
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda mark: content[mark[1]], page)
+
+
+def save_report(path: Path, runs: List[Run], records: List[dict], compare: bool = False) -> None:
+    """Write a report to a file, as `report` makes it."""
+    write_bytes(path, report(runs, records, compare).encode())
+
+
+def _legend(records: List[dict]) -> str:
+    """What each column of the tables means."""
+    fields = registry.columns()
+    if any("sensor" in record for record in records):
+        names = {field.name for field in fields}
+        fields += [field for field in registry.sensor_columns() if field.name not in names]
+    return "\n".join(
+        f"<dt>{html.escape(field.name.replace('_', ' '))}</dt><dd>{html.escape(field.text)}</dd>" for field in fields
+    )
 
 
 def _run(run: Run) -> dict:
@@ -67,16 +72,19 @@ def _run(run: Run) -> dict:
         "microphones": [_numbers(row) for row in run.microphones],
         "camera": None if run.camera is None else _numbers(run.camera),
         "times": _numbers(time),
-        "truth": _points(first.truth, first.time, time, run.speaking),
+        "truth": _points(first.truth, first.time, time),
         "trackers": [
             {
                 "name": name,
                 **_tracker(run, name, time),
-                **_points(seen.sequence.track, seen.sequence.time, time, seen.speaking),
+                **_points(seen.sequence.track, seen.sequence.time, time),
             }
             for name, seen in run.trackers.items()
         ],
-        "sensors": [{"name": name, "frames": _detections(sensor, time)} for name, sensor in run.sensors.items()],
+        "sensors": [
+            {"name": name, "kind": sensor.kind, "frames": _detections(sensor, time)}
+            for name, sensor in run.sensors.items()
+        ],
         "frame_size": run.frame_size,
         **_pictures(run, time),
     }
@@ -84,7 +92,7 @@ def _run(run: Run) -> dict:
 
 def _tracker(run: Run, name: str, time: np.ndarray) -> dict:
     tracked = run.trackers[name]
-    error, distances = error_over_time(tracked, run.d0)
+    error, distances = error_over_time(tracked)
     place = np.searchsorted(time, tracked.sequence.time)
     series = np.full((2, time.size), np.nan)
     series[:, place] = error, distances.ospa
@@ -94,7 +102,7 @@ def _tracker(run: Run, name: str, time: np.ndarray) -> dict:
         "score": round(tracked.record["summary"]["HOTA"], 4),
         "error": _numbers(series[0]),
         "ospa": _numbers(series[1]),
-        "cutoff": tracked.record["OSPA"]["cutoff"],
+        "cutoff": tracked.case.settings.cutoff_m,
         "lanes": [
             {
                 "who": lane.who,
@@ -106,15 +114,14 @@ def _tracker(run: Run, name: str, time: np.ndarray) -> dict:
     }
 
 
-def _points(points: Points, own_time: np.ndarray, time: np.ndarray, speaking: np.ndarray) -> dict:
+def _points(points: Points, own_time: np.ndarray, time: np.ndarray) -> dict:
     """Labels, and for each frame a row [identity, x, y, speaking] for each point."""
     frames: list[list] = [[] for _ in time]
     frame = np.searchsorted(time, own_time)[points.frame]
-    rows = zip(
-        frame.tolist(), points.identity.tolist(), map(_numbers, points.position), _numbers(speaking), strict=True
-    )
-    for f, identity, position, says in rows:
-        frames[f].append([identity, position[0], position[1], says])
+    speaking = _numbers(points.speaking)
+    rows = zip(frame.tolist(), points.identity.tolist(), map(_numbers, points.position), speaking, strict=True)
+    for f, identity, position, speaks in rows:
+        frames[f].append([identity, position[0], position[1], speaks])
     for row in frames:
         row.sort(key=lambda point: point[0])
     return {"labels": points.label.tolist(), "frames": frames}
@@ -131,8 +138,8 @@ def _detections(sensor: Detected, time: np.ndarray) -> list[list]:
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(own - time[before]) < np.abs(own - time[after]), before, after)[points.frame]
     matched = np.zeros(points.identity.size, dtype=int)
-    matched[sensor.matches[1]] = 1
-    boxes = [None if np.isnan(box).any() else _numbers(box) for box in sensor.box]
+    matched[sensor.case.matches[1]] = 1
+    boxes = [None if np.isnan(box).any() else _numbers(box) for box in sensor.boxes_px]
     for f, position, right, box in zip(
         nearest.tolist(), map(_numbers, points.position), matched.tolist(), boxes, strict=True
     ):

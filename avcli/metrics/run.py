@@ -1,13 +1,15 @@
 """One sequence with all that was tracked and detected in it: what pictures and reports are made from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from avcli.metrics import clear
+from avcli.metrics.detections import SensorCase
+from avcli.metrics.metric import Case
 from avcli.metrics.ospa import SetDistances, set_distances
 from avcli.metrics.position import errors
-from avcli.metrics.sequence import Sequence
+from avcli.metrics.sequence import Points, Sequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,14 +17,17 @@ class Tracked:
     """What one tracker made of a sequence.
 
     Attributes:
-        sequence: ground truth and its tracks, in x and y or x, y and z.
+        case: ground truth and its tracks, in x and y or x, y and z.
         record: its metrics record.
-        speaking: (n,) probability that each tracked point speaks, NaN where that is not said.
     """
 
-    sequence: Sequence
+    case: Case
     record: dict
-    speaking: np.ndarray
+
+    @property
+    def sequence(self) -> Sequence:
+        """Ground truth and tracks."""
+        return self.case.sequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +35,25 @@ class Detected:
     """What one sensor detected in a sequence.
 
     Attributes:
-        sequence: ground truth, and the detections as tracks whose identities mean nothing.
-        matches: indices of the true points and of the detections that belong together.
-        record: its scores.
-        box: (n, 4) px x0, y0, x1, y1 of each detection in the camera's frame, NaN where it has none.
+        case: ground truth, and the detections as tracks whose identities mean nothing.
+        record: its metrics record.
+        boxes_px: (n, 4) x0, y0, x1, y1 of each detection in the camera's frame, NaN where it has none.
+        kind: one of avcli.formats.sensors.KINDS.
+        guessed: the kind was guessed from the sensor's name, and the scores depend on it.
+        scored: its scores belong to the results; otherwise pictures alone show it.
     """
 
-    sequence: Sequence
-    matches: tuple[np.ndarray, np.ndarray]
+    case: SensorCase
     record: dict
-    box: np.ndarray
+    boxes_px: np.ndarray
+    kind: str
+    guessed: bool = False
+    scored: bool = True
+
+    @property
+    def sequence(self) -> Sequence:
+        """Ground truth and detections."""
+        return self.case.sequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +63,6 @@ class Run:
     Attributes:
         name: of the sequence.
         trackers, sensors: at least one tracker; all have the same ground truth.
-        speaking: (g,) whether each true point speaks, 1 or 0, NaN where that is not said.
-        d0: m.
         room: (2,) size of the room in x and y, m; None where it is not known.
         microphones: (m, 2) m.
         camera: (2,) m; None where it is not known.
@@ -59,30 +71,45 @@ class Run:
     """
 
     name: str
-    trackers: dict[str, Tracked]
-    sensors: dict[str, Detected]
-    speaking: np.ndarray
-    d0: float
+    trackers: Mapping[str, Tracked]
+    sensors: Mapping[str, Detected]
     room: np.ndarray | None = None
     microphones: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     camera: np.ndarray | None = None
-    frames: dict[float, bytes] = field(default_factory=dict)
+    frames: Mapping[float, bytes] = field(default_factory=dict)
     frame_size: tuple[int, int] | None = None
+
+    @property
+    def truth(self) -> Points:
+        """The true points."""
+        return next(iter(self.trackers.values())).sequence.truth
+
+    @property
+    def guesses(self) -> list[str]:
+        """A sentence for each scored sensor whose kind was guessed."""
+        return [
+            f'the kind of sensor "{name}" was guessed from its name: {sensor.kind}; '
+            f'config.json can state it: "sensors": {{"{name}": {{"kind": "{sensor.kind}"}}}}'
+            for name, sensor in self.sensors.items()
+            if sensor.guessed and sensor.scored
+        ]
+
+    @property
+    def sequences(self) -> dict[str, Sequence]:
+        """Ground truth and tracks of each tracker."""
+        return {name: tracked.sequence for name, tracked in self.trackers.items()}
 
     @property
     def truth_time(self) -> np.ndarray:
         """(g,) time of each true point, s."""
-        first = next(iter(self.trackers.values())).sequence
-        return first.time[first.truth.frame]
+        return next(iter(self.trackers.values())).sequence.time[self.truth.frame]
 
     def extent(self) -> tuple[float, float, float, float]:
         """x0, x1, y0, y1 in m of all that there is to see, the room at least."""
         corners = [np.zeros((1, 2)), self.room[None]] if self.room is not None else []
         corners += [self.microphones] + ([self.camera[None]] if self.camera is not None else [])
-        for seen in (*self.trackers.values(), *self.sensors.values()):
-            corners += [
-                side.position[:, :2] for side in (seen.sequence.truth, seen.sequence.track) if side.identity.size
-            ]
+        seen = [each.sequence for each in self.trackers.values()] + [each.sequence for each in self.sensors.values()]
+        corners += [side.position[:, :2] for each in seen for side in (each.truth, each.track) if side.identity.size]
         points = np.concatenate(corners)
         if not points.size:
             return 0.0, 1.0, 0.0, 1.0
@@ -92,16 +119,15 @@ class Run:
         return float(x0), float(x1), float(y0), float(y1)
 
 
-def error_over_time(tracked: Tracked, d0: float) -> tuple[np.ndarray, SetDistances]:
+def error_over_time(tracked: Tracked) -> tuple[np.ndarray, SetDistances]:
     """Mean error (T,) in m of each frame's matched points, NaN where none matches, and the frames' set distances."""
-    sequence = tracked.sequence
-    matches = clear.match(sequence, d0)
+    sequence, settings = tracked.sequence, tracked.case.settings
+    matches = tracked.case.matches
     frame = sequence.truth.frame[matches.truth]
     number = np.bincount(frame, minlength=sequence.time.size)
     total = np.bincount(frame, weights=errors(sequence, matches), minlength=sequence.time.size)
     mean = np.where(number > 0, total / np.maximum(1, number), np.nan)
-    ospa = tracked.record["OSPA"]
-    return mean, set_distances(sequence, ospa["cutoff"], ospa["order"])
+    return mean, set_distances(sequence, settings.cutoff_m, settings.order)
 
 
 @dataclass(frozen=True)
@@ -109,9 +135,9 @@ class Lane:
     """One line of a timeline, as spans of time.
 
     Attributes:
-        who: a person, or a track that follows nobody.
+        who: a person, or a track with false points.
         what: of a person "speaks", a sensor's name or "tracked"; of a track "false".
-        spans: start and end in s, and the track's identity (0 for what is no track).
+        spans: start and end in s, and the track's identity (0 where the lane shows no track).
     """
 
     who: str
@@ -120,22 +146,23 @@ class Lane:
 
 
 def timeline(run: Run, tracker: str) -> list[Lane]:
-    """When each person spoke, was detected by each sensor, was tracked under which identity; and what was false."""
+    """Lay out when each person spoke, was detected by each sensor and was tracked, and when tracks were false."""
     tracked = run.trackers[tracker]
     truth, track = tracked.sequence.truth, tracked.sequence.track
     time = run.truth_time
     step = float(np.median(np.diff(np.unique(time)))) if np.unique(time).size > 1 else 0.1
-    matches = clear.match(tracked.sequence, run.d0)
+    matches = tracked.case.matches
     follows = np.full(truth.identity.size, -1)
     follows[matches.truth] = track.identity[matches.track]
     lanes = []
     for k, label in enumerate(truth.label.tolist()):
         who, own = f"person {label}", np.flatnonzero(truth.identity == k)
-        if np.isfinite(run.speaking[own]).any():
-            lanes.append(Lane(who, "speaks", _spans(time[own], np.where(run.speaking[own] > 0.5, 0, -1), step)))
+        speaking = run.truth.speaking[own]
+        if np.isfinite(speaking).any():
+            lanes.append(Lane(who, "speaks", _spans(time[own], np.where(speaking > 0.5, 0, -1), step)))
         for name, sensor in run.sensors.items():
             found = np.full(truth.identity.size, -1)
-            found[sensor.matches[0]] = 0
+            found[sensor.case.matches[0]] = 0
             lanes.append(Lane(who, name, _spans(time[own], found[own], step)))
         lanes.append(Lane(who, "tracked", _spans(time[own], follows[own], step)))
     false = np.ones(track.identity.size, dtype=bool)

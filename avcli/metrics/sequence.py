@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from collections.abc import Sequence as Frames
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from avcli.formats.records import Identified
 
 _PAIRS_A_BLOCK = 1 << 20
 
@@ -20,44 +23,47 @@ class Points:
         identity: (n,) identities, counted from 0 in the order of their labels.
         position: (n, d) m; d is 1 where there are no points.
         label: (k,) the identities' own names.
+        speaking: (n,) probability that the person speaks; NaN where it is not known.
     """
 
     start: np.ndarray
     identity: np.ndarray
     position: np.ndarray
     label: np.ndarray
+    speaking: np.ndarray
 
     @classmethod
-    def of(cls, frames: Iterable[tuple[Frames, np.ndarray]]) -> Points:
+    def of(cls, frames: Iterable[tuple[ArrayLike, ArrayLike]]) -> Points:
         """Join frames into one table.
 
         Args:
             frames: for each frame the identities (n,), all numbers or all strings, and positions (n, d), m.
 
         Raises:
-            ValueError: an identity stands twice in a frame, or a position is not finite.
+            ValueError: an identity occurs twice in a frame, or a position is not finite.
         """
-        frames = list(frames)
-        start = np.concatenate([[0], np.cumsum([len(identity) for identity, _ in frames])]).astype(int)
-        filled = [(identity, position) for identity, position in frames if len(identity)]
+        rows = [(np.asarray(ids), np.asarray(position, dtype=float)) for ids, position in frames]
+        start = np.concatenate([[0], np.cumsum([len(ids) for ids, _ in rows])]).astype(int)
+        filled = [(ids, position) for ids, position in rows if len(ids)]
         if not filled:
-            return cls(start, np.zeros(0, int), np.zeros((0, 1)), np.zeros(0, int))
-        position = np.concatenate([np.asarray(position, dtype=float) for _, position in filled])
+            return cls(start, np.zeros(0, int), np.zeros((0, 1)), np.zeros(0, int), np.zeros(0))
+        position = np.concatenate([position for _, position in filled])
         if not np.isfinite(position).all():
             raise ValueError("a position is not finite")
-        label, identity = np.unique(np.concatenate([np.asarray(ids) for ids, _ in filled]), return_inverse=True)
-        frame = np.repeat(np.arange(len(frames)), np.diff(start))
+        label, identity = np.unique(np.concatenate([ids for ids, _ in filled]), return_inverse=True)
+        frame = np.repeat(np.arange(len(rows)), np.diff(start))
         key, count = np.unique(frame * label.size + identity, return_counts=True)
         if (count > 1).any():
             t, i = divmod(int(key[count > 1][0]), label.size)
-            raise ValueError(f"identity {label[i]} stands twice in frame {t}")
-        return cls(start, identity, position, label)
+            raise ValueError(f"identity {label[i]} occurs twice in frame {t}")
+        return cls(start, identity, position, label, np.full(identity.size, np.nan))
 
     def keep(self, mask: np.ndarray) -> Points:
         """The points of a mask (n,) alone; identities without any are forgotten."""
         count = np.bincount(self.frame[mask], minlength=self.start.size - 1)
         present, identity = np.unique(self.identity[mask], return_inverse=True)
-        return Points(np.concatenate([[0], np.cumsum(count)]), identity, self.position[mask], self.label[present])
+        start = np.concatenate([[0], np.cumsum(count)])
+        return Points(start, identity, self.position[mask], self.label[present], self.speaking[mask])
 
     @property
     def count(self) -> np.ndarray:
@@ -107,8 +113,8 @@ class Sequence:
     @classmethod
     def of(
         cls,
-        truth: Iterable[tuple[Frames, np.ndarray]],
-        track: Iterable[tuple[Frames, np.ndarray]],
+        truth: Iterable[tuple[ArrayLike, ArrayLike]],
+        track: Iterable[tuple[ArrayLike, ArrayLike]],
         time: np.ndarray | None = None,
     ) -> Sequence:
         """Join ground truth and tracks that are given frame by frame.
@@ -119,16 +125,16 @@ class Sequence:
             time: (T,) s; by default the frames' numbers.
 
         Raises:
-            ValueError: the lengths or dimensions differ, an identity stands twice in a frame, or a position is not
+            ValueError: the lengths or dimensions differ, an identity occurs twice in a frame, or a position is not
                 finite.
         """
-        truth, track = Points.of(truth), Points.of(track)
-        frames = truth.start.size - 1
-        if track.start.size - 1 != frames:
-            raise ValueError(f"{frames} frames of ground truth against {track.start.size - 1} of tracks")
-        if truth.identity.size and track.identity.size and truth.position.shape[1] != track.position.shape[1]:
+        true, tracked = Points.of(truth), Points.of(track)
+        frames = true.start.size - 1
+        if tracked.start.size - 1 != frames:
+            raise ValueError(f"{frames} frames of ground truth against {tracked.start.size - 1} of tracks")
+        if true.identity.size and tracked.identity.size and true.position.shape[1] != tracked.position.shape[1]:
             raise ValueError("ground truth and tracks have different dimensions")
-        return cls(truth, track, np.arange(frames, dtype=float) if time is None else np.asarray(time, dtype=float))
+        return cls(true, tracked, np.arange(frames, dtype=float) if time is None else np.asarray(time, dtype=float))
 
     def blocks(self) -> Iterator[list[Group]]:
         """Pairs of true and tracked points, block after block of consecutive frames, grouped by the frame's shape.
@@ -166,17 +172,20 @@ def length(offset: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Mismatch:
-    """What of two recordings did not meet in time, and what order they were in.
+    """What of two recordings has no partner in time, and what was wrong with their order.
 
     Attributes:
+        truth_records, track_records: all records of each side.
         truth_frames, truth_points: frames of ground truth without a track record, and the points in them.
         track_frames, track_points: the same of the tracks.
         unsorted: records that were earlier than the one before them.
         repeated: records of a time that had been before; their points were joined.
-        dropped: points dropped because their identity stood twice at a time.
+        dropped: points dropped because their identity occurs twice at a time.
         height: m, mean height of the tracked over the true points of matched frames, NaN where either has none.
     """
 
+    truth_records: int
+    track_records: int
     truth_frames: int
     truth_points: int
     track_frames: int
@@ -187,12 +196,12 @@ class Mismatch:
     height: float
 
 
-Recording = list[tuple[float, np.ndarray, np.ndarray]]
-"""Records of one file: time in s, identities (n,), positions (n, 3) in m with NaN where the height is not known."""
-
-
 def align(
-    truth: Recording, track: Recording, dims: int = 2, tolerance: float = 1e-3, keep_first: bool = False
+    truth: Frames[Identified],
+    track: Frames[Identified],
+    dims: int = 2,
+    tolerance: float = 1e-3,
+    keep_first: bool = False,
 ) -> tuple[Sequence, Mismatch]:
     """Bring ground truth and tracks on one timeline: the ground truth's, and between it what only the tracks have.
 
@@ -202,47 +211,53 @@ def align(
         truth, track: records in any order.
         dims: 2 to score x and y, 3 for the height too.
         tolerance: s.
-        keep_first: drop the points of an identity that stands twice at a time, all but the first, and count them.
+        keep_first: drop the points of an identity that occurs twice at a time, all but the first, and count them.
 
     Raises:
-        ValueError: an identity stands twice at a time, or dims is 3 and a height is missing.
+        ValueError: an identity occurs twice at a time, or dims is 3 and a height is missing.
     """
+    records = len(truth), len(track)
     truth, truth_odd = _in_order(truth, keep_first, "the ground truth")
     track, track_odd = _in_order(track, keep_first, "the tracks")
-    truth_time, track_time = (np.array([time for time, _, _ in side]) for side in (truth, track))
+    truth_time, track_time = (np.array([record.timestamp for record in side]) for side in (truth, track))
     partner = _partners(truth_time, track_time, tolerance)
     alone = np.setdiff1d(np.arange(track_time.size), partner)
     time = np.concatenate([truth_time, track_time[alone]])
-    frames = [(truth[i], track[j] if j >= 0 else None) for i, j in enumerate(partner)]
+    frames: list[tuple[Identified | None, Identified | None]] = [
+        (truth[i], track[j] if j >= 0 else None) for i, j in enumerate(partner)
+    ]
     frames += [(None, track[j]) for j in alone]
     frames = [frames[i] for i in np.argsort(time, kind="stable")]
-
-    def side(which: int):
-        for pair in frames:
-            if pair[which] is None:
-                yield (), np.zeros((0, dims))
-                continue
-            at, identity, position = pair[which]
-            if dims == 3 and np.isnan(position).any():
-                raise ValueError(f"a position at {at:g} s has no height; --dims 2 scores x and y")
-            yield identity, position[:, :dims]
-
-    lonely = [i for i, j in enumerate(partner) if j < 0]
-    heights = [
-        [position[:, 2] for pair in frames if None not in pair for position in [pair[which][2]]] for which in (0, 1)
-    ]
-    heights = [np.concatenate(side) if side else np.zeros(0) for side in heights]
-    sequence = Sequence.of(side(0), side(1), np.sort(time, kind="stable"))
-    return sequence, Mismatch(
-        truth_frames=len(lonely),
-        truth_points=sum(len(truth[i][1]) for i in lonely),
+    sides = [_points([pair[which] for pair in frames], dims) for which in (0, 1)]
+    met = [(one, other) for one, other in frames if one is not None and other is not None]
+    lonely = np.flatnonzero(partner < 0)
+    return Sequence(sides[0], sides[1], np.sort(time, kind="stable")), Mismatch(
+        truth_records=records[0],
+        track_records=records[1],
+        truth_frames=lonely.size,
+        truth_points=sum(len(truth[i]) for i in lonely),
         track_frames=alone.size,
-        track_points=sum(len(track[j][1]) for j in alone),
+        track_points=sum(len(track[j]) for j in alone),
         unsorted=truth_odd[0] + track_odd[0],
         repeated=truth_odd[1] + track_odd[1],
         dropped=truth_odd[2] + track_odd[2],
-        height=_gap(*heights),
+        height=_gap(_heights([one for one, _ in met]), _heights([other for _, other in met])),
     )
+
+
+def _points(records: Frames[Identified | None], dims: int) -> Points:
+    """Join the records of a timeline; None is a frame without a record."""
+    nothing = np.zeros((0, dims))
+    for record in records:
+        if dims == 3 and record is not None and np.isnan(record.positions).any():
+            raise ValueError(f"a position at {record.timestamp:g} s has no height; --dims 2 scores x and y")
+    points = Points.of([((), nothing) if r is None else (r.ids, r.positions[:, :dims]) for r in records])
+    speaking = [record.speaking for record in records if record is not None]
+    return replace(points, speaking=np.concatenate(speaking)) if speaking else points
+
+
+def _heights(records: Frames[Identified]) -> np.ndarray:
+    return np.concatenate([record.positions[:, 2] for record in records]) if records else np.zeros(0)
 
 
 def _gap(below: np.ndarray, above: np.ndarray) -> float:
@@ -252,23 +267,29 @@ def _gap(below: np.ndarray, above: np.ndarray) -> float:
         return float(above.mean() - below.mean())
 
 
-def _in_order(recording: Recording, keep_first: bool, name: str) -> tuple[Recording, tuple[int, int, int]]:
+def _in_order(
+    records: Frames[Identified], keep_first: bool, name: str
+) -> tuple[list[Identified], tuple[int, int, int]]:
     """Sort records by time and join those of one time; returns them and the numbers of unsorted, repeated, dropped."""
-    times = np.array([time for time, _, _ in recording])
+    times = np.array([record.timestamp for record in records])
     unsorted, repeated, dropped = int((np.diff(times) < 0).sum()), 0, 0
-    ordered: Recording = []
+    ordered: list[Identified] = []
     for k in np.argsort(times, kind="stable"):
-        time, identity, position = recording[k]
-        if ordered and time == ordered[-1][0]:
+        record = records[k]
+        if ordered and record.timestamp == ordered[-1].timestamp:
             repeated += 1
-            _, before, there = ordered.pop()
-            twice = np.isin(identity, before)
+            before = ordered.pop()
+            twice = np.isin(record.ids, before.ids)
             if twice.any() and not keep_first:
-                raise ValueError(f"identity {identity[twice][0]} stands twice at {time:g} s in {name}")
+                raise ValueError(f"identity {record.ids[twice][0]} occurs twice at {record.timestamp:g} s in {name}")
             dropped += int(twice.sum())
-            identity = np.concatenate([before, identity[~twice]])
-            position = np.concatenate([there, position[~twice]])
-        ordered.append((time, identity, position))
+            record = Identified(
+                timestamp=record.timestamp,
+                ids=np.concatenate([before.ids, record.ids[~twice]]),
+                positions=np.concatenate([before.positions, record.positions[~twice]]),
+                speaking=np.concatenate([before.speaking, record.speaking[~twice]]),
+            )
+        ordered.append(record)
     return ordered, (unsorted, repeated, dropped)
 
 

@@ -27,10 +27,10 @@ def tgospa(
 ) -> TrajectoryDistance | None:
     """Measure how far the tracked trajectories are from the true ones: localization, misses, false tracks and switches.
 
-    Which track stands for which person may change from frame to frame at a price, so the best course is a shortest
-    path through all partial assignments of all frames. A track is assigned only to people whom it is ever nearer to
-    than the cutoff, since any other pair costs as much as leaving both alone; people and tracks that do not hang
-    together in this way are solved apart.
+    The assignment of tracks to people may change from frame to frame at a price, so the best course is a shortest path
+    through all partial assignments of all frames. A track is assigned only to people that it comes nearer to than the
+    cutoff, since any other pair costs as much as leaving both unassigned. These pairs form a graph; its connected
+    components are solved separately.
 
     Args:
         sequence: ground truth and tracks.
@@ -40,7 +40,7 @@ def tgospa(
             none costs gamma^p / 2.
 
     Returns:
-        None where too many people and tracks hang together for an exact solution.
+        None if a component has too many people and tracks for an exact solution.
 
     Source: A. F. García-Fernández, A. S. Rahmathullah and L. Svensson, "A metric on the space of finite sets of
     trajectories for evaluation of multi-target tracking algorithms", IEEE TSP 68, 2020, definition 1.

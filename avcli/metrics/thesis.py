@@ -2,13 +2,12 @@
 
 Source: "Multimodal Audio-Visual Sensor Fusion for Multi-Object Tracking of Speakers in Indoor Environments", tables
 5.6 to 5.9 (scenarios S1 to S4) and 5.10 (all scenarios together, as TrackEval combines sequences): MS-GLMB by audio
-(M1), video (M2) and both (M3), in percent, in the order of HOTA_SUMMARY.
+(M1), video (M2) and both (M3), in percent, in the order of COLUMNS.
 """
 
 import re
 
-from avcli.metrics.score import HOTA_SUMMARY
-
+COLUMNS = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")
 _PERCENT = {
     "s1": {
         "audio": (47.7, 47.7, 47.7, 48.0, 98.4, 48.0, 98.4, 95.6),
@@ -39,7 +38,7 @@ _PERCENT = {
 
 
 def figures(record: dict) -> dict[str, float] | None:
-    """The thesis's scores for a metrics record, as fractions under HOTA_SUMMARY's names, None for what it did not run.
+    """The thesis's scores for a metrics record, as fractions under the names of COLUMNS; None where it has none.
 
     Args:
         record: its "tracker" is "audio", "video" or "audio_video"; its "sequence" begins with s1 to s4, or is
@@ -49,8 +48,8 @@ def figures(record: dict) -> dict[str, float] | None:
     if record["sequence"] == "combined":
         together = sorted(str(_scenario(name)) for name in record["sequences"])
         scenario = "combined" if together == ["s1", "s2", "s3", "s4"] else None
-    row = _PERCENT.get(scenario, {}).get(record["tracker"])
-    return row and {name: round(percent / 100, 4) for name, percent in zip(HOTA_SUMMARY, row, strict=True)}
+    row = _PERCENT.get(scenario or "", {}).get(record["tracker"])
+    return row and {name: round(percent / 100, 4) for name, percent in zip(COLUMNS, row, strict=True)}
 
 
 def _scenario(name: str) -> str | None:

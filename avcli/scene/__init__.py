@@ -1,1 +1,1 @@
-"""The scene: scenarios, people, furniture, the renderer, and what is written down about each frame."""
+"""The scene: scenarios, people, furniture, the renderer, the film that is drawn, and the ground truth about it."""

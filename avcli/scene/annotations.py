@@ -1,30 +1,37 @@
-"""What is written down about a frame: the ground truth of each person."""
+"""Annotations of a frame: the ground truth of each person, and COCO's form of it."""
+
+from typing import Any
 
 import numpy as np
 
 from avcli import pose
-from avcli.scene.people import KEYPOINTS, speaking
+from avcli.formats.experiment import Camera
+from avcli.scene.people import KEYPOINTS, Bodies, speaking
+from avcli.scene.render import Frame
+from avcli.scene.scenario import Scenario
+
+_SURFACE_M = 0.15  # by which a joint lies behind the surface that is seen, at most
 
 
-def truth(scenario, bodies, index, frame=None):
-    """The ground-truth record of one time, without its media.
+def truth(scenario: Scenario, bodies: Bodies, index: int, frame: Frame | None = None) -> dict[str, Any]:
+    """Make the ground-truth record of one time, without the paths of its media.
 
     Args:
-        scenario: scenario.Scenario.
-        bodies: people.Bodies posed at the times of which `index` is one.
+        scenario: whose people they are.
+        bodies: posed at several times.
         index: of the time.
-        frame: render.Frame, None where nothing was drawn: then nothing is said about visibility.
+        frame: what was drawn; without it the record has no visibility, boxes or keypoints.
     """
     time = float(bodies.times[index])
     pixels = _keypoint_pixels(scenario.config.camera, bodies.keypoints[index])
     objects = []
     for number, person in enumerate(scenario.people):
-        place = person.motion.position([time])[0]
+        place = person.motion.position(np.array([time]))[0]
         item = {
             "object_id": person.object_id,
             "position": [float(place[0]), float(place[1]), 0.0],
             "mouth_position": bodies.mouths[index, number].tolist(),
-            "speaking": bool(speaking(person, [time], scenario.duration)[0]),
+            "speaking": bool(speaking(person, np.array([time]), scenario.duration)[0]),
         }
         if frame is not None:
             item |= visibility(frame, number)
@@ -33,12 +40,17 @@ def truth(scenario, bodies, index, frame=None):
     return {"timestamp": time, "objects": objects}
 
 
-def visibility(frame, number):
-    """How much of a person is seen, and where: `visible_fraction`, and boxes [x0, y0, x1, y1] px (x1, y1 excluded).
+def visibility(frame: Frame, number: int) -> dict[str, Any]:
+    """Measure how much of a person is seen, and where.
 
-    `bbox_px` is around what is seen, `bbox_full_px` around the whole body, its hidden parts and what is outside too.
+    Args:
+        frame: what was drawn.
+        number: index of the person.
 
-    The fraction is counted on every second pixel of every second row: seen samples over the samples of the whole body.
+    Returns:
+        `visible_fraction`: seen samples over the samples of the whole body, counted on every second pixel of every
+        second row. Boxes [x0, y0, x1, y1] in px, x1 and y1 excluded: `bbox_px` around what is seen, `bbox_full_px`
+        around the whole body with its hidden parts and what lies outside the image; absent where there is nothing.
     """
     mask, (left, top) = frame.shapes[number]
     whole = int(mask.sum())
@@ -63,21 +75,23 @@ def visibility(frame, number):
     return item
 
 
-def _keypoint_pixels(camera, keypoints):
+def _keypoint_pixels(camera: Camera, keypoints: np.ndarray) -> np.ndarray:
     """Pixels (people, 17, 2) of keypoints (people, 17, 3)."""
     points = pose.apply(pose.inverse(camera.T_room_camera), keypoints)
     return camera.lens.project(points.reshape(-1, 3)).reshape(*keypoints.shape[:2], 2)
 
 
-def _keypoints(frame, number, pixels, camera, bodies, index):
+def _keypoints(
+    frame: Frame, number: int, pixels: np.ndarray, camera: Camera, bodies: Bodies, index: int
+) -> list[list[float]]:
     """COCO's list for one person: [x, y, v] with v = 2 seen, 1 hidden or outside the image, 0 not imaged by the lens.
 
-    A keypoint counts as seen where its own person is the first thing that its pixel's ray meets and the surface lies
-    within 0.15 m in front of it: joints are inside the body.
+    A keypoint is seen where its own person is the first thing that its pixel's ray meets, and the surface lies at most
+    `_SURFACE_M` in front of it: joints are inside the body.
     """
     height, width = frame.ids.shape
     distance = np.linalg.norm(bodies.keypoints[index, number] - camera.T_room_camera[:3, 3], axis=-1)
-    rows = []
+    rows: list[list[float]] = []
     for k in range(len(KEYPOINTS)):
         x, y = pixels[k]
         if not np.isfinite(x):
@@ -86,20 +100,28 @@ def _keypoints(frame, number, pixels, camera, bodies, index):
         column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
         inside = 0 <= column < width and 0 <= row < height
         near = inside and frame.ids[row, column] == number + 1
-        near = near and frame.depth[row, column] * frame.depth_step > distance[k] - 0.15
+        near = near and frame.depth[row, column] * frame.depth_step > distance[k] - _SURFACE_M
         rows.append([round(float(x), 2), round(float(y), 2), 2 if near else 1])
     return rows
 
 
-def coco(scenario, number, frame, image_id, annotation_id):
-    """COCO's annotation of one person in one frame, None where nothing of them shows.
+def coco(item: dict[str, Any], number: int, frame: Frame, image_id: int, annotation_id: int) -> dict[str, Any] | None:
+    """Make COCO's annotation of one person in one frame.
 
-    The box and the mask (run lengths, column by column) are of what shows; keypoints as COCO has them.
+    Args:
+        item: the person's object in the ground-truth record.
+        number: index of the person.
+        frame: what was drawn.
+        image_id, annotation_id: COCO's numbers.
+
+    Returns:
+        Box, mask (run lengths, column by column) and keypoints of what is seen; None where nothing of the person is.
+
+    Source: Lin et al. (2014), Microsoft COCO, and the format's page "Data format", uncompressed run lengths.
     """
-    said = visibility(frame, number)
-    if "bbox_px" not in said:
+    if "bbox_px" not in item:
         return None
-    x0, y0, x1, y1 = said["bbox_px"]
+    x0, y0, x1, y1 = item["bbox_px"]
     height, width = frame.ids.shape
     seen = frame.ids[:, x0:x1] == number + 1
     flat = np.concatenate([[0], seen.T.ravel().astype(np.int8), [0]])
@@ -114,7 +136,9 @@ def coco(scenario, number, frame, image_id, annotation_id):
         "area": int(seen.sum()),
         "bbox": [x0, y0, x1 - x0, y1 - y0],
         "segmentation": {"size": [height, width], "counts": counts.tolist()},
-        "object_id": scenario.people[number].object_id,
+        "object_id": item["object_id"],
+        "keypoints": [value for keypoint in item["keypoints_px"] for value in keypoint],
+        "num_keypoints": sum(keypoint[2] > 0 for keypoint in item["keypoints_px"]),
     }
 
 
@@ -130,4 +154,4 @@ COCO_CATEGORIES = [
         ],
     }
 ]  # fmt: skip
-"""The one category of COCO's files, as COCO's own person keypoint files have it."""
+"""The one category, as COCO's own files of person keypoints have it."""

@@ -1,23 +1,73 @@
 """What does not move: boxes, cylinders, balls and meshes, and the tables and chairs that are made of them."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from avcli.formats.schema import Choice, Invalid, Key, Number, Numbers, Object, Text, Variants
 
 BOX, CYLINDER, BALL, TRIANGLE = range(4)
 PAINT, WOOD, PLASTIC, METAL, CLOTH, CARD = range(6)
 _MATERIALS = {"paint": PAINT, "wood": WOOD, "plastic": PLASTIC, "metal": METAL, "cloth": CLOTH, "card": CARD}
 _LARGEST_MESH = 200_000
-_KINDS = ("table", "chair", "box", "panel", "cylinder", "sphere", "mesh")
-_KEYS = {
-    "table": ("position_m", "size_m", "rotation_deg", "color"),
-    "chair": ("position_m", "rotation_deg", "color"),
-    "box": ("position_m", "size_m", "rotation_deg", "color", "material"),
-    "panel": ("position_m", "size_m", "rotation_deg", "color", "material"),
-    "cylinder": ("position_m", "radius_m", "height_m", "color", "material"),
-    "sphere": ("position_m", "radius_m", "color", "material"),
-    "mesh": ("position_m", "rotation_deg", "path", "scale", "color", "material"),
-}
+_GREY, _WOOD = [0.62, 0.63, 0.62], [0.72, 0.53, 0.34]
+_LENGTH = Number(above=0)
+
+
+def _kind(place: tuple[int, str], color: list[float], material: str = "", turns: str = "", **own: Key) -> Object:
+    """Describe a kind of furniture: where it stands, its own keys, and those that it shares with others."""
+    keys = {"position_m": Key(Numbers(place[0]), f"position {place[1]}, m", required=True), **own}
+    if turns:
+        keys["rotation_deg"] = Key(Number(), turns, default=0.0)
+    if material:
+        keys["material"] = Key(Choice(tuple(_MATERIALS)), "material of its surface", default=material)
+    keys["color"] = Key(Numbers(3, Number(least=0, most=1)), "colour, sRGB fractions", default=color)
+    return Object(keys, closed=True)
+
+
+_TURNS = "rotation, counterclockwise seen from above"
+_SIZE = "size along its own axes, m"
+PIECE = Variants(
+    {
+        "table": _kind(
+            (2, "on the floor"), _WOOD, turns=_TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[1.4, 0.7, 0.74])
+        ),
+        "chair": _kind((2, "on the floor"), [0.17, 0.21, 0.28], turns=f"{_TURNS}; at 0 it faces +x"),
+        "box": _kind(
+            (3, "of its middle"), _GREY, "paint", _TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, required=True)
+        ),
+        "panel": _kind(
+            (3, "of its middle"),
+            _GREY,
+            "card",
+            _TURNS,
+            size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[0.8, 0.8, 0.02]),
+        ),
+        "cylinder": _kind(
+            (3, "of its middle"),
+            _GREY,
+            "paint",
+            radius_m=Key(_LENGTH, "radius, m", required=True),
+            height_m=Key(_LENGTH, "height, m", required=True),
+        ),
+        "sphere": _kind((3, "of its middle"), _GREY, "plastic", radius_m=Key(_LENGTH, "radius, m", required=True)),
+        "mesh": _kind(
+            (3, "of its origin"),
+            _GREY,
+            "paint",
+            _TURNS,
+            path=Key(Text(), "path of a file that trimesh reads, relative to the scenario's file", required=True),
+            scale=Key(_LENGTH, "length of its unit, m", default=1.0),
+        ),
+    }
+)
+"""Every kind of furniture that a scenario may have, with its keys."""
+
+
+_Box = tuple[tuple[float, float, float], tuple[float, float, float], int, Sequence[float] | np.ndarray]
+"""Centre and size in m, material, colour."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +90,12 @@ class Solids:
     material: np.ndarray
     colour: np.ndarray
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.kind)
 
 
-def join(solids):
-    """Join several Solids (a list, may be empty) into one."""
+def join(solids: Sequence[Solids]) -> Solids:
+    """Join several Solids, or none, into one."""
     empty = Solids(
         np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3))
     )
@@ -53,8 +103,8 @@ def join(solids):
     return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in names))
 
 
-def blockers(solids):
-    """What casts shadows in the room: the solids, and in place of meshes a box within each mesh's bounds."""
+def blockers(solids: Solids) -> Solids:
+    """Return what casts shadows in the room: the solids, and instead of meshes a box within each mesh's bounds."""
     kept = solids.kind != TRIANGLE
     plain = Solids(*(getattr(solids, f)[kept] for f in ("kind", "centre", "axes", "half", "material", "colour")))
     boxes = []
@@ -65,46 +115,52 @@ def blockers(solids):
     return join([plain, *boxes])
 
 
-def _runs(flags):
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
     """First and end index of each run of true flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def build(reader, load_mesh):
-    """Build one piece of furniture from its checked reader (scenario._Reader); returns Solids."""
-    reader.object(
-        ("kind", "position_m", "size_m", "rotation_deg", "color", "material", "radius_m", "height_m", "path", "scale")
-    )
-    kind = reader.choice("kind", _KINDS, None)
-    reader.object(("kind", *_KEYS[kind]))
-    turn = np.deg2rad(reader.number("rotation_deg", 0.0))
+def build(piece: Mapping[str, Any], load_mesh: Callable[[str], np.ndarray] | None) -> Solids:
+    """Build one piece of furniture from its values as `PIECE` reads them.
+
+    Raises:
+        Invalid: a mesh cannot be used.
+    """
+    turn = np.deg2rad(piece.get("rotation_deg", 0.0))
     cos, sin = np.cos(turn), np.sin(turn)
     axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    default_material = {"box": "paint", "panel": "card", "cylinder": "paint", "sphere": "plastic", "mesh": "paint"}
-    material = _MATERIALS[reader.choice("material", list(_MATERIALS), default_material.get(kind, "paint"))]
-    if kind == "table":
-        return _table(reader, axes)
-    if kind == "chair":
-        return _chair(reader, axes)
-    centre = reader.numbers("position_m", 3)
-    colour = _colour(reader, (0.62, 0.63, 0.62))
-    if kind in ("box", "panel"):
-        half = _sizes(reader, "size_m", None if kind == "box" else [0.8, 0.8, 0.02]) / 2
-        return _solid(BOX, centre, axes, half, material, colour)
-    if kind == "cylinder":
-        radius, height = (
-            reader.number(key, None, above=0.0) or _missing(reader, key) for key in ("radius_m", "height_m")
-        )
-        return _solid(CYLINDER, centre, axes, np.array([radius, radius, height / 2]), material, colour)
-    if kind == "sphere":
-        radius = reader.number("radius_m", None, above=0.0) or _missing(reader, "radius_m")
-        return _solid(BALL, centre, axes, np.full(3, radius), material, colour)
-    return _mesh(reader, load_mesh, centre, axes, material, colour)
+    place, colour = np.array(piece["position_m"]), np.array(piece["color"])
+    match piece["kind"]:
+        case "table":
+            return _table(place, axes, piece["size_m"], colour)
+        case "chair":
+            return _chair(place, axes, colour)
+    material = _MATERIALS[piece["material"]]
+    match piece["kind"]:
+        case "cylinder":
+            half = np.array([piece["radius_m"], piece["radius_m"], piece["height_m"] / 2])
+            return _solid(CYLINDER, place, axes, half, material, colour)
+        case "sphere":
+            return _solid(BALL, place, axes, np.full(3, piece["radius_m"]), material, colour)
+        case "mesh":
+            corners = _triangles(piece["path"], load_mesh) * piece["scale"] @ axes + place
+            return _mesh(corners, material, colour)
+    return _solid(BOX, place, axes, np.array(piece["size_m"]) / 2, material, colour)
 
 
-def blocks(solids, places, margin, height):
-    """Which floor places (n, 2) have a solid within margin m of them that a walker of height m would hit."""
+def blocks(solids: Solids, places: np.ndarray, margin: float, height: float) -> np.ndarray:
+    """Tell which places on the floor are blocked for a walker.
+
+    Args:
+        solids: the furniture.
+        places: (n, 2) m.
+        margin: m that a walker keeps.
+        height: of the walker, m.
+
+    Returns:
+        (n,) bool.
+    """
     hit = np.zeros(len(places), bool)
     for kind, centre, axes, half in zip(solids.kind, solids.centre, solids.axes, solids.half, strict=True):
         if kind == TRIANGLE or centre[2] - half[2] > height:
@@ -114,12 +170,10 @@ def blocks(solids, places, margin, height):
     return hit
 
 
-def _table(reader, axes):
-    place = reader.numbers("position_m", 2)
-    length, depth, height = _sizes(reader, "size_m", [1.4, 0.7, 0.74])
+def _table(place: np.ndarray, axes: np.ndarray, size: Sequence[float], wood: np.ndarray) -> Solids:
+    length, depth, height = size
     top = 0.03
-    wood = _colour(reader, (0.72, 0.53, 0.34))
-    rows = [((0, 0, height - top / 2), (length, depth, top), WOOD, wood)]
+    rows: list[_Box] = [((0, 0, height - top / 2), (length, depth, top), WOOD, wood)]
     steel = (0.28, 0.29, 0.31)
     for x in (-1, 1):
         for y in (-1, 1):
@@ -129,12 +183,10 @@ def _table(reader, axes):
     return _boxes(rows, place, axes)
 
 
-def _chair(reader, axes):
+def _chair(place: np.ndarray, axes: np.ndarray, colour: np.ndarray) -> Solids:
     """A chair that faces its own +x, the seat's middle at its place."""
-    place = reader.numbers("position_m", 2)
-    colour = _colour(reader, (0.17, 0.21, 0.28))
     steel = (0.30, 0.31, 0.33)
-    rows = [
+    rows: list[_Box] = [
         ((0, 0, 0.44), (0.42, 0.42, 0.04), PLASTIC, colour),
         ((-0.20, 0, 0.70), (0.03, 0.40, 0.28), PLASTIC, colour),
     ]
@@ -145,7 +197,8 @@ def _chair(reader, axes):
     return _boxes(rows, place, axes)
 
 
-def _boxes(rows, place, axes):
+def _boxes(rows: list[_Box], place: np.ndarray, axes: np.ndarray) -> Solids:
+    """Join boxes whose centres are counted from a place on the floor, along its own axes."""
     origin = np.append(place, 0.0)
     return join(
         [
@@ -155,21 +208,23 @@ def _boxes(rows, place, axes):
     )
 
 
-def _mesh(reader, load_mesh, centre, axes, material, colour):
-    path = reader.text("path", "")
+def _triangles(path: str, load_mesh: Callable[[str], np.ndarray] | None) -> np.ndarray:
     if load_mesh is None:
-        reader.refuse("path", "meshes cannot be read here")
+        raise Invalid("cannot be read: meshes need a function that loads them", ("path",))
     try:
         triangles = np.asarray(load_mesh(path), float)
     except (ValueError, OSError) as error:
-        reader.refuse("path", str(error))
+        raise Invalid(f"cannot be read: {error}", ("path",)) from None
     if triangles.ndim != 3 or not len(triangles):
-        reader.refuse("path", f"{path}: no triangles in it")
+        raise Invalid(f"{path} has no triangles", ("path",))
     if len(triangles) > _LARGEST_MESH:
-        reader.refuse("path", f"{path}: {len(triangles)} triangles, more than {_LARGEST_MESH}")
+        raise Invalid(f"{path} has {len(triangles)} triangles; at most {_LARGEST_MESH} are possible", ("path",))
     if not np.isfinite(triangles).all():
-        reader.refuse("path", f"{path}: corners that are not finite")
-    corners = triangles * reader.number("scale", 1.0, above=0.0) @ axes + centre
+        raise Invalid(f"{path} has corners that are not finite", ("path",))
+    return triangles
+
+
+def _mesh(corners: np.ndarray, material: int, colour: np.ndarray) -> Solids:
     n = len(corners)
     axes = np.concatenate([corners[:, 1:], np.zeros((n, 1, 3))], 1)
     return Solids(
@@ -177,25 +232,9 @@ def _mesh(reader, load_mesh, centre, axes, material, colour):
     )
 
 
-def _solid(kind, centre, axes, half, material, colour):
+def _solid(
+    kind: int, centre: np.ndarray, axes: np.ndarray, half: np.ndarray, material: int, colour: np.ndarray | list[float]
+) -> Solids:
     return Solids(
         np.array([kind]), centre[None], axes[None], half[None], np.array([material]), np.asarray(colour)[None]
     )
-
-
-def _sizes(reader, key, default):
-    sizes = reader.numbers(key, 3, default)
-    if (sizes <= 0).any():
-        reader.refuse(key, f"expected lengths above 0, found {sizes.tolist()}")
-    return sizes
-
-
-def _colour(reader, default):
-    colour = reader.numbers("color", 3, list(default))
-    if ((colour < 0) | (colour > 1)).any():
-        reader.refuse("color", f"expected three fractions from 0 to 1, found {colour.tolist()}")
-    return colour
-
-
-def _missing(reader, key):
-    reader.refuse(key, "is missing")

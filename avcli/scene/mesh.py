@@ -1,24 +1,40 @@
 """The scene as triangles: for viewers (glTF), and for checking the renderer against another ray caster."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from avcli.scene import furniture
+from avcli.scene.people import Bodies
+from avcli.scene.scenario import Scenario
 
 
-def rounded_cone(a, b, ra, rb, flat_axis=(0.0, 0.0, 1.0), flat=1.0, segments=32):
-    """Triangulate a rounded cone flattened by `flat` along `flat_axis` about its middle.
+def rounded_cone(
+    a: np.ndarray,
+    b: np.ndarray,
+    ra: float,
+    rb: float,
+    flat_axis: np.ndarray | None = None,
+    flat: float = 1.0,
+    segments: int = 32,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Triangulate a rounded cone: the hull of two balls, flattened along one axis about its middle.
 
     Args:
-        a, b: (3,) m, the ends of its axis; ra, rb: radii there in m.
+        a, b: (3,) m, the ends of its axis.
+        ra, rb: radii there, m.
+        flat_axis: (3,) unit vector; None: z.
+        flat: factor in (0, 1] along flat_axis.
         segments: number of meridians; half as many rings go from pole to pole.
 
     Returns:
-        vertices (n, 3) and faces (m, 3), counterclockwise from outside.
+        Vertices (n, 3) in m and faces (m, 3), counterclockwise from outside.
     """
-    a, b, axis = np.asarray(a, float), np.asarray(b, float), np.asarray(flat_axis, float)
+    axis = np.array([0.0, 0.0, 1.0]) if flat_axis is None else flat_axis
     middle, swell = (a + b) / 2, (1.0 / flat - 1.0) * np.outer(axis, axis)
     a, b = (p + swell @ (p - middle) for p in (a, b))
-    length = np.linalg.norm(b - a)
+    length = float(np.linalg.norm(b - a))
     if abs(ra - rb) >= length:  # one ball holds the other
         a, ra = (a, ra) if ra > rb else (b, rb)
         b, rb, length = a, ra, 0.0
@@ -42,8 +58,8 @@ def rounded_cone(a, b, ra, rb, flat_axis=(0.0, 0.0, 1.0), flat=1.0, segments=32)
     return middle + (vertices - middle) @ shrink, faces.reshape(-1, 3)
 
 
-def bodies_triangles(bodies, index, segments=32):
-    """Triangles (n, 3, 3) of all people at one time, and which cone each belongs to, (n,)."""
+def bodies_triangles(bodies: Bodies, index: int, segments: int = 32) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (n, 3, 3) in m of all people at one time, and the index of the cone that each belongs to, (n,)."""
     triangles = []
     for cone in range(len(bodies.ra)):
         vertices, faces = rounded_cone(
@@ -55,8 +71,8 @@ def bodies_triangles(bodies, index, segments=32):
     return np.concatenate([*triangles, np.zeros((0, 3, 3))]), owner
 
 
-def solids_triangles(solids, segments=64):
-    """Triangles (n, 3, 3) of furniture, and which solid each belongs to, (n,)."""
+def solids_triangles(solids: furniture.Solids, segments: int = 64) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (n, 3, 3) in m of furniture, and the index of the solid that each belongs to, (n,)."""
     corner = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     cube = corner[np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])]
@@ -83,25 +99,35 @@ def solids_triangles(solids, segments=64):
     return np.concatenate([*triangles, np.zeros((0, 3, 3))]), owner
 
 
-def room_triangles(dimensions, ceiling=True):
-    """Triangles (12 or 10, 3, 3) of the room's floor, walls and ceiling, seen from inside."""
+def room_triangles(dimensions: ArrayLike, ceiling: bool = True) -> np.ndarray:
+    """Triangles (12 or 10, 3, 3) in m of the room's floor, walls and, if asked for, ceiling, seen from inside."""
+    size = np.asarray(dimensions, float)
     box = furniture.Solids(
-        np.array([furniture.BOX]), np.asarray(dimensions)[None] / 2, np.eye(3)[None], np.asarray(dimensions)[None] / 2,
+        np.array([furniture.BOX]), size[None] / 2, np.eye(3)[None], size[None] / 2,
         np.zeros(1, int), np.zeros((1, 3)),
     )  # fmt: skip
     triangles = solids_triangles(box)[0][:, ::-1]
-    return triangles if ceiling else triangles[~(triangles[..., 2] > 0.999 * dimensions[2]).all(1)]
+    return triangles if ceiling else triangles[~(triangles[..., 2] > 0.999 * size[2]).all(1)]
 
 
-def glb(scenario, bodies, index):
-    """The scene at one time as a binary glTF file's bytes: y up, as glTF wants it; a node each for room and people."""
+def glb(scenario: Scenario, bodies: Bodies, index: int) -> bytes:
+    """Write a scene at one time as a binary glTF file, y up as glTF wants it.
+
+    Args:
+        scenario: its room, furniture and people; each of them is a node.
+        bodies: the people, posed.
+        index: of the time.
+
+    Returns:
+        The bytes of the file.
+    """
     import trimesh
 
     scene = trimesh.Scene()
     y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
-    def add(name, triangles, colours):
-        mesh = trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles), process=False)
+    def add(name: str, triangles: np.ndarray, colours: Any) -> None:
+        mesh: Any = trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles), process=False)
         rgba = np.concatenate([np.broadcast_to(colours, (len(triangles), 3)), np.ones((len(triangles), 1))], 1)
         mesh.visual.face_colors = np.round(255 * rgba).astype(np.uint8)
         scene.add_geometry(mesh, node_name=name, geom_name=name, transform=y_up)

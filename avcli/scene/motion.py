@@ -10,12 +10,15 @@ import numpy as np
 
 _TURN_S = 0.7  # a change of direction is spread over this time
 _CHANGE_S = 0.9  # sitting down and standing up
-_STRIDE_BOUNDS = (0.28, 0.55)  # length of a step over the body's height: slowest and fastest
+_STEP_BOUNDS = (0.28, 0.55)  # length of a step over the body's height: slowest and fastest
+_STEP_PER_ROOT_SPEED = 0.37  # that length at 1 m/s; it grows with the root of speed (Grieve and Gear, 1966)
+_STANCE = 0.08  # of a step at its begin and at its end, in which both feet stand
+_LIFT_M = 0.035  # of a swinging foot
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A walk through waypoints.
+    """A person's way through waypoints.
 
     Attributes:
         times: (k,) s, increasing; before the first and after the last the person stands.
@@ -23,6 +26,7 @@ class Motion:
         headings: (k,) rad counterclockwise from +x, the way the person faces while standing from that waypoint on;
             NaN: the way they came.
         seated: (k,) bool, whether the person sits while staying at that waypoint.
+        height: of the person, m.
     """
 
     times: np.ndarray
@@ -31,22 +35,22 @@ class Motion:
     seated: np.ndarray
     height: float = field(default=1.75)
 
-    def position(self, t):
-        """The point on the floor under the person at times t (n,): (n, 2) m."""
+    def position(self, t: np.ndarray) -> np.ndarray:
+        """The point on the floor under the person at times t (n,) s: (n, 2) m."""
         return np.stack([np.interp(t, self.times, self.places[:, axis]) for axis in (0, 1)], -1)
 
-    def speed(self, t):
-        """Speed at times t (n,): (n,) m/s."""
+    def speed(self, t: np.ndarray) -> np.ndarray:
+        """Speed at times t (n,) s: (n,) m/s."""
         return np.append(np.append(0.0, self._leg_speeds), 0.0)[np.searchsorted(self.times, t, "right")]
 
-    def heading(self, t):
-        """Direction that the body faces at times t (n,): (n,) rad counterclockwise from +x."""
+    def heading(self, t: np.ndarray) -> np.ndarray:
+        """Direction that the body faces at times t (n,) s: (n,) rad counterclockwise from +x."""
         legs = self._leg_headings
         x = np.clip((np.asarray(t, float)[:, None] - self.times) / _TURN_S, -0.5, 0.5)
         return legs[0] + (0.5 + x + np.sin(2 * np.pi * x) / (2 * np.pi)) @ np.diff(legs)
 
-    def sitting(self, t):
-        """How far the person sits at times t (n,): 0 stands, 1 sits."""
+    def sitting(self, t: np.ndarray) -> np.ndarray:
+        """How far the person sits at times t (n,) s: (n,), 0 stands, 1 sits."""
         t = np.asarray(t, float)
         amount = np.zeros_like(t)
         for begin, end in self._seats:
@@ -55,11 +59,16 @@ class Motion:
             amount = np.maximum(amount, np.minimum(rise, fall))
         return amount * amount * (3 - 2 * amount)
 
-    def feet(self, t, half_width):
-        """Footfalls at times t (n,), feet half_width m to the sides of the path.
+    def feet(self, t: np.ndarray, half_width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Place the feet.
 
-        Returns places (n, 2, 3) m of the right and the left foot's sole, their headings (n, 2) rad, how far each is in
-        its swing (n, 2), 0 on the floor, and how far ahead of the body each is in steps (n, 2).
+        Args:
+            t: (n,) s.
+            half_width: m from the path to either foot.
+
+        Returns:
+            Places (n, 2, 3) m of the right and the left foot's sole, their headings (n, 2) rad, how far each is in its
+            swing (n, 2), 0 on the floor, and how far ahead of the body each is in steps (n, 2).
         """
         t = np.asarray(t, float)
         heading = self.heading(t)
@@ -74,11 +83,11 @@ class Motion:
         return sole, headings, swing, ahead
 
     @cached_property
-    def _leg_speeds(self):
+    def _leg_speeds(self) -> np.ndarray:
         return np.linalg.norm(np.diff(self.places, axis=0), axis=1) / np.diff(self.times)
 
     @cached_property
-    def _leg_headings(self):
+    def _leg_headings(self) -> np.ndarray:
         """Unwrapped heading of each leg; leg 0 lies before the first waypoint, the last one after the last."""
         steps = np.diff(self.places, axis=0)
         moving = np.append(np.append(False, self._leg_speeds > 0), False)
@@ -88,17 +97,17 @@ class Motion:
         known = np.flatnonzero(np.isfinite(headings))
         if len(known) == 0:
             return np.zeros(len(headings))
-        # Who was not told where to look keeps the direction they came from, or looks where they will go.
+        # Without a heading a person keeps the direction they came from, or looks where they will go.
         last = np.searchsorted(known, np.arange(len(headings)), "right") - 1
         return np.unwrap(headings[known[np.maximum(last, 0)]])
 
     @cached_property
-    def _seats(self):
-        """Times [begin, end] that the person spends seated, sitting down and getting up included."""
+    def _seats(self) -> list[tuple[float, float]]:
+        """Times (begin, end) that the person spends seated, sitting down and getting up included."""
         still = np.append(self._leg_speeds == 0, True) & self.seated
         begins = [-np.inf if i == 0 else self.times[i] for i in np.flatnonzero(still)]
         ends = [self.times[i + 1] if i + 1 < len(self.times) else np.inf for i in np.flatnonzero(still)]
-        merged = []
+        merged: list[tuple[float, float]] = []
         for begin, end in zip(begins, ends, strict=True):
             if merged and merged[-1][1] == begin:
                 merged[-1] = (merged[-1][0], end)
@@ -107,7 +116,7 @@ class Motion:
         return merged
 
     @cached_property
-    def _walks(self):
+    def _walks(self) -> list["_Walk"]:
         moving = np.append(np.append(False, self._leg_speeds > 0), False).astype(int)
         begins, ends = np.flatnonzero(np.diff(moving) == 1), np.flatnonzero(np.diff(moving) == -1)
         return [_Walk(self, slice(b, e + 1)) for b, e in zip(begins, ends, strict=True)]
@@ -116,26 +125,27 @@ class Motion:
 class _Walk:
     """The footsteps of one walk from stop to stop: it begins and ends with the feet side by side."""
 
-    def __init__(self, motion, part):
+    def __init__(self, motion: Motion, part: slice) -> None:
         self.motion = motion
         self.times, self.places = motion.times[part], motion.places[part]
         self.begin, self.end = self.times[0], self.times[-1]
         legs = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         self.lengths = np.append(0.0, np.cumsum(legs))
         total = self.lengths[-1]
-        # Step length grows with the root of speed (Grieve and Gear, 1966).
-        wanted = motion.height * np.clip(0.37 * np.sqrt(total / (self.end - self.begin)), *_STRIDE_BOUNDS)
+        speed = total / (self.end - self.begin)
+        wanted = motion.height * np.clip(_STEP_PER_ROOT_SPEED * np.sqrt(speed), *_STEP_BOUNDS)
         count = max(1, round(total / wanted))
         self.step = total / count
         falls = self.step * np.arange(count + 1)
         self.falls = np.concatenate([[0.0, 0.0], falls[1:], [total]])  # where the feet fall, alternating; two stand
         self.bounds = np.concatenate([[0.0], self.step * (np.arange(1, count + 1) - 0.5), [total]])
 
-    def feet(self, t, half_width):
+    def feet(self, t: np.ndarray, half_width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """As `Motion.feet`, at times within the walk."""
         s = np.interp(t, self.times, self.lengths)
         j = np.clip(np.searchsorted(self.bounds, s, "right"), 1, len(self.bounds) - 1)
         through = (s - self.bounds[j - 1]) / (self.bounds[j] - self.bounds[j - 1])
-        u = np.clip((through - 0.08) / 0.84, 0, 1)
+        u = np.clip((through - _STANCE) / (1 - 2 * _STANCE), 0, 1)
         eased = u * u * u * (10 + u * (6 * u - 15))
         stance_at, from_at, to_at = self.falls[j], self.falls[j - 1], self.falls[j + 1]
         sole, heading = np.empty((len(t), 2, 3)), np.empty((len(t), 2))
@@ -150,11 +160,11 @@ class _Walk:
             swing[:, foot] = np.where(swings & (u < 1), u, 0.0)
             at = np.where(swings, from_at * (1 - eased) + to_at * eased, stance_at)
             ahead[:, foot] = (at - s) / self.step
-            lift = np.where(swings, 0.035 * np.sin(np.pi * u) ** 2, 0.0)
+            lift = np.where(swings, _LIFT_M * np.sin(np.pi * u) ** 2, 0.0)
             sole[:, foot] = np.concatenate([place, lift[:, None]], -1)
         return sole, heading, swing, ahead
 
-    def _plant(self, s, offset):
+    def _plant(self, s: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
         """Place (n, 2) and heading (n,) of a foot that falls at distance s (n,)."""
         t = np.interp(s, self.lengths, self.times)
         heading = self.motion.heading(t)
@@ -162,5 +172,5 @@ class _Walk:
         return place + offset * _left(heading), heading
 
 
-def _left(heading):
+def _left(heading: np.ndarray) -> np.ndarray:
     return np.stack([-np.sin(heading), np.cos(heading)], -1)

@@ -1,16 +1,33 @@
-"""Scenarios: who walks where and says what, in which room, seen by which camera. One JSON format, checked in full.
+"""Scenarios: who walks where and speaks when, in which room, seen by which camera. One JSON format, checked in full.
 
 A scenario has the config.json sections `camera_config`, `microphone_config` and `room_config` (each may be left out:
-the thesis's laboratory), and `furniture` and `people`. man/avcli-formats.5 lists every key.
+the thesis's laboratory), and `furniture` and `people`. `SCENARIO` describes every key: a new key is added there, and
+`parse` finds its value. The schema and man/avcli-formats.5 are written from it (`make formats`).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from avcli.formats import experiment
+from avcli.formats.descriptions import Format
+from avcli.formats.schema import (
+    IDENTITY,
+    Boolean,
+    Choice,
+    Either,
+    Invalid,
+    Key,
+    ListOf,
+    Number,
+    Numbers,
+    Object,
+    Text,
+    shown,
+)
 from avcli.scene import furniture
 from avcli.scene.motion import Motion
 from avcli.scene.people import LOOKS, Person
@@ -20,7 +37,7 @@ _MICROPHONES = (
     (4.545, 0.115, 2.489), (2.395, 0.162, 2.378), (0.115, 0.115, 2.489), (2.386, 2.253, 2.489),
 )  # fmt: skip
 
-LABORATORY = {
+LABORATORY: dict[str, dict[str, Any]] = {
     "camera_config": {
         "camera_position_m": [2.33, 2.33, 2.5],
         "camera_rotation_deg": [90.0, 0.0, 0.0],
@@ -47,7 +64,7 @@ LABORATORY = {
 }
 """The thesis's laboratory and its real camera: what a scenario that leaves a section out gets."""
 
-CAMERAS = {
+CAMERAS: dict[str, dict[str, Any]] = {
     "real": {
         key: value
         for key, value in LABORATORY["camera_config"].items()
@@ -69,14 +86,61 @@ CAMERAS = {
 }
 """The thesis's two cameras: its real one as it was calibrated, and the virtual one of its Listings .1 and .3."""
 
-_KEYS = ("name", "duration_s", "camera_config", "microphone_config", "room_config", "furniture", "people")
-_PERSON_KEYS = ("object_id", "look", "height_m", "waypoints", "speech_s", "gestures")
-_WAYPOINT_KEYS = ("position_m", "t_s", "speed_m_s", "stay_s", "pose", "heading_deg")
-_FASTEST_M_S = 12.0  # faster than anyone ran: taken, with a warning
+_WAYPOINT = Object(
+    {
+        "position_m": Key(Numbers(2), "position on the floor, m", required=True),
+        "t_s": Key(Number(), "time at which the person arrives, s; later than at the previous waypoint"),
+        "speed_m_s": Key(
+            Number(above=0), "speed of the walk to this waypoint, m/s, instead of t_s; 1 where neither is given"
+        ),
+        "stay_s": Key(Number(least=0), "time that the person stays, s", default=0.0),
+        "pose": Key(Choice(("stand", "sit")), "posture while staying", default="stand"),
+        "heading_deg": Key(
+            Number(),
+            "direction that the person faces while staying, counterclockwise from +x; default: that of the walk",
+        ),
+    },
+    closed=True,
+    exclusive=("t_s", "speed_m_s"),
+)
+_PERSON = Object(
+    {
+        "object_id": Key(IDENTITY, "identity of the person, different for each; default: the place in the list"),
+        "look": Key(Choice(tuple(LOOKS)), "clothes, hair and build; default: one after another along the list"),
+        "height_m": Key(Number(least=0.5, most=2.5), "height to the top of the head, m; default: that of the look"),
+        "waypoints": Key(ListOf(_WAYPOINT, 1), "points that the person walks through", required=True),
+        "speech_s": Key(
+            Either((Choice((True,)), ListOf(Numbers(2)))),
+            "turns to speak, each [start, end] in s, in order; true: all the time; default: never",
+        ),
+        "gestures": Key(Boolean(), "whether the hands move while speaking", default=True),
+    },
+    closed=True,
+)
+_AS_CONFIG = "section of config.json; keys that are left out have the values of the thesis's laboratory"
+SCENARIO = Format(
+    "scenario",
+    "A scenario of avsim-scene: who walks where and speaks when, in which room, seen by which camera",
+    Object(
+        {
+            "name": Key(Text(), "name of the session (session_id in config.json); default: the name of the file"),
+            "duration_s": Key(Number(least=0), "duration, s; the last frame is at or before it", default=4.0),
+            "camera_config": Key(Object({}), _AS_CONFIG),
+            "microphone_config": Key(Object({}), _AS_CONFIG),
+            "room_config": Key(Object({}), _AS_CONFIG),
+            "furniture": Key(ListOf(furniture.PIECE), "tables, chairs and other things that do not move"),
+            "people": Key(ListOf(_PERSON, 0, 250), "the people; a mask picture numbers at most 250"),
+        },
+        closed=True,
+    ),
+)
+"""Every key of a scenario file."""
+
+_FASTEST_M_S = 12.0  # faster than anyone ran: simulated, with a warning
 
 
 class ScenarioError(ValueError):
-    """What is wrong with a scenario, and where in it."""
+    """An invalid scenario; the message names its file and the key."""
 
 
 @dataclass(frozen=True)
@@ -89,153 +153,167 @@ class Scenario:
         duration: s; the last frame is the last one at or before it.
         config: the experiment's Config (camera, microphones, room).
         solids: furniture.Solids, all that does not move.
-        people: tuple of Person.
+        people: in the order of the file.
         warnings: sentences on what is odd but can be simulated.
     """
 
-    raw: Mapping
+    raw: Mapping[str, Any]
     name: str
     duration: float
     config: experiment.Config
     solids: furniture.Solids
-    people: tuple
-    warnings: tuple
+    people: tuple[Person, ...]
+    warnings: tuple[str, ...]
 
     @property
-    def times(self):
+    def times(self) -> np.ndarray:
         """Times of the frames, (n,) s."""
         rate = self.config.camera.frame_rate_hz
         return np.arange(math.floor(self.duration * rate + 1e-6) + 1) / rate
 
 
-def parse(raw, name="scenario", load_mesh=None):
+def parse(raw: Any, name: str = "scenario", load_mesh: Callable[[str], np.ndarray] | None = None) -> Scenario:
     """Check a scenario's JSON object and build it.
 
     Args:
         raw: the decoded JSON.
         name: of its file, for messages.
-        load_mesh: function of a mesh's path that returns its triangles (n, 3, 3) in m.
+        load_mesh: returns the triangles (n, 3, 3) in m of a mesh by its path; raises ValueError or OSError.
 
     Raises:
-        ScenarioError: something is wrong; the message says where and what.
+        ScenarioError: the scenario is invalid; the message says which key and why.
     """
-    top = _Reader(raw, name, "")
-    top.object(_KEYS)
+    try:
+        return _parsed(SCENARIO.content.read(raw), raw, name, load_mesh)
+    except Invalid as error:
+        raise ScenarioError(f"{name}: {error}") from None
+    except experiment.ConfigError as error:
+        raise ScenarioError(str(error)) from None
+
+
+def _parsed(
+    values: Mapping[str, Any], raw: Mapping[str, Any], name: str, load_mesh: Callable[[str], np.ndarray] | None
+) -> Scenario:
+    sections = _with_laboratory(raw)
+    title = name if values["name"] is None else values["name"]
+    config = experiment.Config({"session_id": title, **sections}, name)
+    _ = config.microphones
+    camera, dimensions, duration = config.camera, config.room.dimensions, values["duration_s"]
+    position = camera.T_room_camera[:3, 3]
+    if ((position <= 0) | (position >= dimensions)).any():
+        raise _outside(position, dimensions).within("camera_config", "camera_position_m")
+    if camera.width_px * camera.height_px > 1 << 26:
+        reason = f"has an image of {camera.width_px} x {camera.height_px}; at most {1 << 26} pixels can be simulated"
+        raise Invalid(reason, ("camera_config",))
+    if duration * camera.frame_rate_hz > 1e7:
+        raise Invalid(f"must give at most 10 million frames, found {duration:g} s", ("duration_s",))
+    pieces, warnings = [], []
+    for index, piece in enumerate(values["furniture"] or ()):
+        try:
+            pieces.append(furniture.build(piece, load_mesh))
+        except Invalid as error:
+            raise error.within("furniture", index) from None
+    people: list[Person] = []
+    for index, item in enumerate(values["people"] or ()):
+        try:
+            person, odd = _person(item, index, duration, dimensions)
+            if any(other.object_id == person.object_id for other in people):
+                raise Invalid(f"{person.object_id} is another person's already", ("object_id",))
+        except Invalid as error:
+            raise error.within("people", index) from None
+        people.append(person)
+        warnings += [f"{name}: people[{index}].{text}" for text in odd]
+    solids = furniture.join(pieces)
+    warnings += [f"{name}: {text}" for text in _collisions(people, solids, duration)]
+    filled = {"name": title, "duration_s": duration, **sections}
+    filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
+    return Scenario(filled, title, duration, config, solids, tuple(people), tuple(warnings))
+
+
+def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the sections of config.json, filled with the laboratory's values."""
     sections = {}
     for key, default in LABORATORY.items():
-        given = top.get(key, {})
-        if not isinstance(given, Mapping):
-            top.refuse(key, f"expected an object, found {_shown(given)}")
-        # A lens is one thing: who names a part of it does not want the rest of another lens.
+        given = raw.get(key) or {}
+        # A lens is one thing: a scenario that gives one part of it does not want the rest of another lens.
         own_lens = key == "camera_config" and {"lens_model", "fx_px", "fy_px", "k1"} & given.keys()
         kept = {k: v for k, v in default.items() if not (own_lens and k in ("lens_model", *_LENS_KEYS))}
         sections[key] = {**kept, **given}
-    config = experiment.Config({"session_id": top.text("name", name), **sections}, name)
-    try:
-        camera, room = config.camera, config.room
-        _ = config.microphones
-    except experiment.ConfigError as error:
-        raise ScenarioError(str(error)) from None
-    warnings = []
-    dimensions = room.dimensions
-    position = camera.T_room_camera[:3, 3]
-    if ((position <= 0) | (position >= dimensions)).any():
-        raise ScenarioError(
-            f"{name}: camera_config.camera_position_m: "
-            f"{position.tolist()} is outside the room of {dimensions.tolist()} m"
-        )
-    if camera.width_px * camera.height_px > 1 << 26:
-        raise ScenarioError(f"{name}: camera_config: an image of {camera.width_px} x {camera.height_px} is too large")
-    duration = top.number("duration_s", 4.0, least=0.0)
-    if duration * camera.frame_rate_hz > 1e7:
-        raise ScenarioError(f"{name}: duration_s: {duration:g} s are more than 10 million frames")
-    solids = [
-        furniture.build(_Reader(item, name, f"furniture[{i}]"), load_mesh)
-        for i, item in enumerate(top.list("furniture"))
-    ]
-    people = []
-    for index, item in enumerate(top.list("people")):
-        person = _person(_Reader(item, name, f"people[{index}]"), index, duration, dimensions, warnings)
-        if any(other.object_id == person.object_id for other in people):
-            raise ScenarioError(f"{name}: people[{index}].object_id: {person.object_id} is taken")
-        people.append(person)
-    if len(people) > 250:
-        raise ScenarioError(f"{name}: people: {len(people)} are more than the 250 that a mask can tell apart")
-    solids = furniture.join(solids)
-    _warn_of_collisions(name, people, solids, duration, warnings)
-    filled = {"name": config.raw["session_id"], "duration_s": duration, **sections}
-    filled |= {"furniture": top.list("furniture"), "people": top.list("people")}
-    return Scenario(filled, filled["name"], duration, config, solids, tuple(people), tuple(warnings))
+    return sections
+
+
+def _outside(position: np.ndarray, dimensions: np.ndarray) -> Invalid:
+    return Invalid(f"{position.tolist()} is outside the room of {dimensions.tolist()} m")
 
 
 _LENS_KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
 
 
-def with_camera(raw, camera_config):
-    """Put another camera's lens, image size, and place where it states them, into a scenario's JSON object."""
-    given = camera_config.get("camera_config", camera_config)
+def with_camera(raw: Mapping[str, Any], camera_config: Mapping[str, Any]) -> dict[str, Any]:
+    """Put another camera into a scenario's JSON object: its lens, its image size, and its place where it has one.
+
+    Args:
+        raw: the scenario.
+        camera_config: a camera_config, or a config.json that has one.
+
+    Raises:
+        ScenarioError: the camera_config is not a JSON object.
+    """
+    given = camera_config.get("camera_config", camera_config) if isinstance(camera_config, Mapping) else camera_config
     if not isinstance(given, Mapping):
-        raise ScenarioError("a camera config is a JSON object")
-    old = {**LABORATORY["camera_config"], **raw.get("camera_config", {})}
+        raise ScenarioError(f"camera_config must be a JSON object, found {shown(given)}")
+    old = {**LABORATORY["camera_config"], **(raw.get("camera_config") or {})}
     kept = {key: old[key] for key in ("camera_position_m", "camera_rotation_deg", "frame_rate_hz") if key in old}
     return {**raw, "camera_config": {**kept, **given}}
 
 
-def at_height(raw, height):
+def at_height(raw: Mapping[str, Any], height: float) -> dict[str, Any]:
     """Put a scenario's camera at another height, m."""
-    section = {**LABORATORY["camera_config"], **raw.get("camera_config", {})}
+    section = {**LABORATORY["camera_config"], **(raw.get("camera_config") or {})}
     position = section["camera_position_m"]
     if isinstance(position, list) and len(position) == 3:
         position = [*position[:2], height]
-    return {**raw, "camera_config": {**raw.get("camera_config", {}), "camera_position_m": position}}
+    return {**raw, "camera_config": {**(raw.get("camera_config") or {}), "camera_position_m": position}}
 
 
-def _person(reader, index, duration, dimensions, warnings):
-    reader.object(_PERSON_KEYS)
-    identity = reader.get("object_id", index)
-    if not isinstance(identity, int) or isinstance(identity, bool):
-        reader.refuse("object_id", f"expected a whole number, found {_shown(identity)}")
+def _person(values: Mapping[str, Any], index: int, duration: float, dimensions: np.ndarray) -> tuple[Person, list[str]]:
+    """Return a person and warnings, which begin with the place within the person."""
+    identity = index if values["object_id"] is None else values["object_id"]
     names = list(LOOKS)
-    look = LOOKS[reader.choice("look", names, names[index % len(names)])]
-    height = reader.number("height_m", look.height, least=0.5, most=2.5)
-    motion = _motion(reader, height, dimensions, warnings)
-    turns = reader.get("speech_s", [])
-    if turns is True:
-        turns = [[0.0, max(duration, 1e-3)]]
-    if not isinstance(turns, list):
-        reader.refuse("speech_s", f"expected a list of [start, end] or true, found {_shown(turns)}")
+    look = LOOKS[values["look"] or names[index % len(names)]]
+    height = values["height_m"] or look.height
+    motion, warnings = _motion(values["waypoints"], height, dimensions)
+    turns = [[0.0, max(duration, 1e-3)]] if values["speech_s"] is True else values["speech_s"] or []
     last = -math.inf
-    for i, turn in enumerate(turns):
-        if not isinstance(turn, list) or len(turn) != 2 or not all(map(_is_number, turn)) or not turn[0] < turn[1]:
-            reader.refuse(f"speech_s[{i}]", f"expected [start, end] in seconds, start before end, found {_shown(turn)}")
-        if turn[0] < last:
-            reader.refuse(f"speech_s[{i}]", "begins before the turn before it ends")
-        last = turn[1]
-    gestures = reader.get("gestures", True)
-    if not isinstance(gestures, bool):
-        reader.refuse("gestures", f"expected true or false, found {_shown(gestures)}")
-    return Person(identity, motion, look, height, np.array(turns, float).reshape(-1, 2), gestures)
+    for i, (start, end) in enumerate(turns):
+        if not start < end:
+            raise Invalid(f"must start before it ends, found {shown([start, end])}", ("speech_s", i))
+        if start < last:
+            raise Invalid("begins before the previous turn ends", ("speech_s", i))
+        last = end
+    return Person(identity, motion, look, height, np.array(turns, float).reshape(-1, 2), values["gestures"]), warnings
 
 
-def _motion(reader, height, dimensions, warnings):
-    points = reader.list("waypoints")
-    if not points:
-        reader.refuse("waypoints", "expected at least one")
-    times, places, headings, seated = [], [], [], []
-    for index, item in enumerate(points):
-        point = _Reader(item, reader.name, f"{reader.where}.waypoints[{index}]")
-        point.object(_WAYPOINT_KEYS)
-        place = point.numbers("position_m", 2)
-        if ((place <= 0) | (place >= dimensions[:2])).any():
-            point.refuse("position_m", f"{place.tolist()} is outside the room of {dimensions[:2].tolist()} m")
-        time = _arrival(point, times, places, place)
+def _motion(points: Sequence[Mapping[str, Any]], height: float, dimensions: np.ndarray) -> tuple[Motion, list[str]]:
+    times: list[float] = []
+    places: list[np.ndarray] = []
+    headings: list[float] = []
+    seated: list[bool] = []
+    warnings = []
+    for index, point in enumerate(points):
+        place = np.array(point["position_m"])
+        try:
+            if ((place <= 0) | (place >= dimensions[:2])).any():
+                raise _outside(place, dimensions[:2]).within("position_m")
+            time = _arrival(point, times, places, place)
+        except Invalid as error:
+            raise error.within("waypoints", index) from None
         if times:
             speed = np.linalg.norm(place - places[-1]) / (time - times[-1])
             if speed > _FASTEST_M_S:
-                warnings.append(f"{point.name}: {point.where}: a walk at {speed:.3g} m/s")
-        heading = math.radians(point.number("heading_deg", math.nan))
-        sits = point.choice("pose", ("stand", "sit"), "stand") == "sit"
-        stay = point.number("stay_s", 0.0, least=0.0)
+                warnings.append(f"waypoints[{index}]: a walk at {speed:.3g} m/s")
+        heading = math.nan if point["heading_deg"] is None else math.radians(point["heading_deg"])
+        sits, stay = point["pose"] == "sit", point["stay_s"]
         times.append(time)
         places.append(place)
         headings.append(heading)
@@ -245,102 +323,40 @@ def _motion(reader, height, dimensions, warnings):
             places.append(place)
             headings.append(heading)
             seated.append(sits and index == len(points) - 1)
-    return Motion(np.array(times), np.array(places), np.array(headings), np.array(seated), height)
+    return Motion(np.array(times), np.array(places), np.array(headings), np.array(seated), height), warnings
 
 
-def _arrival(point, times, places, place):
-    """The time at which the person reaches a waypoint: stated, or by the speed of the walk there."""
-    if "t_s" in point.raw and "speed_m_s" in point.raw:
-        point.refuse("speed_m_s", "t_s and speed_m_s exclude each other")
-    if "t_s" in point.raw or not times:
-        time = point.number("t_s", 0.0)
-        if times and time <= times[-1]:
-            point.refuse("t_s", f"{time:g} s is not after the waypoint before it, {times[-1]:g} s")
+def _arrival(
+    point: Mapping[str, Any], times: Sequence[float], places: Sequence[np.ndarray], place: np.ndarray
+) -> float:
+    """Return the time at which the person reaches a waypoint, s: the stated one, or by the speed of the walk there."""
+    time = point["t_s"]
+    if not times:
+        return 0.0 if time is None else time
+    if time is not None:
+        if time <= times[-1]:
+            raise Invalid(f"must be after the previous waypoint, {times[-1]:g} s, found {time:g}", ("t_s",))
         return time
-    speed = point.number("speed_m_s", 1.0, above=0.0)
     distance = float(np.linalg.norm(place - places[-1]))
     if distance == 0:
-        point.refuse("position_m", "is where the person already is; state t_s, or stay_s at the waypoint before")
-    return times[-1] + distance / speed
+        reason = "is where the person already is; give t_s, or stay_s at the previous waypoint"
+        raise Invalid(reason, ("position_m",))
+    return times[-1] + distance / (point["speed_m_s"] or 1.0)
 
 
-def _warn_of_collisions(name, people, solids, duration, warnings):
-    """Say who walks through furniture, who through a wall, and who through whom."""
+def _collisions(people: Sequence[Person], solids: furniture.Solids, duration: float) -> list[str]:
+    """Return a sentence for each person who walks through furniture, and for each two people who meet."""
     t = np.arange(0.0, duration + 1e-9, 0.1)[:6000]
     tracks = [person.motion.position(t) for person in people]
+    warnings = []
     for index, (person, track) in enumerate(zip(people, tracks, strict=True)):
         seats = person.motion.places[person.motion.seated]
         standing = (np.linalg.norm(track[:, None] - seats, axis=-1) > 0.7).all(1)  # one's own chair is no obstacle
         inside = furniture.blocks(solids, track, 0.05, person.height) & standing
         if inside.any():
-            warnings.append(f"{name}: people[{index}] walks through furniture at {t[inside.argmax()]:.1f} s")
+            warnings.append(f"people[{index}] walks through furniture at {t[inside.argmax()]:.1f} s")
         for other in range(index):
             near = np.linalg.norm(track - tracks[other], axis=1) < 0.3
             if near.any():
-                warnings.append(f"{name}: people[{index}] and people[{other}] meet at {t[near.argmax()]:.1f} s")
-
-
-class _Reader:
-    """One object of a scenario, with checks that say where and what."""
-
-    def __init__(self, raw, name, where):
-        self.raw, self.name, self.where = raw, name, where
-
-    def refuse(self, key, reason):
-        place = ".".join(part for part in (self.where, key) if part)
-        raise ScenarioError(f"{self.name}: {place}: {reason}" if place else f"{self.name}: {reason}")
-
-    def object(self, keys):
-        if not isinstance(self.raw, Mapping):
-            self.refuse("", f"expected an object, found {_shown(self.raw)}")
-        for key in self.raw:
-            if key not in keys:
-                self.refuse(key, f"is no key here; there are {', '.join(keys)}")
-
-    def get(self, key, default):
-        return self.raw.get(key, default)
-
-    def text(self, key, default):
-        value = self.get(key, default)
-        if not isinstance(value, str):
-            self.refuse(key, f"expected text, found {_shown(value)}")
-        return value
-
-    def list(self, key):
-        value = self.get(key, [])
-        if not isinstance(value, list):
-            self.refuse(key, f"expected a list, found {_shown(value)}")
-        return value
-
-    def choice(self, key, choices, default):
-        value = self.get(key, default)
-        if value not in choices:
-            self.refuse(key, f"expected one of {', '.join(choices)}, found {_shown(value)}")
-        return value
-
-    def number(self, key, default, least=-math.inf, above=-math.inf, most=math.inf):
-        if key not in self.raw:
-            return default
-        value = self.raw[key]
-        if not _is_number(value) or value < least or value <= above or value > most:
-            low = f" above {above:g}" if above > -math.inf else f" of at least {least:g}" if least > -math.inf else ""
-            high = f" and at most {most:g}" if most < math.inf else ""
-            self.refuse(key, f"expected a number{low}{high}, found {_shown(value)}")
-        return float(value)
-
-    def numbers(self, key, count, default=None):
-        value = self.raw.get(key, default)
-        if value is None and key not in self.raw:
-            self.refuse(key, "is missing")
-        if not isinstance(value, list | tuple) or len(value) != count or not all(map(_is_number, value)):
-            self.refuse(key, f"expected {count} numbers, found {_shown(value)}")
-        return np.array(value, float)
-
-
-def _is_number(value):
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _shown(value):
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+                warnings.append(f"people[{index}] and people[{other}] meet at {t[near.argmax()]:.1f} s")
+    return warnings

@@ -1,36 +1,6 @@
 """The renderer's shaders (GLSL 3.30). Everything is in the camera's frame, metres; image row 0 is gl row 0."""
 
-LENS = """#version 330
-uniform vec2 centre, per_px, stretch;   // principal point, px to the lens's plane, and back to slopes (division)
-uniform vec4 domain;                    // 1 / m_top^2, whether the variable is sqrt(1 - .), m_max^2, source bound
-uniform vec2 series[TERMS];             // Chebyshev coefficients of the lateral and the axial part of the ray
-
-uniform sampler2D rays;                 // ray_parts of each pixel's centre
-
-// The two parts of the unit ray through image point px, which times its place in the lens's plane, and its z; 0, 0
-// where the lens images nothing.
-vec2 ray_parts(vec2 px) {
-    vec2 m = (px - centre) * per_px;
-    float square = dot(m, m);
-    float w = square * domain.x;
-    if (domain.y > 0.5) w = sqrt(max(1.0 - w, 0.0));
-    w = 2.0 * w - 1.0;
-    vec2 one = vec2(0.0), two = vec2(0.0);   // Clenshaw's recurrence
-    for (int i = TERMS - 1; i > 0; --i) {
-        vec2 sum = 2.0 * w * one - two + series[i];
-        two = one;
-        one = sum;
-    }
-    vec2 ab = w * one - two + series[0];
-    float a = ab.x, b = ab.y;
-    vec2 lateral = m * a;
-    if (square > domain.z || (domain.w > 0.5 && max(abs(lateral.x), abs(lateral.y)) > 1.0)) return vec2(0.0);
-    return vec2(a, b) / length(vec3(lateral * stretch, b));
-}
-vec3 ray_from(vec2 px, vec2 parts) { return vec3((px - centre) * per_px * stretch * parts.x, parts.y); }
-vec3 ray_through(vec2 px) { return ray_from(px, ray_parts(px)); }
-vec3 ray_of(ivec2 at) { return ray_from(vec2(at), texelFetch(rays, at, 0).rg); }
-"""
+from avcli.lens.shader import GLSL as LENS
 
 RAYS = (
     LENS

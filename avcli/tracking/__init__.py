@@ -1,6 +1,22 @@
 """Tracking: detections of several sensors become labelled tracks (MS-GLMB), in order of time, as they come.
 
-`merging` puts records on one clock; `fusion` feeds them to a tracker (`glmb`, `gnn`) and delays its tracks by some
-steps to smooth them (`smoothing`). `motion`, `gaussian` and `assignment` are what trackers are made of; `model` holds
-what they are told and tell.
+`track` does the whole step. `merging` puts records on one clock; `fusion` gives them to a tracker (`trackers` lists
+them) and delays its tracks by some steps to smooth them (`smoothing`). The GLMB filter (`glmb`) predicts
+(`prediction`), weighs a record (`scan`), associates detections with people (`association`), begins tracks (`births`)
+and computes the densities after the record (`posterior`). `motion` and `gaussian` are what all trackers are made of.
 """
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from avcli.tracking.fusion import track
+
+__all__ = ["track"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "track":  # lazily, since numpy takes longer to import than --help may take
+        from avcli.tracking.fusion import track
+
+        return track
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,41 +4,51 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.formats.experiment import Camera
+
 STEP, CELLS = 0.1, 100  # m, wider where a side of the room would have more cells than that
 HEIGHTS = np.arange(0.1, 1.75, 0.1)  # m, of points on a standing person's axis
-NOTHING, ENOUGH = 0.05, 0.25  # shares of them in the picture with which nobody is found, and everybody
-LEAST = 0.02  # what is left where nobody should be found: arms, people who are tall, a lens that is not quite as said
+NOTHING, ENOUGH = 0.05, 0.25  # shares of them in the picture with which nobody is detected, and everybody
+LEAST = 0.02  # left where nobody should be detected: arms, tall people, a lens that is not quite as stated
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How readily somebody is found who stands at each place, on a grid.
+    """How well a camera detects a person who stands at each place, on a grid.
 
-    low: (2,) m, its corner; step: m; share: (nx, ny), of the detection probability in full view.
+    Attributes:
+        low: (2,) m, the grid's corner.
+        step: m, of the grid.
+        share: (nx, ny), of the detection probability in full view.
     """
 
     low: np.ndarray
     step: float
     share: np.ndarray
 
-    def at(self, places):
-        """The shares at places (n, 2) m, those outside the grid as at its border: a list of n."""
+    def at(self, positions: np.ndarray) -> list[float]:
+        """Return the shares, n of them, at positions (n, 2) m; outside the grid they are those of its border."""
         last = np.array(self.share.shape) - 1
-        cells = np.minimum(np.maximum((places - self.low) / self.step, 0), last).astype(int)
+        cells = np.minimum(np.maximum((positions - self.low) / self.step, 0), last).astype(int)
         return self.share[cells[:, 0], cells[:, 1]].tolist()
 
 
-def of_camera(camera, area):
-    """Where a camera finds people: those of whom its picture holds a quarter or more, as its detectors do.
+def of_camera(camera: Camera, area: tuple[tuple[float, float], tuple[float, float]]) -> Coverage:
+    """Compute where a camera detects people: where its picture holds a quarter of them or more, as its detectors need.
 
-    camera: experiment.Camera; area: ((x0, y0), (x1, y1)) m. Returns Coverage.
+    Args:
+        camera: its lens and pose.
+        area: two corners of the floor in m.
+
+    Returns:
+        The share of the detection probability at each place.
     """
     low, high = np.array(area, float)
     step = max(STEP, (high - low).max() / CELLS)
     x, y = (a + step * (np.arange(max(int(np.ceil((b - a) / step)), 1)) + 0.5) for a, b in zip(low, high, strict=True))
     points = np.stack(np.meshgrid(x, y, HEIGHTS, indexing="ij"), -1)
-    rotation, place = camera.T_room_camera[:3, :3], camera.T_room_camera[:3, 3]
-    seen = (points - place) @ rotation
+    rotation, position = camera.T_room_camera[:3, :3], camera.T_room_camera[:3, 3]
+    seen = (points - position) @ rotation
     with np.errstate(all="ignore"):
         u, v = np.moveaxis(camera.lens.project(seen.reshape(-1, 3)).reshape(*seen.shape[:-1], 2), -1, 0)
         inside = (u > -0.5) & (u < camera.width_px - 0.5) & (v > -0.5) & (v < camera.height_px - 0.5)

@@ -1,76 +1,263 @@
-"""From detections of several sensors to tracks, step by step."""
+"""From detections of several sensors to tracks: `track` at once, `Fusion` step by step."""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from avcli.tracking.glmb import GLMB
-from avcli.tracking.gnn import GNN
-from avcli.tracking.model import sensor
+from avcli.formats.experiment import Config, ConfigError
+from avcli.formats.records import Detections, Identified
+from avcli.formats.sensors import CAMERA, MICROPHONES, sensor_kind
+from avcli.tracking.coverage import Coverage, of_camera
+from avcli.tracking.merging import Merger, Record, in_turn
+from avcli.tracking.model import Corners, Population, Track
+from avcli.tracking.settings import Sensor, Settings, sensor
 from avcli.tracking.smoothing import Delayed
+from avcli.tracking.trackers import TRACKERS, Explainable, Smoothable
 
-FLOOR, CEILING = 1e-6, 1e8  # m^2; a person's place is not defined to better than a millimetre
+FLOOR, CEILING = 1e-6, 1e8  # m², of variances; a person's position is not defined to better than a millimetre
+HEIGHT_VARIANCE = 1e-4  # m², of tracks: people stand on the floor
+
+Given = Mapping[str, Mapping[str, Any]]
+"""Name of a sensor, or a kind of sensors -> fields of `settings.Sensor` that the user gave; the name wins."""
+
+
+def track(
+    config: Config | None,
+    *detections: Iterable[Detections],
+    tracker: str = "ms-glmb",
+    lag: float = 0,
+    settings: Settings | None = None,
+    given: Given | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> list[Identified]:
+    """Fuse detections of any sensors into tracks, as the command avfuse does.
+
+    Args:
+        config: the experiment's config, None: the room, its camera and the rate of the output are not known.
+        detections: one or more streams, each of one or more sensors and about in order of time.
+        tracker: a name in `trackers.TRACKERS`.
+        lag: steps by which each result is late and smoothed by what came since; math.inf: by everything.
+        settings: None: the defaults.
+        given: what is known of some sensors.
+        say: called with sentences for the user.
+
+    Returns:
+        One item for each step of a regular clock, with the people who probably exist.
+
+    Raises:
+        ValueError: the tracker is not known, cannot smooth, or needs a package that is not installed.
+
+    >>> import numpy as np
+    >>> from avcli.formats.records import Detections
+    >>> from avcli.tracking import track
+    >>> nan, seen = np.full((1, 3, 3), np.nan), []
+    >>> for k in range(20):  # a person walks along x at 1 m/s; a camera looks at 10 Hz
+    ...     seen.append(Detections(k / 10, "ceiling", np.array([[1 + k / 10, 2, 0]]), nan, np.array([0.9]), "camera"))
+    >>> tracks = track(None, seen)
+    >>> len(tracks), tracks[-1].ids.tolist(), tracks[-1].positions.round(1).tolist()
+    (20, [0], [[2.9, 2.0, 0.0]])
+    """
+    settings = settings or Settings()
+    fusion = Fusion.of(config, settings, tracker, lag, given=given, say=say)
+    merger = fusion.merger(len(detections))
+    sources = [named(f"sensor{k}", source) for k, source in enumerate(detections)]
+    out = [one for step in merger.steps(in_turn(sources)) for one in fusion.step(*step)]
+    return out + fusion.finish()
+
+
+def named(name: str, detections: Iterable[Detections]) -> Iterator[Detections]:
+    """Yield detections with a name for the sensor of those that have none."""
+    for one in detections:
+        yield one if one.sensor else replace(one, sensor=name)
 
 
 class Fusion:
-    """A tracker with its sensors, its output delay and its numbering of people."""
+    """A tracker with its sensors, its output delay and its numbering of people, for use record by record.
 
-    def __init__(self, settings, tracker="ms-glmb", lag=0, sensors=None, margin=None, explain=False):
-        """settings: Settings. tracker: "ms-glmb", "lmb", "gnn" or "jpda". lag: steps of delay, math.inf: all at the
-        end. sensors: name -> what is known of it (see `model.sensor`). margin: m beyond the area where detections are
-        still taken, None: everywhere. explain: keep an account of every record, see `accounts`.
+    >>> import numpy as np
+    >>> from avcli.formats.records import Detections
+    >>> fusion = Fusion(Settings(stay=20.0))
+    >>> nan, here = np.full((1, 3, 3), np.nan), np.array([[2.0, 1.0, 0.9]])
+    >>> for k in range(3):
+    ...     seen = Detections(k / 10, "ceiling", here, nan, np.array([0.9]), "camera")
+    ...     (tracks,) = fusion.step(k / 10, [(k / 10, "ceiling", seen)])
+    >>> tracks.timestamp, tracks.ids.tolist(), tracks.positions.round(2).tolist()
+    (0.2, [0], [[2.0, 1.0, 0.0]])
+
+    Attributes:
+        tracker: the filter.
+        outside: number of detections that were ignored because they lie outside the room.
+    """
+
+    def __init__(
+        self,
+        settings: Settings | None = None,
+        tracker: str = "ms-glmb",
+        lag: float = 0,
+        *,
+        population: Population | None = None,
+        kinds: Mapping[str, str] | None = None,
+        given: Given | None = None,
+        coverage: Coverage | None = None,
+        margin: float | None = None,
+        explain: bool = False,
+        say: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Begin without people and sensors.
+
+        Args:
+            settings: None: the defaults.
+            tracker: a name in `trackers.TRACKERS`.
+            lag: steps of delay, math.inf: all tracks come at the end.
+            population: how people come, move, stay and leave; None: as the settings say, in a room of unknown size.
+            kinds: sensor name -> kind, as config.json has them.
+            given: what is known of some sensors.
+            coverage: where cameras detect people; None: everywhere.
+            margin: m beyond the area where detections are still used, None: everywhere.
+            explain: keep an account of every record, see `accounts`.
+            say: called once for each sensor whose kind is guessed, with a sentence for the user.
+
+        Raises:
+            ValueError: the tracker is not known, or cannot smooth or explain, or needs a package.
         """
-        self.settings, self.margin = settings, margin
-        self.known = {} if sensors is None else sensors
-        if tracker in ("gnn", "jpda"):
-            if lag or explain:
-                raise ValueError(f"the {tracker} tracker can neither smooth nor explain")
-            self.tracker = GNN(settings) if tracker == "gnn" else _jpda(settings)
-        else:
-            self.tracker = GLMB(settings, factorise=tracker == "lmb", record=lag > 0)
-        if explain:
-            self.tracker.journal = []
-        self.delayed = Delayed(self.tracker, lag) if lag else None
-        self.origin, self.numbers, self.outside = None, {}, 0
+        if tracker not in TRACKERS:
+            raise ValueError(f"the tracker {tracker!r} is not known; there are {', '.join(TRACKERS)}")
+        self.settings, self.margin = settings or Settings(), margin
+        self.population = population or Population.of(self.settings)
+        self.kinds, self.given, self.coverage, self.say = kinds or {}, given or {}, coverage, say
+        self.tracker = TRACKERS[tracker].make(self.settings, self.population, lag > 0, explain)
+        if explain and not isinstance(self.tracker, Explainable):
+            raise ValueError(f"the tracker {tracker} cannot explain its records")
+        self.delayed = None
+        if lag:
+            if not isinstance(self.tracker, Smoothable):
+                raise ValueError(f"the tracker {tracker} cannot smooth; its lag must be 0")
+            self.delayed = Delayed(self.tracker, lag)
+        self.origin: float | None = None
+        self.numbers: dict[int, int] = {}
+        self.ears: list[str] = []  # names of the microphones
+        self.outside = 0
+        self.rate = self.settings.rate  # Hz of the output, None: that of the records
+        self._notes: list[str] = []
 
-    def step(self, time, records):
+    @classmethod
+    def of(
+        cls,
+        config: Config | None,
+        settings: Settings,
+        tracker: str = "ms-glmb",
+        lag: float = 0,
+        *,
+        given: Given | None = None,
+        explain: bool = False,
+        say: Callable[[str], None] = lambda text: None,
+    ) -> Fusion:
+        """Make a fusion for an experiment: its room, its camera and its sensors are those of the config.
+
+        Args:
+            config: None: none of them is known.
+            settings, tracker, lag, given, explain, say: see `Fusion`.
+        """
+        if config is None:
+            return cls(settings, tracker, lag, given=given, explain=explain, say=say)
+        x, y, _ = config.room.dimensions.tolist()
+        population = Population.of(settings, (x, y))
+        coverage, note = None, ""
+        if settings.hidden and "camera_config" in config.raw:
+            try:
+                coverage = of_camera(config.camera, population.area)
+            except ConfigError as error:
+                note = f"the camera's coverage of the room is not known: {error}"
+        fusion = cls(
+            settings,
+            tracker,
+            lag,
+            population=population,
+            kinds=config.sensors,
+            given=given,
+            coverage=coverage,
+            margin=settings.room_margin,
+            explain=explain,
+            say=say,
+        )
+        fusion.rate = settings.rate or config.frame_rate_hz
+        fusion._notes += [note] * bool(note)
+        return fusion
+
+    def merger(self, sources: int, *, one_sensor: bool = False) -> Merger:
+        """Return what merges streams of records, see `Merger`, for `step`."""
+        return Merger(sources, self.rate, self.settings.max_wait, one_sensor=one_sensor, say=self.say)
+
+    def notes(self) -> list[str]:
+        """Return sentences for a user who wants to know more."""
+        ignored = f"{self.outside} detections outside the room were ignored (--room-margin)"
+        return self._notes + [ignored] * bool(self.outside)
+
+    def step(self, time: float, records: Sequence[Record]) -> list[Identified]:
         """Take in all records of one time step.
 
-        time: s. records: [(time s, sensor name, Detections), ...] in order of time, not later than `time`.
-        Returns [(time, [(number, Track), ...]), ...]: the steps that are due.
+        Args:
+            time: s.
+            records: (time s, sensor name, detections) in order of time, not later than `time`.
+
+        Returns:
+            The tracks of the steps that are due: without lag those of this step.
         """
         if self.origin is None:
             self.origin = time
         now = round(time - self.origin, 6)
-        looks = {}
-        for at, name, found in records:
-            looks.setdefault((round(at - self.origin, 6), self._column(name)), []).append(found)
-        sensors = self.tracker.sensors  # at one time the exact sensor first: where it sees nobody, a vague one doubts
+        looks: dict[tuple[float, int], list[Detections]] = {}
+        for at, name, one in records:
+            looks.setdefault((round(at - self.origin, 6), self._column(name, one.kind)), []).append(one)
+        sensors = (
+            self.tracker.sensors
+        )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
         for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
-            self._scan(at, sensors[column], parts)
+            self._update(at, sensors[column], parts)
         if self.delayed:
-            return [self._numbered(*due) for due in self.delayed.push(now)]
-        return [self._numbered(now, self.tracker.tracks(now))]
+            return [self._identified(*due) for due in self.delayed.push(now)]
+        return [self._identified(now, self.tracker.tracks(now))]
 
-    def finish(self):
-        """The steps that are left at the end, as `step` returns them."""
-        return [self._numbered(*due) for due in self.delayed.finish()] if self.delayed else []
+    def finish(self) -> list[Identified]:
+        """Return the tracks of the steps that are left at the end."""
+        return [self._identified(*due) for due in self.delayed.finish()] if self.delayed else []
 
-    def accounts(self):
-        """What each record since the last call meant to the tracker; labels get the tracks' numbers as `object_id`."""
-        journal, self.tracker.journal = self.tracker.journal, []
-        for account in journal:
+    def accounts(self) -> list[dict[str, Any]]:
+        """Return what each record since the last call meant; labels get the tracks' numbers as `object_id`."""
+        if not isinstance(self.tracker, Explainable):
+            raise ValueError("the tracker cannot explain its records")
+        accounts = self.tracker.accounts()
+        for account in accounts:
             account["timestamp"] += self.origin
             for entry in (*account["people"], *account["born"], *account["died"]):
                 entry["object_id"] = self.numbers.get(entry["label"])
-        return journal
+        return accounts
 
-    def _column(self, name):
+    def _column(self, name: str, stated: str | None) -> int:
+        """Number of a sensor by its name; a new one is added as its kind says."""
         if name not in self.tracker.column:
-            self.tracker.add(sensor(name, **self.known.get(name, {})))
+            kind, guessed = sensor_kind(name, stated, self.kinds)
+            if guessed:
+                self.say(
+                    f'sensor {name!r}: kind {kind!r} is guessed from its name; state it in "sensors" of config.json'
+                )
+            if kind == MICROPHONES:
+                self.ears.append(name)
+            known: dict[str, Any] = {}
+            if not self.settings.hidden:
+                known["hide"] = 0.0
+            elif kind == CAMERA:
+                known["coverage"] = self.coverage
+            self.tracker.add(sensor(name, kind, **known, **{**self.given.get(kind, {}), **self.given.get(name, {})}))
         return self.tracker.column[name]
 
-    def _scan(self, at, model, parts):
+    def _update(self, at: float, model: Sensor, parts: Sequence[Detections]) -> None:
+        """Update the tracker with what one sensor found at one time."""
         positions, covariances, scores = parts[0].positions, parts[0].covariances, parts[0].scores
         if len(parts) > 1:
             positions = np.concatenate([part.positions for part in parts])
@@ -78,33 +265,49 @@ class Fusion:
             scores = np.concatenate([part.scores for part in parts])
         positions, covariances = positions[:, :2], covariances[:, :2, :2]
         if self.margin is not None:
-            low, high = np.array(self.settings.area)
+            low, high = self.population.corners
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
             self.outside += int((~inside).sum())
             positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
-        noise = noise_of(covariances, model.sigma, model.floor, self.settings.area)
-        self.tracker.scan(at, model.name, positions, noise, scores)
+        noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
+        self.tracker.update(at, model.name, positions, noise, scores)
 
-    def _numbered(self, time, tracks):
-        for track in tracks:
-            if track.label not in self.numbers:
-                self.numbers[track.label] = len(self.numbers)
-        return self.origin + time, [(self.numbers[track.label], track) for track in tracks]
+    def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
+        """Make the output of tracks at a time since the origin."""
+        n, numbers, ears = len(tracks), self.numbers, self.ears
+        states = np.array([one.state for one in tracks]).reshape(n, 4)
+        positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
+        positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
+        speaking = [math.nan] * n
+        for k, one in enumerate(tracks):
+            covariances[k, :2, :2] = one.cov[:2, :2]
+            if one.label not in numbers:
+                numbers[one.label] = len(numbers)
+            if ears and one.detectable:
+                speaking[k] = max([one.detectable.get(name, 0.0) for name in ears])
+        covariances[:, 1, 0], covariances[:, 2, 2] = covariances[:, 0, 1], HEIGHT_VARIANCE
+        return Identified(
+            timestamp=(self.origin or 0.0) + time,
+            ids=np.array([numbers[one.label] for one in tracks], np.int64),
+            positions=positions,
+            speaking=np.array(speaking),
+            velocities=velocities,
+            covariances=covariances,
+            existence=np.array([one.existence for one in tracks]),
+        )
 
 
-def _jpda(settings):
-    from avcli.tracking.jpda import JPDA  # only who asks for it needs Stone Soup's module
+def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, area: Corners) -> np.ndarray:
+    """Return measurement noise as the filter needs it, (J, 2, 2) m², positive definite.
 
-    return JPDA(settings)
-
-
-def noise_of(covariances, sigma, floor, area):
-    """Measurement noise as the filter needs it.
-
-    covariances: (J, 2, 2) m^2, NaN where not given; sigma: (sx, sy) m for those; floor: m, see `model.Sensor`. A
-    variance of 0 means that the coordinate was not observed: it becomes the one whose density is that of a uniform
+    A variance of 0 means that the coordinate was not observed: it becomes the one whose density is that of a uniform
     distribution over the area.
-    Returns (J, 2, 2) m^2, positive definite.
+
+    Args:
+        covariances: (J, 2, 2) m², NaN where not given.
+        sigma: m along x and y, for those.
+        floor: m, see `settings.Sensor`.
+        area: two corners, m.
     """
     noise = []
     for (xx, xy), (yx, yy) in covariances.tolist():

@@ -3,18 +3,49 @@
 Shapes: n densities of M motion models each: mean (n, M, 4), cov (n, M, 4, 4), mode (n, M) probabilities.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+
+from avcli.tracking.motion import Motion
 
 EYE2 = np.eye(2)
 COFACTOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
+LOG_2_PI = 1.8378770664093453
 
 
-def predict(mean, cov, mode, motion, dt):
-    """IMM mixing and prediction (Blom and Bar-Shalom 1988).
+class Prediction(NamedTuple):
+    """Densities some time later.
 
-    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M); motion: Motion; dt: seconds.
-    Returns (mean, cov, mode, cross): the prediction and cross (n, M, 4, 4) = cov(x before, x after) within each model
-    about that model's mixed mean, with the mixed mean (n, M, 4) as last element.
+    Attributes:
+        mean, cov, mode: the prediction.
+        cross: (n, M, 4, 4) covariance of the states before and after within each model, about its mixed mean.
+        mixed: (n, M, 4) mean of each model after mixing and before the step.
+    """
+
+    mean: np.ndarray
+    cov: np.ndarray
+    mode: np.ndarray
+    cross: np.ndarray
+    mixed: np.ndarray
+
+
+def predict(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, motion: Motion, dt: float) -> Prediction:
+    """Mix the models and predict each, as the interacting multiple model filter does.
+
+    Args:
+        mean: (n, M, 4).
+        cov: (n, M, 4, 4).
+        mode: (n, M) probabilities.
+        motion: M models.
+        dt: s.
+
+    Returns:
+        The prediction, and what smoothing needs of the step.
+
+    Source:
+        H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+        coefficients", IEEE TAC 33(8), 1988.
     """
     f, q, switch = motion.step(dt)
     if mode.shape[1] > 1:
@@ -28,50 +59,86 @@ def predict(mean, cov, mode, motion, dt):
     moved = (f @ mean[..., None])[..., 0]
     half = f @ cov
     cov = half @ f.transpose(0, 2, 1) + q
-    return moved, (cov + cov.swapaxes(-1, -2)) / 2, mode, half.swapaxes(-1, -2), mean
+    return Prediction(moved, (cov + cov.swapaxes(-1, -2)) / 2, mode, half.swapaxes(-1, -2), mean)
 
 
-def detected(mean, cov, lead):
-    """Where a sensor should find people, `lead` metres in front of the body's axis (a mouth).
+def expected_detection(mean: np.ndarray, cov: np.ndarray, mouth_offset: float) -> tuple[np.ndarray, np.ndarray]:
+    """Predict where a sensor should detect people whose mouth is in front of the body's axis.
 
     The direction is that of walking as far as it is known: velocity over its root mean square, so that it vanishes for
-    someone who stands. mean (n, M, 4), cov (n, M, 4, 4).
-    Returns place (n, M, 2) and the variance (n, M) per axis that the unknown part of the direction adds.
+    a person who stands.
+
+    Args:
+        mean: (n, M, 4).
+        cov: (n, M, 4, 4).
+        mouth_offset: m.
+
+    Returns:
+        Positions (n, M, 2) m and the variance (n, M) m² per axis that the unknown part of the direction adds.
     """
     vx, vy = mean[..., 2], mean[..., 3]
     unknown = cov[..., 2, 2] + cov[..., 3, 3] + 1e-12
     energy = vx * vx + vy * vy + unknown
-    return mean[..., :2] + mean[..., 2:] * (lead / np.sqrt(energy))[..., None], lead * lead / 2 * unknown / energy
+    ahead = mean[..., 2:] * (mouth_offset / np.sqrt(energy))[..., None]
+    return mean[..., :2] + ahead, mouth_offset * mouth_offset / 2 * unknown / energy
 
 
-def loglikelihood(mean, cov, z, noise, lead=0.0):
-    """Log likelihood of each detection under each model of each density, and its squared Mahalanobis distance.
+def loglikelihood(
+    mean: np.ndarray, cov: np.ndarray, z: np.ndarray, noise: np.ndarray, mouth_offset: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the log likelihood of each detection under each model of each density.
 
-    mean (n, M, 4), cov (n, M, 4, 4), z (J, 2) m, noise (J, 2, 2) m^2; lead: m, see `detected`.
-    Returns two (n, M, J) arrays.
+    Args:
+        mean: (n, M, 4).
+        cov: (n, M, 4, 4).
+        z: (J, 2) m.
+        noise: (J, 2, 2) m².
+        mouth_offset: m, see `expected_detection`.
+
+    Returns:
+        The log likelihoods (n, M, J), and the squared Mahalanobis distances (n, M, J).
     """
-    place, s11, s12, s22 = mean, cov[..., 0, 0], cov[..., 0, 1, None], cov[..., 1, 1]
-    if lead:
-        place, unknown = detected(mean, cov, lead)
+    position, s11, s12, s22 = mean, cov[..., 0, 0], cov[..., 0, 1, None], cov[..., 1, 1]
+    if mouth_offset:
+        position, unknown = expected_detection(mean, cov, mouth_offset)
         s11, s22 = s11 + unknown, s22 + unknown
-    dx, dy = z[:, 0] - place[..., 0, None], z[:, 1] - place[..., 1, None]
+    dx, dy = z[:, 0] - position[..., 0, None], z[:, 1] - position[..., 1, None]
     s11, s12, s22 = s11[..., None] + noise[:, 0, 0], s12 + noise[:, 0, 1], s22[..., None] + noise[:, 1, 1]
     det = s11 * s22 - s12 * s12
     distance = (s22 * dx * dx - 2 * s12 * dx * dy + s11 * dy * dy) / det
-    return -0.5 * (distance + np.log(det)) - 1.8378770664093453, distance
+    return -0.5 * (distance + np.log(det)) - LOG_2_PI, distance
 
 
-def update(mean, cov, mode, z, noise, lead=0.0, likelihood=None):
-    """Kalman update of density k by detection k, in Joseph's form.
+def update(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    mode: np.ndarray,
+    z: np.ndarray,
+    noise: np.ndarray,
+    mouth_offset: float = 0.0,
+    likelihood: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Update density k by detection k: K = P Hᵀ S⁻¹, and P⁺ = (I - K H) P (I - K H)ᵀ + K R Kᵀ in each model.
 
-    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M), z (n, 2) m, noise (n, 2, 2) m^2; lead: m, see `detected`; likelihood
-    (n, M): of the detections in each model, if that is known. Returns (mean, cov, mode).
+    The covariance is in Joseph's form, which keeps it symmetric and positive.
+
+    Args:
+        mean: (n, M, 4).
+        cov: (n, M, 4, 4).
+        mode: (n, M).
+        z: (n, 2) m.
+        noise: (n, 2, 2) m².
+        mouth_offset: m, see `expected_detection`.
+        likelihood: (n, M) of the detections in each model, if that is known already.
+
+    Returns:
+        mean, cov and mode after the update.
     """
-    place, noise = mean[..., :2], noise[:, None]
-    if lead:
-        place, unknown = detected(mean, cov, lead)
+    position, noise = mean[..., :2], noise[:, None]
+    if mouth_offset:
+        position, unknown = expected_detection(mean, cov, mouth_offset)
         noise = noise + unknown[..., None, None] * EYE2
-    d = (z[:, None] - place)[..., None]
+    d = (z[:, None] - position)[..., None]
     s = cov[..., :2, :2] + noise
     det = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] * s[..., 1, 0]
     inverse = s[..., ::-1, ::-1] * COFACTOR / det[..., None, None]
@@ -88,8 +155,14 @@ def update(mean, cov, mode, z, noise, lead=0.0, likelihood=None):
     return mean, (cov + cov.swapaxes(-1, -2)) / 2, mode
 
 
-def moments(mean, cov, mode):
-    """Mean (n, 4) and covariance (n, 4, 4) of each density's mixture over its models."""
+def moments(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (n, 4) and covariance (n, 4, 4) of each density's mixture over its models.
+
+    >>> mean, cov = np.array([[[0.0] * 4, [2.0, 0.0, 0.0, 0.0]]]), np.tile(np.eye(4), (1, 2, 1, 1))
+    >>> centre, spread = moments(mean, cov, np.array([[0.5, 0.5]]))
+    >>> centre[0].tolist(), spread[0].diagonal().round(12).tolist()
+    ([1.0, 0.0, 0.0, 0.0], [2.0, 1.0, 1.0, 1.0])
+    """
     if mode.shape[1] == 1:
         return mean[:, 0], cov[:, 0]
     centre = (mode[:, None] @ mean)[:, 0]

@@ -1,75 +1,103 @@
 """Global nearest neighbour: a Kalman filter for each track, the one cheapest assignment, m-of-n confirmation."""
 
+from __future__ import annotations
+
 import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from avcli.numeric import assign
 from avcli.tracking import gaussian
-from avcli.tracking.model import Track
+from avcli.tracking.model import Population, Track
+from avcli.tracking.settings import Sensor
 
 GATE = 13.8  # chi-squared with two degrees of freedom, 0.1 % of a track's own detections lie outside
-CONFIRM, OF = 2, 3  # detections within looks of the sensors that have found the track before
+CONFIRM, OF = 2, 3  # detections within records of the sensors that have detected the track before
 GIVE_UP = 1.0  # s without any detection
 
 
-class GNN:
-    """The baseline that most people write first (Blackman and Popoli 1999, chapter 6); the interface of `glmb.GLMB`."""
+@dataclass(slots=True)
+class Life:
+    """One track: its label (None: not confirmed), whether the last records detected it, when and by which sensors."""
 
-    def __init__(self, settings, sensors=()):
-        """settings: Settings, of which motion and speed are used; sensors: Sensor of each that may report."""
-        self.settings, self.sensors, self.column = settings, [], {}
-        m = len(settings.motion.models)
+    last: float
+    by: set[str]
+    label: int | None = None
+    hits: list[bool] = field(default_factory=lambda: [True])
+
+
+class GNN:
+    """The baseline that most people write first; a `trackers.Tracker`.
+
+    Source:
+        S. Blackman and R. Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 6.
+    """
+
+    def __init__(self, population: Population, sensors: Iterable[Sensor] = ()) -> None:
+        """Begin without tracks.
+
+        Args:
+            population: of which motion and speed are used.
+            sensors: those that may report (others: `add`).
+        """
+        self.population = population
+        self.sensors: list[Sensor] = []
+        self.column: dict[str, int] = {}
+        m = len(population.motion.models)
         self.mean, self.cov, self.mode = np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m))
-        self.lives = []  # per track: [label or None, results of the last looks, time last found, sensors that found it]
-        self.time, self.next_label = None, 0
+        self.lives: list[Life] = []
+        self.time, self.next_label = -math.inf, 0
         for one in sensors:
             self.add(one)
 
-    def add(self, sensor):
+    def add(self, sensor: Sensor) -> None:
         """Let another sensor report from now on."""
         self.column[sensor.name] = len(self.sensors)
         self.sensors.append(sensor)
 
-    def advance(self, time):
+    def predict(self, time: float) -> None:
         """Predict to a time (s); a time in the past counts as the present."""
-        dt = 0.0 if self.time is None else round(time - self.time, 9)
-        self.time = time if self.time is None else max(time, self.time)
-        if dt > 0 and self.lives:
-            motion = self.settings.motion
-            self.mean, self.cov, self.mode, *_ = gaussian.predict(self.mean, self.cov, self.mode, motion, dt)
+        dt = round(time - self.time, 9) if self.lives else 0.0
+        self.time = max(time, self.time)
+        if dt > 0:
+            step = gaussian.predict(self.mean, self.cov, self.mode, self.population.motion, dt)
+            self.mean, self.cov, self.mode = step.mean, step.cov, step.mode
 
-    def scan(self, time, name, z, noise, score=None):
-        """Update with one record of one sensor; arguments as those of `GLMB.scan`, the scores are not used."""
-        self.advance(time)
+    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
+        """Update with one record of one sensor, see `trackers.Tracker.update`; the scores are not used."""
+        self.predict(time)
         sensor = self.sensors[self.column[name]]
-        pairs = self._assign(z, noise, sensor.lead)
+        pairs = self._assign(z, noise, sensor.mouth_offset)
         if pairs:
             rows, js = map(list, zip(*pairs, strict=True))
             self.mean[rows], self.cov[rows], self.mode[rows] = gaussian.update(
-                self.mean[rows], self.cov[rows], self.mode[rows], z[js], noise[js], sensor.lead
+                self.mean[rows], self.cov[rows], self.mode[rows], z[js], noise[js], sensor.mouth_offset
             )
-        found = {row for row, _ in pairs}
+        detected = {row for row, _ in pairs}
         for row, life in enumerate(self.lives):
-            if row in found:
-                life[1], life[2] = [*life[1], True][-OF:], self.time
-                life[3].add(name)
-            elif name in life[3]:
-                life[1] = [*life[1], False][-OF:]
-            if life[0] is None and sum(life[1]) >= CONFIRM:
-                life[0], self.next_label = self.next_label, self.next_label + 1
-        self._bury()
-        self._start(sorted(set(range(len(z))) - {j for _, j in pairs}), z, noise, name)
+            if row in detected:
+                life.hits, life.last = [*life.hits, True][-OF:], self.time
+                life.by.add(name)
+            elif name in life.by:
+                life.hits = [*life.hits, False][-OF:]
+            if life.label is None and sum(life.hits) >= CONFIRM:
+                life.label, self.next_label = self.next_label, self.next_label + 1
+        self._end()
+        self._begin(sorted(set(range(len(z))) - {j for _, j in pairs}), z, noise, name)
 
-    def _assign(self, z, noise, lead):
+    def _assign(self, z: np.ndarray, noise: np.ndarray, mouth_offset: float) -> list[tuple[int, int]]:
         """Pairs (track, detection) of the cheapest assignment within the gate, confirmed tracks first."""
         if not len(z) or not self.lives:
             return []
-        log, distance = gaussian.loglikelihood(self.mean, self.cov, z, noise, lead)
+        log, distance = gaussian.loglikelihood(self.mean, self.cov, z, noise, mouth_offset)
         log = np.log((self.mode[:, None] @ np.exp(log))[:, 0] + 1e-300)
         inside = distance.min(1) < GATE
-        pairs, taken = [], set()
-        for rows in ([k for k, s in enumerate(self.lives) if (s[0] is None) == new] for new in (False, True)):
+        pairs: list[tuple[int, int]] = []
+        taken: set[int] = set()
+        for new in (False, True):
+            rows = [k for k, life in enumerate(self.lives) if (life.label is None) == new]
             columns = [j for j in range(len(z)) if j not in taken]
             if not rows or not columns:
                 continue
@@ -81,36 +109,36 @@ class GNN:
                     taken.add(columns[k])
         return pairs
 
-    def _bury(self):
+    def _end(self) -> None:
+        """Drop the tracks that were not detected for too long, or never confirmed."""
         keep = [
             row
-            for row, (label, looks, last, _) in enumerate(self.lives)
-            if (self.time - last < GIVE_UP if label is not None else len(looks) < OF)
+            for row, life in enumerate(self.lives)
+            if (self.time - life.last < GIVE_UP if life.label is not None else len(life.hits) < OF)
         ]
         self.mean, self.cov, self.mode = self.mean[keep], self.cov[keep], self.mode[keep]
         self.lives = [self.lives[row] for row in keep]
 
-    def _start(self, js, z, noise, name):
-        n, m = len(js), len(self.settings.motion.models)
+    def _begin(self, js: Sequence[int], z: np.ndarray, noise: np.ndarray, name: str) -> None:
+        """Begin a track with each of the detections js."""
+        n, m = len(js), len(self.population.motion.models)
         mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
         mean[..., :2] = z[js, None]
         cov[..., :2, :2] = noise[js, None]
-        cov[..., 2:, 2:] = self.settings.speed**2 * np.eye(2)
+        cov[..., 2:, 2:] = self.population.speed**2 * np.eye(2)
         self.mean, self.cov = np.concatenate([self.mean, mean]), np.concatenate([self.cov, cov])
-        self.mode = np.concatenate([self.mode, np.tile(self.settings.motion.stationary(), (n, 1))])
-        self.lives += [[None, [True], self.time, {name}] for _ in js]
+        self.mode = np.concatenate([self.mode, np.tile(self.population.motion.stationary(), (n, 1))])
+        self.lives += [Life(self.time, {name}) for _ in js]
 
-    def tracks(self, time):
-        """The confirmed tracks at a time (s) not before the last record: a list of Track by label."""
-        self.advance(time)
-        rows = [row for row, life in enumerate(self.lives) if life[0] is not None]
-        if not rows:
+    def tracks(self, time: float) -> list[Track]:
+        """Return the confirmed tracks at a time (s) not before the last record, by label."""
+        self.predict(time)
+        confirmed = [(row, life.label, life.last) for row, life in enumerate(self.lives) if life.label is not None]
+        if not confirmed:
             return []
+        rows = [row for row, *_ in confirmed]
         mean, cov = gaussian.moments(self.mean[rows], self.cov[rows], self.mode[rows])
-        return sorted(
-            (
-                Track(self.lives[row][0], mean[k], cov[k], math.exp(self.lives[row][2] - self.time))
-                for k, row in enumerate(rows)
-            ),
-            key=lambda track: track.label,
-        )
+        tracks = [
+            Track(label, mean[k], cov[k], math.exp(last - self.time)) for k, (_, label, last) in enumerate(confirmed)
+        ]
+        return sorted(tracks, key=lambda track: track.label)

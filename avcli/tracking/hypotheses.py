@@ -1,102 +1,85 @@
-"""Densities of single people, and clusters of joint hypotheses about them."""
+"""Clusters of joint hypotheses: which single-target hypothesis of each label goes with which of the others.
+
+A row is a row of `Densities`, one single-target hypothesis. A joint hypothesis is a tuple of rows, one for each label.
+"""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from avcli.tracking.densities import Densities
+
+ABSENT = -1  # in the place of a row: the label does not exist in this joint hypothesis
 INDEPENDENT = 0.05  # total variation of two labels' joint weights from their product that passes for independence
-ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; densities of a label as near as this pass for one
-TWINS = np.array([0.035, 0.035, 0.14, 0.14])  # m, m/s; densities of two labels as near as this are of the same person
-TWIN_FOUND = 0.2  # as far as the probabilities that sensors find them are as near as this
+ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; rows of one label as near as this are merged
+TWINS = np.array([0.035, 0.035, 0.14, 0.14])  # m, m/s; rows of two labels as near as this are of the same person
+TWIN_DETECTABLE = 0.2  # as far as the probabilities that sensors can detect them are as near as this
 
-
-class Densities:
-    """Rows of single-person densities.
-
-    mean (n, M, 4), cov (n, M, 4, 4), mode (n, M): the mixture over motion models. exist (n,): probability of existence,
-    or of a tentative person the expected number. found (n, S): probability that each sensor can find the person.
-    label (-1: none yet), node (for smoothing): lists of n.
-    """
-
-    def __init__(self, mean, cov, mode, exist, found, label, node):
-        self.mean, self.cov, self.mode, self.exist, self.found = mean, cov, mode, exist, found
-        self.label, self.node = label, node
-
-    def __len__(self):
-        return len(self.label)
-
-    def take(self, rows):
-        """The given rows (a list), in that order."""
-        at = np.array(rows, int)
-        arrays = [a.take(at, 0) for a in (self.mean, self.cov, self.mode, self.exist, self.found)]
-        return Densities(*arrays, [self.label[i] for i in rows], [self.node[i] for i in rows])
-
-    @staticmethod
-    def join(parts):
-        """All rows of several, one after another."""
-        arrays = (np.concatenate([getattr(p, k) for p in parts]) for k in ("mean", "cov", "mode", "exist", "found"))
-        lists = ([value for p in parts for value in getattr(p, k)] for k in ("label", "node"))
-        return Densities(*arrays, *lists)
-
-    def centres(self, rows):
-        """Mean states of some rows (a list of n): (n, 4)."""
-        return (self.mode.take(rows, 0)[:, None] @ self.mean.take(rows, 0))[:, 0]
-
-    def match(self, rows, shares):
-        """Give the first of some rows (a list of n) the moments of all, by their shares (n,), model by model."""
-        share, first = np.array(shares) / math.fsum(shares), rows[0]
-        modes = self.mode.take(rows, 0)
-        self.mode[first] = mode = share @ modes
-        weight = (share[:, None] * modes / mode).T[:, None]  # (M, 1, n)
-        means = self.mean.take(rows, 0).swapaxes(0, 1)
-        self.mean[first] = mean = (weight @ means)[:, 0]
-        away = (means - mean[:, None]) * np.sqrt(weight).swapaxes(1, 2)
-        covs = self.cov.take(rows, 0).reshape(len(rows), -1, 16).swapaxes(0, 1)
-        self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
-        self.exist[first] = share @ self.exist.take(rows)
-        self.found[first] = share @ self.found.take(rows, 0)
+Joint = tuple[int, ...]
 
 
 class Cluster:
-    """Joint hypotheses about some labels: rows of one density per label (-1: no such person) and their log weights."""
+    """Joint hypotheses about some labels.
 
-    def __init__(self, labels, rows, weights):
-        self.labels, self.rows, self.weights = labels, rows, weights
+    Attributes:
+        labels: of people.
+        hypotheses: each a tuple of one row per label (`ABSENT`: no such person).
+        weights: their log weights, normalised; the first is the best.
+        shares: their weights.
+    """
+
+    def __init__(self, labels: list[int], hypotheses: list[Joint], weights: list[float]) -> None:
+        self.labels, self.hypotheses, self.weights = labels, hypotheses, weights
         self.shares = [math.exp(weight) for weight in weights]
 
-    def marginals(self, at, exist):
-        """Of the label in column `at`: {density: its probability}, and the probability that the label exists."""
-        if len(self.rows) == 1:
-            leaf = self.rows[0][at]
-            return {leaf: 1.0}, float(exist[leaf]) if leaf >= 0 else 0.0
-        shares = {}
-        for row, share in zip(self.rows, self.shares, strict=True):
-            leaf = row[at]
-            shares[leaf] = shares.get(leaf, 0.0) + share
-        return shares, math.fsum(share * exist[leaf] for leaf, share in shares.items() if leaf >= 0)
+    def marginals(self, at: int, existence: np.ndarray) -> tuple[dict[int, float], float]:
+        """Return the marginal of one label.
 
-    def merged(self, labels, rows):
-        """The cluster of other rows, one for each of this one's, about `labels`; equal rows become one."""
-        shares = {}
-        for row, share in zip(rows, self.shares, strict=True):
+        Args:
+            at: its index in `labels`.
+            existence: of each row.
+
+        Returns:
+            The probability of each of its rows, and the probability that the label exists.
+        """
+        if len(self.hypotheses) == 1:
+            row = self.hypotheses[0][at]
+            return {row: 1.0}, float(existence[row]) if row >= 0 else 0.0
+        shares: dict[int, float] = {}
+        for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
+            row = hypothesis[at]
             shares[row] = shares.get(row, 0.0) + share
-        rows = sorted(shares, key=lambda row: -shares[row])
-        return Cluster(labels, rows, [math.log(shares[row]) for row in rows])
+        return shares, math.fsum(share * existence[row] for row, share in shares.items() if row >= 0)
 
-    def only(self, columns):
-        """The cluster of some of the labels, by their columns."""
-        rows = [tuple([row[at] for at in columns]) for row in self.rows]
-        return self.merged([self.labels[at] for at in columns], rows)
+    def replaced(self, labels: list[int], hypotheses: Sequence[Joint]) -> Cluster:
+        """Return the cluster of other hypotheses, one for each of this one's; equal ones become one."""
+        shares: dict[Joint, float] = {}
+        for hypothesis, share in zip(hypotheses, self.shares, strict=True):
+            shares[hypothesis] = shares.get(hypothesis, 0.0) + share
+        return _by_share(labels, shares)
 
-    def parts(self):
-        """Columns in parts, between which no two labels depend on each other but for INDEPENDENT: a list of lists."""
-        count, shares, held, owner = len(self.labels), np.array(self.shares), [], []
-        for column, leaves in enumerate(zip(*self.rows, strict=True)):
-            distinct = set(leaves)
-            if len(distinct) > 1:  # whoever is the same in all rows depends on nobody
-                held += [[leaf == one for leaf in leaves] for one in sorted(distinct)]
-                owner += [column] * len(distinct)
-        held, owner = np.array(held, float).reshape(-1, len(shares)), np.array(owner)[:, None] == np.arange(count)
+    def only(self, indices: Sequence[int]) -> Cluster:
+        """Return the cluster of some of the labels, by their indices in `labels`."""
+        hypotheses = [tuple([hypothesis[at] for at in indices]) for hypothesis in self.hypotheses]
+        return self.replaced([self.labels[at] for at in indices], hypotheses)
+
+    def parts(self) -> list[list[int]]:
+        """Return the indices of the labels in parts that are independent of each other, but for INDEPENDENT."""
+        count, shares = len(self.labels), np.array(self.shares)
+        indicators: list[list[bool]] = []
+        owners: list[int] = []
+        for at, rows in enumerate(zip(*self.hypotheses, strict=True)):
+            distinct = set(rows)
+            if len(distinct) > 1:  # a label with the same row in all hypotheses depends on no other
+                indicators += [[row == one for row in rows] for one in sorted(distinct)]
+                owners += [at] * len(distinct)
+        held, owner = (
+            np.array(indicators, float).reshape(-1, len(shares)),
+            np.array(owners)[:, None] == np.arange(count),
+        )
         alone = held @ shares
         linked = owner.T @ abs(held * shares @ held.T - alone[:, None] * alone) @ owner > 2 * INDEPENDENT
         parts, left = [], set(range(count))
@@ -109,57 +92,68 @@ class Cluster:
             parts.append(sorted(part))
         return parts
 
-    def condensed(self, people):
-        """The cluster with each label's densities that are ALIKE merged, in people: Densities, and so equal rows."""
-        shares = {}
-        for row, share in zip(self.rows, self.shares, strict=True):
-            for leaf in row:
-                if leaf >= 0:
-                    shares[leaf] = shares.get(leaf, 0.0) + share
-        leaves = sorted(shares, key=lambda leaf: (people.label[leaf], -shares[leaf], leaf))
-        if len(leaves) <= len(self.labels):
+    def condensed(self, people: Densities) -> Cluster:
+        """Return the cluster with each label's rows that are ALIKE merged, in `people`, and so equal hypotheses."""
+        shares: dict[int, float] = {}
+        for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
+            for row in hypothesis:
+                if row >= 0:
+                    shares[row] = shares.get(row, 0.0) + share
+        rows = sorted(shares, key=lambda row: (people.label[row], -shares[row], row))
+        if len(rows) <= len(self.labels):
             return self
-        states = (people.centres(leaves) / ALIKE).view(complex).tolist()
-        heads, groups, label = [], [], None  # of one label: likeliest densities, and which are like each of them
-        for leaf, (place, pace) in zip(leaves, states, strict=True):
-            if people.label[leaf] != label:
-                heads, label = [], people.label[leaf]
-            for there, that, group in heads:
-                if abs(place - there) ** 2 + abs(pace - that) ** 2 < 1:
-                    group.append(leaf)
-                    break
-            else:
-                groups.append([leaf])
-                heads.append((place, pace, groups[-1]))
-        if len(groups) == len(leaves):
+        groups = _alike(rows, people)
+        if len(groups) == len(rows):
             return self
-        same = {-1: -1}
+        same = {ABSENT: ABSENT}
         for group in groups:
             same.update(dict.fromkeys(group, group[0]))
             if len(group) > 1:
-                people.match(group, [shares[leaf] for leaf in group])
-        return self.merged(self.labels, [tuple([same[leaf] for leaf in row]) for row in self.rows])
+                people.merge(group, [shares[row] for row in group])
+        return self.replaced(self.labels, [tuple([same[row] for row in joint]) for joint in self.hypotheses])
 
-    def decided(self, people):
-        """The cluster without hypotheses that differ from a likelier one in who is who alone, in people: Densities.
+    def decided(self, people: Densities) -> Cluster:
+        """Return the cluster without hypotheses that differ from a likelier one only in which person has which label.
 
-        Where the same people stand in the same places under other names, no later record can tell which is right: the
-        likelier names stay, so that they do not come and go with the last digits of the weights.
+        Where the same people stand at the same positions under exchanged labels, no later record can tell which is
+        right. The likelier labels stay, so that they do not come and go with the last digits of the weights.
         """
-        leaves = sorted({leaf for row in self.rows for leaf in row if leaf >= 0})
-        if len(leaves) <= len(self.labels):
+        rows = sorted({row for hypothesis in self.hypotheses for row in hypothesis if row >= 0})
+        if len(rows) <= len(self.labels):
             return self
-        state = people.centres(leaves) / TWINS
+        state = people.centres(rows) / TWINS
         apart = np.square(state[:, None] - state).sum(-1)
-        found = people.found.take(leaves, 0) / TWIN_FOUND
-        apart += np.square(found[:, None] - found).sum(-1)
+        detectable = people.detectable.take(rows, 0) / TWIN_DETECTABLE
+        apart += np.square(detectable[:, None] - detectable).sum(-1)
         twin = (apart < 1).argmax(1).tolist()
-        place = {-1: -1, **dict(zip(leaves, twin, strict=True))}
-        shares, first = {}, {}
-        for row, share in zip(self.rows, self.shares, strict=True):
-            row = first.setdefault(tuple(sorted([place[leaf] for leaf in row])), row)
-            shares[row] = shares.get(row, 0.0) + share
-        if len(shares) == len(self.rows):
-            return self
-        rows = sorted(shares, key=lambda row: -shares[row])
-        return Cluster(self.labels, rows, [math.log(shares[row]) for row in rows])
+        twin_of = {ABSENT: ABSENT, **dict(zip(rows, twin, strict=True))}
+        shares: dict[Joint, float] = {}
+        first: dict[tuple[int, ...], Joint] = {}
+        for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
+            likelier = first.setdefault(tuple(sorted([twin_of[row] for row in hypothesis])), hypothesis)
+            shares[likelier] = shares.get(likelier, 0.0) + share
+        return self if len(shares) == len(self.hypotheses) else _by_share(self.labels, shares)
+
+
+def _by_share(labels: list[int], shares: dict[Joint, float]) -> Cluster:
+    hypotheses = sorted(shares, key=lambda hypothesis: -shares[hypothesis])
+    return Cluster(labels, hypotheses, [math.log(shares[hypothesis]) for hypothesis in hypotheses])
+
+
+def _alike(rows: Sequence[int], people: Densities) -> list[list[int]]:
+    """Group rows, sorted by label and then by weight, with the likeliest row of their label that they are ALIKE."""
+    states = (people.centres(rows) / ALIKE).view(complex).tolist()
+    groups: list[list[int]] = []
+    heads: list[tuple[complex, complex, list[int]]] = []  # of one label: position, velocity and group of the likeliest
+    label = None
+    for row, (position, velocity) in zip(rows, states, strict=True):
+        if people.label[row] != label:
+            heads, label = [], people.label[row]
+        for its_position, its_velocity, group in heads:
+            if abs(position - its_position) ** 2 + abs(velocity - its_velocity) ** 2 < 1:
+                group.append(row)
+                break
+        else:
+            groups.append([row])
+            heads.append((position, velocity, groups[-1]))
+    return groups

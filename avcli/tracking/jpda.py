@@ -1,70 +1,104 @@
-"""Joint probabilistic data association by Stone Soup, an optional package, in the interface of the other trackers."""
+"""Joint probabilistic data association by Stone Soup, an optional package."""
+
+from __future__ import annotations
 
 import datetime
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from avcli.tracking.model import Track
+from avcli.tracking.model import Population, Track
+from avcli.tracking.settings import Sensor
 
 GATE = 0.9999
 CONFIRM = 2  # detections before a track counts
 GIVE_UP = 1.0  # s without any detection
+NOISE = 0.5  # m / s^1.5, square root of the acceleration's power spectral density
+
+
+@dataclass
+class Life:
+    """One track: Stone Soup's own, its label (None: not confirmed), how often and when it was detected."""
+
+    track: Any
+    last: float
+    count: int = 1
+    label: int | None = None
 
 
 class JPDA:
-    """Stone Soup's JPDA with constant-velocity Kalman filters (Bar-Shalom and Li 1995; stonesoup 1.9)."""
+    """Stone Soup's JPDA with constant-velocity Kalman filters (stonesoup 1.9); a `trackers.Tracker`.
 
-    def __init__(self, settings, sensors=()):
-        """settings: Settings, of which area, speed and the noise of the first motion model are used.
+    Source:
+        Y. Bar-Shalom and X. R. Li, Multitarget-Multisensor Tracking: Principles and Techniques, 1995, section 6.2.
+    """
 
-        Raises ValueError where Stone Soup is not installed.
+    def __init__(self, population: Population, sensors: Iterable[Sensor] = ()) -> None:
+        """Begin without tracks.
+
+        Args:
+            population: of which area and speed are used.
+            sensors: those that may report (others: `add`).
+
+        Raises:
+            ValueError: Stone Soup is not installed.
         """
         try:
             from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
             from stonesoup.predictor.kalman import KalmanPredictor
         except ModuleNotFoundError:
             raise ValueError("--tracker jpda needs Stone Soup: pip install stonesoup") from None
-        axis = ConstantVelocity(max(settings.motion.models[0].noise, 0.5) ** 2)
+        axis = ConstantVelocity(NOISE**2)
         self.predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([axis, axis]))
-        self.settings, self.sensors, self.column = settings, [], {}
-        self.lives, self.next_label, self.time = [], 0, 0.0
+        self.population = population
+        self.sensors: list[Sensor] = []
+        self.column: dict[str, int] = {}
+        self.lives: list[Life] = []
+        self.next_label, self.time = 0, 0.0
         for one in sensors:
             self.add(one)
 
-    def add(self, sensor):
+    def add(self, sensor: Sensor) -> None:
         """Let another sensor report from now on."""
         self.column[sensor.name] = len(self.sensors)
         self.sensors.append(sensor)
 
-    def scan(self, time, name, z, noise, score=None):
-        """Update with one record of one sensor; arguments as those of `GLMB.scan`, the scores are not used."""
+    def predict(self, time: float) -> None:
+        """Note the time (s); Stone Soup predicts where a state is asked for."""
+        self.time = max(self.time, time)
+
+    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
+        """Update with one record of one sensor, see `trackers.Tracker.update`; the scores are not used."""
         from stonesoup.dataassociator.probability import JPDA as Associator
         from stonesoup.hypothesiser.probability import PDAHypothesiser
         from stonesoup.models.measurement.linear import LinearGaussian
         from stonesoup.types.detection import Detection
         from stonesoup.updater.kalman import KalmanUpdater
 
-        self.time = max(self.time, time)
+        self.predict(time)
         sensor = self.sensors[self.column[name]]
         now = _clock(self.time)
-        found = [
-            Detection(place[:, None], timestamp=now, measurement_model=LinearGaussian(4, (0, 2), cov))
-            for place, cov in zip(z, noise, strict=True)
+        detections = [
+            Detection(position[:, None], timestamp=now, measurement_model=LinearGaussian(4, (0, 2), cov))
+            for position, cov in zip(z, noise, strict=True)
         ]
         updater = KalmanUpdater(LinearGaussian(4, (0, 2), np.eye(2)))
-        chance = sensor.detection * sensor.findable()
-        density = max(sensor.clutter, 1e-6) / self.settings.surface
-        hypothesiser = PDAHypothesiser(self.predictor, updater, density, prob_detect=chance, prob_gate=GATE)
-        explained = np.zeros(len(found))
-        if self.lives and found:
-            at = {id(one): j for j, one in enumerate(found)}
-            chosen = Associator(hypothesiser=hypothesiser).associate([life["track"] for life in self.lives], found, now)
+        p_detect = sensor.detection * sensor.detectable()
+        density = max(sensor.clutter, 1e-6) / self.population.surface
+        hypothesiser = PDAHypothesiser(self.predictor, updater, density, prob_detect=p_detect, prob_gate=GATE)
+        explained = np.zeros(len(detections))
+        if self.lives and detections:
+            at = {id(one): j for j, one in enumerate(detections)}
+            tracks = [life.track for life in self.lives]
+            chosen = Associator(hypothesiser=hypothesiser).associate(tracks, detections, now)
             for life in self.lives:
-                self._update(life, chosen[life["track"]], updater, at, explained)
-        self.lives = [life for life in self.lives if self.time - life["last"] < GIVE_UP]
-        self._begin([found[j] for j in np.flatnonzero(explained < 0.1)], noise[explained < 0.1], now)
+                self._update(life, chosen[life.track], updater, at, explained)
+        self.lives = [life for life in self.lives if self.time - life.last < GIVE_UP]
+        self._begin([detections[j] for j in np.flatnonzero(explained < 0.1)], noise[explained < 0.1], now)
 
-    def _update(self, life, hypotheses, updater, at, explained):
+    def _update(self, life: Life, hypotheses: Any, updater: Any, at: dict[int, int], explained: np.ndarray) -> None:
         from stonesoup.functions import gm_reduce_single
         from stonesoup.types.array import StateVectors
         from stonesoup.types.update import GaussianStateUpdate
@@ -84,37 +118,38 @@ class JPDA:
             np.stack([s.covar for s in states], axis=2),
             np.array(weights),
         )
-        life["track"].append(GaussianStateUpdate(mean, cov, hypotheses, hypotheses[0].prediction.timestamp))
+        life.track.append(GaussianStateUpdate(mean, cov, hypotheses, hypotheses[0].prediction.timestamp))
         if hit > 0.5:
-            life["last"], life["count"] = self.time, life["count"] + 1
-            if life["label"] is None and life["count"] >= CONFIRM:
-                life["label"], self.next_label = self.next_label, self.next_label + 1
+            life.last, life.count = self.time, life.count + 1
+            if life.label is None and life.count >= CONFIRM:
+                life.label, self.next_label = self.next_label, self.next_label + 1
 
-    def _begin(self, found, noise, now):
+    def _begin(self, detections: Sequence[Any], noise: np.ndarray, now: datetime.datetime) -> None:
+        """Begin a track with each of the detections."""
         from stonesoup.types.state import GaussianState
         from stonesoup.types.track import Track as History
 
-        speed = self.settings.speed**2
-        for one, cov in zip(found, noise, strict=True):
+        speed = self.population.speed**2
+        for one, cov in zip(detections, noise, strict=True):
             x, y = np.asarray(one.state_vector, float).ravel()
             spread = np.zeros((4, 4))
             spread[np.ix_((0, 2), (0, 2))] = cov
             spread[1, 1] = spread[3, 3] = speed
-            track = History([GaussianState([[x], [0.0], [y], [0.0]], spread, timestamp=now)])
-            self.lives.append({"track": track, "label": None, "count": 1, "last": self.time})
+            history = History([GaussianState([[x], [0.0], [y], [0.0]], spread, timestamp=now)])
+            self.lives.append(Life(history, self.time))
 
-    def tracks(self, time):
-        """The confirmed tracks at a time (s) not before the last record: a list of Track by label."""
-        self.time = max(self.time, time)
-        order, out = [0, 2, 1, 3], []
+    def tracks(self, time: float) -> list[Track]:
+        """Return the confirmed tracks at a time (s) not before the last record, by label."""
+        self.predict(time)
+        order, tracks = [0, 2, 1, 3], []
         for life in self.lives:
-            if life["label"] is not None:
-                state = self.predictor.predict(life["track"][-1], timestamp=_clock(self.time))
+            if life.label is not None:
+                state = self.predictor.predict(life.track[-1], timestamp=_clock(self.time))
                 mean = np.asarray(state.state_vector, float).ravel()[order]
                 cov = np.asarray(state.covar, float)[np.ix_(order, order)]
-                out.append(Track(life["label"], mean, cov, 1.0))
-        return sorted(out, key=lambda track: track.label)
+                tracks.append(Track(life.label, mean, cov, 1.0))
+        return sorted(tracks, key=lambda track: track.label)
 
 
-def _clock(seconds):
+def _clock(seconds: float) -> datetime.datetime:
     return datetime.datetime(2000, 1, 1) + datetime.timedelta(seconds=seconds)

@@ -1,24 +1,43 @@
 """The records of several sensors on one clock: in order of time, each time step closed as soon as it is complete."""
 
+from __future__ import annotations
+
 import math
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+
+from avcli.formats.records import Detections
 
 SAME = 1e-6  # s; nearer times are one
 PATIENCE = 3  # records after a gap before the missing one is given up
 JUMP = 3600.0  # s without any record, after which the clock starts anew
 
 
+Record = tuple[float, str, Detections]
+"""Time in s, name of the sensor, what it detected."""
+
+Step = tuple[float, list[Record]]
+"""Time in s of a step of the clock, and the records up to it since the step before, in order of time."""
+
+
 @dataclass
 class Stream:
-    """One sensor of one source: up to where it is complete, the latest time seen, its usual step; times after a gap."""
+    """One sensor of one source.
+
+    Attributes:
+        complete: s, the time up to which no record is missing.
+        latest: s, of the records seen.
+        step: s, its usual step.
+        waiting: s, times of records after a gap.
+    """
 
     complete: float
     latest: float
     step: float
-    waiting: list = field(default_factory=list)
+    waiting: list[float] = field(default_factory=list)
 
-    def take(self, time):
+    def take(self, time: float) -> None:
         """Note a record's time. A step longer than usual may be a record out of order: it is waited for."""
         self.latest = max(self.latest, time)
         if time <= self.complete:
@@ -39,27 +58,67 @@ class Merger:
     """Merges records by their time into the steps of one regular clock.
 
     A step closes when every sensor that is still open has passed it. A record that comes out of order or twice is put
-    in its place as long as its step is open; what comes later is dropped and counted in `late`.
+    in its place as long as its step is open; a later one is dropped and counted in `late`.
+
+    Attributes:
+        late: sensor name -> number of its records that came too late.
     """
 
-    def __init__(self, sources, rate=None, max_wait=1.0, one_sensor=False):
-        """sources: how many streams of records there are. rate: Hz of the clock, None: found from the records, whose
-        first `max_wait` seconds are then held back. max_wait: s of data by which a sensor may lag behind the others of
-        its source. one_sensor: each source is known to hold one sensor; else a sole source waits for its second one.
-        """
-        self.open = dict.fromkeys(range(sources))
-        self.rate, self.max_wait = rate, max_wait
-        self.waits_for_second = sources == 1 and not one_sensor
-        self.streams, self.records, self.lagging = {}, [], set()
-        self.first, self.last, self.origin, self.tick, self.began = math.inf, -math.inf, None, None, False
-        self.late = Counter()
+    def __init__(
+        self,
+        sources: int,
+        rate: float | None = None,
+        max_wait: float = 1.0,
+        *,
+        one_sensor: bool = False,
+        say: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Begin without records.
 
-    def push(self, source, sensor, time, item):
-        """Take one record: source number, sensor name, time in s, anything."""
+        Args:
+            sources: how many streams of records there are.
+            rate: Hz of the clock, None: estimated from the records, whose first `max_wait` seconds are then held back.
+            max_wait: s of data by which a sensor may lag behind the others of its source.
+            one_sensor: whether each source is known to hold one sensor; else a sole source waits for its second one.
+            say: called with a sentence for the user, for each sensor that lags too far behind or was late.
+        """
+        self.open = set(range(sources))
+        self.rate, self.max_wait, self.say = rate, max_wait, say
+        self.waits_for_second = sources == 1 and not one_sensor
+        self.streams: dict[tuple[int, str], Stream] = {}
+        self.records: list[tuple[float, str, int, Detections]] = []
+        self.lagging: set[str] = set()
+        self.first, self.last = math.inf, -math.inf
+        self.origin, self.tick, self.began = 0.0, 0, False
+        self.late: Counter[str] = Counter()
+
+    def steps(self, events: Iterable[tuple[int, Detections | None]]) -> Iterator[Step]:
+        """Yield each step as soon as it is complete.
+
+        Args:
+            events: the number of a source, and its next record or None at its end, as `in_turn` yields them.
+        """
+        for source, detections in events:
+            if detections is None:
+                self.end(source)
+            else:
+                self.push(source, detections.sensor or "sensor", detections.timestamp, detections)
+            laggards = self.laggards()
+            for name in sorted(laggards - self.lagging):
+                self.say(
+                    f"sensor {name!r} lags more than {self.max_wait:g} s (--max-wait); its records are not waited for"
+                )
+            self.lagging |= laggards
+            yield from self.closed()
+        for name, count in sorted(self.late.items()):
+            self.say(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
+
+    def push(self, source: int, sensor: str, time: float, detections: Detections) -> None:
+        """Take one record: number of its source, name of its sensor, time in s."""
         if self.began and time < self._time(self.tick - 1) + SAME:
             self.late[sensor] += 1
         else:
-            self.records.append((time, sensor, len(self.records), item))
+            self.records.append((time, sensor, len(self.records), detections))
             self.first, self.last = min(self.first, time), max(self.last, time)
         stream = self.streams.get((source, sensor))
         if stream is None:
@@ -67,37 +126,38 @@ class Merger:
         else:
             stream.take(time)
 
-    def end(self, source):
-        """Take note that a source has ended."""
-        del self.open[source]
+    def end(self, source: int) -> None:
+        """Note that a source has ended."""
+        self.open.remove(source)
         for key in [key for key in self.streams if key[0] == source]:
             del self.streams[key]
 
-    def laggards(self):
-        """Names of the sensors that lag too far behind to be waited for."""
-        newest = {}
+    def laggards(self) -> set[str]:
+        """Return the names of the sensors that lag too far behind to be waited for."""
+        newest: dict[int, float] = {}
         for (source, _), stream in self.streams.items():
             newest[source] = max(newest.get(source, -math.inf), stream.latest)
         return {key[1] for key, s in self.streams.items() if newest[key[0]] - s.latest > self.max_wait + SAME}
 
-    def closed(self):
-        """Yield (time s, [(time s, sensor, item), ...] in order) of each step that has become complete."""
+    def closed(self) -> Iterator[Step]:
+        """Yield the steps that have become complete."""
         horizon = self._horizon()
         if not self.began:
             if not self.records or horizon <= self.first + SAME:
                 return
             self._begin()
-        while self.tick is not None:
+        while True:
             now = self._time(self.tick)
             if now + SAME >= horizon or now > self.last + 1e-3:
                 return
             yield now, self._until(now)
             self.tick += 1
-            if self.records and min(self.records)[0] - now > JUMP:
-                self.first = min(self.records)[0]
+            if self.records and min(record[0] for record in self.records) - now > JUMP:
+                self.first = min(record[0] for record in self.records)
                 self._begin()
 
-    def _horizon(self):
+    def _horizon(self) -> float:
+        """Time in s before which all steps are complete."""
         if any(not any(key[0] == source for key in self.streams) for source in self.open):
             return -math.inf
         if not self.open:
@@ -108,28 +168,46 @@ class Merger:
         lagging = self.laggards()
         return min((s.complete for key, s in self.streams.items() if key[1] not in lagging), default=-math.inf)
 
-    def _begin(self):
-        self.rate = self.rate or self._commonest_rate()
+    def _begin(self) -> None:
+        rate = self.rate = self.rate or self._commonest_rate()
         times = sorted(record[0] for record in self.records)
-        on_grid = [t for t in times if abs(t * self.rate - round(t * self.rate)) < 1e-3 * self.rate]
+        on_grid = [t for t in times if abs(t * rate - round(t * rate)) < 1e-3 * rate]
         self.origin = 0.0 if on_grid else times[0]
-        self.tick = math.ceil((times[0] - self.origin) * self.rate - 1e-3 * self.rate)
+        self.tick = math.ceil((times[0] - self.origin) * rate - 1e-3 * rate)
         self.began = True
         for stream in self.streams.values():
-            stream.step = min(stream.step, 1.0 / self.rate)
+            stream.step = min(stream.step, 1.0 / rate)
 
-    def _commonest_rate(self):
-        steps, before = Counter(), {}
+    def _commonest_rate(self) -> float:
+        steps: Counter[float] = Counter()
+        before: dict[str, float] = {}
         for time, sensor, *_ in sorted(self.records, key=lambda r: r[:3]):
             if sensor in before and time - before[sensor] > SAME:
                 steps[round(time - before[sensor], 6)] += 1
             before[sensor] = time
         return 1.0 / max(steps, key=lambda step: (steps[step], -step)) if steps else 10.0
 
-    def _time(self, tick):
-        return self.origin + tick / self.rate
+    def _time(self, tick: int) -> float:
+        return self.origin + tick / (self.rate or 1.0)
 
-    def _until(self, now):
+    def _until(self, now: float) -> list[Record]:
         ready = sorted((r for r in self.records if r[0] <= now + SAME), key=lambda r: r[:3])
         self.records = [r for r in self.records if r[0] > now + SAME]
-        return [(time, sensor, item) for time, sensor, _, item in ready]
+        return [(time, sensor, detections) for time, sensor, _, detections in ready]
+
+
+def in_turn(sources: Sequence[Iterator[Detections]]) -> Iterator[tuple[int, Detections | None]]:
+    """Yield the records of all sources, always from the one that is behind.
+
+    Yields:
+        The number of the source and its record; None at its end.
+    """
+    reached = dict.fromkeys(range(len(sources)), -math.inf)
+    while reached:
+        source = min(reached, key=lambda k: (reached[k], k))
+        detections = next(sources[source], None)
+        if detections is None:
+            del reached[source]
+        else:
+            reached[source] = max(reached[source], detections.timestamp)
+        yield source, detections

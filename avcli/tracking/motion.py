@@ -3,31 +3,46 @@
 A state is [x, y, vx, vy] in metres and metres per second. Height is not part of it: people walk on the floor.
 """
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 FOREVER = 1e6
 
+Step = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True)
 class Model:
-    """One linear motion model, dv = -v / memory dt + noise dW (Bar-Shalom, Li and Kirubarajan 2001, sections 6.2, 8.2).
+    """One linear motion model, dv = -v / memory dt + noise dW, an Ornstein-Uhlenbeck process of velocity.
 
-    noise: square root of the acceleration's power spectral density, m / s^1.5.
-    memory: seconds over which a velocity is forgotten; FOREVER is the nearly-constant-velocity model.
-    pulse: m / s^2, of an acceleration that is constant within a time step instead of white (the thesis's sigma_v).
+    Attributes:
+        noise: square root of the acceleration's power spectral density, m / s^1.5.
+        memory: seconds over which a velocity is forgotten; FOREVER is the nearly-constant-velocity model.
+        pulse: m / s², of an acceleration that is constant within a time step instead of white (the thesis's sigma_v).
+
+    Source:
+        Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+        sections 6.2 (white and piecewise constant acceleration) and 8.2 (models with memory).
     """
 
     noise: float
     memory: float = FOREVER
     pulse: float = 0.0
 
-    def step(self, dt):
-        """The transition of one time step.
+    def step(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the transition (4, 4) and the process noise (4, 4) of dt seconds, exact for any dt.
 
-        dt: seconds. Returns ((4, 4) transition, (4, 4) process noise).
+        >>> transition, noise = Model(0.0, pulse=1.0).step(0.1)
+        >>> transition[0].round(6).tolist()
+        [1.0, 0.0, 0.1, 0.0]
+        >>> [round(float(noise[0, 0]), 9), round(float(noise[0, 2]), 9), round(float(noise[2, 2]), 9)]
+        [2.5e-05, 0.0005, 0.01]
         """
         a = np.exp(-dt / self.memory)
         if dt < 1e-3 * self.memory:  # the closed forms cancel there; series to the second order
@@ -49,33 +64,51 @@ class Model:
 class Motion:
     """Interacting motion models that switch as a continuous-time Markov chain.
 
-    models: M of them. rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored). turn, stand:
-    numbers of the models of who is turning and of who stands, -1: none.
+    Attributes:
+        models: M of them.
+        rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored).
+        turn: number of the model of a person who is turning, -1: none.
+        stand: number of the model of a person who stands, -1: none.
     """
 
-    models: tuple
-    rates: tuple = ((0.0,),)
+    models: tuple[Model, ...]
+    rates: tuple[tuple[float, ...], ...] = ((0.0,),)
     turn: int = -1
     stand: int = -1
 
-    def _generator(self):
+    @staticmethod
+    def of(described: Mapping[str, Any]) -> "Motion":
+        """Make a motion of what fitted.json says: "models" (noise, memory), "rates", "turn", "stand"."""
+        models = tuple(Model(one["noise"], one.get("memory", FOREVER)) for one in described["models"])
+        rates = tuple(tuple(map(float, row)) for row in described["rates"])
+        return Motion(models, rates, described["turn"], described["stand"])
+
+    def _generator(self) -> np.ndarray:
         q = np.array(self.rates, float)
         np.fill_diagonal(q, 0.0)
         np.fill_diagonal(q, -q.sum(1))
         return q
 
-    def stationary(self):
-        """Probabilities of the models in the long run, (M,)."""
+    def stationary(self) -> np.ndarray:
+        """Return the probabilities (M,) of the models in the long run."""
         q = self._generator()
         a = np.vstack([q.T, np.ones(len(q))])
         return np.linalg.lstsq(a, np.r_[np.zeros(len(q)), 1.0], rcond=None)[0].clip(1e-12)
 
-    @lru_cache(maxsize=256)  # noqa: B019 (a handful of frozen motions, and time steps repeat)
-    def step(self, dt):
-        """Transitions of one time step.
+    def step(self, dt: float) -> Step:
+        """Return transitions (M, 4, 4), process noises (M, 4, 4) and switching probabilities (M, M) of dt seconds."""
+        known = self._steps.get(dt)
+        if known is None:
+            if len(self._steps) > 256:  # time steps repeat; irregular ones must not fill the memory
+                self._steps.clear()
+            known = self._steps[dt] = self._computed(dt)
+        return known
 
-        dt: seconds. Returns ((M, 4, 4) transitions, (M, 4, 4) process noises, (M, M) switching probabilities).
-        """
+    @cached_property
+    def _steps(self) -> dict[float, Step]:
+        return {}
+
+    def _computed(self, dt: float) -> Step:
         steps = [model.step(dt) for model in self.models]
         q = self._generator() * dt
         doublings = max(0, int(np.ceil(np.log2(max(np.abs(q).max(), 1e-9)))) + 12)
@@ -85,18 +118,7 @@ class Motion:
         return np.array([f for f, _ in steps]), np.array([q for _, q in steps]), switch
 
 
-# Straight on for long; just turned; turned a while ago; turning, to anywhere at any pace; standing. Who has just turned
-# has a model of his own because his velocity is not known yet: mixed with that of who walks on, it would blur both. The
-# numbers are near those of greatest likelihood for people who walk straight, turn back and stroll between places.
-WALKING = Motion(
-    (Model(0.01), Model(0.07), Model(0.01), Model(2.3, 0.19), Model(1.5, 0.01)),
-    (
-        (0.0, 0.0, 0.0, 0.015, 0.15),
-        (0.0, 0.0, 2.2, 0.155, 0.055),
-        (1.4, 0.0, 0.0, 0.155, 0.055),
-        (0.0, 6.3, 0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0, 1.65, 0.0),
-    ),
-    turn=3,
-    stand=4,
-)
+# Straight on for long; just turned; turned a while ago; turning, to anywhere at any speed; standing. "Just turned" is a
+# model of its own because the velocity is not known yet: mixed with that of "straight on", it would blur both.
+FITTED = Path(__file__).with_name("fitted.json")
+WALKING = Motion.of(json.loads(FITTED.read_text())["motion"])

@@ -17,7 +17,7 @@ done
 
 avcalib calibrate "$out/pictures" --board 7x10 --square 95 --html "$out/report.html" -o "$out/camera.json"
 
-# A person walks under a camera with the true lens; the detector is told the one that was found.
+# A person walks under a camera with the true lens; the detector uses the found one.
 avsim-scene s1 -C "$out/s1" -o "$out/scene.jsonl"
 jq --slurpfile found "$out/camera.json" '.camera_config += $found[0]' "$out/s1/config.json" >"$out/found.json"
 avdetect-video -C "$out/s1" -c "$out/found.json" "$out/scene.jsonl" |

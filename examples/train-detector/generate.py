@@ -14,8 +14,9 @@ from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
 from avcli.lens import Division, KannalaBrandt
 from avcli.pose import camera_pose
-from avcli.scene import people as scene_people
 from avcli.scene.motion import Motion
+from avcli.scene.people import pose
+from avcli.scene.person import KNIT, PLAID, STRIPES, Look, Person
 
 WIDTH, HEIGHT = 640, 384
 PAD = 114
@@ -88,14 +89,14 @@ def _colour(rng) -> tuple:
     return tuple(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0] / 255.0)
 
 
-def random_look(rng: np.random.Generator, height: float) -> scene_people.Look:
+def random_look(rng: np.random.Generator, height: float) -> Look:
     """Clothes, hair and build of somebody."""
     cuts = ["short", "long", "cropped", "bun", "receding", "curly", "beard", "ponytail", "bald", "scarf"]
     tone = rng.uniform(0.25, 1.0)
     skin = tuple(np.clip(tone * np.array([0.93, 0.73, 0.60]) + rng.normal(0, 0.02, 3), 0, 1))
     hair = tuple(np.clip(rng.choice([0.1, 0.3, 0.6, 0.8]) * np.array([1.0, 0.75, 0.5]) * rng.uniform(0.5, 1), 0, 1))
-    cloth = [scene_people.KNIT, scene_people.KNIT, scene_people.STRIPES, scene_people.PLAID][rng.integers(4)]
-    return scene_people.Look(
+    cloth = [KNIT, KNIT, STRIPES, PLAID][rng.integers(4)]
+    return Look(
         _colour(rng), _colour(rng), skin, hair, _colour(rng), cuts[rng.integers(len(cuts))], cloth,
         sleeve=rng.uniform(0.6, 2.0), legs=rng.uniform(1.2, 2.0), girth=rng.uniform(0.88, 1.25),
         shoulders=rng.uniform(0.88, 1.12), height=height, second=_colour(rng),
@@ -115,9 +116,9 @@ def body_bank(rng: np.random.Generator, count: int) -> list[Cones]:
             times, np.array([[0.0, 0.0], [10.0 * speed, 0.0]]), np.array([0.0, 0.0]), np.full(2, kind == "sit"), height
         )
         speech = np.array([[0.0, 10.0]]) if rng.random() < 0.4 else np.empty((0, 2))
-        person = scene_people.Person(int(rng.integers(1000)), motion, look, height, speech)
+        person = Person(int(rng.integers(1000)), motion, look, height, speech)
         t = np.sort(rng.uniform(2, 8, 6))
-        bodies = scene_people.pose([person], t)
+        bodies = pose([person], t)
         big = (np.maximum(bodies.ra, bodies.rb) > 0.02) | (np.arange(len(bodies.ra)) % 2 == 0)
         big &= np.maximum(bodies.ra, bodies.rb) > 0.009
         place = motion.position(t)

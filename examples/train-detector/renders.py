@@ -7,8 +7,8 @@ from generate import HEIGHT, PAD, WIDTH, Sample, _camera_effects, _colour, _flip
 
 from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
-from avcli.scene import people as scene_people
 from avcli.scene import render, scenario
+from avcli.scene.people import pose
 
 SHAPES = [(640, 360), (640, 360), (640, 360), (640, 384), (512, 384), (384, 384)]
 
@@ -117,7 +117,7 @@ def shots(rng: np.random.Generator, width: int, height: int, count: int, context
     view = View(camera.lens, camera.T_room_camera, (width, height), camera.theta_max, 1)
     background = artist.room_depth.astype(np.float32) * np.float32(1e-4)
     times = np.sort(rng.uniform(0, 10, count))
-    bodies = scene_people.pose(actors, times)
+    bodies = pose(actors, times)
     drawn = artist.prepare(bodies)
     for k, t in enumerate(times):
         stands = np.array([actor.motion.position(np.array([t]))[0] for actor in actors]).reshape(-1, 2)

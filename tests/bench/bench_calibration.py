@@ -13,8 +13,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film, photograph
 
 from avcli.calibration import calibrate, corners, fit, opencv, quality
-from avcli.lens import KannalaBrandt
+from avcli.calibration.corners import View
+from avcli.lens import KannalaBrandt, Lens
+
+Row = dict[str, Any]
+Method = Callable[[fit.Observations], tuple[fit.Solution, np.ndarray]]
 
 SIZE = (1920, 1080)
 BEYOND = KannalaBrandt(560.0, 561.0, 961.0, 542.0, 0.01, -0.004, 0.001, -0.0002)
@@ -34,7 +40,9 @@ BOW = np.array([0.001, 0.001, 0.0])
 # --- photographs ------------------------------------------------------------------------------------------------------
 
 
-def photographed(seed: int, lens: KannalaBrandt, shape: np.ndarray, count: int, noise: float = 3.0, **poses):
+def photographed(
+    seed: int, lens: Lens, shape: np.ndarray, count: int, noise: float = 3.0, **poses: Any
+) -> tuple[list[View], float]:
     """Views of boards that were photographed, and the seconds a picture took to be searched."""
     rng = np.random.default_rng(seed)
     filmed = film(count, rng, lens=lens, shape=shape, **poses)
@@ -49,7 +57,7 @@ def photographed(seed: int, lens: KannalaBrandt, shape: np.ndarray, count: int, 
     return views, spent / count
 
 
-def scrambled(views, seed: int):
+def scrambled(views: list[View], seed: int) -> list[View]:
     """Two of the views with their corners in another order."""
     rng = np.random.default_rng(seed)
     spoiled = list(views)
@@ -61,7 +69,7 @@ def scrambled(views, seed: int):
     return spoiled
 
 
-def photograph_cases(seeds: int, count: int):
+def photograph_cases(seeds: int, count: int) -> Iterator[Row]:
     """Photographs through known lenses, blur 0.8 px, noise 3 grey levels: one row a case and seed."""
     for seed in range(seeds):
         cases = {
@@ -76,7 +84,7 @@ def photograph_cases(seeds: int, count: int):
                 variants["two pictures scrambled"] = scrambled(views, seed)
             for name, used in variants.items():
                 begin = time.process_time()
-                found = calibrate.calibrate(BOARD, used)
+                found = calibrate.calibrate_views(BOARD, used)
                 spent = time.process_time() - begin
                 mean, largest = field_error(found.solution.lens, lens)
                 seen = found.quality.theta_max_observed
@@ -102,26 +110,26 @@ def photograph_cases(seeds: int, count: int):
 # --- methods ----------------------------------------------------------------------------------------------------------
 
 
-def thesis_method(observations):
+def thesis_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
     return opencv.thesis_procedure(observations, *SIZE)
 
 
-def opencv_method(observations):
+def opencv_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
     f = fit.scan_focal(observations, *SIZE).lens
     found = opencv.calibrate(observations, *SIZE, start=f)
     spread, sigma = fit.covariance(observations, found)
     return replace(found, covariance=spread, sigma_px=sigma), np.ones(observations.views, bool)
 
 
-def our_method(observations):
+def our_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
     return fit.fit_robustly(observations, *SIZE)
 
 
-def our_shape_method(observations):
+def our_shape_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
     return fit.fit_robustly(observations, *SIZE, board_shape=True)
 
 
-METHODS = {
+METHODS: dict[str, Method] = {
     "thesis (OpenCV twice)": thesis_method,
     "OpenCV, our start": opencv_method,
     "avcalib": our_method,
@@ -129,17 +137,19 @@ METHODS = {
 }
 
 
-def sets(quick: bool):
+def sets(quick: bool) -> Iterator[tuple[str, Callable[[int], fit.Observations]]]:
     """Name -> what makes the corners of one seed; corners with Gaussian noise of 0.15 px, unless it says otherwise."""
 
-    def boards(count, noise=0.15, shape=FLAT, **poses):
-        def make(seed):
+    def boards(
+        count: int, noise: float = 0.15, shape: np.ndarray = FLAT, **poses: Any
+    ) -> Callable[[int], fit.Observations]:
+        def make(seed: int) -> fit.Observations:
             rng = np.random.default_rng(seed)
             return exact(film(count, rng, shape=shape, **poses), shape=shape, noise=noise, rng=rng)
 
         return make
 
-    def spoiled(seed):
+    def spoiled(seed: int) -> fit.Observations:
         observations = boards(40)(seed)
         rng = np.random.default_rng(seed + 1000)
         for view in (3, 17):
@@ -147,7 +157,7 @@ def sets(quick: bool):
             observations.pixels[rows] = observations.pixels[rng.permutation(rows)]
         return observations
 
-    def outliers(seed):
+    def outliers(seed: int) -> fit.Observations:
         observations = boards(40)(seed)
         rng = np.random.default_rng(seed + 1000)
         observations.pixels[observations.starts + rng.integers(0, 35, 40)] += 5 * rng.choice([-1, 1], (40, 2))
@@ -165,13 +175,13 @@ def sets(quick: bool):
     yield "a 5 px outlier in each", outliers
 
 
-def method_rows(seeds: int, quick: bool):
+def method_rows(seeds: int, quick: bool) -> Iterator[Row]:
     """Corners with known noise through each method: one row a set, seed and method."""
     for name, make in sets(quick):
         for seed in range(seeds):
             observations = make(seed)
             for method, run in METHODS.items():
-                row = {"set": name, "seed": seed, "method": method}
+                row: Row = {"set": name, "seed": seed, "method": method}
                 begin = time.process_time()
                 try:
                     solution, kept = run(observations)
@@ -188,7 +198,7 @@ def method_rows(seeds: int, quick: bool):
                 yield row
 
 
-def mrcal_row(observations):
+def mrcal_row(observations: fit.Observations) -> Row | None:
     """mrcal's OPENCV8 lens on the same corners; None where mrcal is not installed."""
     if not shutil.which("mrcal-calibrate-cameras"):
         return None
@@ -213,7 +223,7 @@ def mrcal_row(observations):
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def table(rows, by, columns):
+def table(rows: list[Row], by: list[str], columns: list[tuple[str, Callable[[list[Row]], str]]]) -> str:
     """Markdown: one line for each value of `by`; a column is (title, function of the rows)."""
     names = list(dict.fromkeys(tuple(row[key] for key in by) for row in rows))
     lines = ["| " + " | ".join([*by, *(title for title, _ in columns)]) + " |"]
@@ -224,15 +234,15 @@ def table(rows, by, columns):
     return "\n".join(lines)
 
 
-def of(key, function, form="{:.3f}"):
-    def column(rows):
+def of(key: str, function: Callable[[list[float]], Any], form: str = "{:.3f}") -> Callable[[list[Row]], str]:
+    def column(rows: list[Row]) -> str:
         values = [row[key] for row in rows if key in row and row[key] is not None]
         return form.format(function(values)) if values else "—"
 
     return column
 
 
-def plot(rows, path):
+def plot(rows: list[Row], path: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -257,7 +267,7 @@ def plot(rows, path):
         figure.savefig(path, metadata={"Date": None})
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     parser.add_argument("--seeds", type=int, default=10)
@@ -269,7 +279,7 @@ def main():
     parts = []
     with open(options.out / "calibration.jsonl", "w") as log:
 
-        def collected(rows):
+        def collected(rows: Iterable[Row]) -> Iterator[Row]:
             for row in rows:
                 log.write(json.dumps(row) + "\n")
                 log.flush()

@@ -12,7 +12,9 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,9 +22,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "examples" / "train-detector"))
 
 from judge import Verdict, average_precision, overlaps
-from renders import shots
+from renders import Shot, shots
 
 from avcli.detection import network
+from avcli.detection.body import Person
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.gate import Gate
 from avcli.detection.network import Boxes, Network
@@ -36,9 +39,10 @@ GATE_M = 1.0
 """m; a position farther from everybody is false."""
 
 
-def scenes(count: int, frames: int, seed: int):
+def scenes(count: int, frames: int, seed: int) -> Iterator[tuple[list[Shot], View]]:
     """Yield (shots, view at stride 4) of random scenes."""
     rng, context = np.random.default_rng(seed), render.open_context()
+    context.gc_mode = "auto"  # a scene's textures go with it
     while count:
         try:
             drawn = list(shots(rng, *SIZE, frames, context))
@@ -48,7 +52,7 @@ def scenes(count: int, frames: int, seed: int):
             first = drawn[0].view
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = first.rotation, first.origin
-            yield drawn, View(first.lens, pose, SIZE, np.arccos(max(first._cos_max, -1.0)))
+            yield drawn, View(first.lens, pose, SIZE, first.theta_max)
             count -= 1
 
 
@@ -56,13 +60,19 @@ class Tally:
     """What one way of detecting has found."""
 
     def __init__(self, name: str):
-        self.name, self.ms, self.errors, self.nees, self.bins = name, [], [], [], []
+        self.name = name
+        self.ms: list[float] = []
+        self.errors: list[float] = []
+        self.nees: list[float] = []
+        self.bins: list[int] = []
         self.people = self.missed = self.false = 0
-        self.scores, self.right = [], []
+        self.scores: list[float] = []
+        self.right: list[float] = []
 
-    def add(self, shot, view, people, ms):
+    def add(self, shot: Shot, view: View, people: list[Person], ms: float) -> None:
+        """Match the people found in a frame with those who are there."""
         self.ms.append(ms)
-        taken = set()
+        taken: set[int] = set()
         for person in sorted(people, key=lambda one: -one.score):
             away = np.linalg.norm(shot.places - person.position[:2], axis=1)
             away[list(taken)] = np.inf
@@ -81,7 +91,7 @@ class Tally:
         self.people += len(seen)
         self.missed += sum(index not in taken for index in seen)
 
-    def rank(self, shot, found: Boxes):
+    def rank(self, shot: Shot, found: Boxes) -> None:
         """Collect a network's boxes for its average precision."""
         must, taken = shot.visible >= 1 / 3, np.zeros(len(shot.boxes), bool)
         for box, score in zip(found.boxes, found.scores, strict=True):
@@ -95,13 +105,14 @@ class Tally:
                 self.scores.append(score)
                 self.right.append(float(hit))
 
-    def row(self) -> dict:
+    def row(self) -> dict[str, Any]:
+        """Sum up as one row of the table."""
         errors, bins = np.array(self.errors), np.array(self.bins)
-        row = {"detector": self.name, "people": self.people, "frames": len(self.ms)}
+        row: dict[str, Any] = {"detector": self.name, "people": self.people, "frames": len(self.ms)}
         row["recall"] = 1 - self.missed / max(self.people, 1)
         row["false_per_frame"] = self.false / max(len(self.ms), 1)
         if self.scores:
-            verdict = Verdict(np.array(self.scores), np.array(self.right), None, self.people, 0, 0)
+            verdict = Verdict(np.array(self.scores), np.array(self.right), np.empty(0), self.people, 0, 0)
             row["AP50"] = average_precision(verdict)
         if len(errors):
             row |= {"median_m": np.median(errors), "p99_m": np.quantile(errors, 0.99), "max_m": errors.max()}
@@ -113,13 +124,14 @@ class Tally:
         return {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
 
 
-def timed(function, *arguments):
+def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    """Call a function; its result, and the CPU time that it took, ms."""
     begin = time.process_time()
     result = function(*arguments)
     return result, (time.process_time() - begin) * 1e3
 
 
-def compare(networks: dict, drawn, view, tallies: dict) -> None:
+def compare(networks: dict[str, Network], drawn: list[Shot], view: View, tallies: dict[str, Tally]) -> None:
     """Run every detector over the frames of one scene."""
     _ = view.rays, view.solid_angles
     background = view.sampled(drawn[0].background)
@@ -145,7 +157,7 @@ def compare(networks: dict, drawn, view, tallies: dict) -> None:
             tallies[f"{name}, monocular"].add(shot, view, people, ms + more)
 
 
-def gate_rows(networks: dict, rng) -> list[dict]:
+def gate_rows(networks: dict[str, Network], rng: np.random.Generator) -> list[dict[str, Any]]:
     """Milliseconds of a network on a noisy picture, still or with something small that moves, with and without gate."""
     rows = []
     room = cv2.resize(rng.integers(60, 200, (27, 48, 3), dtype=np.uint8), SIZE, interpolation=cv2.INTER_CUBIC)
@@ -161,14 +173,16 @@ def gate_rows(networks: dict, rng) -> list[dict]:
     return rows
 
 
-def gated(finder: Network, gate: Gate, frames: list) -> None:
+def gated(finder: Network, gate: Gate, frames: list[np.ndarray]) -> None:
+    """Look at the frames where they change."""
     for frame in frames:
         regions = gate.changes(frame)
         if len(regions):
             finder.detect(frame, regions)
 
 
-def table(rows: list[dict]) -> str:
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as a Markdown table."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
     for row in rows:
@@ -177,7 +191,8 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def plot(tallies: dict, path: Path) -> None:
+def plot(tallies: dict[str, Tally], path: Path) -> None:
+    """Plot the distribution of each detector's errors."""
     try:
         import matplotlib
     except ModuleNotFoundError:
@@ -187,7 +202,7 @@ def plot(tallies: dict, path: Path) -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(8, 5))
-    axes.set_prop_cycle(color=pyplot.colormaps["tab20"].colors)
+    axes.set_prop_cycle(color=pyplot.colormaps["tab20"](np.arange(20)))
     for tally in tallies.values():
         if tally.errors:
             axes.plot(np.sort(tally.errors), np.linspace(0, 1, len(tally.errors)), label=tally.name)
@@ -198,7 +213,8 @@ def plot(tallies: dict, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    """Compare the detectors and write the table and the plot."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     parser.add_argument("--scenes", type=int, default=25)
     parser.add_argument("--frames", type=int, default=4, help="frames of a scene")

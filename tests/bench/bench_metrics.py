@@ -6,6 +6,7 @@ Processes are timed by the wall clock, which a busy machine stretches.
 
 import argparse
 import contextlib
+import importlib
 import io
 import json
 import os
@@ -13,15 +14,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
-from test_metrics import trackeval_data
-
 from avcli.metrics import clear, hota, identity, ospa
+from avcli.metrics.matching import match
 from avcli.metrics.sequence import Sequence
 
 
@@ -41,9 +42,10 @@ def crowd(people: int, frames: int, side: float, seed: int = 0) -> Sequence:
     return Sequence.of(truth, track)
 
 
-def least(*functions, rounds: int) -> list[tuple[float, object]]:
+def least(*functions: Callable[[], Any], rounds: int) -> list[tuple[float, Any]]:
     """Least processor time in s and last result of each function, run by turns."""
-    best, result = [np.inf] * len(functions), [None] * len(functions)
+    best: list[float] = [np.inf] * len(functions)
+    result: list[Any] = [None] * len(functions)
     for _ in range(rounds):
         for k, function in enumerate(functions):
             begin = time.process_time()
@@ -52,20 +54,29 @@ def least(*functions, rounds: int) -> list[tuple[float, object]]:
     return list(zip(best, result, strict=True))
 
 
-def compare(trackeval, people: int, frames: int, side: float, rounds: int) -> list[dict]:
+def compare(trackeval: Any, people: int, frames: int, side: float, rounds: int) -> list[dict]:
+    """Time and compare both on one sequence.
+
+    Args:
+        trackeval: the module.
+        people: in the room.
+        frames: of the sequence.
+        side: m, of the square room.
+        rounds: of which the fastest counts.
+    """
     sequence = crowd(people, frames, side)
-    data = trackeval_data(sequence)
+    data = importlib.import_module("test_metrics").trackeval_data(sequence)
     pairs = {
         "HOTA": (lambda: hota.hota(sequence), trackeval.metrics.HOTA()),
         "CLEAR": (
-            lambda: clear.clear(sequence, clear.match(sequence)),
+            lambda: clear.clear(sequence, match(sequence)),
             trackeval.metrics.CLEAR({"PRINT_CONFIG": False}),
         ),
         "Identity": (lambda: identity.identity(sequence), trackeval.metrics.Identity({"PRINT_CONFIG": False})),
     }
     rows = []
     for name, (ours, metric) in pairs.items():
-        (mine, found), (theirs, expected) = least(ours, lambda m=metric: m.eval_sequence(data), rounds=rounds)
+        (mine, found), (theirs, expected) = least(ours, partial(metric.eval_sequence, data), rounds=rounds)
         gap = max(float(np.abs(np.asarray(found[field]) - expected[field]).max()) for field in expected)
         rows.append(
             {
@@ -102,7 +113,7 @@ def process(rounds: int) -> dict:
                     stream.write(json.dumps({"timestamp": f"{t / 10:.10f}", "objects": objects}) + "\n")
         aveval = [str(Path(sys.executable).parent / "aveval"), "truth.jsonl", "tracks.jsonl", "-o", os.devnull]
 
-        def timed(command) -> tuple[float, float]:
+        def timed(command: list[str]) -> tuple[float, float]:
             begin, used = time.perf_counter(), os.times()
             subprocess.run(command, cwd=folder, check=True)
             now = os.times()
@@ -124,7 +135,8 @@ def main() -> None:
     parser.add_argument("--out", default="bench-out")
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
-    with contextlib.redirect_stdout(io.StringIO()):  # it tells of data sets that it cannot import
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # the tests know how TrackEval takes a sequence
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints which data sets it cannot import
         import trackeval
     rows = []
     for people, frames, side in ((1, 10000, 4.66), (3, 10000, 4.66), (10, 10000, 10.0), (10, 10000, 4.66)):

@@ -15,8 +15,11 @@ import argparse
 import json
 import os
 import time
+from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import resources
 from pathlib import Path
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -25,6 +28,7 @@ from avcli import pose
 from avcli.formats import media
 from avcli.scene import crowd, mesh, people, render, scenario
 
+T = TypeVar("T")
 REAL, VIRTUAL = scenario.CAMERAS["real"], scenario.CAMERAS["thesis"]
 FACE_VERTEX = """#version 330
 in vec3 corner;
@@ -54,9 +58,9 @@ void main() {
 """
 
 
-def least(work, repeat):
+def least(work: Callable[[], T], repeat: int) -> tuple[float, float, T]:
     """CPU and wall milliseconds of the fastest of several calls, and the last result."""
-    cpu, wall, result = np.inf, np.inf, None
+    cpu, wall = np.inf, np.inf
     for _ in range(repeat):
         c, w = time.process_time(), time.perf_counter()
         result = work()
@@ -64,7 +68,7 @@ def least(work, repeat):
     return 1e3 * cpu, 1e3 * wall, result
 
 
-def scaled(camera, width):
+def scaled(camera: Mapping[str, Any], width: int) -> dict[str, Any]:
     """The same lens on an image of another width."""
     factor = width / camera["image_width_px"]
     keys = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -72,7 +76,7 @@ def scaled(camera, width):
     return {**camera, **size, **{key: camera[key] * factor for key in keys}}
 
 
-def scene_of(camera, count):
+def scene_of(camera: Mapping[str, Any], count: int) -> scenario.Scenario:
     """S3 for three people, else a random crowd, seen by the camera."""
     if count == 3:
         raw = json.loads((resources.files("avcli.scene") / "scenarios" / "s3.json").read_bytes())
@@ -84,7 +88,7 @@ def scene_of(camera, count):
 class Reference:
     """Depth by embree, and which pixels are away from edges."""
 
-    def __init__(self, scene, bodies, index):
+    def __init__(self, scene: scenario.Scenario, bodies: people.Bodies, index: int) -> None:
         import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -105,7 +109,9 @@ class Reference:
             edge |= np.pad(jump, pad) | np.pad(jump, [p[::-1] for p in pad])
         self.inner = ~edge.ravel() & self.seen
 
-    def _caster(self, scene, bodies, index, segments, trimesh, kind):
+    def _caster(
+        self, scene: scenario.Scenario, bodies: people.Bodies, index: int, segments: int, trimesh: Any, kind: Any
+    ) -> Any:
         parts = [
             mesh.room_triangles(scene.config.room.dimensions),
             mesh.solids_triangles(scene.solids, 4 * segments)[0],
@@ -114,7 +120,7 @@ class Reference:
         self.triangles = np.concatenate(parts)
         return kind(trimesh.Trimesh(**trimesh.triangles.to_kwargs(self.triangles), process=False))
 
-    def cast(self, caster):
+    def cast(self, caster: Any) -> np.ndarray:
         """Depth of each pixel, m, 0 for none."""
         eye = np.tile(self.eye, (len(self.rays), 1))
         _, ray, at = caster.intersects_id(eye, self.rays, multiple_hits=False, return_locations=True)
@@ -124,7 +130,7 @@ class Reference:
         depth[self.seen] = hit
         return depth
 
-    def error(self, depth):
+    def error(self, depth: np.ndarray) -> dict[str, float]:
         """Median and 99.9th percentile of the error, mm, and the share of wrong pixels, %."""
         wrong = np.abs(depth.ravel() - self.depth)[self.inner]
         return {
@@ -137,18 +143,18 @@ class Reference:
 class CubeMap:
     """Five pinhole faces and a look-up, on the same OpenGL."""
 
-    def __init__(self, reference, scene, size, ctx):
+    def __init__(self, reference: Reference, scene: scenario.Scenario, size: int, ctx: moderngl.Context) -> None:
         self.ctx, self.size = ctx, size
         camera = scene.config.camera
-        T = pose.inverse(camera.T_room_camera)
-        corners = pose.apply(T, reference.triangles).astype("f4")
+        corners = pose.apply(pose.inverse(camera.T_room_camera), reference.triangles).astype("f4")
         self.faces = [ctx.texture((size, size), 1, dtype="f4") for _ in range(5)]
         for face in self.faces:  # the nearest sample: distances must not be mixed across outlines
             face.filter = (ctx.NEAREST, ctx.NEAREST)
         depth = ctx.depth_renderbuffer((size, size))
         self.targets = [ctx.framebuffer([face], depth) for face in self.faces]
         program = ctx.program(vertex_shader=FACE_VERTEX, fragment_shader=FACE_FRAGMENT)
-        self.program, self.count = program, corners.size // 3
+        self.face: Any = program["face"]
+        self.count = corners.size // 3
         self.array = ctx.vertex_array(program, [(ctx.buffer(corners.tobytes()), "3f", "corner")])
         rays = np.zeros((reference.seen.size, 4), "f4")
         rays[reference.seen, :3] = reference.rays @ camera.T_room_camera[:3, :3]
@@ -157,7 +163,7 @@ class CubeMap:
         self.out = ctx.framebuffer([ctx.texture((width, height), 1, dtype="f4")])
         warp = ctx.program(vertex_shader=WARP_VERTEX, fragment_shader=WARP_FRAGMENT)
         for unit, name in enumerate(("ahead", "right", "left", "below", "above", "rays")):
-            warp[name].value = unit
+            warp[name] = unit
         quad = ctx.buffer(np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]], "f4").tobytes())
         self.warp = ctx.vertex_array(warp, [(quad, "2f", "at")])
         # Rows: what becomes the face's x, y and depth.
@@ -171,12 +177,12 @@ class CubeMap:
             M[3, z] = sign
             self.matrices.append(M.T.astype("f4").tobytes())
 
-    def draw(self):
+    def draw(self) -> np.ndarray:
         """Depth, (height, width) float32 m."""
         ctx = self.ctx
         ctx.enable(ctx.DEPTH_TEST)
         for target, matrix in zip(self.targets, self.matrices, strict=True):
-            self.program["face"].write(matrix)
+            self.face.write(matrix)
             target.use()
             target.clear(depth=1.0)
             self.array.render(moderngl.TRIANGLES, self.count)
@@ -188,7 +194,23 @@ class CubeMap:
         return np.frombuffer(self.out.read(components=1, dtype="f4"), np.float32)
 
 
-def ours(scene, bodies, index, samples, ctx, reference=None):
+def depth_m(renderer: render.Renderer) -> np.ndarray:
+    """Radial depth of the frame that was drawn last, unrounded: (height, width) float32 m, 0 none."""
+    by_people, by_room = (
+        np.frombuffer(seen.read(), np.float32).reshape(seen.height, seen.width, 2)[..., 0]
+        for seen in (renderer.people_seen, renderer.room_seen)
+    )
+    return np.where(by_people > 0, by_people, by_room)
+
+
+def ours(
+    scene: scenario.Scenario,
+    bodies: people.Bodies,
+    index: int,
+    samples: int,
+    ctx: moderngl.Context,
+    reference: Reference | None = None,
+) -> tuple[dict[str, float], render.Frame]:
     """Our renderer: the median over the scene's frames, and the frame of one index."""
     c = time.process_time()
     renderer = render.Renderer(
@@ -198,14 +220,14 @@ def ours(scene, bodies, index, samples, ctx, reference=None):
     start = 1e3 * (time.process_time() - c)
     drawn = renderer.prepare(bodies)
     renderer.draw(drawn, 0)
-    spent = np.array([least(lambda k=k: renderer.draw(drawn, k), 1)[:2] for k in range(1, len(bodies.times))])
+    spent = np.array([least(partial(renderer.draw, drawn, k), 1)[:2] for k in range(1, len(bodies.times))])
     cpu, wall = np.median(spent, axis=0).tolist()
     frame = renderer.draw(drawn, index)
     row = {"cpu_ms": cpu, "wall_ms": wall, "start_cpu_ms": start}
-    return row | (reference.error(renderer.depth_m()) if reference else {}), frame
+    return row | (reference.error(depth_m(renderer)) if reference else {}), frame
 
 
-def main():
+def main() -> None:
     """Measure, print, write scene.json, the table scene.md and, with matplotlib, the plot scene.svg."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
@@ -213,10 +235,11 @@ def main():
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     ctx = render.open_context()
-    rows, index = [], 20
+    rows: list[dict[str, Any]] = []
+    index = 20
     times = np.arange(41) / 10
 
-    def add(method, **values):
+    def add(method: str, **values: Any) -> None:
         rows.append({"method": method, **values})
         shown = "  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items())
         print(shown, flush=True)
@@ -235,12 +258,12 @@ def main():
         for samples in (1, 4, 8) if compared else (1, 4):
             row, frame = ours(scene, bodies, index, samples, ctx, reference)
             add(f"rounded cones, {samples} samples", **labels, **row)
-        if compared:
+        if reference:
             for size in (1024, 1724):
                 cube = CubeMap(reference, scene, size, ctx)
                 cpu, wall, depth = least(cube.draw, 5)
                 add(f"cube map of {size}^2", **labels, cpu_ms=cpu, wall_ms=wall, **reference.error(depth))
-            cpu, wall, depth = least(lambda r=reference: r.cast(r.plain), 1)
+            cpu, wall, depth = least(partial(reference.cast, reference.plain), 1)
             add("embree, 32 meridians", **labels, cpu_ms=cpu, wall_ms=wall, **reference.error(depth))
         if width == 1920 and count == 3 and lens == "kb8":
             for name, work in (
@@ -255,7 +278,7 @@ def main():
     plot(rows, options.out / "scene.svg")
 
 
-def table(rows, renderer):
+def table(rows: list[dict[str, Any]], renderer: str) -> str:
     """All rows as Markdown, with what they were measured on."""
     heads = {
         "method": "method", "lens": "lens", "width": "width, px", "people": "people", "cpu_ms": "CPU ms a frame",
@@ -277,7 +300,7 @@ def table(rows, renderer):
     return "\n".join([*lines, "", "![Run time against error](scene.svg)", ""])
 
 
-def plot(rows, path):
+def plot(rows: list[dict[str, Any]], path: Path) -> None:
     """Run time against error, where matplotlib is installed."""
     try:
         import matplotlib

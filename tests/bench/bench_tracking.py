@@ -13,6 +13,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -20,15 +21,22 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from tracking_scenes import EASY, HARD
+from tracking_scenes import EASY, HARD, KIND, Scene, Truth
 
 from avcli.formats.records import Detections
-from avcli.metrics.score import score
+from avcli.metrics.metric import Case
+from avcli.metrics.registry import score_case
 from avcli.metrics.sequence import Sequence
 from avcli.tracking import gaussian
 from avcli.tracking.fusion import Fusion
-from avcli.tracking.model import Settings, sensor
+from avcli.tracking.merging import Record
+from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
+from avcli.tracking.settings import Settings, sensor
+from avcli.tracking.trackers import TRACKERS
+
+Tracks = list[tuple[list[int], np.ndarray]]  # (ids, xy (n, 2) m) a frame
+Row = dict[str, Any]
 
 MORE = {  # seeds of the default tracker and the ceiling alone, where chance weighs heavily
     **dict.fromkeys(EASY, 10),
@@ -40,26 +48,27 @@ MORE = {  # seeds of the default tracker and the ceiling alone, where chance wei
 }
 TOO_MUCH = {"jpda": ("clutter", "ten", "long-pair")}  # it enumerates all joint associations: hours, or minutes
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
-TRACKERS = {
+VARIANTS: dict[str, dict[str, Any]] = {
     "ms-glmb": {},
     "ms-glmb, 5 hypotheses": {"hypotheses": 5},
     "ms-glmb, 20 hypotheses": {"hypotheses": 20},
     "ms-glmb, 80 hypotheses": {"hypotheses": 80},
     "ms-glmb, lag 5": {"lag": 5},
     "ms-glmb, lag inf": {"lag": math.inf},
-    "lmb": {"tracker": "lmb"},
-    "gnn": {"tracker": "gnn"},
-    "jpda": {"tracker": "jpda"},
+    **{name: {"tracker": name} for name in TRACKERS if name != "ms-glmb"},
 }
 
 
-def ceiling(scene):
-    """Tracks of the filter that knows the truth's associations: [(ids, xy)] a frame."""
-    states, out, queue = {}, [], list(scene.records)
+def ceiling(scene: Scene) -> Tracks:
+    """Tracks of the filter that knows the truth's associations."""
+    states: dict[int, tuple[float, np.ndarray, np.ndarray, np.ndarray]] = {}
+    out, queue = [], list(scene.records)
     start = WALKING.stationary()
     m = len(start)
 
-    def moved(state, t):
+    def moved(
+        state: tuple[float, np.ndarray, np.ndarray, np.ndarray], t: float
+    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         last, mean, cov, mode = state
         if t - last > 1e-9:
             mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, WALKING, round(t - last, 9))
@@ -69,32 +78,40 @@ def ceiling(scene):
         while queue and queue[0][0] <= now + 1e-9:
             t, name, z, sigma, owners = queue.pop(0)
             noise = sigma**2 * np.eye(2)[None]
-            for place, owner in zip(z, owners.tolist(), strict=True):
+            for position, owner in zip(z, owners.tolist(), strict=True):
                 if owner in states:
-                    last, *state = moved(states[owner], t)
-                    states[owner] = (last, *gaussian.update(*state, place[None], noise, sensor(name).lead))
+                    last, mean, cov, mode = moved(states[owner], t)
+                    offset = sensor(name, KIND[name]).mouth_offset
+                    states[owner] = (last, *gaussian.update(mean, cov, mode, position[None], noise, offset))
                 elif owner >= 0:
                     mean, cov = np.zeros((1, m, 4)), np.zeros((1, m, 4, 4))
-                    mean[..., :2], cov[..., :2, :2] = place, noise
-                    cov[..., 2:, 2:] = Settings().speed ** 2 * np.eye(2)
+                    mean[..., :2], cov[..., :2, :2] = position, noise
+                    cov[..., 2:, 2:] = Population().speed ** 2 * np.eye(2)
                     states[owner] = (t, mean, cov, start[None])
         known = [i for i in present.tolist() if i in states]
-        places = [gaussian.moments(*moved(states[i], now)[1:])[0][0, :2] for i in known]
-        out.append((known, np.reshape(places, (-1, 2))))
+        positions = [gaussian.moments(*moved(states[i], now)[1:])[0][0, :2] for i in known]
+        out.append((known, np.reshape(positions, (-1, 2))))
     return out
 
 
-def track(scene, tracker="ms-glmb", lag=0, hypotheses=None):
-    """Tracks of a scene, [(ids, xy)] a frame, and milliseconds a frame."""
-    settings = Settings() if hypotheses is None else Settings(hypotheses=hypotheses)
-    fusion = Fusion(settings, tracker, lag)
-    queue, steps = [], []
+def detections(scene: Scene) -> list[Record]:
+    """What the sensors of a scene found, as `Fusion.step` takes it."""
+    records = []
     for t, name, z, sigma, _ in scene.records:
-        n = len(z)
-        told = np.full((n, 3, 3), np.nan)
-        told[:, :2, :2] = max(sigma**2 - sensor(name).floor ** 2, 1e-6) * np.eye(2)
-        found = Detections(t, name, np.column_stack([z, np.full(n, np.nan)]), told, np.full(n, np.nan))
-        queue.append((t, name, found))
+        n, floor = len(z), sensor(name, KIND[name]).floor
+        covariances = np.full((n, 3, 3), np.nan)
+        covariances[:, :2, :2] = max(sigma**2 - floor**2, 1e-6) * np.eye(2)
+        positions = np.column_stack([z, np.full(n, np.nan)])
+        records.append((t, name, Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name])))
+    return records
+
+
+def track(
+    scene: Scene, tracker: str = "ms-glmb", lag: float = 0, hypotheses: int = Settings.hypotheses
+) -> tuple[Tracks, float]:
+    """Tracks of a scene, and milliseconds a frame."""
+    fusion = Fusion(Settings(hypotheses=hypotheses), tracker, lag, population=Population())
+    queue, steps = detections(scene), []
     for now, *_ in scene.truth:
         due = [record for record in queue if record[0] <= now + 1e-9]
         del queue[: len(due)]
@@ -102,62 +119,67 @@ def track(scene, tracker="ms-glmb", lag=0, hypotheses=None):
     begin = time.process_time()
     out = [one for now, due in steps for one in fusion.step(now, due)] + fusion.finish()
     spent = time.process_time() - begin
-    return [
-        ([number for number, _ in tracks], np.reshape([t.state[:2] for _, t in tracks], (-1, 2))) for _, tracks in out
-    ], 1e3 * spent / len(steps)
+    return [(one.ids.tolist(), one.positions[:, :2]) for one in out], 1e3 * spent / len(steps)
 
 
-def measure(truth, tracks):
+def measure(truth: Truth, tracks: Tracks) -> list[float]:
     """The columns of the table: percent, OSPA(2) in m, the birth delay in frames."""
-    sequence = Sequence.of([(ids, xy) for _, ids, xy in truth], tracks)
-    summary = score(sequence)["summary"]
+    sequence = Sequence.of([(ids.tolist(), xy) for _, ids, xy in truth], tracks)
+    summary = score_case(Case(sequence))["summary"]
     values = [math.nan if summary[c] is None else summary[c] for c in COLUMNS]
     return [v * (1 if c in ("OSPA2", "BirthDelay") else 100) for c, v in zip(COLUMNS, values, strict=True)]
 
 
-def scene_of(case, seed):
+def scene_of(case: str, seed: int) -> Scene:
     return {**EASY, **HARD}[case](np.random.default_rng(seed))
 
 
-def job(task):
+Variant = tuple[str, tuple[str, ...]]  # a tracker, and the sensors that it gets: (): all
+Task = tuple[str, int, list[Variant]]  # case, seed, what is run
+
+
+def job(task: Task) -> dict[Variant, list[float]]:
     """What one scene gives each tracker: {(tracker, sensors): its columns and milliseconds a frame}."""
     case, seed, rows = task
     whole, out = scene_of(case, seed), {}
     for name, sensors in rows:
         scene = whole.only(*sensors) if sensors else whole
-        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else track(scene, **TRACKERS[name])
+        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else track(scene, **VARIANTS[name])
         out[name, sensors] = [*measure(scene.truth, tracks), spent]
     return out
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="directory of the figures")
     parser.add_argument("--seeds", type=int, default=3, help="scenes of each case")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--no-more", action="store_true", help="no more seeds than these of any case")
     parser.add_argument("--cases", nargs="*", default=[*EASY, *HARD], choices=[*EASY, *HARD])
-    parser.add_argument("--trackers", nargs="*", default=None, choices=list(TRACKERS))
+    parser.add_argument("--trackers", nargs="*", default=None, choices=list(VARIANTS))
     parser.add_argument("--jobs", type=int, default=1, help="processes; more than one blurs the times")
     options = parser.parse_args()
     names = options.trackers
     if names is None:
         import importlib.util
 
-        names = [n for n in TRACKERS if n != "jpda" or importlib.util.find_spec("stonesoup")]
+        names = [n for n in VARIANTS if n != "jpda" or importlib.util.find_spec("stonesoup")]
     seeds = range(options.first, options.first + options.seeds)
-    all_rows, tasks = {}, []
+    all_rows: dict[str, list[Variant]] = {}
+    tasks: list[Task] = []
     for case in options.cases:
-        main_rows = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
+        main_rows: list[Variant] = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
         if case in EASY and "ms-glmb" in names:
             main_rows += [("ms-glmb", (eye,)) for eye in ("audio", "video")]
-        others = [(name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())]
+        others: list[Variant] = [
+            (name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())
+        ]
         all_rows[case] = main_rows[:1] + others + main_rows[1:]
         count = max(options.seeds, MORE[case]) if "ms-glmb" in names and not options.no_more else options.seeds
         tasks += [(case, options.first + k, all_rows[case] if k < len(seeds) else main_rows) for k in range(count)]
     with ProcessPoolExecutor(options.jobs) as pool:
         results = list(pool.map(job, tasks))
-    table = []
+    table: list[Row] = []
     for case, rows in all_rows.items():
         found = [result for task, result in zip(tasks, results, strict=True) if task[0] == case]
         for row in dict.fromkeys(rows):
@@ -181,14 +203,14 @@ def main():
     plot(table, options.out / "tracking.svg")
 
 
-def show(table):
+def show(table: list[Row]) -> None:
     print(f"{'case':15s} {'tracker':26s}" + "".join(f"{c:>11s}" for c in (*COLUMNS, "worst HOTA", "ms/frame")))
     for row in sorted(table, key=lambda r: list({**EASY, **HARD}).index(r["case"])):
         values = [row[c] for c in COLUMNS] + [row["HOTA_min"], row["ms"]]
         print(f"{row['case']:15s} {row['tracker']:26s}" + "".join(f"{v:11.2f}" for v in values))
 
 
-def markdown(table, seeds, gains):
+def markdown(table: list[Row], seeds: range, gains: dict[str, dict[str, float]]) -> str:
     """The table of one run as Markdown."""
     lines = [
         f"# Trackers on synthetic detections, seeds {seeds[0]} to {seeds[-1]}",
@@ -230,7 +252,7 @@ def markdown(table, seeds, gains):
     return "\n".join(lines) + "\n"
 
 
-def against_best_sensor(table):
+def against_best_sensor(table: list[Row]) -> dict[str, dict[str, float]]:
     """Difference of fused HOTA to the better single sensor's, each seed: prints and returns mean and least by case."""
     found = {(row["case"], row["tracker"]): np.array(row["HOTA_all"]) for row in table}
     gains = {}
@@ -243,7 +265,7 @@ def against_best_sensor(table):
     return gains
 
 
-def plot(table, path):
+def plot(table: list[Row], path: Path) -> None:
     """Run time against error, a point a tracker and case."""
     try:
         import matplotlib

@@ -18,21 +18,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from avcli.formats import records
-from avcli.formats.experiment import read_config
-from avcli.metrics.score import score
+from avcli.formats.experiment import Config, read_config
+from avcli.metrics.metric import Case
+from avcli.metrics.registry import score_case
 from avcli.metrics.sequence import Sequence
 from avcli.tracking.fusion import Fusion
-from avcli.tracking.model import Settings
+from avcli.tracking.merging import Record
+from avcli.tracking.settings import Settings
 
 SCENARIOS = ("s1", "s2", "s3", "s4")
-MARGIN = 0.5  # m, as avfuse --room-margin
 
 
-def run(command, *arguments):
+def run(command: str, *arguments: object) -> None:
     subprocess.run([Path(sys.executable).parent / command, *map(str, arguments)], check=True)
 
 
-def hear(folder, scenario, seed):
+def hear(folder: Path, scenario: str, seed: int) -> Path:
     """Audio localizations of one seed."""
     found = folder / "audio_localizations.jsonl"
     if not found.exists():
@@ -44,7 +45,7 @@ def hear(folder, scenario, seed):
     return found
 
 
-def see(folder, scenario, seed):
+def see(folder: Path, scenario: str, seed: int) -> Path:
     """Video localizations of one seed."""
     found = folder / "video_localizations.jsonl"
     if not found.exists():
@@ -55,14 +56,14 @@ def see(folder, scenario, seed):
     return found
 
 
-def detections(path):
+def detections(path: Path) -> list[Record]:
     """[(time s, sensor, Detections), ...] of a file."""
     with open(path, "rb") as lines:
         found = [records.detections(records.decode(line)) for line in lines]
-    return [(round(one.timestamp, 6), one.sensor, one) for one in found]
+    return [(round(one.timestamp, 6), one.sensor or "sensor", one) for one in found]
 
 
-def truth_of(folder):
+def truth_of(folder: Path) -> list[tuple[float, list[int], np.ndarray]]:
     """[(time s, ids, xy (n, 2) m)] of an experiment directory."""
     out = []
     for line in (folder / "groundtruth_sources.jsonl").read_bytes().splitlines():
@@ -78,16 +79,16 @@ def truth_of(folder):
     return out
 
 
-def hota(truth, found, dimensions):
+def hota(truth: list[tuple[float, list[int], np.ndarray]], found: list[Record], config: Config) -> float:
     """HOTA in percent of online tracks of some detections."""
-    fusion, tracks = Fusion(Settings(area=((0.0, 0.0), tuple(dimensions[:2]))), margin=MARGIN), []
+    fusion, tracks = Fusion.of(config, Settings()), []
     for now, *_ in truth:
-        (_, people), *_ = fusion.step(now, [one for one in found if one[0] == now])
-        tracks.append(([number for number, _ in people], np.reshape([t.state[:2] for _, t in people], (-1, 2))))
-    return 100 * score(Sequence.of([(ids, xy) for _, ids, xy in truth], tracks))["summary"]["HOTA"]
+        (people,) = fusion.step(now, [one for one in found if one[0] == now])
+        tracks.append((people.ids.tolist(), people.positions[:, :2]))
+    return 100 * score_case(Case(Sequence.of([(ids, xy) for _, ids, xy in truth], tracks)))["summary"]["HOTA"]
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="directory of the figures and detections")
     parser.add_argument("--seeds", type=int, default=10, help="audio simulations of each scenario")
@@ -113,8 +114,8 @@ def main():
                 folder.mkdir(parents=True, exist_ok=True)
             heard = detections(hear(ear, scenario, seed))
             seen = detections(see(eye, scenario, seed % options.video_seeds))
-            truth, dimensions = truth_of(ear), read_config(ear / "config.json").room.dimensions.tolist()
-            audio, video, both = (hota(truth, found, dimensions) for found in (heard, seen, heard + seen))
+            truth, config = truth_of(ear), read_config(ear / "config.json")
+            audio, video, both = (hota(truth, found, config) for found in (heard, seen, heard + seen))
             gains.append(both - max(audio, video))
             lines.append(f"| {scenario} | {seed} | {audio:.1f} | {video:.1f} | {both:.1f} | {gains[-1]:+.1f} |")
             print(lines[-1], flush=True)

@@ -5,30 +5,44 @@ Video localizes the body's axis, audio the mouth of whoever speaks, 0.1 m in fro
 detections a record, all in a room of 4.66 m x 4.66 m.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from avcli.formats.sensors import CAMERA, MICROPHONES
+
+KIND = {"video": CAMERA, "audio": MICROPHONES}
 ROOM = 4.66
 RATE = 10.0
+
+Record = tuple[float, str, np.ndarray, float, np.ndarray]
+"""Time s, sensor, z (J, 2) m, sigma m, owner (J,): id or -1."""
+
+Truth = list[tuple[float, np.ndarray, np.ndarray]]
+"""Time s, ids (n,), xy (n, 2) m."""
+
+Rng = np.random.Generator
 
 
 @dataclass
 class Scene:
-    """truth: [(time s, ids, xy (n, 2) m)]; records: [(time s, sensor, z (J, 2) m, sigma m, owner (J,) id or -1)]."""
+    """People at each time, and what sensors found."""
 
-    truth: list
-    records: list = field(default_factory=list)
+    truth: Truth
+    records: list[Record] = field(default_factory=list)
 
-    def only(self, *sensors):
+    def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
         return Scene(self.truth, [r for r in self.records if r[1] in sensors])
 
 
-def waypoints(rng, times, start=None, low=0.4, high=ROOM - 0.4):
+def waypoints(
+    rng: Rng, times: np.ndarray, start: np.ndarray | None = None, low: float = 0.4, high: float = ROOM - 0.4
+) -> np.ndarray:
     """Someone who walks between random places at 0.5 to 1.3 m/s and stands still now and then: (n, 2) m."""
     here = rng.uniform(low, high, 2) if start is None else np.array(start, float)
-    knots_t, knots = [times[0]], [here]
+    knots_t, knots = [float(times[0])], [here]
     while knots_t[-1] < times[-1]:
         if rng.random() < 0.2:
             knots_t.append(knots_t[-1] + rng.uniform(0.5, 3.0))
@@ -37,21 +51,21 @@ def waypoints(rng, times, start=None, low=0.4, high=ROOM - 0.4):
             knots_t.append(knots_t[-1] + np.linalg.norm(there - here) / rng.uniform(0.5, 1.3) + 1e-3)
             here = there
         knots.append(here)
-    knots = np.array(knots)
-    return np.column_stack([np.interp(times, knots_t, knots[:, k]) for k in (0, 1)])
+    corners = np.array(knots)
+    return np.column_stack([np.interp(times, knots_t, corners[:, k]) for k in (0, 1)])
 
 
 class People:
     """Paths on a fine clock, so that any sensor can look at any time: id -> (times, xy, speaks)."""
 
-    def __init__(self):
-        self.paths = {}
+    def __init__(self) -> None:
+        self.paths: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
-    def add(self, times, xy, speaks=True):
+    def add(self, times: np.ndarray, xy: np.ndarray, speaks: "bool | np.ndarray" = True) -> None:
         """One more person. times (n,) s, xy (n, 2) m, speaks: bool or (n,) bool."""
         self.paths[len(self.paths)] = (times, xy, np.broadcast_to(speaks, len(times)))
 
-    def at(self, time):
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """ids (n,), xy (n, 2), mouth (n, 2), speaks (n,) of those in the room at a time."""
         ids, rows = [], []
         for i, (times, xy, speaks) in self.paths.items():
@@ -83,15 +97,23 @@ class Look:
     clutter: float
     rate: float = RATE
 
-    def record(self, rng, people, time, shown=None, hidden=(), detection=None):
+    def record(
+        self,
+        rng: Rng,
+        people: People,
+        time: float,
+        shown: float | None = None,
+        hidden: Iterable[int] = (),
+        detection: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> Record:
         """One record at `shown` (default: time) of what is there at `time`; nobody in `hidden` is found."""
         ids, place, mouth, speaks = people.at(time)
         if self.name == "audio":
             place, able = mouth, speaks
         else:
             able = np.ones(len(ids), bool)
-        able = able & ~np.isin(ids, hidden)
-        chance = self.detection if detection is None else detection(place)
+        able = able & ~np.isin(ids, list(hidden))
+        chance = np.full(len(ids), self.detection) if detection is None else detection(place)
         found = able & (rng.random(len(ids)) < chance)
         z = place[found] + self.sigma * rng.standard_normal((found.sum(), 2))
         ghosts = rng.uniform(0, ROOM, (rng.poisson(self.clutter), 2))
@@ -105,46 +127,52 @@ VIDEO = Look("video", 0.12, 0.9, 0.02)
 AUDIO = Look("audio", 0.25, 0.85, 0.05)
 
 
-def clock(duration, rate=RATE):
+def clock(duration: float, rate: float = RATE) -> np.ndarray:
     """Times of a regular clock, both ends included, s."""
     return np.arange(round(duration * rate) + 1) / rate
 
 
-def assemble(rng, people, duration, looks=(VIDEO, AUDIO), **how):
+def assemble(
+    rng: Rng,
+    people: People,
+    duration: float,
+    looks: Iterable[Look] = (VIDEO, AUDIO),
+    hidden: Callable[[str, float], Iterable[int]] = lambda name, t: (),
+    detection: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Scene:
     """Truth at 10 Hz and each sensor's records, in order of time."""
     times = clock(duration)
     truth = [(t, *people.at(t)[:2]) for t in times.tolist()]
-    hidden = how.get("hidden", lambda name, t: ())
     records = [
-        look.record(rng, people, t, hidden=hidden(look.name, t), detection=how.get("detection"))
+        look.record(rng, people, t, hidden=hidden(look.name, t), detection=detection)
         for look in looks
         for t in clock(duration, look.rate)
     ]
     return Scene(truth, sorted(records, key=lambda r: (r[0], r[1])))
 
 
-def straight(y, backwards=False):
+def straight(y: float, backwards: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """One walk along x at 1 m/s for 4 s: times, xy."""
     t = clock(4.0)
     x = 4.33 - t if backwards else 0.33 + t
     return t, np.column_stack([x, np.full_like(t, y)])
 
 
-def s1(rng):
+def s1(rng: Rng) -> Scene:
     """One person who speaks."""
     people = People()
     people.add(*straight(2.33))
     return assemble(rng, people, 4.0)
 
 
-def s2(rng):
+def s2(rng: Rng) -> Scene:
     """One person who speaks, hidden from the camera for 1.2 s."""
     people = People()
     people.add(*straight(2.33))
     return assemble(rng, people, 4.0, hidden=lambda name, t: (0,) if name == "video" and 1.4 <= t < 2.6 else ())
 
 
-def s3(rng):
+def s3(rng: Rng) -> Scene:
     """Three people; the one in the middle walks the other way and speaks."""
     people = People()
     for y, back in ((1.33, False), (2.33, True), (3.33, False)):
@@ -152,7 +180,7 @@ def s3(rng):
     return assemble(rng, people, 4.0)
 
 
-def s4(rng):
+def s4(rng: Rng) -> Scene:
     """As S3, speaking one after the other."""
     people = People()
     t = clock(4.0)
@@ -161,7 +189,7 @@ def s4(rng):
     return assemble(rng, people, 4.0)
 
 
-def crossing(rng):
+def crossing(rng: Rng) -> Scene:
     """Two people who cross at a shallow angle at 0.76 m/s."""
     t = clock(6.0)
     along = 0.05 + 0.75 * t
@@ -172,7 +200,7 @@ def crossing(rng):
     return assemble(rng, people, 6.0)
 
 
-def turning_back(rng):
+def turning_back(rng: Rng) -> Scene:
     """Two people who approach each other to 0.2 m at 0.7 m/s, slow down at 1 m/s^2 and turn back."""
     t = clock(6.0)
     away = np.abs(t - 3.0)
@@ -183,7 +211,7 @@ def turning_back(rng):
     return assemble(rng, people, 6.0)
 
 
-def strollers(rng, count, duration, talk=True):
+def strollers(rng: Rng, count: int, duration: float, talk: bool = True) -> People:
     """People between random waypoints; each speaks in turns of seconds."""
     people, t = People(), clock(duration)
     for _ in range(count):
@@ -192,13 +220,13 @@ def strollers(rng, count, duration, talk=True):
     return people
 
 
-def clutter(rng):
+def clutter(rng: Rng) -> Scene:
     """Three people among 10 + 5 false detections a frame."""
     people = strollers(rng, 3, 20.0)
     return assemble(rng, people, 20.0, (Look("video", 0.12, 0.9, 10.0), Look("audio", 0.25, 0.85, 5.0)))
 
 
-def weak(rng):
+def weak(rng: Rng) -> Scene:
     """Detection probability 0.3 in both sensors, 20 s, three people who all speak."""
     people, t = People(), clock(20.0)
     for _ in range(3):
@@ -206,10 +234,10 @@ def weak(rng):
     return assemble(rng, people, 20.0, (Look("video", 0.12, 0.3, 0.02), Look("audio", 0.25, 0.3, 0.05)))
 
 
-def comings_and_goings(rng):
+def comings_and_goings(rng: Rng) -> Scene:
     """Six people within 30 s who each come in through a wall, stroll for 4 to 9 s and leave through a wall."""
 
-    def doorway():
+    def doorway() -> np.ndarray:
         along, side = rng.uniform(0.3, ROOM - 0.3), rng.integers(4)
         across = 0.15 if side < 2 else ROOM - 0.15
         return np.array([across, along] if side % 2 else [along, across])
@@ -228,7 +256,7 @@ def comings_and_goings(rng):
     return assemble(rng, people, 30.0)
 
 
-def asynchronous(rng):
+def asynchronous(rng: Rng) -> Scene:
     """Audio 40 +- 20 ms off the video's clock, three straight walkers (S4)."""
     base = s4(rng)
     people, t = People(), clock(4.0)
@@ -239,7 +267,7 @@ def asynchronous(rng):
     return Scene(base.truth, sorted(records, key=lambda r: (r[0], r[1])))
 
 
-def damaged(rng):
+def damaged(rng: Rng) -> Scene:
     """S4 with 10 % of the records dropped and 10 % repeated (the merging puts the order right before the filter)."""
     base = s4(rng)
     records = []
@@ -249,7 +277,7 @@ def damaged(rng):
     return Scene(base.truth, records)
 
 
-def gaps(rng):
+def gaps(rng: Rng) -> Scene:
     """Two people for 20 s; for 2 to 2.5 s no sensor finds anybody."""
     people = strollers(rng, 2, 20.0)
     begin = rng.uniform(6.0, 12.0)
@@ -257,19 +285,20 @@ def gaps(rng):
     return assemble(rng, people, 20.0, hidden=lambda name, t: (0, 1) if begin <= t < end else ())
 
 
-def dim_edge(rng):
+def dim_edge(rng: Rng) -> Scene:
     """Detection probability 0.45 beyond 1.4 m from the room's centre; three people, 20 s."""
     people = strollers(rng, 3, 20.0)
-    far = lambda xy: np.where(np.linalg.norm(xy - ROOM / 2, axis=1) > 1.4, 0.45, 0.9)  # noqa: E731
-    return assemble(rng, people, 20.0, detection=far)
+    return assemble(
+        rng, people, 20.0, detection=lambda xy: np.where(np.linalg.norm(xy - ROOM / 2, axis=1) > 1.4, 0.45, 0.9)
+    )
 
 
-def ten(rng):
+def ten(rng: Rng) -> Scene:
     """Ten people for 60 s."""
     return assemble(rng, strollers(rng, 10, 60.0), 60.0)
 
 
-def long_pair(rng):
+def long_pair(rng: Rng) -> Scene:
     """Two people for 300 s."""
     return assemble(rng, strollers(rng, 2, 300.0), 300.0)
 

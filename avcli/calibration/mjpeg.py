@@ -1,9 +1,11 @@
-"""A page on 127.0.0.1 that shows the newest of a row of pictures (multipart/x-mixed-replace, as webcams do)."""
+"""A page on 127.0.0.1 that shows the newest picture of a film (multipart/x-mixed-replace, as webcams do)."""
 
 import contextlib
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
 
 _PAGE = b"""<!doctype html><meta charset="utf-8"><title>avcalib live</title>
 <style>body{margin:0;background:#111}img{width:100%;max-height:100vh;object-fit:contain}</style>
@@ -13,13 +15,13 @@ _PAGE = b"""<!doctype html><meta charset="utf-8"><title>avcalib live</title>
 class Show:
     """Call it with a picture (height, width, 3) uint8 RGB to show that one; `port` is where."""
 
-    def __init__(self, port: int):
+    def __init__(self, port: int) -> None:
         self._new = threading.Condition()
         self._jpeg, self._number, self._ended = b"", 0, False
         show = self
 
         class _Handler(BaseHTTPRequestHandler):
-            def do_GET(self):
+            def do_GET(self) -> None:
                 if self.path == "/stream":
                     show._send_stream(self)
                 else:
@@ -28,7 +30,7 @@ class Show:
                     self.end_headers()
                     self.wfile.write(_PAGE)
 
-            def log_message(self, *_):
+            def log_message(self, *_: object) -> None:
                 pass
 
         self._server = ThreadingHTTPServer(("127.0.0.1", port), _Handler)
@@ -36,7 +38,7 @@ class Show:
         self.port = self._server.server_address[1]
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
-    def __call__(self, picture) -> None:
+    def __call__(self, picture: np.ndarray) -> None:
         import cv2
 
         jpeg = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
@@ -44,7 +46,7 @@ class Show:
             self._jpeg, self._number = jpeg, self._number + 1
             self._new.notify_all()
 
-    def _send_stream(self, handler) -> None:
+    def _send_stream(self, handler: BaseHTTPRequestHandler) -> None:
         handler.send_response(200)
         handler.send_header("Content-Type", "multipart/x-mixed-replace; boundary=next")
         handler.end_headers()

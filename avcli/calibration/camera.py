@@ -1,0 +1,83 @@
+"""The camera_config of a camera, read from and written into a config.json or a file of its own."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from avcli.formats import experiment
+from avcli.lens import Lens
+
+
+@dataclass(frozen=True)
+class KnownCamera:
+    """A camera whose lens is known.
+
+    Attributes:
+        lens: a model of avcli.lens.
+        size: (width, height) px of its pictures.
+        values: the keys of its camera_config.
+        name: the file it was read from.
+    """
+
+    lens: Lens
+    size: tuple[int, int]
+    values: Mapping[str, Any]
+    name: str
+
+    @property
+    def theta_max(self) -> float:
+        """Largest angle from the axis at which the lens is one-to-one, rad, as the camera_config states it."""
+        return math.radians(float(self.values.get("theta_max_valid_deg", 180.0)))
+
+    def require_size(self, size: tuple[int, int] | None, name: str = "the pictures") -> None:
+        """Check that pictures of `size` (width, height) px are this camera's.
+
+        Raises:
+            ValueError: they are not.
+        """
+        if size != self.size:
+            found = f"{size[0]} × {size[1]} px" if size else "empty"
+            raise ValueError(
+                f"{name}: {found}, but {self.name} describes a camera of {self.size[0]} × {self.size[1]} px"
+            )
+
+
+def parse_camera(content: bytes, name: str) -> KnownCamera:
+    """Read a camera from a config.json, or from the line that `avcalib calibrate` writes.
+
+    Raises:
+        ValueError: there is no camera_config in it, or a key of the lens is missing or wrong.
+    """
+    try:
+        raw = orjson.loads(content)
+        values = raw.get("camera_config", raw)
+        width, height = int(values.get("image_width_px", 1920)), int(values.get("image_height_px", 1080))
+    except (orjson.JSONDecodeError, AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected a config.json, or the output of avcalib calibrate ({error})") from None
+    lens = experiment.lens_from_config(values, name=name, width_px=width, height_px=height)
+    return KnownCamera(lens, (width, height), values, name)
+
+
+def write_camera(path: Path, found: Mapping[str, Any]) -> None:
+    """Write keys of a camera_config into a config.json or into a file of its own, which keeps its other keys."""
+    raw = dict(experiment.read_config(path).raw) if path.exists() else {}
+    if "fx_px" in raw:  # a camera_config by itself, as calibrate writes it
+        raw |= found
+    else:
+        raw["camera_config"] = {**raw.get("camera_config", {}), **found}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    experiment.write_config(path, raw)
+
+
+def write_microphones(path: Path, raw: Mapping[str, Any], positions: list[list[float]]) -> None:
+    """Write positions (m, 3) m of the microphones into a config.json that reads `raw`; all else stays."""
+    section = raw["microphone_config"]
+    listed = [
+        {**old, "position": new} if isinstance(old, Mapping) else new
+        for old, new in zip(section["mic_positions_m"], positions, strict=True)
+    ]
+    experiment.write_config(path, {**raw, "microphone_config": {**section, "mic_positions_m": listed}})

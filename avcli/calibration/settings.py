@@ -1,0 +1,178 @@
+"""Settings of a calibration. The options of avcalib are made from them."""
+
+from dataclasses import dataclass
+
+from avcli.settings import setting
+
+
+@dataclass(frozen=True)
+class BoardSettings:
+    """The printed board."""
+
+    board: str = setting(
+        "6x8",
+        "Squares of the board as printed: along a row, and along a column. Make one count odd and one even; otherwise "
+        "the board looks the same upside down.",
+        unit="COLSxROWS",
+    )
+    square_mm: float = setting(
+        95.0,
+        "Side of a square in mm. It sets the scale of poses; the lens does not depend on it.",
+        unit="MM",
+        above=0.0,
+        flag="--square",
+    )
+    charuco: bool = setting(
+        False, "The board is a ChArUco board, with a marker in each white square. It may be partly outside the picture."
+    )
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """Which pictures to take from a source."""
+
+    rate_hz: float | None = setting(
+        2.0,
+        "Pictures per second to take from a video or a camera. Single picture files are all used.",
+        unit="HZ",
+        above=0.0,
+        flag="--rate",
+    )
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the lens is fitted."""
+
+    lens_model: str = setting(
+        "kannala_brandt",
+        "Lens model to fit, as in config.json. kannala_brandt suits fisheyes, brown_conrady ordinary lenses.",
+        unit="MODEL",
+        only="avcli",
+    )
+    procedure: str = setting(
+        "avcli",
+        "avcli: robust fit. thesis: OpenCV's fit, twice; pictures above --max-rms are dropped in between.",
+        choices=("avcli", "thesis"),
+    )
+    max_rms_px: float = setting(
+        0.75,
+        "RMS residual in px above which --procedure thesis drops a picture.",
+        unit="PX",
+        above=0.0,
+        flag="--max-rms",
+        only="thesis",
+    )
+    board_shape: str = setting(
+        "auto",
+        "Also fit the bow and the stretch of the board. auto: only if this improves held-out pictures by 2 %.",
+        choices=("auto", "yes", "no"),
+        only="avcli",
+    )
+
+
+@dataclass(frozen=True)
+class ProjectionSettings:
+    """How pictures are straightened."""
+
+    projection: str = setting(
+        "perspective",
+        "perspective: all straight lines stay straight. cylindrical: vertical lines stay straight, and the view may be "
+        "wider. whole: everything that the lens sees, as azimuth and elevation.",
+        choices=("perspective", "cylindrical", "whole"),
+    )
+    balance: float = setting(
+        0.0,
+        "Width of a perspective picture. 0: no black borders. 1: everything up to 80 degrees from the axis.",
+        unit="N",
+        least=0.0,
+        most=1.0,
+        only="perspective",
+    )
+    fov_deg: float | None = setting(
+        None,
+        "Width of the view in degrees. It replaces --balance.",
+        unit="DEG",
+        least=1.0,
+        most=360.0,
+        flag="--fov",
+    )
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """When a lens no longer fits."""
+
+    fail_over_px: float | None = setting(
+        None, "Exit 3 if the RMS residual exceeds this many px.", unit="PX", above=0.0, flag="--fail-over"
+    )
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """How filming is guided."""
+
+    port: int = setting(
+        8080,
+        "Port on 127.0.0.1 of the page that shows the camera with corners and coverage. 0: no page.",
+        unit="N",
+        least=0,
+        most=65535,
+    )
+    enough_px: float | None = setting(
+        None,
+        "Stop when the mean expected error over the picture is below this many px.",
+        unit="PX",
+        above=0.0,
+        flag="--enough",
+        default_text="at Ctrl-C",
+    )
+
+
+@dataclass(frozen=True)
+class PrintSettings:
+    """How a board is drawn."""
+
+    paper: str | None = setting(
+        None,
+        "Paper size; the sheet is turned as the board needs it.",
+        choices=("A4", "A3", "A2", "A1", "A0"),
+        default_text="a page as large as the board",
+    )
+    format: str | None = setting(
+        None, "Format.", choices=("svg", "pdf"), default_text="by the name of -o, otherwise svg"
+    )
+
+
+@dataclass(frozen=True)
+class MicrophoneSettings:
+    """How the mouth of a walker is placed."""
+
+    mouth_height_m: float = setting(
+        1.6,
+        "Height of the mouth in m, for records that do not give the position of the mouth.",
+        unit="M",
+        least=0.3,
+        most=2.2,
+        flag="--mouth-height",
+    )
+
+
+@dataclass(frozen=True)
+class PlaceSettings:
+    """How the camera's pose is found."""
+
+    yaw_deg: float = setting(
+        0.0,
+        "Direction of the board's rows: degrees from the room's x axis, counter-clockwise seen from above.",
+        unit="DEG",
+        flag="--yaw",
+    )
+    sigma_px: float | None = setting(
+        None,
+        "Standard deviation of a pixel coordinate in px, for the covariance.",
+        unit="PX",
+        above=0.0,
+        flag="--sigma",
+        default_text="from the residuals",
+    )

@@ -1,0 +1,52 @@
+"""Numbers of the detector that were fitted to renders of random scenes (`make fit-detection` writes fitted.json)."""
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+
+
+@dataclass(frozen=True)
+class AxisLaw:
+    """How far a position from depth is off: standard deviations, m.
+
+    Attributes:
+        radial_m: of a body that is seen whole, along the line of sight.
+        tangential_m: across it.
+        hidden_m: added in both directions, times the fraction of the body that is hidden.
+    """
+
+    radial_m: float
+    tangential_m: float
+    hidden_m: float
+
+
+@dataclass(frozen=True)
+class BoxLaw:
+    """How far a box and a position by a box alone are off.
+
+    Attributes:
+        side: standard deviation of a side of a box, as a share of the box's size.
+        part: standard deviation of torso, head and foot, as a share of that of a side.
+        spread: factor on the covariance of the fit, since people sit, bend and stretch out their arms.
+        floor_m: standard deviation, m, that is added in both directions.
+    """
+
+    side: float
+    part: float
+    spread: float
+    floor_m: float
+
+
+@dataclass(frozen=True)
+class ScoreLaw:
+    """How probable it is that something before the empty room is a person.
+
+    Attributes:
+        surface_m2: surface of a body that must be seen, m², for a probability of one half.
+    """
+
+    surface_m2: float
+
+
+FITTED = json.loads((resources.files("avcli.detection") / "fitted.json").read_text())
+AXIS, BOX, SCORE = AxisLaw(**FITTED["axis"]), BoxLaw(**FITTED["box"]), ScoreLaw(**FITTED["score"])

@@ -1,0 +1,66 @@
+"""Settings of the detector; the command's options are made from them."""
+
+from dataclasses import dataclass
+
+from avcli.settings import check, setting
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How people are found and placed; `only="net"` marks what the depth detector does not have."""
+
+    detector: str = setting(
+        "net",
+        "How people are found: net, by a network in the colour picture; depth, as what stands before the empty room.",
+        choices=("net", "depth"),
+    )
+    confidence: float = setting(
+        0.5, "Least score of a person that the network finds.", unit="P", least=0.0, most=1.0, only="net"
+    )
+    iou: float | None = setting(
+        None,
+        "Two of the network's boxes whose intersection over union is larger than this are one person.",
+        unit="P",
+        least=0.0,
+        most=1.0,
+        default_text="the model's, else 0.7",
+        only="net",
+    )
+    imgsz: tuple[int, int] | None = setting(
+        None,
+        "Size of the network's input in px, where the model leaves it open.",
+        unit="WxH",
+        least=32,
+        most=4096,
+        default_text="the model's, else 640x384",
+        only="net",
+    )
+    monocular: bool = setting(
+        False, "Place people by the colour picture alone, even where there is a depth picture.", only="net"
+    )
+    position: str = setting(
+        "body",
+        "The position where there is depth: body, the body's axis, from all its pixels; centre, the surface at the "
+        "middle pixel of the box, as in the thesis.",
+        choices=("body", "centre"),
+        only="net",
+    )
+    refresh: int = setting(
+        10,
+        "The network looks at the whole of every N-th picture, and at what has changed in the others; 1: at the whole "
+        "of each.",
+        unit="N",
+        least=1,
+        only="net",
+    )
+    threads: int = setting(
+        1,
+        "Threads of the network; more than one helps on an idle machine only.",
+        unit="N",
+        least=1,
+        most=64,
+        only="net",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)

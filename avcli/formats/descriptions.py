@@ -1,0 +1,241 @@
+"""What each kind of record may hold. Readers, JSON Schemas and avcli-formats(5) follow from this.
+
+`make formats` writes the schemas and the manual's key lists anew after a change here. A key that a reader is to use
+gets its kind here, and its reader finds it in the dictionary that `read` returns. config.json is described in
+avcli.formats.experiment, and scenarios are in avcli.scene.scenario.
+"""
+
+from dataclasses import dataclass
+
+from avcli.formats.schema import (
+    IDENTITY,
+    Boolean,
+    Choice,
+    Covariance,
+    Either,
+    Integer,
+    Key,
+    Kind,
+    ListOf,
+    MapOf,
+    Number,
+    Numbers,
+    Object,
+    OrNull,
+    Point,
+    Text,
+    Timestamp,
+    Written,
+)
+from avcli.formats.sensors import KINDS
+
+PROBABILITY = Number(least=0, most=1)
+BOX = Numbers(4)
+TIMESTAMP = Key(
+    Timestamp(),
+    "time since the start of the scene (live sensors: Unix time), s; written as text with ten decimals",
+    required=True,
+)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format: its name (of the schema's file and of the manual's list), a title and its description."""
+
+    name: str
+    title: str
+    content: Object
+
+
+# --- records ----------------------------------------------------------------------------------------------------------
+
+PERSON = Object(
+    {
+        "object_id": Key(IDENTITY, "identity of the person, the same in all records", required=True),
+        "position": Key(Point(), "point on the floor under the body's axis, m in the room frame", required=True),
+        "mouth_position": Key(Numbers(3), "where the voice comes from, m in the room frame"),
+        "speaking": Key(
+            Either((Boolean(), PROBABILITY)),
+            "in ground truth, whether it is the person's turn to speak; in tracks, a probability",
+        ),
+        "bbox_px": Key(BOX, "box [x0, y0, x1, y1] around the visible pixels, px; absent where none is visible"),
+        "velocity": Key(Numbers(3), "velocity, m/s"),
+        "covariance": Key(Covariance(), "covariance of the position, m²"),
+        "existence": Key(PROBABILITY, "probability that the track is a person"),
+    }
+)
+"""A person of a ground-truth or track record, with the keys that readers use in either."""
+
+FRAME = Object(
+    {
+        "rgb": Key(Text(), "path of the colour picture, relative to the experiment directory", required=True),
+        "depth": Key(Text(), "path of the depth picture"),
+        "mask": Key(Text(), "path of the picture of person numbers (avsim-scene --mask)", read=False),
+    }
+)
+
+AUDIO = Object(
+    {
+        "path": Key(Text(), "path of the sound file, relative to the experiment directory", required=True),
+        "start_sample": Key(Integer(), "number of the first sample; sample 0 is time 0 of the scene", required=True),
+        "num_samples": Key(Integer(least=0), "number of samples in the file", required=True),
+        "sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", required=True),
+        "num_channels": Key(Integer(least=1), "number of microphones", required=True),
+        "tail_samples": Key(
+            Integer(least=0),
+            "number of samples after the scene's end, where only reverberation is left; at most "
+            "num_samples; by default config.json's reverberation time, at the end of the recording",
+        ),
+    }
+)
+
+DETECTION = Object(
+    {
+        "position": Key(
+            Point(height_may_be_null=True),
+            "position, m in the room frame; z is null or absent where it was not observed",
+            required=True,
+        ),
+        "covariance": Key(Covariance(), "covariance of the position, m²; a zero variance means: not observed"),
+        "score": Key(PROBABILITY, "probability that the detection is right"),
+        "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
+        "height": Key(Number(), "height of the person, m"),
+    }
+)
+
+_TRUE_PERSON = Object(
+    {
+        **PERSON.keys,
+        "visible_fraction": Key(
+            PROBABILITY, "share of the body's pixels in view; occlusion and the image's border reduce it", read=False
+        ),
+        "bbox_full_px": Key(BOX, "the same box without occlusion and without the image's border", read=False),
+        "keypoints_px": Key(
+            ListOf(Numbers(3), 17, 17),
+            "the 17 joints of COCO as [u, v, visibility]; 0: outside the image, 1: hidden, 2: visible",
+            read=False,
+        ),
+    }
+)
+GROUNDTRUTH = Format(
+    "groundtruth",
+    "One time step of ground truth (Listing .5 of the thesis, with more keys)",
+    Object(
+        {
+            "timestamp": TIMESTAMP,
+            "objects": Key(ListOf(_TRUE_PERSON), "the people", required=True),
+            "frame": Key(FRAME, "the camera's pictures of this time"),
+        }
+    ),
+)
+LOCALIZATION = Format(
+    "localization",
+    "What one sensor found at one time (Listing .4 of the thesis, with more keys)",
+    Object(
+        {
+            "timestamp": TIMESTAMP,
+            "sensor": Key(Text(filled=True), "name of the sensor"),
+            "kind": Key(Choice(KINDS), 'what the sensor is; where it is absent, "sensors" in config.json says it'),
+            "objects": Key(
+                ListOf(DETECTION), "the detections; an empty list where the sensor found nothing", required=True
+            ),
+        }
+    ),
+)
+TRACK = Format(
+    "track",
+    "The tracks at one time (Listing .5 of the thesis, with more keys)",
+    Object({"timestamp": TIMESTAMP, "objects": Key(ListOf(PERSON), "the people", required=True)}),
+)
+FRAME_RECORD = Format(
+    "frame", "One camera frame", Object({"timestamp": TIMESTAMP, "frame": Key(FRAME, "the pictures", required=True)})
+)
+AUDIO_RECORD = Format(
+    "audio",
+    "One piece of sound",
+    Object(
+        {
+            "timestamp": TIMESTAMP,
+            "audio": Key(AUDIO, "the sound file", required=True),
+            "activity": Key(
+                MapOf(ListOf(Numbers(2))),
+                "when each voice sounds (avsim-audio): object_id -> list of [start, end], s",
+                read=False,
+            ),
+        }
+    ),
+)
+
+# --- what is written and never read -----------------------------------------------------------------------------------
+
+_COUNT = Integer(least=0)
+_EXPLAINED_ID = (OrNull(_COUNT), "identity in the tracks; null: not in the tracks so far")
+_LABEL = (_COUNT, "the tracker's own name for a person")
+
+
+def _written(**keys: tuple[Kind, str]) -> Object:
+    """Describe an object that always has all of these keys."""
+    return Object({name: Key(kind, text, required=True) for name, (kind, text) in keys.items()})
+
+
+_BIRTH = _written(
+    label=_LABEL,
+    detection=(_COUNT, "number of the detection that started the track"),
+    existence=(PROBABILITY, "probability that it is a person"),
+    object_id=_EXPLAINED_ID,
+)
+_DEATH = _written(
+    label=_LABEL,
+    existence=(PROBABILITY, "probability that it still is a person"),
+    because=(Text(), "the reason"),
+    object_id=_EXPLAINED_ID,
+)
+_EXPLAINED_PERSON = _written(
+    label=_LABEL,
+    most_likely=(
+        Either((_COUNT, Choice(("missed", "absent")))),
+        "number of the detection that the person most probably caused, or why there is none",
+    ),
+    probability=(PROBABILITY, "probability of that"),
+    object_id=_EXPLAINED_ID,
+)
+_EXPLAINED_DETECTION = _written(
+    position=(Numbers(2), "position, m"),
+    unclaimed=(PROBABILITY, "probability that no known person caused it"),
+    person_if_unclaimed=(PROBABILITY, "probability of a new person if no known person caused it"),
+    clutter_density=(Number(least=0), "density of false detections here, 1/m²"),
+    stranger_density=(Number(least=0), "density of people who are not known yet, 1/m²"),
+)
+_HYPOTHESIS = _written(
+    weight=(PROBABILITY, "probability of the joint hypothesis"),
+    detections=(ListOf(OrNull(_COUNT)), "one for each label; null: missed or absent"),
+)
+_CLUSTER = _written(
+    labels=(ListOf(_COUNT, 1), "the people"),
+    count=(Integer(least=1), "number of joint hypotheses"),
+    best=(ListOf(_HYPOTHESIS, 1, 5), "the most probable joint hypotheses"),
+)
+EXPLAIN = Format(
+    "explain",
+    "What one record of one sensor meant to the tracker (avfuse --explain)",
+    _written(
+        timestamp=(
+            Written({"type": "string", "pattern": r"^-?\d+\.\d{10}$"}, "a number of seconds with ten decimals"),
+            "time of the sensor's record, s",
+        ),
+        sensor=(Text(), "name of the sensor"),
+        expected_clutter=(Number(least=0), "expected number of false detections in one record"),
+        detection_probability=(PROBABILITY, "probability that the sensor detects a person"),
+        detections=(
+            ListOf(_EXPLAINED_DETECTION),
+            "detections in order of x, then y, without exact repetitions; other keys give their number in this list",
+        ),
+        people=(ListOf(_EXPLAINED_PERSON), "the known people"),
+        clusters=(ListOf(_CLUSTER), "people whose detections are decided together"),
+        existence_before=(MapOf(PROBABILITY), "probabilities of existence before this record, by label"),
+        born=(ListOf(_BIRTH), "new tracks"),
+        died=(ListOf(_DEATH), "tracks that ended"),
+    ),
+)
+
+RECORDS = (GROUNDTRUTH, FRAME_RECORD, AUDIO_RECORD, LOCALIZATION, TRACK, EXPLAIN)

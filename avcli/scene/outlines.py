@@ -1,0 +1,200 @@
+"""Where bodies lie in the picture: what the passes that draw people need, for many times at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from avcli.scene.canvas import Canvas, bounds, clip, linear
+from avcli.scene.people import Bodies
+
+TILE = 32  # px, the grain in which a frame is redrawn
+SHADOW_PITCH = 8  # px, the grid on which people's shadows are computed
+SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
+_SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
+_SHADOW_MARGIN_PX = 4.0
+_OUTLINE_MARGIN_PX = 1.5
+_SEAM = 3.7  # between the patterns of two people's clothes, so that no two are painted alike
+
+Tile = tuple[tuple[int, int, int, int], tuple[int, int]]
+"""A person's part of the picture of silhouettes, (x0, y0, x1, y1), and the image place (x, y) of its first sample."""
+
+
+class Outlines:
+    """Bodies in the camera's frame, and the rectangles that they fill.
+
+    Args:
+        canvas: whose camera looks.
+        bodies: at n times, p cones in all.
+    """
+
+    def __init__(self, canvas: Canvas, bodies: Bodies) -> None:
+        self.canvas, self.bodies = canvas, bodies
+        R, origin = canvas.T_camera_room[:3, :3], canvas.T_camera_room[:3, 3]
+        a, b = bodies.a @ R.T + origin, bodies.b @ R.T + origin
+        axis = bodies.flat_axis @ R.T
+        self._front = bodies.front @ R.T
+        self._middle = 0.5 * (a + b)
+        bulge = (1.0 / bodies.flat - 1.0)[None, :, None]
+
+        def swell(points: np.ndarray) -> np.ndarray:
+            """The points in the space in which the cones are not flattened."""
+            return points + bulge * axis * np.sum(axis * (points - self._middle), -1, keepdims=True)
+
+        self._a, self._b = swell(a), swell(b)
+        self._axis, self._bulge = axis, bulge
+        self._shadows = self._shadow_rectangles()
+        self._rectangles, self._quads = self._outline(a, b)
+
+    def instances(self, index: int) -> np.ndarray:
+        """Parallelogram and shape of each cone in the picture at one time, (m, 22)."""
+        _, inside = self._inside(index)
+        return np.hstack([self._quads[index], self._geometry(index)])[inside]
+
+    def rows(self, index: int) -> np.ndarray:
+        """What shading needs to know of each cone at one time, (p, 9, 4)."""
+        bodies = self.bodies
+        p = len(bodies.ra)
+        rows = np.zeros((p, 9, 4))
+        rows[:, :4] = self._geometry(index).reshape(p, 4, 4)
+        rows[:, 3, 3] = bodies.person + 1
+        rows[:, 4:6, :3], rows[:, 7, :3] = linear(bodies.colours[:, :2]), linear(bodies.colours[:, 2])
+        rows[:, 4, 3], rows[:, 5, 3] = bodies.material, bodies.split
+        rows[:, 6, :3], rows[:, 6, 3] = self._front[index], _SEAM * bodies.person
+        rows[:, 7, 3] = bodies.person * bodies.balls.shape[2]
+        rows[:, 8] = bodies.touching
+        return rows
+
+    def balls(self, index: int) -> np.ndarray:
+        """The balls that cast soft shadows at one time, (people * 20, 4)."""
+        return self.bodies.balls[index].reshape(-1, 4)
+
+    def shadow_rectangles(self, index: int) -> np.ndarray:
+        """Where each person darkens the room, in coarse pixels, and which balls are theirs: (people, 6)."""
+        count, each = self.bodies.balls.shape[1:3]
+        first = np.arange(count)[:, None] * each
+        rectangles = self._shadows[index] / SHADOW_PITCH + [-1, -1, 1, 1]
+        rows = np.hstack([rectangles, first, first + each])
+        return rows[np.isfinite(rows).all(1)]
+
+    def tiles(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Which tiles of the picture people touch at one time, and which their shadows, (rows, columns) bool each."""
+        width, height = self.canvas.size
+        rectangles, inside = self._inside(index)
+
+        def marked(group: np.ndarray) -> np.ndarray:
+            tiles = np.zeros((-(-height // TILE), -(-width // TILE)), bool)
+            for x0, y0, x1, y1 in (group / TILE).tolist():
+                tiles[int(y0) : int(np.ceil(y1)), int(x0) : int(np.ceil(x1))] = True
+            return tiles
+
+        return marked(rectangles[inside]), marked(clip(self._shadows[index], self.canvas.size))
+
+    def shapes(self, index: int) -> tuple[np.ndarray, list[Tile], tuple[int, int]]:
+        """Lay out people's silhouettes at one time beside each other, a tile a person.
+
+        Returns:
+            Cones (m, 28), the tile of each person, and the size (width, height) of the picture that holds all tiles.
+        """
+        people = int(self.bodies.person.max()) + 1 if len(self.bodies.person) else 0
+        tiles: list[Tile] = []
+        rows: list[np.ndarray] = []
+        left, height = 0, 1
+        geometry = self._geometry(index)
+        for person in range(people):
+            mine = self.bodies.person == person
+            box = self._shape_box(self._rectangles[index][mine])
+            if box is None:
+                tiles.append(((0, 0, 0, 0), (0, 0)))
+                continue
+            low, (wide, tall) = box
+            shift = np.array([left, 0]) - low / SHAPE_PITCH
+            quads = self._quads[index][mine] / SHAPE_PITCH
+            quads[:, :2] += shift
+            place = low - np.array([left, 0]) * SHAPE_PITCH
+            tile = left, 0, left + wide, tall
+            repeated = [np.tile(values, (len(quads), 1)) for values in (place, tile)]
+            rows.append(np.hstack([quads, geometry[mine], *repeated]))
+            tiles.append((tile, (int(low[0]), int(low[1]))))
+            left, height = left + wide, max(height, tall)
+        instances = np.concatenate(rows) if rows else np.zeros((0, 28))
+        return instances[np.isfinite(instances).all(1)], tiles, (max(left, 1), max(height, 1))
+
+    def _shape_box(self, rectangles: np.ndarray) -> tuple[np.ndarray, tuple[int, int]] | None:
+        """Image place (x, y) of the first sample of a silhouette, and its width and height in samples."""
+        rectangles = rectangles[np.isfinite(rectangles).all(1)]
+        if not len(rectangles):
+            return None
+        low = np.floor(rectangles[:, :2].min(0) / SHAPE_PITCH) * SHAPE_PITCH
+        high = np.ceil(rectangles[:, 2:].max(0) / SHAPE_PITCH) * SHAPE_PITCH
+        # What lies far outside the picture is counted on no grid larger than twice the picture.
+        size = np.array(self.canvas.size)
+        low = np.maximum(low, -2 * np.ceil(size / 2))
+        high = np.minimum(high, 2 * size)
+        wide, tall = np.maximum((high - low) / SHAPE_PITCH, 0).astype(int).tolist()
+        return low, (wide, tall)
+
+    def _shadow_rectangles(self) -> np.ndarray:
+        """Where in the picture a person darkens the room: around the place under them, (n, people, 4)."""
+        middle = self.bodies.balls[..., :2].mean(2)
+        turn = np.arange(16) * np.pi / 8
+        ring = _SHADOW_REACH * np.stack([np.cos(turn), np.sin(turn)], -1)
+        floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
+        T = self.canvas.T_camera_room
+        pixels = self.canvas.camera.lens.project_clamped(floor @ T[:3, :3].T + T[:3, 3])
+        return bounds(pixels, _SHADOW_MARGIN_PX)
+
+    def _outline(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Around each cone in the picture: a rectangle (n, p, 4) and a parallelogram along its axis (n, p, 6).
+
+        Both hold the outlines of balls along its axis, as the camera sees them: as cones of rays.
+        """
+        ra, rb = self.bodies.ra, self.bodies.rb
+        n, p = a.shape[:2]
+        points = np.empty((n, p, 4, 12, 3))
+        angles = np.arange(12) * np.pi / 6
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for k, f in enumerate((0.0, 1 / 3, 2 / 3, 1.0)):
+                centre, radius = a + f * (b - a), ra + f * (rb - ra)
+                distance = np.linalg.norm(centre, axis=-1, keepdims=True)
+                direction = centre / distance
+                sine = radius[None, :, None] / distance
+                # A ball that holds the camera has no outline: it is left out, as NaN.
+                tangent = sine / np.sqrt(1 - sine**2) / np.cos(np.pi / 12)
+                u = np.cross(direction, np.where(np.abs(direction[..., :1]) < 0.8, [1.0, 0, 0], [0, 1.0, 0]))
+                u /= np.linalg.norm(u, axis=-1, keepdims=True)
+                v = np.cross(direction, u)
+                ring = np.cos(angles)[:, None] * u[..., None, :] + np.sin(angles)[:, None] * v[..., None, :]
+                points[:, :, k] = direction[..., None, :] + tangent[..., None] * ring
+        pixels = self.canvas.camera.lens.project_clamped(points.reshape(n * p, 48, 3)).reshape(n, p, 48, 2)
+        return bounds(pixels, _OUTLINE_MARGIN_PX), _parallelograms(pixels)
+
+    def _inside(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rectangles of the cones cut to the picture, and which of them are not empty."""
+        rectangles = clip(self._rectangles[index], self.canvas.size)
+        return rectangles, (rectangles[:, 2] > rectangles[:, 0]) & (rectangles[:, 3] > rectangles[:, 1])
+
+    def _geometry(self, index: int) -> np.ndarray:
+        """Shape of each cone as the shaders take it, (p, 16): two balls, bulge, middle and number."""
+        p = len(self.bodies.ra)
+        return np.concatenate(
+            [
+                self._a[index], self.bodies.ra[:, None], self._b[index], self.bodies.rb[:, None],
+                self._axis[index], np.broadcast_to(self._bulge[0], (p, 1)), self._middle[index], np.arange(p)[:, None],
+            ],
+            1,
+        )  # fmt: skip
+
+
+def _parallelograms(pixels: np.ndarray) -> np.ndarray:
+    """Origin and two edges (n, p, 6) of the parallelogram around each cone's pixels (n, p, 48, 2), along its axis."""
+    along = pixels[:, :, 36:].mean(2) - pixels[:, :, :12].mean(2)
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    along = np.where(length > 1.0, along / np.maximum(length, 1e-9), [1.0, 0.0])
+    across = np.stack([-along[..., 1], along[..., 0]], -1)
+    far, aside = np.sum(pixels * along[:, :, None], -1), np.sum(pixels * across[:, :, None], -1)
+    low_far = far.min(-1, keepdims=True) - _OUTLINE_MARGIN_PX
+    low_aside = aside.min(-1, keepdims=True) - _OUTLINE_MARGIN_PX
+    long = far.max(-1, keepdims=True) + _OUTLINE_MARGIN_PX - low_far
+    wide = aside.max(-1, keepdims=True) + _OUTLINE_MARGIN_PX - low_aside
+    origin = low_far * along + low_aside * across + 0.5
+    return np.concatenate([origin, long * along, wide * across], -1)

@@ -1,0 +1,240 @@
+"""What is written of a film: the directory of an experiment, COCO annotations, a contact sheet, a glTF model."""
+
+import collections
+import contextlib
+import json
+import os
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from avcli import __version__
+from avcli.formats import atomic, media, records
+from avcli.formats.experiment import Layout, write_config
+from avcli.scene import annotations, mesh, people
+from avcli.scene.film import Film, Frame, Timing
+from avcli.scene.scenario import Scenario
+
+_COMMAND = "avsim-scene"
+_IN_FLIGHT = 2  # frames that are written while the next one is drawn
+_SHEET_ROWS, _SHEET_COLUMNS, _SHEET_WIDTH_PX = 3, 4, 480
+
+
+class ForeignConfig(ValueError):
+    """The directory's config.json was written by another program."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """Which files are written.
+
+    Attributes:
+        frames: "png", "npy" (raw NumPy arrays) or "none".
+        masks: whether to write masks of people.
+        coco: file for COCO annotations of all frames; None: not written.
+        sheet: file for a contact sheet; None: not written.
+    """
+
+    frames: str = "png"
+    masks: bool = False
+    coco: str | os.PathLike | None = None
+    sheet: str | os.PathLike | None = None
+
+
+def prepare(directory: Path, *, force: bool = False) -> None:
+    """Make the directory of an experiment, and remove what an earlier run wrote there.
+
+    Args:
+        directory: of the experiment.
+        force: also where another program wrote its config.json.
+
+    Raises:
+        ForeignConfig: another program wrote its config.json.
+    """
+    layout = Layout(directory)
+    if layout.config.exists() and not force:
+        try:
+            owner = json.loads(layout.config.read_bytes()).get("written_by", {}).get("command")
+        except (ValueError, AttributeError):
+            owner = None
+        if owner != _COMMAND:
+            raise ForeignConfig(
+                f"{layout.config}: not written by {_COMMAND}; --force overwrites it and the frames beside it"
+            )
+    layout.config.unlink(missing_ok=True)
+    layout.groundtruth.unlink(missing_ok=True)
+    for pattern in ("rgb/RGB_frame_*", "depth/Depth_frame_*", "depth/Depth_background", "masks/Mask_frame_*"):
+        for extension in ("png", "npy"):
+            for path in (directory / "video").glob(f"{pattern}.{extension}"):
+                path.unlink()
+    directory.mkdir(parents=True, exist_ok=True)
+
+
+def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generator[dict[str, Any], None, None]:
+    """Draw a film into a prepared directory, and yield each record as soon as its files are complete.
+
+    config.json is there before the first record; groundtruth_sources.jsonl appears when the last one was taken. Files
+    are written in a thread beside the drawing (deflate needs no interpreter).
+    """
+    kind = files.frames if film.drawing else "none"
+    writer = _FrameWriter(directory, kind, narrow=bool(film.drawing and film.drawing.depth_bits == "8"))
+    if kind != "none" and film.background is not None:
+        writer.write(Layout.background_depth, writer.bits(film.background), "png")
+    written_by = {
+        "command": _COMMAND, "version": __version__, "scenario": film.scenario.name, "seed": film.seed,
+    }  # fmt: skip
+    write_config(Layout(directory).config, film.config(background=kind != "none") | {"written_by": written_by})
+    extras: list[_Coco | _Sheet] = []
+    if files.coco is not None:
+        extras.append(_Coco(files.coco))
+    if files.sheet is not None:
+        extras.append(_Sheet(files.sheet, len(film.scenario.times)))
+
+    def begun(pool: ThreadPoolExecutor) -> Iterator[tuple[dict[str, Any], Callable[[], Any]]]:
+        """Each frame's record, and a function that waits for its files."""
+        for frame in film.frames():
+            paths = writer.pictures(frame, files.masks)
+            with timing("annotate"):
+                for extra in extras:
+                    extra.add(frame)
+            job = pool.submit(writer.save, list(paths.values()), timing)
+            names = {name: path for name, (path, _, _) in paths.items()}
+            yield frame.record | ({"frame": names} if names else {}), job.result
+
+    with contextlib.ExitStack() as stack:
+        truth = stack.enter_context(open(stack.enter_context(atomic.replacing(Layout(directory).groundtruth)), "wb"))
+        pool = ThreadPoolExecutor(1)
+        stack.callback(pool.shutdown, wait=True, cancel_futures=True)
+        for record in _complete(begun(pool)):
+            truth.write(records.encode({key: value for key, value in record.items() if key != "frame"}))
+            yield record
+    for extra in extras:
+        extra.finish()
+
+
+def _complete(frames: Iterator[tuple[dict[str, Any], Callable[[], Any]]]) -> Iterator[dict[str, Any]]:
+    """Yield each record when its files are there."""
+    waiting: collections.deque = collections.deque()
+    for item in frames:
+        waiting.append(item)
+        if len(waiting) > _IN_FLIGHT:
+            record, wait = waiting.popleft()
+            wait()
+            yield record
+    for record, wait in waiting:
+        wait()
+        yield record
+
+
+Picture = tuple[str, np.ndarray, str]
+"""Path relative to the experiment, array, and "png" or "npy"."""
+
+
+@dataclass(frozen=True)
+class _FrameWriter:
+    """Writes the pictures of frames: `kind` "png", "npy" or "none"; `narrow` depth has 8 bits."""
+
+    directory: Path
+    kind: str
+    narrow: bool
+
+    def pictures(self, frame: Frame, masks: bool) -> dict[str, Picture]:
+        """What is to be written of a frame, by its key in the record's "frame"."""
+        pictures: dict[str, Picture] = {}
+        if frame.picture is None or frame.rgb is None:
+            return pictures
+        if self.kind != "none":
+            pictures["rgb"] = Layout.rgb(frame.timestamp, self.kind), frame.rgb, self.kind
+            pictures["depth"] = Layout.depth(frame.timestamp, self.kind), self.bits(frame.picture.depth), self.kind
+        if masks:
+            stem = Layout.rgb(frame.timestamp).rsplit("RGB_frame_", 1)[1]
+            pictures["mask"] = f"video/masks/Mask_frame_{stem}", frame.picture.ids, "png"
+        return pictures
+
+    def save(self, pictures: list[Picture], timing: Timing) -> None:
+        """Write pictures."""
+        with timing("write (beside the drawing)"):
+            for path, picture, kind in pictures:
+                self.write(path, picture, kind)
+
+    def bits(self, depth: np.ndarray) -> np.ndarray:
+        """A depth picture in the bits that are written; 0 where it is too far for them."""
+        return np.where(depth < 256, depth, 0).astype(np.uint8) if self.narrow else depth
+
+    def write(self, name: str, picture: np.ndarray, kind: str) -> None:
+        """Write one picture, whole or not at all."""
+        path = self.directory / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if kind == "png":
+            media.write_png(path, picture)
+        else:
+            with atomic.replacing(path) as temporary, open(temporary, "wb") as stream:
+                np.save(stream, picture)
+
+
+class _Coco:
+    """Collects COCO's annotations and writes them at the end."""
+
+    def __init__(self, path: str | os.PathLike) -> None:
+        self.path = path
+        self.images: list[dict[str, Any]] = []
+        self.annotations: list[dict[str, Any]] = []
+
+    def add(self, frame: Frame) -> None:
+        """Take a frame's annotations."""
+        if frame.picture is None:
+            return
+        number = len(self.images) + 1
+        height, width = frame.picture.ids.shape
+        self.images.append({"id": number, "file_name": Layout.rgb(frame.timestamp), "width": width, "height": height})
+        for person, item in enumerate(frame.record["objects"]):
+            entry = annotations.coco(item, person, frame.picture, number, len(self.annotations) + 1)
+            if entry is not None:
+                self.annotations.append(entry)
+
+    def finish(self) -> None:
+        """Write the file."""
+        content = {"images": self.images, "annotations": self.annotations, "categories": annotations.COCO_CATEGORIES}
+        atomic.write_bytes(self.path, json.dumps(content).encode() + b"\n")
+
+
+class _Sheet:
+    """A contact sheet: twelve frames spread over a film of `count` frames, in three rows of four."""
+
+    def __init__(self, path: str | os.PathLike, count: int) -> None:
+        cells = _SHEET_ROWS * _SHEET_COLUMNS
+        self.path, self.number = path, 0
+        self.pictures: list[np.ndarray] = []
+        self.wanted = {round(k * (count - 1) / (cells - 1)) for k in range(cells)}
+
+    def add(self, frame: Frame) -> None:
+        """Take a frame, if it is one of the twelve."""
+        import cv2
+
+        if self.number in self.wanted and frame.rgb is not None:
+            height, width = frame.rgb.shape[:2]
+            size = (_SHEET_WIDTH_PX, max(round(_SHEET_WIDTH_PX * height / width), 1))
+            small = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA)
+            label, white = f"{frame.timestamp:.1f} s", (255, 255, 255)
+            cv2.putText(small, label, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.55, white, 1, cv2.LINE_AA)
+            self.pictures.append(small)
+        self.number += 1
+
+    def finish(self) -> None:
+        """Write the file."""
+        if not self.pictures:
+            return
+        blank = np.full_like(self.pictures[0], 40)
+        cells = self.pictures + [blank] * (-len(self.pictures) % _SHEET_COLUMNS)
+        rows = [np.concatenate(cells[k : k + _SHEET_COLUMNS], 1) for k in range(0, len(cells), _SHEET_COLUMNS)]
+        media.write_png(self.path, np.concatenate(rows))
+
+
+def write_gltf(scenario: Scenario, path: str | os.PathLike) -> None:
+    """Write a scenario at its middle as a binary glTF file."""
+    bodies = people.pose(scenario.people, scenario.times[len(scenario.times) // 2 :][:1])
+    atomic.write_bytes(path, mesh.glb(scenario, bodies, 0))

@@ -1,0 +1,110 @@
+"""The pass that draws the room and its furniture, once a scene."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from avcli.scene import furniture, room_shaders, shaders
+from avcli.scene.canvas import COARSE, Canvas, bounds, clip, linear, put
+
+if TYPE_CHECKING:
+    import moderngl
+
+_EDGE_SAMPLES = 17  # along each edge of a solid, whose image is a curve
+_MARGIN_PX = 4.0
+
+
+class RoomPicture(NamedTuple):
+    """The empty room: distance and solid of each pixel, surface, and colour."""
+
+    seen: moderngl.Texture
+    surface: moderngl.Texture
+    colour: moderngl.Texture
+
+
+def draw_room(canvas: Canvas, solids: furniture.Solids) -> RoomPicture:
+    """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet."""
+    ctx, uniforms = canvas.ctx, canvas.surroundings
+    table = canvas.table(_solid_rows(solids))
+    found = _surfaces(canvas, solids, table)
+    light = _light(canvas, solids, found)
+    colour = ctx.texture(canvas.size, 4)
+    inputs = {**found, "light": light, "solids": table}
+    shade = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_SHADE, **uniforms)
+    canvas.fill(shade, ctx.framebuffer([colour]), inputs)
+    if uniforms["samples"] > 1:
+        marks = ctx.depth_renderbuffer(canvas.size)
+        target = ctx.framebuffer(depth_attachment=marks)
+        target.clear(depth=1.0)
+        ctx.depth_func = "1"
+        canvas.fill(canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_EDGES), target, found, depth=True)
+        target = ctx.framebuffer([colour], marks)
+        target.depth_mask = False
+        ctx.depth_func = ">"
+        smooth = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_SMOOTH, **uniforms, level=0.5)
+        canvas.fill(smooth, target, inputs, depth=True)
+        ctx.depth_func = "<"
+    return RoomPicture(found["seen"], found["surface"], colour)
+
+
+def _surfaces(canvas: Canvas, solids: furniture.Solids, table: moderngl.Texture) -> dict[str, moderngl.Texture]:
+    """What each pixel sees, and how far it is."""
+    ctx, size = canvas.ctx, canvas.size
+    rectangles = np.concatenate([[[0, 0, *size]], _rectangles(canvas, solids)])
+    index = np.arange(-1, len(solids))[:, None]
+    program = canvas.program(room_shaders.ROOM_VERTEX, room_shaders.ROOM_FRAGMENT, **canvas.surroundings, solids=0)
+    put(program, size=size)
+    seen, surface = ctx.texture(size, 2, dtype="f4"), ctx.texture(size, 4, dtype="f2")
+    target = ctx.framebuffer([seen, surface], ctx.depth_renderbuffer(size))
+    target.use()
+    target.clear(0, 0, 0, 0)
+    table.use(0)
+    ctx.enable(ctx.DEPTH_TEST)
+    canvas.quads(program, np.hstack([rectangles, index]), "4f 1f/i", ("rectangle", "solid"))
+    return {"seen": seen, "surface": surface}
+
+
+def _light(canvas: Canvas, solids: furniture.Solids, found: dict[str, moderngl.Texture]) -> moderngl.Texture:
+    """How much light reaches each place past the furniture, on a coarse grid, blurred."""
+    ctx, size = canvas.ctx, canvas.size
+    grid = -(-size[0] // COARSE), -(-size[1] // COARSE)
+    raw, smooth = ctx.texture(grid, 1, dtype="f2"), ctx.texture(grid, 4, dtype="f4")
+    blockers = furniture.blockers(solids)
+    light = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_LIGHT, **canvas.surroundings, blockers=len(blockers))
+    canvas.fill(light, ctx.framebuffer([raw]), {**found, "solids": canvas.table(_solid_rows(blockers))})
+    blur = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_BLUR, coarse=COARSE)
+    canvas.fill(blur, ctx.framebuffer([smooth]), {**found, "light": raw})
+    return smooth
+
+
+def _rectangles(canvas: Canvas, solids: furniture.Solids) -> np.ndarray:
+    """A rectangle of pixels around each solid, (n, 4)."""
+    if not len(solids):
+        return np.zeros((0, 4))
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    edges = np.array([(i, j) for i in range(8) for j in range(i) if np.sum(corners[i] != corners[j]) == 1])
+    f = np.linspace(0, 1, _EDGE_SAMPLES)[:, None]
+    unit = np.concatenate([corners[i] * (1 - f) + corners[j] * f for i, j in edges])
+    points = solids.centre[:, None] + (unit[None] * solids.half[:, None]) @ solids.axes
+    flat = solids.kind == furniture.TRIANGLE
+    if flat.any():
+        a, b, c = solids.centre[flat], solids.axes[flat, 0], solids.axes[flat, 1]
+        rim = np.concatenate([p[:, None] * (1 - f) + q[:, None] * f for p, q in ((a, b), (b, c), (c, a))], 1)
+        points[flat] = np.resize(rim.transpose(1, 0, 2), (len(unit), flat.sum(), 3)).transpose(1, 0, 2)
+    T = canvas.T_camera_room
+    rectangles = bounds(canvas.camera.lens.project_clamped(points @ T[:3, :3].T + T[:3, 3]), _MARGIN_PX)
+    lost = ~np.isfinite(rectangles).all(1)
+    rectangles[lost] = (0, 0, *canvas.size)
+    return clip(rectangles, canvas.size)
+
+
+def _solid_rows(solids: furniture.Solids) -> np.ndarray:
+    """Texture rows (n, 5, 4) of solids: centre + kind, axes + half sizes, linear colour + material."""
+    rows = np.zeros((max(len(solids), 1), 5, 4))
+    if len(solids):
+        rows[:, 0, :3], rows[:, 0, 3] = solids.centre, solids.kind
+        rows[:, 1:4, :3], rows[:, 1:4, 3] = solids.axes, solids.half
+        rows[:, 4, :3], rows[:, 4, 3] = linear(solids.colour), solids.material
+    return rows

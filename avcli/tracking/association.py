@@ -1,0 +1,227 @@
+"""Joint associations of people with the detections of one record: ranked, exact where few and bounded where many."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+
+from avcli.tracking.hypotheses import ABSENT, Cluster, Joint
+from avcli.tracking.scan import Scan
+
+MISSED = -1  # in the place of a detection: the person was not detected
+PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
+LOG_PRUNE = math.log(PRUNE)
+BUDGET = 3  # partial associations kept while searching, for each hypothesis that is kept in the end
+SURE = 0.9  # existence of a person by whom the detection probability is learnt
+
+FIRST = itemgetter(0)
+
+Option = tuple[float, int]  # log weight, detection or MISSED
+Options = Mapping[int, Sequence[Option]]  # by row, best first
+Pair = tuple[int, int]  # row, detection or MISSED
+Association = tuple[float, tuple[Pair, ...], int]  # log weight, a pair for each label, bit set of used detections
+
+
+@dataclass(slots=True)
+class Hypothesis:
+    """One joint hypothesis after a record, before its densities are computed.
+
+    Attributes:
+        weight: log weight.
+        pairs: for each label the row before the record and the detection: (ABSENT, MISSED), or the row of a person who
+            has just been born and `births.BORN`.
+        used: bit set of the detections that it uses.
+    """
+
+    weight: float
+    pairs: tuple[Pair, ...]
+    used: int
+
+
+@dataclass(slots=True)
+class Group:
+    """The joint hypotheses, best first, about the labels of clusters that competed for detections."""
+
+    labels: list[int]
+    hypotheses: list[Hypothesis]
+
+
+def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dict[int, list[Option]]:
+    """Find what each labelled row may have caused.
+
+    Args:
+        scan: the record.
+        rows: of labelled people.
+        background: J densities per m² of detections that no labelled person causes.
+
+    Returns:
+        Row -> [(log weight, detection or MISSED)], best first.
+    """
+    caused_by = {}
+    existence, p_detect, likelihoods = scan.existence, scan.p_detect, scan.likelihoods
+    for row in rows:
+        present = existence[row] * p_detect[row]
+        missed = max(1 - present, 1e-12)
+        least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
+        hits = enumerate(zip(likelihoods[row], background, strict=True))
+        caused = [(math.log(present * g / b), j) for j, (g, b) in hits if present * g > least * b]
+        caused_by[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
+    return caused_by
+
+
+def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluster]]:
+    """Return the clusters in lists, together those that compete for a detection."""
+    groups: list[tuple[list[Cluster], set[int]]] = []
+    for cluster in clusters:
+        rows = {row for hypothesis in cluster.hypotheses for row in hypothesis if row >= 0}
+        wanted = {j for row in rows for _, j in options[row] if j >= 0}
+        members = [cluster]
+        for group in [g for g in groups if not wanted.isdisjoint(g[1])]:
+            groups.remove(group)
+            members = group[0] + members
+            wanted |= group[1]
+        groups.append((members, wanted))
+    return [members for members, _ in groups]
+
+
+def associate(members: Sequence[Cluster], options: Options, unclaimed: list[float], most: int) -> Group:
+    """Update the joint hypotheses of clusters that compete for detections.
+
+    Args:
+        members: the clusters.
+        options: what each row may have caused.
+        unclaimed: J probabilities that no labelled person caused the detection; lowered here by those who may have.
+        most: hypotheses to keep.
+
+    Returns:
+        The hypotheses, normalised, best first.
+    """
+    priors = list(zip(members[0].weights, members[0].hypotheses, strict=True))
+    for cluster in members[1:]:
+        pairs = list(zip(cluster.weights, cluster.hypotheses, strict=True))
+        priors = [(w + v, left + right) for w, left in priors for v, right in pairs]
+        if len(priors) > most:
+            priors.sort(key=lambda prior: -prior[0])
+            del priors[most:]
+    best = ranked(priors, options, BUDGET * most, -LOG_PRUNE)[:most]
+    top = best[0][0]
+    kept = [Hypothesis(*one) for one in best if one[0] - top > LOG_PRUNE]
+    total = top + math.log(math.fsum(math.exp(h.weight - top) for h in kept))
+    for hypothesis in kept:
+        hypothesis.weight -= total
+        share, used = math.exp(hypothesis.weight), hypothesis.used
+        while used:
+            low = used & -used
+            unclaimed[low.bit_length() - 1] -= share
+            used ^= low
+    return Group([label for cluster in members for label in cluster.labels], kept)
+
+
+def ranked(
+    priors: Sequence[tuple[float, Joint]], options: Options, budget: int = 1000, span: float = 11.5
+) -> list[Association]:
+    """Find the likeliest joint associations of several prior hypotheses, each detection used at most once.
+
+    A branch and bound over people, breadth first: a partial association is dropped when even its best completion (each
+    remaining person takes the best detection, used or not) falls `span` nats below a feasible association. While no
+    layer holds more than `budget` of them the list is exact down to exp(-span) of the best; beyond, the layer keeps
+    those with the best bound (a beam, so the time is bounded).
+
+    Args:
+        priors: log weight and hypothesis, a tuple of one row per label (ABSENT: no such person).
+        options: row -> [(log weight, detection or MISSED)], best first.
+        budget: partial associations kept in a layer.
+        span: nats.
+
+    Returns:
+        [(log weight, ((row, detection), ...), bit set of the used detections)], best first.
+
+    >>> options = {0: [(-0.1, 0), (-2.0, -1)], 1: [(-0.2, 0), (-1.0, -1)]}  # both may have caused detection 0
+    >>> [(round(weight, 1), pairs) for weight, pairs, _ in ranked([(0.0, (0, 1))], options)]
+    [(-1.1, ((0, 0), (1, -1))), (-2.2, ((0, -1), (1, 0))), (-3.0, ((0, -1), (1, -1)))]
+    """
+    if len(priors[0][1]) == 1:
+        return _ranked_alone(priors, options, span)
+    beam: list[tuple[float, int, tuple[Pair, ...], int]] = []
+    greedy: Association = (-math.inf, (), 0)
+    for number, (weight, hypothesis) in enumerate(priors):
+        bound = weight + math.fsum(options[row][0][0] for row in hypothesis if row >= 0)
+        beam.append((bound, number, (), 0))
+        if bound > greedy[0]:
+            greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
+    floor = greedy[0] - span - 1e-9
+    for depth in range(len(priors[0][1])):
+        grown, steps = [], _steps(priors, depth, options)
+        for bound, number, pairs, used in beam:
+            least = floor - bound
+            for loss, step, bit in steps[number]:
+                if loss < least:
+                    break
+                if not used & bit:
+                    grown.append((bound + loss, number, pairs + step, used | bit))
+        if len(grown) > budget:
+            grown.sort(key=FIRST, reverse=True)
+            del grown[budget:]
+        beam = grown
+    beam.sort(key=FIRST, reverse=True)
+    # all that the budget kept may have ended in conflicts
+    return [(weight, pairs, used) for weight, _, pairs, used in beam] or [greedy]
+
+
+def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span: float) -> list[Association]:
+    """The same for one person, with whom nobody competes."""
+    alone: list[Association] = [
+        (weight + gain, ((row, j),), 0 if j < 0 else 1 << j)
+        for weight, (row,) in priors
+        for gain, j in (options[row] if row >= 0 else ((0.0, MISSED),))
+    ]
+    alone.sort(key=FIRST, reverse=True)
+    floor = alone[0][0] - span - 1e-9
+    return [one for one in alone if one[0] >= floor]
+
+
+def _steps(
+    priors: Sequence[tuple[float, Joint]], depth: int, options: Options
+) -> list[list[tuple[float, tuple[Pair], int]]]:
+    """For each prior: what its label number `depth` may do, and what each choice loses to the best one."""
+    moves: dict[int, list[tuple[float, tuple[Pair], int]]] = {ABSENT: [(0.0, ((ABSENT, MISSED),), 0)]}
+    steps = []
+    for _, hypothesis in priors:
+        row = hypothesis[depth]
+        if row not in moves:
+            best = options[row][0][0]
+            moves[row] = [(gain - best, ((row, j),), 0 if j < 0 else 1 << j) for gain, j in options[row]]
+        steps.append(moves[row])
+    return steps
+
+
+def _greedy(weight: float, hypothesis: Joint, options: Options) -> Association:
+    """One feasible association: each person in turn takes the best detection that is left."""
+    pairs, used = [], 0
+    for row in hypothesis:
+        j = MISSED
+        if row >= 0:
+            for option in options[row]:
+                gain, j = option
+                if j < 0 or not used >> j & 1:
+                    break
+            weight += gain
+            used |= 0 if j < 0 else 1 << j
+        pairs.append((row, j))
+    return weight, tuple(pairs), used
+
+
+def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
+    """Return the expected numbers of detected and of missed detectable people, among those who surely exist."""
+    hits = misses = 0.0
+    for group in groups:
+        for row, j in group.hypotheses[0].pairs:
+            if row >= 0 and scan.existence[row] > SURE:
+                if j >= 0:
+                    hits += 1
+                else:
+                    p = scan.p_detect[row]
+                    misses += p * (1 - scan.p_sensor) / max(scan.p_sensor * (1 - p), 1e-12)
+    return hits, misses

@@ -1,0 +1,205 @@
+"""Where detections may reveal new people: the Poisson process of people without a label, and the births from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from avcli.tracking.densities import Densities
+from avcli.tracking.model import Population
+from avcli.tracking.scan import GATE, Scan
+from avcli.tracking.settings import Sensor
+
+BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
+TENTATIVE = 1e-4  # least expected number of people in a tentative density
+AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
+
+
+class Birth(NamedTuple):
+    """A person that one detection may reveal.
+
+    Attributes:
+        detection: its number in the record.
+        source: row of the tentative density that was updated with it, -1: a person never detected before.
+        number: expected number of people.
+        existence: probability that the detection, if no known person's, is a person.
+    """
+
+    detection: int
+    source: int
+    number: float
+    existence: float
+
+
+class Undetected:
+    """The uniform part of the Poisson process: people whom no sensor has detected yet.
+
+    Attributes:
+        expected: (2,) numbers of them anywhere, and near the walls.
+        detectable: (S,) probability that each sensor can detect one of them.
+    """
+
+    def __init__(self, population: Population) -> None:
+        self.population = population
+        self.expected, self.detectable = np.array([population.present, 0.0]), np.zeros(0)
+
+    def add(self, sensor: Sensor) -> None:
+        """Let another sensor report from now on."""
+        self.detectable = np.append(self.detectable, sensor.detectable())
+
+    def predict(self, dt: float) -> None:
+        """Let people come and go for dt seconds."""
+        self.expected = self.expected * math.exp(-dt / self.population.stay) + self.population.birth_rate * dt
+
+    def p_detect(self, scan: Scan) -> float:
+        """Return the probability that the record's sensor detects one of them."""
+        return float(scan.p_sensor * self.detectable[scan.column])
+
+    def update(self, scan: Scan, p_detect: float) -> None:
+        """Take the detected ones away, after a record in which each was detected with a probability."""
+        self.expected *= 1 - p_detect
+        self.detectable[scan.column] *= (1 - scan.p_sensor) / max(1 - p_detect, 1e-12)
+
+
+def first_detections(
+    scan: Scan, people: Densities, tentative: Sequence[int], known: Sequence[int], undetected: Undetected, poisson: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the densities, at the detections, of detecting a person without a label.
+
+    Args:
+        scan: the record.
+        people: all densities.
+        tentative: T rows of tentative people.
+        known: rows of known people, beside whom there is no room for another.
+        undetected: people never detected before.
+        poisson: whether these may be born from one detection.
+
+    Returns:
+        (T, J) per m² of each tentative person, and (J,) per m² of people never detected before.
+    """
+    rows, z = np.array(tentative, int), scan.z
+    positions = np.concatenate([z, people.mean.take(rows, 0)[:, 0, :2]])
+    spread = np.concatenate([scan.noise, people.cov.take(rows, 0)[:, 0, :2, :2]])
+    room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, undetected.population.body)
+    number = room[len(z) :] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
+    anywhere, near_walls = (undetected.p_detect(scan) * undetected.expected).tolist()
+    unseen = room[: len(z)] * undetected.population.density(z, anywhere, near_walls)
+    return number[:, None] * scan.gain.take(rows, 0), unseen if poisson else 0.0 * unseen
+
+
+def _elbow_room(
+    positions: np.ndarray, spread: np.ndarray, people: Densities, known: Sequence[int], body: float
+) -> np.ndarray:
+    """Probability (n,) that a new person at positions (n, 2) m is not inside a known person.
+
+    spread: (n,) m², the sum of the variances along x and y of the positions.
+    """
+    if not known or not len(positions):
+        return np.ones(len(positions))
+    bodies = as_complex(people.centres(known))[:, 0]
+    apart, width = abs(as_complex(positions) - bodies), 2 * body**2 + spread
+    taken = np.exp(-apart * apart / width[:, None]) * people.existence.take(known)
+    return (1 - taken).prod(1)
+
+
+def other_detections(
+    scan: Scan, unclaimed: Sequence[float], real: Sequence[float], body: float
+) -> tuple[list[float], list[float]]:
+    """Compute what the other detections of a record say of each: they may be of the same person.
+
+    Args:
+        scan: the record.
+        unclaimed: J probabilities that no known person caused the detection.
+        real: J probabilities that it is a person in that case.
+        body: m, see `Population.body`.
+
+    Returns:
+        J probabilities that there is room for another person beside those whom the other detections show, and J
+        densities per m² of detecting one of those a second time.
+    """
+    z, noise = scan.z, scan.noise
+    room, twice = [1.0] * len(z), [0.0] * len(z)
+    if len(z) < 2:
+        return room, twice
+    positions, spread, body = z.tolist(), (noise[:, 0, 0] + noise[:, 1, 1]).tolist(), 2 * body**2
+    reach = GATE * (body + 2 * max(spread))  # m²
+    for k, (x, y) in enumerate(positions):
+        for j in range(k - 1, -1, -1):
+            if (x - positions[j][0]) ** 2 > reach:
+                break
+            apart = (x - positions[j][0]) ** 2 + (y - positions[j][1]) ** 2
+            width = spread[j] + spread[k]
+            again = AGAIN / math.pi * math.exp(-apart / width) / width
+            for one, other in ((j, k), (k, j)):
+                claimed = min((1 - unclaimed[other]) / max(unclaimed[one], 1e-9), 1.0)  # by somebody, if `one` is not
+                if one == k:
+                    claimed = max(claimed, unclaimed[j] * real[j])  # the first of two new people counts
+                room[one] *= 1 - claimed * math.exp(-apart / (body + spread[one]))
+                twice[one] += again * claimed
+    return room, twice
+
+
+def births(
+    unclaimed: Sequence[float],
+    existence: Sequence[float],
+    tentative: Sequence[int],
+    from_tentative: np.ndarray,
+    from_undetected: np.ndarray,
+    newborn: float | None,
+) -> list[Birth]:
+    """Return the people that a record may reveal.
+
+    Args:
+        unclaimed: J probabilities that no known person caused the detection.
+        existence: J probabilities that it is a person in that case.
+        tentative: T rows of tentative people.
+        from_tentative: (T, J) per m², see `first_detections`.
+        from_undetected: (J,) per m².
+        newborn: None: the Poisson process; else people are born for the next record, as many as that (adaptive birth).
+
+    Source:
+        A. Trezza, D. J. Bucci and P. K. Varshney, "Multi-sensor joint adaptive birth sampler for labeled random finite
+        set tracking", IEEE TSP 70, 2022 (adaptive birth).
+    """
+    revealed = []
+    for j, (u, e) in enumerate(zip(unclaimed, existence, strict=True)):
+        if u * e > TENTATIVE:
+            source = int(from_tentative[:, j].argmax()) if len(tentative) else -1
+            known = source >= 0 and from_tentative[source, j] > from_undetected[j]
+            if known or newborn is None:
+                revealed.append(Birth(j, tentative[source] if known else -1, u * e, e))
+    if newborn is not None:
+        new = [u * (1 - e) for u, e in zip(unclaimed, existence, strict=True)]
+        share = newborn / max(math.fsum(new), 1e-12)
+        revealed += [Birth(j, -1, share * s, 0.0) for j, s in enumerate(new) if share * s > TENTATIVE]
+    return revealed
+
+
+def newcomers(
+    scan: Scan, js: Sequence[int], population: Population, detectable: np.ndarray, stationary: np.ndarray
+) -> Densities:
+    """Return densities of people detected for the first time.
+
+    Args:
+        scan: the record.
+        js: numbers of its detections.
+        population: for the speed of new people.
+        detectable: (S,) probability that each sensor can detect one.
+        stationary: (M,) long-run probabilities of the motion models.
+    """
+    n, m, sensor = len(js), len(stationary), scan.sensor
+    mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
+    mean[..., :2] = scan.z[js][:, None]
+    cov[..., :2, :2] = scan.noise[js][:, None] + sensor.mouth_offset**2 / 2 * np.eye(2)
+    cov[..., 2:, 2:] = population.speed**2 * np.eye(2)
+    able = np.tile(detectable, (n, 1))
+    able[:, scan.column] = 1.0
+    return Densities(mean, cov, np.tile(stationary, (n, 1)), np.ones(n), able, [-1] * n, [None] * n)
+
+
+def as_complex(pairs: np.ndarray) -> np.ndarray:
+    """Return pairs of coordinates along the last axis, (..., 2 k), as complex numbers (..., k)."""
+    return np.ascontiguousarray(pairs).view(complex)

@@ -1,0 +1,75 @@
+"""What one record meant to the GLMB filter, as a record of its own (`avfuse --explain`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from avcli.tracking.association import Group
+from avcli.tracking.rates import Rates
+from avcli.tracking.scan import Scan
+
+SHOWN = 5  # joint hypotheses of a cluster that an account lists
+
+
+def account(
+    time: float,
+    scan: Scan,
+    rates: Rates,
+    groups: Iterable[Group],
+    unclaimed: Sequence[float],
+    existence: Sequence[float],
+    birth: Sequence[float],
+    before: dict[str, float],
+) -> dict[str, Any]:
+    """Describe one record before births and deaths are known; explain.schema.json has the keys.
+
+    Args:
+        time: s.
+        scan: the record.
+        rates: what is known of its sensor.
+        groups: the joint hypotheses after it.
+        unclaimed: J probabilities that no labelled person caused the detection.
+        existence: J probabilities that it is a person in that case.
+        birth: J densities per m² of detections of new people.
+        before: label -> existence before the record.
+    """
+    people, clusters = {}, []
+    for group in groups:
+        for at, label in enumerate(group.labels):
+            people[label] = _most_likely(group, at, label)
+        best = [
+            {"weight": min(math.exp(h.weight), 1.0), "detections": [None if j < 0 else j for _, j in h.pairs]}
+            for h in group.hypotheses[:SHOWN]
+        ]
+        clusters.append({"labels": list(group.labels), "count": len(group.hypotheses), "best": best})
+    return {
+        "timestamp": time,
+        "sensor": scan.sensor.name,
+        "expected_clutter": float(rates.clutter),
+        "detection_probability": float(rates.detection),
+        "detections": [
+            {
+                "position": position,
+                "unclaimed": u,
+                "person_if_unclaimed": e,
+                "clutter_density": c,
+                "stranger_density": b,
+            }
+            for position, u, e, c, b in zip(scan.z.tolist(), unclaimed, existence, scan.clutter, birth, strict=True)
+        ],
+        "people": [people[label] for label in sorted(people)],
+        "clusters": clusters,
+        "existence_before": before,
+    }
+
+
+def _most_likely(group: Group, at: int, label: int) -> dict[str, Any]:
+    shares: dict[int | str, float] = {}
+    for hypothesis in group.hypotheses:
+        row, j = hypothesis.pairs[at]
+        what = "absent" if row < 0 else "missed" if j < 0 else j
+        shares[what] = shares.get(what, 0.0) + math.exp(hypothesis.weight)
+    what = max(shares, key=lambda key: (shares[key], str(key)))
+    return {"label": label, "most_likely": what, "probability": min(shares[what], 1.0)}

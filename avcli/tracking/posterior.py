@@ -1,0 +1,98 @@
+"""The densities after a record: each combination of a density and a detection that is needed, computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from avcli.tracking import gaussian
+from avcli.tracking.association import MISSED, Group, Pair
+from avcli.tracking.births import TENTATIVE, Birth
+from avcli.tracking.densities import Densities
+from avcli.tracking.hypotheses import ABSENT
+from avcli.tracking.scan import Scan
+
+FORGET = 5e-3  # expected number of people below which a tentative person who had a label loses it
+TENTATIVES = 150  # tentative densities kept
+
+
+@dataclass(slots=True)
+class Needed:
+    """What must be computed after a record; the rows after it stand in this order.
+
+    Attributes:
+        missed: rows of labelled people who were not detected.
+        staying: rows of tentative people who were not detected.
+        detected: (row, detection) of labelled people.
+        renewed: (row, detection) of tentative people.
+        fresh: detections of people detected for the first time.
+    """
+
+    missed: list[int]
+    staying: list[int]
+    detected: list[Pair]
+    renewed: list[Pair]
+    fresh: list[int]
+
+    def rows(self) -> dict[Pair, int]:
+        """Return (row before, detection) -> row after, of all but the fresh ones."""
+        row_of = {(row, MISSED): k for k, row in enumerate(self.missed)}
+        old = len(self.missed) + len(self.staying)
+        row_of.update((pair, old + k) for k, pair in enumerate(self.detected + self.renewed))
+        row_of[ABSENT, MISSED] = ABSENT
+        return row_of
+
+    def fresh_rows(self) -> dict[int, int]:
+        """Return detection -> row after, of the people detected for the first time."""
+        before = len(self.missed) + len(self.staying) + len(self.detected) + len(self.renewed)
+        return {j: before + k for k, j in enumerate(self.fresh)}
+
+
+def needed(
+    scan: Scan, people: Densities, tentative: Sequence[int], groups: Iterable[Group], births: Iterable[Birth]
+) -> Needed:
+    """Find what must be computed: what the hypotheses and births mention, and the tentative people who may be left."""
+    pairs = dict.fromkeys(chain.from_iterable(h.pairs for group in groups for h in group.hypotheses))
+    left = {i: scan.existence[i] * (1 - scan.p_detect[i]) for i in tentative}
+    staying = [i for i in tentative if left[i] > TENTATIVE]
+    for i in staying:
+        if left[i] < FORGET:
+            people.label[i] = -1
+    if len(staying) > TENTATIVES:
+        staying = sorted(sorted(staying, key=lambda i: -left[i])[:TENTATIVES])
+    return Needed(
+        missed=[row for row, j in pairs if j < 0 <= row],
+        staying=staying,
+        detected=[pair for pair in pairs if pair[1] >= 0],
+        renewed=[(birth.source, birth.detection) for birth in births if birth.source >= 0],
+        fresh=[birth.detection for birth in births if birth.source < 0],
+    )
+
+
+def updated(scan: Scan, people: Densities, needed: Needed) -> Densities:
+    """Compute the densities after a record, all but the fresh ones, in the order of `Needed`."""
+    parents, pairs = needed.missed + needed.staying, needed.detected + needed.renewed
+    n, old, column = len(needed.missed), len(parents), scan.column
+    existence, detectable, p_detect = scan.existence, scan.detectable, scan.p_detect
+    new = people.take(parents + [row for row, _ in pairs])
+    overlooked = [1 - p_detect[i] for i in parents]
+    kept = [existence[i] * o for i, o in zip(parents, overlooked, strict=True)]
+    exist = [e / max(1 - existence[i] + e, 1e-12) for i, e in zip(needed.missed, kept, strict=False)]
+    new.existence[:old] = exist + kept[n:]
+    new.detectable[:old, column] = [
+        (detectable[i] - p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
+    ]
+    if pairs:
+        js = [j for _, j in pairs]
+        new.mean[old:], new.cov[old:], new.mode[old:] = gaussian.update(
+            new.mean[old:],
+            new.cov[old:],
+            new.mode[old:],
+            scan.z.take(js, 0),
+            scan.noise.take(js, 0),
+            scan.sensor.mouth_offset,
+            scan.gain_by_model[[row for row, _ in pairs], :, js],
+        )
+        new.existence[old:], new.detectable[old:, column] = 1.0, 1.0
+    return new

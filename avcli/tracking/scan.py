@@ -1,0 +1,108 @@
+"""One record of one sensor, and what each density before the record says of its detections."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from avcli.tracking import gaussian
+from avcli.tracking.densities import Densities
+from avcli.tracking.settings import Sensor
+
+GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
+
+
+@dataclass(slots=True)
+class Scan:
+    """One record of one sensor: J detections, and n densities before it.
+
+    Numbers for each detection or density are lists where that costs less than arrays.
+
+    Attributes:
+        sensor: which sensor.
+        column: the number of the sensor.
+        z: (J, 2) m, in order of x.
+        noise: (J, 2, 2) m².
+        odds: J log odds of the scores, NaN: unknown.
+        gain: (n, J) likelihood of each detection under each density, per m²; 0 outside the gate.
+        gain_by_model: (n, M, J) the same under each model of each density.
+        likelihoods: `gain` as lists.
+        existence: n probabilities.
+        detectable: n probabilities that the sensor can detect the person.
+        clutter: J densities per m² of false detections.
+        p_sensor: probability that it detects a detectable person.
+        p_detect: n probabilities that it detects the person, if that person exists.
+    """
+
+    sensor: Sensor
+    column: int
+    z: np.ndarray
+    noise: np.ndarray
+    odds: list[float]
+    gain: np.ndarray
+    gain_by_model: np.ndarray
+    likelihoods: list[list[float]]
+    existence: list[float]
+    detectable: list[float]
+    clutter: list[float]
+    p_sensor: float
+    p_detect: list[float]
+
+
+def likelihoods(
+    people: Densities, z: np.ndarray, noise: np.ndarray, mouth_offset: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the likelihood of each detection under each density, 0 outside the gate: (n, J), and (n, M, J) by model.
+
+    Args:
+        people: n densities.
+        z: (J, 2) m.
+        noise: (J, 2, 2) m².
+        mouth_offset: m, see `gaussian.expected_detection`.
+    """
+    log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, mouth_offset)
+    gain = np.where(distance < GATE, np.exp(log), 0.0)
+    return (people.mode[:, None] @ gain)[:, 0], gain
+
+
+def distinct(
+    z: np.ndarray, noise: np.ndarray, score: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return detections in a defined order, without exact repetitions: (J, 2), (J, 2, 2), (J,) or None."""
+    if len(z) < 2:
+        return z, noise, score
+    positions = z.tolist()
+    order = sorted(range(len(positions)), key=positions.__getitem__)
+    if any(positions[a] == positions[b] for a, b in pairwise(order)):
+        order = np.lexsort((*noise.reshape(-1, 4).T, z[:, 1], z[:, 0])).tolist()
+        order = order[:1] + [b for a, b in pairwise(order) if positions[a] != positions[b]]
+    return z.take(order, 0), noise.take(order, 0), None if score is None else score.take(order)
+
+
+def plausibility(
+    rows: list[int],
+    existence: list[float],
+    reach: list[float],
+    likelihoods: list[list[float]],
+    clutter: list[float],
+    detection: float,
+) -> float:
+    """Return how much likelier a record is with known people than as clutter alone.
+
+    Args:
+        rows: the densities of the known people.
+        existence: n probabilities.
+        reach: n probabilities that the sensor can detect the person where that person is.
+        likelihoods: n lists of J, per m².
+        clutter: J densities per m² of false detections.
+        detection: probability that the sensor detects a detectable person.
+    """
+    ratio = 1.0
+    for row in rows:
+        present = existence[row] * reach[row] * detection
+        more = math.fsum(g / c for g, c in zip(likelihoods[row], clutter, strict=True) if g)
+        ratio *= min(1 - present + present * more, 1e3)
+    return ratio

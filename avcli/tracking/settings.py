@@ -1,0 +1,159 @@
+"""What a tracker can be told: the settings of the command, and how sensors of each kind see people.
+
+This module imports no numpy, so that the command's --help starts quickly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from avcli.formats.sensors import CAMERA, MICROPHONES
+from avcli.settings import check, setting
+from avcli.tracking.trackers import TRACKERS
+
+if TYPE_CHECKING:
+    from avcli.tracking.coverage import Coverage
+
+__all__ = ["SENSORS", "TRACKERS", "Sensor", "Settings", "sensor"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user can decide about a tracker; each is an option of avfuse, but for the last two.
+
+    Attributes:
+        motion: "imm" (several motion models that switch) or "cv" (constant velocity).
+        process_noise: m/s², of the constant-velocity model.
+        birth: "poisson" (a track begins with the first unexplained detection) or "adaptive" (one record later).
+        stay: s, mean time that a person stays in the room.
+        doors: "walls" or "anywhere".
+        adapt: whether clutter and detection probability of each sensor are estimated.
+        hidden: whether a person can be hidden from a sensor for a while.
+        room_margin: m beyond the room's walls where detections are still used.
+        rate: Hz of the output, None: from config.json, else from the records.
+        max_wait: s of data by which a sensor may lag behind another one of its stream.
+        newborn: with adaptive birth, people expected to be born in each record.
+        hypotheses: joint hypotheses kept in each cluster of interacting people.
+    """
+
+    motion: str = setting(
+        "imm",
+        "imm: people walk, stop and turn (interacting models); cv: constant velocity with --process-noise.",
+        choices=("imm", "cv"),
+    )
+    process_noise: float = setting(
+        0.5,
+        "With --motion cv: standard deviation, in m/s2, of an acceleration that is constant over each step.",
+        unit="SIGMA",
+        above=0.0,
+        only="cv",
+    )
+    birth: str = setting(
+        "poisson",
+        "poisson: a track begins with any unexplained detection; adaptive: one record later (thesis).",
+        choices=("poisson", "adaptive"),
+    )
+    stay: float = setting(
+        100.0,
+        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 10 times sooner.",
+        unit="S",
+        above=0.0,
+        most=math.inf,
+    )
+    doors: str = setting(
+        "walls",
+        "Where people come and go: mostly within 0.7 m of the walls, or anywhere.",
+        choices=("walls", "anywhere"),
+    )
+    adapt: bool = setting(
+        True, "Estimate each sensor's clutter and detection probability from the data.", flag="--adapt/--no-adapt"
+    )
+    hidden: bool = setting(
+        True,
+        "People can be hidden from a sensor (occluded, silent) for a while; without, every miss counts.",
+        flag="--hidden/--no-hidden",
+    )
+    room_margin: float = setting(
+        0.5, "Ignore detections more than M metres outside the room of config.json.", unit="M", least=0.0
+    )
+    rate: float | None = setting(
+        None,
+        "Output records per second.",
+        unit="HZ",
+        above=0.0,
+        most=1000.0,
+        default_text="frame_rate_hz of config.json, else the commonest step of the records",
+    )
+    max_wait: float = setting(
+        1.0,
+        "Do not wait for a sensor that lags more than S seconds of data behind another one of its stream; inf: wait.",
+        unit="S",
+        least=0.0,
+        most=math.inf,
+    )
+    newborn: float = 0.05
+    hypotheses: int = 40
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How one sensor sees people.
+
+    Attributes:
+        name: the name in its records.
+        kind: "camera" or "microphones".
+        detection: probability that it detects, in one record, a person who is detectable.
+        clutter: false detections expected in one record.
+        sigma: m along x and y, noise of detections that carry no covariance.
+        floor: m, added (in squares) to the noise of those that do, for what their covariance does not know: body sway,
+            calibration, sound and light that do not quite behave as modelled.
+        hide, show: rates per second at which people become undetectable (occluded, silent) and detectable again;
+            hide 0: people are always detectable.
+        mouth_offset: m, how far in front of the body's axis the point lies that it localizes (a mouth).
+        score_nats: how much a low score speaks against a detection at most, in nats. More than one record can tell if
+            false detections come again in the same place, as echoes do.
+        coverage: where it detects people at all; None: everywhere alike.
+    """
+
+    name: str
+    kind: str = CAMERA
+    detection: float = 0.9
+    clutter: float = 0.05
+    sigma: tuple[float, float] = (0.15, 0.15)
+    floor: float = 0.05
+    hide: float = 0.2
+    show: float = 1.0
+    mouth_offset: float = 0.0
+    score_nats: float = 4.0
+    coverage: Coverage | None = field(default=None, compare=False)
+
+    def detectable(self) -> float:
+        """Return the long-run probability that a person in the room is detectable."""
+        return self.show / (self.hide + self.show) if self.hide else 1.0
+
+
+SENSORS = {
+    CAMERA: Sensor("", CAMERA),
+    MICROPHONES: Sensor(
+        "",
+        MICROPHONES,
+        detection=0.8,
+        clutter=0.2,
+        sigma=(0.25, 0.25),
+        floor=0.1,
+        hide=1.0,
+        mouth_offset=0.1,
+        score_nats=6.0,
+    ),
+}
+"""The usual sensor of each kind. The values were chosen on generated scenes (`make bench-tracking`, seeds from 100)."""
+
+
+def sensor(name: str, kind: str = CAMERA, **given: Any) -> Sensor:
+    """Return the usual sensor of a kind under a name, with some of its fields given."""
+    return replace(SENSORS[kind], name=name, **given)

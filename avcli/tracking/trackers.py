@@ -1,0 +1,125 @@
+"""The trackers: what each must offer, and the table in which each is registered once.
+
+A new tracker is a module with a class that satisfies `Tracker`, and an entry in `TRACKERS`. The option, the manual's
+test, the bench and `fusion.Fusion` read the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from avcli.tracking.model import Population, Track
+    from avcli.tracking.settings import Sensor, Settings
+    from avcli.tracking.smoothing import End
+
+
+class Tracker(Protocol):
+    """A filter that takes the records of several sensors in order of time.
+
+    Attributes:
+        sensors: the sensors that may report.
+        column: sensor name -> its number in `sensors`.
+    """
+
+    sensors: list[Sensor]
+    column: dict[str, int]
+
+    def add(self, sensor: Sensor) -> None:
+        """Let another sensor report from now on."""
+
+    def predict(self, time: float) -> None:
+        """Predict all people to a time in s; a time in the past counts as the present."""
+
+    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
+        """Update with one record of one sensor.
+
+        Args:
+            time: s, not before the last record's.
+            name: a sensor that was added.
+            z: detections (J, 2) m.
+            noise: their covariances (J, 2, 2) m², positive definite.
+            score: (J,) probability that each detection is a person (NaN: unknown), or None.
+        """
+
+    def tracks(self, time: float) -> list[Track]:
+        """Return the people who probably exist at a time (s) not before the last record, by label."""
+
+
+@runtime_checkable
+class Smoothable(Protocol):
+    """A tracker that keeps the history of its densities, so that `smoothing.Delayed` can smooth it."""
+
+    column: dict[str, int]
+
+    def predict(self, time: float) -> None:
+        """Predict all people to a time in s."""
+
+    def ends(self) -> Iterator[End]:
+        """Yield the latest end of each person's history."""
+
+    def forget(self, time: float) -> None:
+        """Drop all history before a time in s."""
+
+
+@runtime_checkable
+class Explainable(Protocol):
+    """A tracker that can say what each record meant to it."""
+
+    def accounts(self) -> list[dict[str, Any]]:
+        """Return one account of each record since the last call, as explain.schema.json describes it."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One registered tracker.
+
+    Attributes:
+        text: a few words for --help.
+        make: function of (settings, population, record, explain); record: keep what smoothing needs; explain: keep
+            accounts.
+        unused: parameters of avfuse that have no effect with this tracker.
+    """
+
+    text: str
+    make: Callable[[Settings, Population, bool, bool], Tracker]
+    unused: frozenset[str] = frozenset()
+
+
+def _ms_glmb(settings: Settings, population: Population, record: bool, explain: bool) -> Tracker:
+    from avcli.tracking.glmb import GLMB
+
+    return GLMB(settings, population, record=record, explain=explain)
+
+
+def _lmb(settings: Settings, population: Population, record: bool, explain: bool) -> Tracker:
+    from avcli.tracking.glmb import GLMB
+
+    return GLMB(settings, population, factorise=True, record=record, explain=explain)
+
+
+def _gnn(settings: Settings, population: Population, record: bool, explain: bool) -> Tracker:
+    from avcli.tracking.gnn import GNN
+
+    return GNN(population)
+
+
+def _jpda(settings: Settings, population: Population, record: bool, explain: bool) -> Tracker:
+    from avcli.tracking.jpda import JPDA
+
+    return JPDA(population)
+
+
+_NO_HYPOTHESES = frozenset({"lag", "explain", "birth", "stay", "doors", "adapt"})
+
+TRACKERS = {
+    "ms-glmb": Entry("joint hypotheses", _ms_glmb),
+    "lmb": Entry("marginals of them", _lmb),
+    "gnn": Entry("the best assignment", _gnn, _NO_HYPOTHESES | {"hidden", "detection", "clutter"}),
+    "jpda": Entry("Stone Soup's", _jpda, _NO_HYPOTHESES | {"motion", "process_noise"}),
+}
+"""Tracker name -> entry; the first is the default."""

@@ -1,0 +1,123 @@
+"""Calibration as a library: pictures in, a Calibration out; any lens model of avcli.lens; gathering."""
+
+import doctest
+
+import numpy as np
+import pytest
+from calibration_boards import BOARD, THESIS, exact, film, photograph
+from test_calibration_corners import HALF, HALF_SIZE
+
+from avcli.calibration import calibrate, fit, gather, live
+from avcli.calibration.settings import FitSettings
+from avcli.calibration.target import Board
+from avcli.formats.media import MediaError, write_png
+from avcli.lens import LENSES, BrownConrady, Division, KannalaBrandt
+
+SIZE = (1920, 1080)
+
+
+@pytest.fixture(scope="module")
+def shots():
+    rng = np.random.default_rng(1)
+    filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
+    return [
+        photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
+        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+    ]
+
+
+def test_the_sample_in_the_docstring_runs(shots, tmp_path, monkeypatch):
+    (tmp_path / "boards").mkdir()
+    for number, shot in enumerate(shots):
+        write_png(tmp_path / "boards" / f"{number}.png", shot)
+    monkeypatch.chdir(tmp_path)
+    finder = doctest.DocTestFinder(recurse=False)
+    (sample,) = finder.find(calibrate.calibrate, globs={"calibrate": calibrate.calibrate})
+    assert doctest.DocTestRunner().run(sample).failed == 0
+
+
+def test_arrays_and_iterators_give_the_same_lens(shots):
+    listed = calibrate.calibrate(shots, board=(6, 8))
+    streamed = calibrate.calibrate(iter(shots), board=Board(6, 8, 0.095))
+    assert listed.camera_config() == streamed.camera_config()
+    assert (listed.width, listed.height, len(listed.views)) == (*HALF_SIZE, 8)
+
+
+def test_a_wrong_count_of_squares_is_corrected_and_no_picture_is_lost(shots):
+    said = []
+    seen = gather.collect(iter(shots[:6]), Board(5, 7, 0.095), say=said.append)
+    assert str(seen.board) == "6x8"
+    assert len(said) == 1
+    assert "continuing with a board of 6x8 squares" in said[0]
+    assert len(seen.views) == len(seen) == 6
+
+
+def test_pictures_without_a_board_are_no_fit():
+    with pytest.raises(fit.NoFit, match="none of the 3 pictures shows a whole board"):
+        calibrate.calibrate([np.full((200, 300), 90, np.uint8)] * 3)
+    with pytest.raises(fit.NoFit, match="no pictures"):
+        calibrate.calibrate([])
+
+
+def test_a_source_that_fails_leaves_what_it_gave(shots):
+    def broken():
+        yield from shots[:5]
+        raise MediaError("the cable is out")
+
+    said = []
+    assert len(gather.collect(broken(), BOARD, say=said.append).views) == 5
+    assert said == ["the cable is out; the calibration continues with the pictures before it"]
+
+    def nothing():
+        yield shots[0][:100, :100]
+        raise MediaError("the cable is out")
+
+    with pytest.raises(MediaError):
+        gather.collect(nothing(), BOARD)
+
+
+def test_after_ends_the_search(shots):
+    seen = gather.collect(shots, BOARD, eager=True, after=lambda seen, _grey, _view: len(seen) == 3)
+    assert len(seen) == 3
+
+
+def test_the_guide_stops_when_enough_is_known(shots):
+    said, shown = [], []
+    guide = live.Guide(1.0, said.append, shown.append)
+    seen = gather.collect(shots, BOARD, eager=True, after=guide.after)
+    assert 4 <= len(seen) < 8
+    assert guide.mean_px <= 1.0
+    assert len(shown) == len(seen)
+    assert "1 view, " in said[0]
+
+
+# --- lens models ------------------------------------------------------------------------------------------------------
+
+TRUE = {
+    "kannala_brandt": THESIS,
+    "brown_conrady": BrownConrady(1400.0, 1403.0, 951.0, 548.0, -0.12, 0.03, 0.0, 0.0),
+    "division": Division(1100.0, 1098.0, 955.0, 545.0, -0.05, 0.01, 0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_every_lens_model_comes_back_from_exact_corners(model):
+    true = TRUE.get(model, THESIS)
+    observations = exact(film(20, np.random.default_rng(3), lens=true), lens=true)
+    solution, kept = fit.fit_robustly(observations, *SIZE, model=model)
+    assert kept.all()
+    assert type(solution.lens) is LENSES[model]
+    assert np.abs(fit.residuals(observations, solution)).max() < 1e-3
+    assert np.abs(solution.parameters[:4] - [true.fx, true.fy, true.cx, true.cy]).max() < 0.5
+
+
+def test_the_config_names_the_model_that_was_fitted(shots):
+    found = calibrate.calibrate(shots, settings=FitSettings(lens_model="brown_conrady", board_shape="no"))
+    assert found.camera_config()["lens_model"] == "brown_conrady"
+    assert isinstance(found.lens, BrownConrady)
+    assert isinstance(calibrate.calibrate(shots, settings=FitSettings(board_shape="no")).lens, KannalaBrandt)
+
+
+def test_an_unknown_model_names_the_known_ones(shots):
+    with pytest.raises(ValueError, match="known are kannala_brandt"):
+        calibrate.calibrate(shots, settings=FitSettings(lens_model="pinhole"))

@@ -1,0 +1,167 @@
+"""The detector as a Python program uses it: pictures in, people out."""
+
+import doctest
+
+import numpy as np
+import pytest
+from detection_people import KB8, cast, ceiling_view
+
+import avcli.detection.detector
+from avcli.detection.detector import Detector, detect, detections
+from avcli.detection.network import Boxes
+from avcli.detection.settings import Settings
+from avcli.formats.experiment import Config
+from avcli.formats.media import MediaError, Shot
+
+PERSON = (1.2, 2.3, 0.0, 0.3, 1.75)
+STEP = 1e-4
+DEPTH = Settings(detector="depth")
+
+
+def config(**room):
+    fx, fy, cx, cy, *k = KB8
+    camera = {
+        "lens_model": "kannala_brandt",
+        "fx_px": fx / 4, "fy_px": fy / 4, "cx_px": (cx - 1.5) / 4, "cy_px": (cy - 1.5) / 4,
+        "k1": k[0], "k2": k[1], "k3": k[2], "k4": k[3],
+        "image_width_px": 480, "image_height_px": 270,
+        "camera_position_m": [2.33, 2.33, 2.5], "camera_rotation_deg": [90, 0, 0], "depth_step_m": STEP,
+    }  # fmt: skip
+    return Config({"camera_config": camera, **({"room_config": room} if room else {})})
+
+
+def steps(*people):
+    return np.rint(cast(ceiling_view(4), people) / STEP).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def empty():
+    return steps()
+
+
+@pytest.fixture(scope="module")
+def full():
+    return steps(PERSON)
+
+
+GREY = np.full((270, 480, 3), 90, np.uint8)
+
+
+class FakeNetwork:
+    """Finds the same box in every picture, and counts how often it looked."""
+
+    def __init__(self, box):
+        self.box, self.looks = np.array([box], float), 0
+
+    def detect(self, picture, regions):
+        self.looks += 1
+        return Boxes(self.box, np.array([0.9]))
+
+
+def with_network(full, empty, **options):
+    detector = Detector(config(), **options)
+    rows, columns = np.nonzero(full < empty - 300)
+    detector.network = FakeNetwork([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+    return detector
+
+
+def test_the_sample_in_the_documentation_runs():
+    assert doctest.testmod(avcli.detection.detector).failed == 0
+
+
+def test_detections_come_one_by_one_and_lazily(empty, full):
+    taken = []
+
+    def shots():
+        for k, depth in enumerate((empty, full)):
+            taken.append(k)
+            yield Shot(k / 10, None, depth)
+
+    found = detect(config(), shots(), background=empty, detector="depth")
+    assert taken == []
+    assert len(next(found).positions) == 0
+    assert taken == [0]
+    second = next(found)
+    assert (second.timestamp, second.sensor, second.kind) == (0.1, "video", "camera")
+    assert np.linalg.norm(second.positions[0, :2] - PERSON[:2]) < 0.12
+    assert second.heights[0] == pytest.approx(PERSON[4], abs=0.05)
+
+
+def test_nobody_has_the_shapes_of_somebody():
+    none = detections(0.0, [])
+    assert (none.positions.shape, none.covariances.shape, none.scores.shape) == ((0, 3), (0, 3, 3), (0,))
+    assert (none.boxes_px.shape, none.heights.shape) == ((0, 4), (0,))
+
+
+def test_people_outside_the_room_are_dropped(empty, full):
+    inside = Detector(config(room_dimensions_m=[4.66, 4.66, 2.5]), background=empty, settings=DEPTH)
+    outside = Detector(config(room_dimensions_m=[0.5, 4.66, 2.5]), background=empty, settings=DEPTH)
+    assert [len(detector.look(None, full)) for detector in (inside, outside)] == [1, 0]
+
+
+def test_the_empty_room_is_read_once_and_only_where_it_is_needed(empty, full):
+    read = []
+
+    def background():
+        read.append(1)
+        return empty
+
+    detector = with_network(full, empty, background=background, settings=Settings(refresh=1))
+    assert len(detector.look(GREY)) == 1
+    assert read == []
+    assert [person.method for _ in range(3) for person in detector.look(GREY, full)] == ["depth"] * 3
+    assert read == [1]
+
+
+def test_depth_is_read_where_the_network_looks_only(empty, full):
+    read = []
+
+    def depth():
+        read.append(1)
+        return full
+
+    detector = with_network(full, empty, settings=Settings(refresh=3))
+    people = [detector.look(GREY, depth) for _ in range(5)]
+    assert detector.network.looks == len(read) == 2
+    assert all(one[0].position.tolist() == people[0][0].position.tolist() for one in people)
+    monocular = with_network(full, empty, settings=Settings(monocular=True))
+    assert monocular.look(GREY, depth)[0].method == "monocular"
+    assert len(read) == 2
+
+
+def test_a_step_is_timed_by_its_name(empty, full):
+    import contextlib
+
+    names = []
+
+    def timing(name):
+        names.append(name)
+        return contextlib.nullcontext()
+
+    with_network(full, empty, timing=timing).look(GREY, full)
+    assert names == ["wait for pictures", "network", "depth and positions"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "rgb", "depth", "message"),
+    [
+        (DEPTH, GREY, None, "no depth picture"),
+        (Settings(), None, np.zeros((270, 480), np.uint16), "no colour picture"),
+        (DEPTH, None, np.zeros((100, 200), np.uint16), "the depth picture is 200 × 100 px, but config.json says 480"),
+        (Settings(), GREY[:100], None, "the colour picture is 480 × 100 px"),
+    ],
+)
+def test_a_picture_that_is_missing_or_of_another_size(empty, settings, rgb, depth, message):
+    with pytest.raises(MediaError, match=message):
+        Detector(config(), background=empty, settings=settings).look(rgb, depth)
+
+
+def test_wrong_settings_are_refused(empty):
+    with pytest.raises(ValueError, match="empty room"):
+        Detector(config(), settings=DEPTH)
+    with pytest.raises(ValueError, match="detector must be one of net, depth"):
+        next(detect(config(), [], detector="sonar"), None)
+    with pytest.raises(ValueError, match="confidence must be at most 1"):
+        next(detect(config(), [], confidence=2.0), None)
+    with pytest.raises(TypeError):
+        next(detect(config(), [], colour="red"), None)
