@@ -339,7 +339,13 @@ def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens
 
 
 def read_config(path: str | os.PathLike[str]) -> Config:
-    """Read a config.json.
+    """Read a config.json; its sections are checked when they are first used.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The config, whose `camera`, `microphones` and `room` are dataclasses of arrays.
 
     Raises:
         ConfigError: it is not a JSON object.
