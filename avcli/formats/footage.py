@@ -335,8 +335,10 @@ def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Gen
             if len(waiting) > _AHEAD:
                 yield waiting.popleft()
         yield from waiting
-    finally:
+    except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 # --- pictures out -----------------------------------------------------------------------------------------------------

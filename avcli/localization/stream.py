@@ -17,10 +17,13 @@ class Block:
         samples: (n, m).
         tail: s, how much of the stream up to this block's end comes after the scene's end, or may do so. No decision is
             made about it.
+        waiting: s of sound that had arrived after this block when it was taken. Where that is a time step or more, the
+            localizer is behind a live stream, and skips time steps until it has caught up.
     """
 
     samples: np.ndarray
     tail: float = 0.0
+    waiting: float = 0.0
 
 
 class Recording:
