@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import avcli.lens
 from avcli import pose
-from avcli.lens import Angular, BrownConrady, Division, KannalaBrandt, shader
+from avcli.lens import LENSES, Angular, BrownConrady, Division, KannalaBrandt, shader
 from avcli.lens.radial import fold_of_odd_polynomial, odd_polynomial
 
 REAL = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
@@ -31,6 +31,8 @@ LISTING = Division(596.43, 596.43, 960.0, 540.0, -0.2)
 @dataclass(frozen=True)
 class Equisolid(Angular):
     """The equal-area fisheye, written as CONTRIBUTING.md says, to hold that a lens is one class and one table entry."""
+
+    text = "the equal-area fisheye"
 
     @cached_property
     def theta_max(self) -> float:
@@ -271,6 +273,10 @@ def test_any_coefficients_give_an_exact_inverse_up_to_their_fold(k1, k2, k3, k4)
         np.testing.assert_allclose(again, pixels, rtol=1e-13, atol=1e-9)
         few = lens.unproject(pixels[:50])
         np.testing.assert_allclose(few, lens.unproject(pixels)[:50], rtol=0, atol=1e-12)
+
+
+def test_every_registered_lens_has_an_example():
+    assert set(LENSES.values()) <= {type(lens) for lens in EXAMPLES}
 
 
 def test_a_lens_is_registered_in_one_place():
