@@ -274,6 +274,29 @@ def test_live_is_for_what_is_live(folder, command, words):
     assert words in result.stderr
 
 
+CAMERA = """
+import numpy as np
+from avcli.formats import footage
+
+def pictures(name, rate_hz, size):
+    for number in range(50):
+        yield footage.Picture(name, number / 10, np.full((120, 160, 3), 90, np.uint8))
+
+footage._camera_pictures = pictures
+footage.sources = lambda names: [footage.source(name) for name in names]
+from avcli.commands.avdetect_video import main
+main()
+"""
+
+
+def test_a_camera_is_live(folder):
+    result = run(BIN / "python", "-c", CAMERA, "-C", folder, "/dev/video99")
+    assert result.returncode == 0, result.stderr
+    times = [float(json.loads(line)["timestamp"]) for line in result.stdout.splitlines()]
+    assert times[-1] == 4.9
+    assert f"skipped {50 - len(times)} of 50 pictures" in result.stderr or len(times) == 50
+
+
 # --- a picture that hangs ---------------------------------------------------------------------------------------------
 
 HANGING = """

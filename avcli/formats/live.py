@@ -123,3 +123,10 @@ class Stoppable(io.RawIOBase):
         if self._signal >= 0:
             os.close(self._signal)
             self._signal = -1
+
+    def close(self) -> None:
+        """Stop, and give back what the waiting needs."""
+        if not self.closed:
+            self.stop()
+            os.close(self._end)
+        super().close()
