@@ -24,6 +24,12 @@ def test_what_is_left_out_is_the_laboratory():
     assert len(scene.times) == 41
 
 
+def test_every_key_of_people_and_waypoints_is_used():
+    source = (ROOT / "avcli" / "scene" / "scenario.py").read_text()
+    unused = [key for kind in (scenario._PERSON, scenario._WAYPOINT) for key in kind.keys if f'["{key}"]' not in source]
+    assert not unused
+
+
 def point(**keys):
     return {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0], **keys}]}]}
 
