@@ -255,5 +255,5 @@ def _warn(session: Session, name: str, mismatch: Mismatch, settings: Settings, k
     if settings.dims == 3 and kind == "track" and abs(mismatch.height) > 0.25:
         session.warn(
             f"{name}: tracks are {mismatch.height:+.2f} m from the ground truth in height on average, perhaps because "
-            "they mean other points of a person; --dims 2 compares x and y only"
+            "they are positions of another point of the body; --dims 2 compares x and y only"
         )
