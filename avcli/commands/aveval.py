@@ -82,7 +82,7 @@ def main(
     """Score tracks against ground truth: HOTA, CLEAR and identity as TrackEval does, and OSPA, GOSPA, errors, delays.
 
     Writes one metrics record for each sequence and tracker, and for each tracker one "combined" over all sequences
-    (and, of several sequences, their plain "mean"). TRACKS may be -, standard input.
+    (and, for several sequences, their plain "mean"). TRACKS may be -, standard input.
     """
     from avcli.metrics import gates, table
     from avcli.metrics.scoring import combined
