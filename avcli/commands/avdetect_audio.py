@@ -61,11 +61,11 @@ def main(
     live: bool,
     **options: Any,
 ) -> None:
-    """Find who speaks where, by ear.
+    """Localize people who speak, with microphones.
 
     FILE holds audio records, or is a WAV or FLAC file; standard input may be a WAV stream too. One record is written
     for every time step: the positions of the talkers' mouths at the time at which the sound left them. Its list of
-    objects is empty where nobody speaks.
+    objects is empty if nobody speaks.
     """
     for name, kind in METHODS.items():
         if name != method:
