@@ -322,10 +322,10 @@ def test_microphones_at_one_place_hear_the_same(experiment):
 
 
 def path_of(times, **channels):
-    """Records of microphones given as functions of time."""
+    """Records of microphones given as functions of time; m0 is the microphone of channel 0, whose number is 1."""
     lines = []
     for time in times:
-        objects = [{"object_id": int(name[1:]), "position": place(time)} for name, place in channels.items()]
+        objects = [{"object_id": int(name[1:]) + 1, "position": place(time)} for name, place in channels.items()]
         lines.append(json.dumps({"timestamp": f"{time:.10f}", "objects": objects}))
     return "\n".join(lines) + "\n"
 
@@ -367,10 +367,11 @@ def test_pieces_are_the_whole_where_microphones_move(experiment, tmp_path):
     ("text", "code", "message"),
     [
         (None, 2, "no such file"),
-        (path_of([0.0], m1=lambda t: (9.0, 1, 1)), 1, "microphone 1 at [9.0, 1.0, 1.0] is outside the room"),
-        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "channel 1: moves at 30 m/s from 0 s on; at most 20"),
-        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "channel 1: the times of a trajectory must increase"),
-        ('{"timestamp":0,"objects":[{"object_id":8,"position":[1,1,1]}]}', 1, "channel 8 does not exist"),
+        (path_of([0.0], m1=lambda t: (9.0, 1, 1)), 1, "microphone 2 at [9.0, 1.0, 1.0] is outside the room"),
+        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "microphone 2: moves at 30 m/s from 0 s on; at most 20"),
+        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "microphone 2: the times of a trajectory must increase"),
+        (path_of([0.0], m8=lambda t: (1, 1, 1)), 1, "microphone 9 does not exist"),
+        ('{"timestamp":0,"objects":[{"object_id":0,"position":[1,1,1]}]}', 1, "microphone 0 does not exist"),
         ('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1]}]}', 1, "microphones.jsonl:1: "),
     ],
 )
