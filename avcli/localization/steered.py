@@ -97,7 +97,7 @@ class SteeredLocalizer:
         """
         for first, stretch in stretches(blocks, begin):
             yield from self._stretch(stretch, first)
-            self.memory.forget()
+            self.memory.traces.clear()  # a talker of one stretch is not expected in the next
 
     def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
         """Yield a decision for every time step of a stream without long gaps."""

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,6 @@ import numpy as np
 from avcli.scene import crowd, scenario
 from avcli.scene.settings import BUILT_IN, SCENARIOS
 
-_DEEPEST = 64
-"""levels of lists and objects in each other that a file may have."""
 RANDOM = "random"
 """The name that stands for a scenario made by chance."""
 
@@ -72,32 +70,14 @@ def decode(text: bytes, name: str) -> Any:
     """Decode a JSON file's text.
 
     Raises:
-        ScenarioError: it is not JSON, not UTF-8, or nested too deeply; the message begins with `name` and the place.
+        ScenarioError: it is not JSON, or not UTF-8; the message begins with `name` and the place.
     """
     try:
-        value = json.loads(text)
+        return json.loads(text)
     except json.JSONDecodeError as error:
         raise scenario.ScenarioError(f"{name}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
     except UnicodeDecodeError as error:
         raise scenario.ScenarioError(f"{name}: invalid UTF-8 at byte {error.start}") from None
-    except RecursionError:
-        raise _too_deep(name) from None
-    except ValueError as error:  # a number of thousands of digits
-        raise scenario.ScenarioError(f"{name}: {error}") from None
-    level = [value]
-    for _ in range(_DEEPEST + 1):
-        level = [inner for item in level for inner in _inside(item)]
-    if level:
-        raise _too_deep(name)
-    return value
-
-
-def _inside(value: Any) -> Iterable[Any]:
-    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-
-
-def _too_deep(name: str) -> scenario.ScenarioError:
-    return scenario.ScenarioError(f"{name}: nested too deeply: more than {_DEEPEST} lists and objects in each other")
 
 
 def build(
