@@ -111,7 +111,7 @@ def _noise(_context: click.Context, _parameter: click.Parameter, texts: tuple[st
     metavar="FILE",
     help="Also write the impulse responses from every mouth of every record: .npz, or .sofa (needs sofar).",
 )
-@common(seed=True, skip_invalid=True, presets=PRESETS)
+@common(seed=True, skip_invalid=True, mark_end=True, presets=PRESETS)
 def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     """Simulate what the microphones of a room record of people who walk and talk in it.
 

@@ -56,7 +56,7 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @from_settings(Effects)
 @click.option("--print-scenario", is_flag=True, help="Print the scenario with every default filled in, and exit.")
 @click.option("--force", is_flag=True, help="Use DIR even if another program wrote its config.json.")
-@common(seed=True, presets=PRESETS)
+@common(seed=True, presets=PRESETS, mark_end=True)
 def main(session: Session, scenario: str, **options: Any) -> None:
     """Simulate people who walk and talk in a room under a fisheye camera.
 
@@ -127,7 +127,8 @@ def _scenario(session: Session, source: str, options: dict[str, Any]) -> Scenari
 
 
 def _json(session: Session, path: str, name: str) -> Any:
+    from avcli.formats import bounds
     from avcli.scene import load
 
     with session.open(path) as stream:
-        return load.decode(stream.read(), name)
+        return load.decode(stream.read(bounds.LARGEST_JSON_FILE + 1), name)

@@ -65,7 +65,7 @@ def _sentence(key: Key) -> str:
     words = key.kind.words() + ("; required" if key.required else "")
     if key.default is not None:
         words += f"; default {json.dumps(key.default)}"
-    text = " ".join(f"{part[:1].upper()}{part[1:]}." for part in (key.text, words))
+    text = "\n".join(f"{part[:1].upper()}{part[1:]}." for part in (key.text, words))
     # A backslash would be an escape, and formatters differ in what they make of other characters than ASCII.
     return "".join(c if c.isascii() else f"\\[u{ord(c):04X}]" for c in text.replace("\\", "\\e"))
 
