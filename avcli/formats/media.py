@@ -284,13 +284,13 @@ def _open_regular(path: str | os.PathLike) -> BinaryIO:
         MediaError: it is one of them.
         OSError: it cannot be opened.
     """
-    stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
-    mode = os.fstat(stream.fileno()).st_mode
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(handle).st_mode
     if not stat.S_ISREG(mode):
-        stream.close()
+        os.close(handle)
         kinds = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
         raise MediaError(f"{path}: {kinds.get(stat.S_IFMT(mode), 'a device')}, not a file")
-    return stream
+    return os.fdopen(handle, "rb")
 
 
 def refuse_full_disk(temporary: Path, path: Path) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.formats.bounds import LONGEST_GAP_S
 from avcli.formats.experiment import Microphones
 from avcli.localization import correlation
 
@@ -93,10 +94,13 @@ class Recording:
             self.scene_end = start_sample + num_samples - tail_samples
         if self.begin is None:
             self.begin = self.next = start_sample
-        if start_sample > self.next:
-            self.warn(
-                f"{name}: {start_sample - self.next} samples before it are missing; they count as silence", "gaps"
+        gap = start_sample - self.next
+        if gap > LONGEST_GAP_S * self.microphones.sample_rate_hz:
+            raise ValueError(
+                f"{name}: {gap} samples before it are missing, more than {LONGEST_GAP_S} s; start a new run there"
             )
+        if gap > 0:
+            self.warn(f"{name}: {gap} samples before it are missing; they count as silence", "gaps")
         while self.next < start_sample:
             yield self._block(np.zeros((min(1 << 16, start_sample - self.next), len(self.microphones.positions))))
         skip, left = self.next - start_sample, num_samples
