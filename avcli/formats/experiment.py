@@ -50,8 +50,7 @@ _ANGLE = Number(0, most=360)
 _LENS_KEYS = {
     "lens_model": Key(
         Choice(tuple(lens.LENSES)),
-        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
-        "the thesis's shader",
+        "the lens model; " + ", ".join(f"{name}: {model.text}" for name, model in lens.LENSES.items()),
         default="division",
     ),
     "fx_px": Key(_LENGTH, "focal length, px", required=True),
@@ -315,6 +314,11 @@ class Config:
             speed_of_sound_m_s=values["speed_of_sound_m_s"],
         )
 
+    def states(self, section: str, key: str) -> bool:
+        """Tell whether the file states a key of a section; true as well where the section is invalid, and so refused."""
+        values = self.raw.get(section)
+        return values is not None and (not isinstance(values, Mapping) or values.get(key) is not None)
+
     def _section(self, key: str, kind: Object | MapOf, *, needed: bool = True) -> dict[str, Any]:
         values = self.raw.get(key)
         if values is None and needed:
@@ -351,7 +355,13 @@ def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens
 
 
 def read_config(path: str | os.PathLike[str]) -> Config:
-    """Read a config.json.
+    """Read a config.json; its sections are checked when they are first used.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The config, whose `camera`, `microphones` and `room` are dataclasses of arrays.
 
     Raises:
         ConfigError: it is not a JSON object.
