@@ -6,13 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from localization_rooms import MICROPHONES, ROOM
 
+from avcli.formats.bounds import LONGEST_GAP_S
 from avcli.formats.experiment import Config
 from avcli.localization import localizer
 from avcli.localization.array import Array
 from avcli.localization.memory import Memory, Trace
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings
-from avcli.localization.stream import LONGEST_GAP_S, Block, LatestSamples, Recording, stretches
+from avcli.localization.stream import Block, LatestSamples, Recording, stretches
 
 RATE = 100
 CONFIG = Config(
@@ -63,7 +64,7 @@ def test_what_is_missing_is_silence_and_what_is_repeated_is_dropped_and_both_are
 def test_a_long_gap_starts_the_recording_anew_and_writes_no_silence():
     said = []
     recording = Recording(CONFIG.microphones, warn=lambda text, kind: said.append((text, kind)))
-    gap = int(LONGEST_GAP_S * RATE)
+    gap = LONGEST_GAP_S * RATE
     far = 4_410_000_000_000
     samples, _ = pieces(recording, (0, 20), (20 + gap, 10), (far, 20))
     assert len(samples) == 20 + gap + 10 + 20, "ten seconds are silence, more than that is not"

@@ -9,7 +9,7 @@ from typing import Any
 
 from avcli.acoustics.recorder import Recorder
 from avcli.formats.experiment import Layout
-from avcli.formats.media import AudioWriter
+from avcli.formats.media import AudioWriter, refuse_sound_format
 from avcli.formats.writer import SOUND, earlier_files
 
 
@@ -79,6 +79,8 @@ class Tape:
         self._chunk = sys.maxsize if chunk_s is None else round(chunk_s * recorder.sample_rate_hz)
         self._extension = extension
         self._bit_depth = min(bit_depth, 24) if extension == "flac" else bit_depth
+        channels = len(recorder.surroundings.microphones_m)
+        refuse_sound_format(str(experiment), f".{extension}", channels, self._bit_depth)
         self._file: AudioWriter | None = None
         self._path, self._begin, self._now = "", 0, 0
         for old in earlier_files(experiment, SOUND):

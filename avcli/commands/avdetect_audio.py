@@ -46,7 +46,7 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 @from_settings(CommonSettings)
 @from_settings(SteeredSettings)
 @from_settings(ClosedFormSettings)
-@common(seed=True, skip_invalid=True, presets={"thesis": {"method": "3d-ssl"}})
+@common(seed=True, skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"method": "3d-ssl"}})
 def main(
     session: Session, files: tuple[str, ...], method: str, start: float, temperature: float | None, **options: Any
 ) -> None:
@@ -134,7 +134,8 @@ class _Sound:
         from avcli.formats import media, records
 
         seen = found = 0
-        for chunk in self.session.stream_records(stream, name, lambda record, _bad: records.audio(record)):
+        read = functools.partial(records.audio, outside=self.session.allow_outside)
+        for chunk in self.session.stream_records(stream, name, lambda record, _bad: read(record)):
             seen += 1
             if chunk is not None:
                 found += 1

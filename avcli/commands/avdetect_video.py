@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     help="Time steps per second of picture files, a video or a camera.",
 )
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw the people into a video, or into PNG files in DIR.")
-@filter.common(skip_invalid=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
+@filter.common(skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
 def main(
     session: filter.Session,
     files: tuple[str, ...],
@@ -173,7 +173,7 @@ def _shots(
     else:
         refuse_without_effect(["rate"], "on frame records, which have their own times")
         root = session.media_root
-        for frame in session.records(files, lambda record, _bad: records.frame(record)):
+        for frame in session.records(files, lambda record, _bad: records.frame(record, outside=session.allow_outside)):
             if frame is not None:
                 distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
                 yield footage.UnreadShot(frame.timestamp, partial(media.read_rgb, root / frame.rgb), distance)

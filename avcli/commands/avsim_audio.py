@@ -111,7 +111,7 @@ def _noise(_context: click.Context, _parameter: click.Parameter, texts: tuple[st
     metavar="FILE",
     help="Also write the impulse responses from every mouth of every record: .npz, or .sofa (needs sofar).",
 )
-@common(seed=True, skip_invalid=True, presets=PRESETS)
+@common(seed=True, skip_invalid=True, mark_end=True, presets=PRESETS)
 def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     """Simulate what the microphones of a room record of people who walk and talk in it.
 
@@ -128,15 +128,17 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     mouths: list[tuple[float, int, np.ndarray]] = []
 
     def people_at(record: Mapping, bad: Callable[[str], None]) -> Identified:
-        from avcli.acoustics.recorder import LONGEST_GAP_S
+        from avcli.acoustics.recorder import LONGEST_STEP_S
         from avcli.formats import records
 
         nonlocal last
         people = records.identified(record, bad)
         if people.timestamp <= last:
             raise records.RecordError(f"timestamp {people.timestamp:g} is not later than {last:g}")
-        if last + LONGEST_GAP_S < people.timestamp and last > -math.inf:
-            raise records.RecordError(f"timestamp {people.timestamp:g} is more than {LONGEST_GAP_S:g} s after {last:g}")
+        if last + LONGEST_STEP_S < people.timestamp and last > -math.inf:
+            raise records.RecordError(
+                f"timestamp {people.timestamp:g} is more than {LONGEST_STEP_S:g} s after {last:g}"
+            )
         last = people.timestamp
         return people
 

@@ -60,7 +60,7 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
     is_flag=True,
     help="Use DIR even if another program wrote its config.json, or its folders are symbolic links.",
 )
-@common(seed=True, presets=PRESETS)
+@common(seed=True, presets=PRESETS, mark_end=True)
 def main(session: Session, scenario: str, **options: Any) -> None:
     """Simulate people who walk and talk in a room under a fisheye camera.
 
@@ -133,7 +133,8 @@ def _scenario(session: Session, source: str, options: dict[str, Any]) -> Scenari
 
 
 def _json(session: Session, path: str, name: str) -> Any:
+    from avcli.formats import bounds
     from avcli.scene import load
 
     with session.open(path) as stream:
-        return load.decode(stream.read(), name)
+        return load.decode(stream.read(bounds.LARGEST_JSON_FILE + 1), name)

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.formats.bounds import LONGEST_GAP_S
 from avcli.formats.experiment import Microphones
 from avcli.localization import correlation
-
-LONGEST_GAP_S = 10.0
-"""s; what is missing between two pieces counts as silence, but after more than this the recording starts anew."""
 
 
 @dataclass(frozen=True)

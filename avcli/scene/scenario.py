@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from avcli.formats import experiment
+from avcli.formats import bounds, experiment
 from avcli.formats.descriptions import Format
 from avcli.formats.schema import (
     IDENTITY,
@@ -91,15 +91,16 @@ CAMERAS: dict[str, dict[str, Any]] = {
 
 _WAYPOINT = Object(
     {
-        "position_m": Key(Numbers(2), "position on the floor, m", required=True),
-        "t_s": Key(Number(), "time at which the person arrives, s; later than at the previous waypoint"),
+        "position_m": Key(Numbers(2, bounds.COORDINATE), "position on the floor, m", required=True),
+        "t_s": Key(bounds.TIME, "time at which the person arrives, s; later than at the previous waypoint"),
         "speed_m_s": Key(
-            Number(above=0), "speed of the walk to this waypoint, m/s, instead of t_s; 1 where neither is given"
+            Number(1e-6, most=bounds.FARTHEST_M),
+            "speed of the walk to this waypoint, m/s, instead of t_s; 1 where neither is given",
         ),
-        "stay_s": Key(Number(least=0), "time that the person stays, s", default=0.0),
+        "stay_s": Key(bounds.DURATION, "time that the person stays, s", default=0.0),
         "pose": Key(Choice(("stand", "sit")), "posture while staying", default="stand"),
         "heading_deg": Key(
-            Number(),
+            bounds.DEGREES,
             "direction that the person faces while staying, counterclockwise from +x; default: that of the walk",
         ),
     },
@@ -113,7 +114,7 @@ _PERSON = Object(
         "height_m": Key(Number(least=0.5, most=2.5), "height to the top of the head, m; default: that of the look"),
         "waypoints": Key(ListOf(_WAYPOINT, 1), "points that the person walks through", required=True),
         "speech_s": Key(
-            Either((Choice((True,)), ListOf(Numbers(2)))),
+            Either((Choice((True,)), ListOf(bounds.TIMES))),
             "turns to speak, each [start, end] in s, in order; true: all the time; default: never",
         ),
         "gestures": Key(Boolean(), "whether the hands move while speaking", default=True),
@@ -130,7 +131,7 @@ SCENARIO = Format(
     Object(
         {
             "name": Key(Text(), "name of the session (session_id in config.json); default: the name of the file"),
-            "duration_s": Key(Number(least=0), "duration, s; the last frame is at or before it", default=4.0),
+            "duration_s": Key(bounds.DURATION, "duration, s; the last frame is at or before it", default=4.0),
             "camera_config": Key(Object({}), _AS_CONFIG),
             "microphone_config": Key(Object({}), _AS_CONFIG),
             "room_config": Key(Object({}), _AS_CONFIG),
