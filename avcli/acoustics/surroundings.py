@@ -23,9 +23,9 @@ STRIDE_M = 0.5
 """m; the audible images are chosen anew after source and microphones have moved by this much."""
 MOTION_STEP_S = 0.001
 """s; a microphone moves in a straight line for so long: at 10 m/s² it is wrong by no more than 1.3 µm."""
-COST_S, COST_OF_IMAGE_S = 0.02, 1.2e-6
-"""s of computing for each microphone and each second of a voice that moves at 1 m/s, and for each image of it: measured
-at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
+COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
+"""s of computing for each microphone and each second of a voice that moves at 1 m/s, for each image of the microphone,
+and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
 LONG_S = 20.0
 """s of computing for a second of a moving voice; the user is warned of more."""
 MOST_SAMPLES = 1 << 25
@@ -153,8 +153,6 @@ def surroundings_of(
     if settings.ism_decay_db is not None:
         followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
     reach_m = max(followed_s * speed, diagonal_m)
-    images = image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1.0
-    _check_cost(images, len(np.unique(positions, axis=0)), rt60, settings, say)
     surroundings = Surroundings(
         room_dimensions_m=room.dimensions,
         reflection=(-1 if settings.reflection_sign == "negative" else 1) * np.sqrt(1 - absorption),
@@ -169,12 +167,8 @@ def surroundings_of(
         end_s=max(rt60, diagonal_m / speed) if settings.ism_decay_db is not None and rt60 > 0 else 0.0,
         trajectories=paths,
     )
-    if surroundings.longest_delay * len(positions) > MOST_SAMPLES:
-        heard_s = surroundings.longest_delay / surroundings.sample_rate_hz
-        raise ValueError(
-            f"{config.name}: {len(positions)} microphones hear a sound for {heard_s:.3g} s in this room, which takes too much memory; use a lower sample rate, a shorter "
-            "reverberation time or fewer microphones"
-        )
+    images = image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1.0
+    _check_cost(images, surroundings, settings, say)
     return surroundings
 
 
@@ -186,7 +180,7 @@ def _refuse_beyond_settings(config: Config) -> None:
         ("room_config.speed_of_sound_m_s", room.speed_of_sound_m_s, "speed_of_sound_m_s"),
         ("microphone_config.audio_sample_rate_hz", config.microphones.sample_rate_hz, "sample_rate_hz"),
     ):
-        least, most = bounds[name][1].least, bounds[name][1].most
+        least, most = bounds[name][1].least or 0.0, bounds[name][1].most or math.inf
         if value is not None and not least <= value <= most:
             raise ValueError(f'{config.name}: "{key}" must be from {least:g} to {most:g}, found {shown(value)}')
 
@@ -231,25 +225,30 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
         return 0.0, np.ones(6)
 
 
-def _check_cost(images: float, microphones: int, rt60_s: float, settings: Settings, say: Callable[[str], None]) -> None:
+def _check_cost(images: float, surroundings: Surroundings, settings: Settings, say: Callable[[str], None]) -> None:
     """Refuse what takes too much memory, and warn of what takes long.
 
     Args:
         images: of each microphone.
-        microphones: at different places.
-        rt60_s: reverberation time, s.
+        surroundings: of the sound.
         settings: of the simulation.
         say: called with the warning.
     """
-    what = f"T60 {rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
+    what = f"T60 {surroundings.rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
     remedy = "use --ism-decay 15" if settings.ism_decay_db is None else "use a smaller --ism-decay"
     remedy += ", which follows the strong images and continues with noise"
     if images > MOST_IMAGES:
         raise ValueError(f"{what}, about {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {remedy}")
-    seconds = microphones * (COST_S + COST_OF_IMAGE_S * images)
+    samples, microphones = surroundings.longest_delay, len(np.unique(surroundings.microphones_m, axis=0))
+    if samples * microphones > MOST_SAMPLES:
+        raise ValueError(
+            f"{microphones} microphones would hear a sound for {samples / surroundings.sample_rate_hz:.3g} s in this "
+            "room, which takes too much memory; use a lower sample rate, a shorter reverberation time or fewer of them"
+        )
+    seconds = microphones * (COST_S + COST_OF_IMAGE_S * images + COST_OF_SAMPLE_S * samples)
     if seconds > LONG_S:
-        if COST_OF_IMAGE_S * images < COST_S:
-            remedy = "use fewer microphones"
+        if COST_OF_IMAGE_S * images < COST_S + COST_OF_SAMPLE_S * samples:
+            remedy = "use fewer microphones, a shorter reverberation time or a lower sample rate"
         places = f"{microphones} microphone{'s' if microphones > 1 else ''}"
         say(f"{what}, {places}: about {seconds:.0f} s of computing for a second of a voice that moves; {remedy}")
 

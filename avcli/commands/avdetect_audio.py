@@ -17,6 +17,8 @@ from avcli.settings import settings_of
 if TYPE_CHECKING:
     from avcli.localization.stream import Block, Recording
 
+_BLOCK = 1 << 16
+"""samples that are read of a file at a time."""
 _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 
 
@@ -73,7 +75,8 @@ def main(
         chosen = localizer(session.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
-        for decision in chosen.localize(_with_first(first, blocks), sound.recording.begin or 0):
+        read = session.progress(_with_first(first, blocks), sound.expected(files))
+        for decision in chosen.localize(read, sound.recording.begin or 0):
             for notice in decision.notices:
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
             objects = [
@@ -116,13 +119,35 @@ class _Sound:
             else:
                 yield from self.recorded(whole, name)
 
+    def expected(self, files: Iterable[str]) -> int | None:
+        """Return about how many blocks the files have, for a progress bar; None where a stream or a fault hides it."""
+        if self.session.lines(files) is None:
+            return None
+        import soundfile
+
+        from avcli.formats import records
+
+        lengths: list[int] = []
+        for path in files:
+            try:
+                with open(path, "rb") as stream:
+                    if stream.read(4) in _SOUND:
+                        lengths.append(soundfile.info(path).frames)
+                        continue
+                    stream.seek(0)
+                    found = [records.audio(records.decode(text), outside=True) for _, text in records.texts(stream)]
+                    lengths += [chunk.num_samples for chunk in found if chunk is not None]
+            except (ValueError, OSError, soundfile.LibsndfileError):  # reading the sound reports it
+                return None
+        return sum(-(-length // _BLOCK) for length in lengths)
+
     def sound(self, path: str, name: str, head: bytes, stream: BinaryIO) -> Iterator[Block]:
         """Yield the blocks of a sound file, or of a WAV on standard input."""
         from avcli.formats import media
 
         if path != "-":
             stream.close()
-            pieces = media.audio_blocks(path)
+            pieces = media.audio_blocks(path, _BLOCK)
         elif head in (b"RIFF", b"RF64"):
             pieces = media.wav_stream_blocks(stream, name)
         else:
@@ -142,7 +167,7 @@ class _Sound:
                 path = self.session.media_root / chunk.path
                 yield from self.recording.piece(
                     str(path),
-                    media.audio_blocks(path),
+                    media.audio_blocks(path, _BLOCK),
                     start_sample=chunk.start_sample,
                     num_samples=chunk.num_samples,
                     tail_samples=chunk.tail_samples,

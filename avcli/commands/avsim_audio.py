@@ -151,7 +151,7 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
                     session.warn(text, "samples clipped")
                 write(chunk.record())
 
-        for people in session.records(files, people_at):
+        for people in session.progress(session.records(files, people_at), session.lines(files)):
             if recorder is None:
                 held.enter_context(only_writer(session.experiment, session.name))
                 recorder = _recorder(session, settings, speech, trajectories)
