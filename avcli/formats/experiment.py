@@ -315,7 +315,7 @@ class Config:
         )
 
     def states(self, section: str, key: str) -> bool:
-        """Tell whether the file states a key of a section; true as well where the section is invalid, and so refused."""
+        """Tell whether the file states a key of a section, or the section is invalid, which its reader refuses."""
         values = self.raw.get(section)
         return values is not None and (not isinstance(values, Mapping) or values.get(key) is not None)
 

@@ -117,7 +117,7 @@ def decode(line: bytes) -> dict[str, Any]:
     if "timestamp" not in record:
         raise RecordError('"timestamp" is missing')
     try:
-        if line.count(b"[") + line.count(b"{") > DEEPEST:  # few lines have so many, and most of those are not deep
+        if not _is_flat(line):
             refuse_depth(record)
     except Invalid as error:
         raise RecordError(str(error)) from None
@@ -126,6 +126,22 @@ def decode(line: bytes) -> dict[str, Any]:
     except Invalid as error:
         raise RecordError(str(error.within("timestamp"))) from None
     return record
+
+
+_ALIKE = bytes.maketrans(b"{}", b"[]")
+_NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
+
+
+def _is_flat(line: bytes) -> bool:
+    """Tell quickly whether a line is surely not too deep; one with brackets inside its texts may need a closer look."""
+    if line.count(b"[") + line.count(b"{") <= DEEPEST:
+        return True
+    brackets = line.translate(_ALIKE, _NO_BRACKETS)
+    for _ in range(DEEPEST):
+        if not brackets:
+            return True
+        brackets = brackets.replace(b"[]", b"")
+    return False
 
 
 def encode(record: Mapping) -> bytes:
