@@ -45,7 +45,10 @@ def point(**keys):
         ({"people": [{"waypoints": []}]}, '"people[0].waypoints" must be a list of at least one, found []'),
         ({"people": [{"waypoints": [{}]}]}, 's.json: "people[0].waypoints[0].position_m" is missing'),
         (point(position_m=[9.0, 1.0]), '"people[0].waypoints[1].position_m" [9.0, 1.0] is outside the room'),
-        (point(position_m=[1.0, None]), 's.json: "people[0].waypoints[1].position_m" must be a list of two numbers from -1e6 to 1e6'),
+        (
+            point(position_m=[1.0, None]),
+            's.json: "people[0].waypoints[1].position_m" must be a list of two numbers from -1e6 to 1e6',
+        ),
         (point(position_m=[1.0, float("nan")]), '"people[0].waypoints[1].position_m" must be a list of two'),
         (point(speed_m_s=0), '"people[0].waypoints[1].speed_m_s" must be a number from 1e-6 to 1e6, found 0'),
         (point(speed_m_s=1, t_s=2), '"people[0].waypoints[1]" has t_s and speed_m_s; only one of them is possible'),
@@ -66,7 +69,10 @@ def point(**keys):
             '"people[1].object_id" must differ between people; 1 is used twice',
         ),
         ({"camera_config": {"camera_position_m": [1, 1, 3.5]}}, 'camera_position_m" [1.0, 1.0, 3.5] is outside'),
-        ({"camera_config": {"fx_px": -1}}, 's.json: "camera_config.fx_px" must be a number above 0 and at most 1e6, found -1'),
+        (
+            {"camera_config": {"fx_px": -1}},
+            's.json: "camera_config.fx_px" must be a number above 0 and at most 1e6, found -1',
+        ),
         ({"camera_config": {"image_width_px": 0}}, "camera_config.image_width_px"),
         ({"room_config": {"room_dimensions_m": [4, 0, 3]}}, "room_config.room_dimensions_m"),
         ({"duration_s": -1}, 's.json: "duration_s" must be a number from 0 to 1e11'),
