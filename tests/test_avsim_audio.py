@@ -665,7 +665,7 @@ def test_a_config_that_is_wrong(experiment):
     (experiment / "config.json").write_text(json.dumps(config))
     result = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
     assert result.returncode == 1
-    assert "microphone 3 at [9.0, 1.0, 1.0] is outside the room" in result.stderr
+    assert "microphone 4 at [9.0, 1.0, 1.0] is outside the room" in result.stderr
     (experiment / "config.json").unlink()
     result = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
     assert result.returncode == 1

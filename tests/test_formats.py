@@ -496,6 +496,28 @@ def valid(kind):
     raise AssertionError(kind)
 
 
+def numbers_in(kind):
+    """Every Number and Integer within a description that a reader checks."""
+    if isinstance(kind, schemas.Number | schemas.Integer):
+        yield kind
+    if isinstance(kind, schemas.Object):
+        for key in kind.keys.values():
+            if key.read:
+                yield from numbers_in(key.kind)
+    for inner in (getattr(kind, "item", None), getattr(kind, "kind", None), *_values(getattr(kind, "kinds", ()))):
+        if inner is not None:
+            yield from numbers_in(inner)
+
+
+@pytest.mark.parametrize("described", [each for each in written.FORMATS if each.name not in ("explain", "metrics")])
+def test_every_number_that_is_read_has_bounds(described):
+    numbers = list(numbers_in(described.content))
+    for number in numbers:
+        above = getattr(number, "above", None)
+        assert number.most is not None, number
+        assert number.least is not None or above is not None, number
+
+
 def test_what_follows_from_the_descriptions_is_up_to_date():
     check = subprocess.run([sys.executable, "-m", "avcli.formats", "--check"], capture_output=True, text=True, cwd=ROOT)
     assert (check.returncode, check.stderr) == (0, ""), "run make formats"

@@ -45,10 +45,7 @@ def point(**keys):
         ({"people": [{"waypoints": []}]}, '"people[0].waypoints" must be a list of at least one, found []'),
         ({"people": [{"waypoints": [{}]}]}, 's.json: "people[0].waypoints[0].position_m" is missing'),
         (point(position_m=[9.0, 1.0]), '"people[0].waypoints[1].position_m" [9.0, 1.0] is outside the room'),
-        (
-            point(position_m=[1.0, None]),
-            's.json: "people[0].waypoints[1].position_m" must be a list of two numbers from -1e6 to 1e6',
-        ),
+        (point(position_m=[1.0, None]), 's.json: "people[0].waypoints[1].position_m" must be a list of two numbers'),
         (point(position_m=[1.0, float("nan")]), '"people[0].waypoints[1].position_m" must be a list of two'),
         (point(speed_m_s=0), '"people[0].waypoints[1].speed_m_s" must be a number from 1e-6 to 1e6, found 0'),
         (point(speed_m_s=1, t_s=2), '"people[0].waypoints[1]" has t_s and speed_m_s; only one of them is possible'),

@@ -26,8 +26,8 @@ MOTION_STEP_S = 0.001
 COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
 """s of computing for each microphone and each second of a voice that moves at 1 m/s, for each image of the microphone,
 and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
-LONG_S = 20.0
-"""s of computing for a second of a moving voice; the user is warned of more."""
+LONG_S, MANY_IMAGES = 20.0, 1_000_000
+"""s of computing for a second of a moving voice, and images of a microphone; the user is warned of more."""
 MOST_SAMPLES = 1 << 25
 """samples of the responses of all microphones; more would take gigabytes."""
 BYTES_AN_IMAGE = 100
@@ -246,7 +246,7 @@ def _check_cost(images: float, surroundings: Surroundings, settings: Settings, s
             "room, which takes too much memory; use a lower sample rate, a shorter reverberation time or fewer of them"
         )
     seconds = microphones * (COST_S + COST_OF_IMAGE_S * images + COST_OF_SAMPLE_S * samples)
-    if seconds > LONG_S:
+    if seconds > LONG_S or images > MANY_IMAGES:
         if COST_OF_IMAGE_S * images < COST_S + COST_OF_SAMPLE_S * samples:
             remedy = "use fewer microphones, a shorter reverberation time or a lower sample rate"
         places = f"{microphones} microphone{'s' if microphones > 1 else ''}"

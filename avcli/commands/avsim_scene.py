@@ -87,8 +87,8 @@ def main(session: Session, scenario: str, **options: Any) -> None:
     if directory.exists() and not directory.is_dir():
         session.usage(f"{directory}: not a directory")
     files = output.Files(options["frames"], options["masks"], options["coco"], options["sheet"])
+    film = _film(session, scene, options)
     with only_writer(directory, session.name):
-        film = _film(session, scene, options)
         output.prepare(directory, force=options["force"])
         records = output.write(film, directory, files, session.timing)
         with session.output() as write, contextlib.closing(records):

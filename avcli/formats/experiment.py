@@ -81,7 +81,8 @@ _CAMERA = Object(
         "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
         "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
         "theta_max_observed_deg": Key(
-            _ANGLE, "largest angle from the axis where the calibration saw corners; rays beyond it are not used"
+            _ANGLE,
+            "largest angle from the axis where the calibration saw corners; rays beyond it are not used",
         ),
         "theta_max_valid_deg": Key(
             _ANGLE, "largest angle at which the lens is one-to-one; rays beyond it are not used"
@@ -121,8 +122,7 @@ _MICROPHONES = Object(
         "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
         "directivities": Key(_one_each(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
         "orientations": Key(
-            _one_each(bounds.VECTOR),
-            "direction that each microphone faces, a vector of any length; default: down",
+            _one_each(bounds.VECTOR), "direction that each microphone faces, a vector of any length; default: down"
         ),
     }
 )
