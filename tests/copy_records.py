@@ -12,7 +12,7 @@ from avcli.commands.filter import Filter, common
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @click.option("--pause", type=float, default=0.0)
 @click.option("--number", type=int, default=1, show_default=True)
-@common(seed=True, skip_invalid=True, presets={"thesis": {"number": 42}})
+@common(seed=True, skip_invalid=True, mark_end=True, presets={"thesis": {"number": 42}})
 def main(session, files, pause, number):
     """Copy records."""
     from avcli.formats import records

@@ -263,7 +263,8 @@ def test_wild_values_do_no_harm(tmp_path, bad):
     tracks = lines(walk(frames=1)) + bad + "\n"
     (tmp_path / "truth.jsonl").write_text(lines(walk(frames=2)))
     (tmp_path / "tracks.jsonl").write_text(tracks)
-    more = ("--skip-invalid", "--detections", "tracks.jsonl", "--html", "r.html", "--dims", "2", "-q")
+    (tmp_path / "found.jsonl").write_text(tracks.replace("object_id", "own_id"))
+    more = ("--skip-invalid", "--detections", "found.jsonl", "--html", "r.html", "--dims", "2", "-q")
     result = run("aveval", "truth.jsonl", "tracks.jsonl", *more, cwd=tmp_path, env={"PYTHONWARNINGS": "error"})
     assert records_of(result)[0]["summary"]["HOTA"] > 0.3
     assert "Warning" not in result.stderr

@@ -135,7 +135,7 @@ def test_a_fault_of_the_program_is_one_line():
         subprocess.run([sys.executable, "-c", command, *options], capture_output=True, text=True)
         for options in ([], ["-v"])
     )
-    line = "copy-records: fault of the program (-v shows where): IndexError: list index out of range\n"
+    line = "copy-records: internal error: IndexError: list index out of range (please report it; -v shows where)\n"
     assert (quiet.returncode, quiet.stderr) == (70, line)
     assert verbose.stderr.startswith("Traceback")
     assert verbose.stderr.endswith(line)

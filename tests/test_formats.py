@@ -109,14 +109,20 @@ def test_a_command_asks_only_for_the_keys_that_it_uses():
     ("changes", "words"),
     [
         ({"camera_config__fx_px": None}, '"camera_config.fx_px" is missing'),
-        ({"camera_config__fx_px": "596"}, '"camera_config.fx_px" must be a number above 0, found "596"'),
-        ({"camera_config__fx_px": -1}, '"camera_config.fx_px" must be a number above 0, found -1'),
+        (
+            {"camera_config__fx_px": "596"},
+            '"camera_config.fx_px" must be a number above 0 and at most 1e6, found "596"',
+        ),
+        ({"camera_config__fx_px": -1}, '"camera_config.fx_px" must be a number above 0 and at most 1e6, found -1'),
         ({"camera_config__lens_model": "fisheye"}, '"camera_config.lens_model" must be one of kannala_brandt, '),
         (
             {"camera_config__camera_position_m": [1, 2]},
-            r'"camera_config.camera_position_m" must be a list of three finite numbers, found \[1,2\]',
+            r'"camera_config.camera_position_m" must be a list of three numbers from -1e6 to 1e6, found \[1,2\]',
         ),
-        ({"camera_config__image_width_px": 0.5}, '"camera_config.image_width_px" must be an integer of at least 1'),
+        (
+            {"camera_config__image_width_px": 0.5},
+            '"camera_config.image_width_px" must be an integer from 1 to 134217728',
+        ),
         (
             {"microphone_config__mic_positions_m": []},
             '"microphone_config.mic_positions_m" must be a list of at least one',
@@ -124,11 +130,11 @@ def test_a_command_asks_only_for_the_keys_that_it_uses():
         ({"microphone_config__mic_positions_m": [[0, 0, None]]}, r"mic_positions_m\[0\]\" must be a list of three"),
         (
             {"microphone_config__mic_positions_m": [{"position": [0, None, 0]}]},
-            r"mic_positions_m\[0\].position\" must be a list of three finite numbers",
+            r"mic_positions_m\[0\].position\" must be a list of three numbers from -1e6 to 1e6",
         ),
         ({"microphone_config__mic_directivity": "shotgun"}, '"microphone_config.mic_directivity" must be one of omni'),
         ({"microphone_config__directivities": ["omni"]}, "must be a list of 8, one for each microphone, found 1"),
-        ({"room_config__room_dimensions_m": [4, 4, -3]}, "must be a list of three numbers above 0"),
+        ({"room_config__room_dimensions_m": [4, 4, -3]}, "must be a list of three numbers from 0.001 to 10000"),
         ({"room_config__absorption": [0.1, 0.2]}, "must be a number from 0 to 1 or a list of six numbers from 0 to 1"),
     ],
 )
@@ -262,7 +268,7 @@ def test_people_are_read_with_all_that_is_known_of_them():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ({"position": [0, 0]}, '"object_id" is missing; detections have none, but tracks and ground truth do'),
+        ({"position": [0, 0]}, '"object_id" is missing'),
         ({"object_id": 1}, '"position" is missing'),
         ({"object_id": "a", "position": [0, 0]}, '"object_id" must be an integer, found "a"'),
         ({"object_id": 2**63, "position": [0, 0]}, '"object_id" must be an integer'),
@@ -271,7 +277,10 @@ def test_people_are_read_with_all_that_is_known_of_them():
             '"speaking" must be true or false or a number from 0',
         ),
         ({"object_id": 1, "position": [0, 0], "existence": 2}, '"existence" must be a number from 0 to 1, found 2'),
-        ({"object_id": 1, "position": [0, 0], "velocity": [1, 2]}, '"velocity" must be a list of three finite numbers'),
+        (
+            {"object_id": 1, "position": [0, 0], "velocity": [1, 2]},
+            '"velocity" must be a list of three numbers from -1e6 to 1e6',
+        ),
     ],
 )
 def test_an_invalid_person_is_named_or_dropped(value, words):
@@ -372,6 +381,7 @@ VALUES = [
         0.5,
         16,
         250.5,
+        8000,
         2**63,
         1e300,
         "",
@@ -432,7 +442,7 @@ def test_the_reader_takes_what_the_schema_takes(described):
     ("read", "described"),
     [
         (records.detections, descriptions.LOCALIZATION),
-        (records.identified, descriptions.TRACK),
+        (lambda record: records.identified(record, names=records.Names()), descriptions.TRACK),
         (records.frame, descriptions.FRAME_RECORD),
         (records.audio, descriptions.AUDIO_RECORD),
     ],
@@ -484,6 +494,28 @@ def valid(kind):
                 kind.read(value)
                 return value
     raise AssertionError(kind)
+
+
+def numbers_in(kind):
+    """Every Number and Integer within a description that a reader checks."""
+    if isinstance(kind, schemas.Number | schemas.Integer):
+        yield kind
+    if isinstance(kind, schemas.Object):
+        for key in kind.keys.values():
+            if key.read:
+                yield from numbers_in(key.kind)
+    for inner in (getattr(kind, "item", None), getattr(kind, "kind", None), *_values(getattr(kind, "kinds", ()))):
+        if inner is not None:
+            yield from numbers_in(inner)
+
+
+@pytest.mark.parametrize("described", [each for each in written.FORMATS if each.name not in ("explain", "metrics")])
+def test_every_number_that_is_read_has_bounds(described):
+    numbers = list(numbers_in(described.content))
+    for number in numbers:
+        above = getattr(number, "above", None)
+        assert number.most is not None, number
+        assert number.least is not None or above is not None, number
 
 
 def test_what_follows_from_the_descriptions_is_up_to_date():

@@ -45,13 +45,13 @@ def point(**keys):
         ({"people": [{"waypoints": []}]}, '"people[0].waypoints" must be a list of at least one, found []'),
         ({"people": [{"waypoints": [{}]}]}, 's.json: "people[0].waypoints[0].position_m" is missing'),
         (point(position_m=[9.0, 1.0]), '"people[0].waypoints[1].position_m" [9.0, 1.0] is outside the room'),
-        (point(position_m=[1.0, None]), 's.json: "people[0].waypoints[1].position_m" must be a list of two finite'),
+        (point(position_m=[1.0, None]), 's.json: "people[0].waypoints[1].position_m" must be a list of two numbers'),
         (point(position_m=[1.0, float("nan")]), '"people[0].waypoints[1].position_m" must be a list of two'),
-        (point(speed_m_s=0), '"people[0].waypoints[1].speed_m_s" must be a number above 0, found 0'),
+        (point(speed_m_s=0), '"people[0].waypoints[1].speed_m_s" must be a number from 1e-6 to 1e6, found 0'),
         (point(speed_m_s=1, t_s=2), '"people[0].waypoints[1]" has t_s and speed_m_s; only one of them is possible'),
         (point(t_s=0), '"people[0].waypoints[1].t_s" must be after the previous waypoint, 0 s, found 0'),
         (point(pose="lie"), '"people[0].waypoints[1].pose" must be one of stand, sit, found "lie"'),
-        (point(stay_s=-1), '"people[0].waypoints[1].stay_s" must be a number of at least 0'),
+        (point(stay_s=-1), '"people[0].waypoints[1].stay_s" must be a number from 0 to 1e11'),
         (
             point(position_m=[1.0, 1.0]),
             '"people[0].waypoints[1].position_m" is the position of the previous waypoint; give t_s',
@@ -66,10 +66,13 @@ def point(**keys):
             '"people[1].object_id" must differ between people; 1 is used twice',
         ),
         ({"camera_config": {"camera_position_m": [1, 1, 3.5]}}, 'camera_position_m" [1.0, 1.0, 3.5] is outside'),
-        ({"camera_config": {"fx_px": -1}}, 's.json: "camera_config.fx_px" must be a number above 0, found -1'),
+        (
+            {"camera_config": {"fx_px": -1}},
+            's.json: "camera_config.fx_px" must be a number above 0 and at most 1e6, found -1',
+        ),
         ({"camera_config": {"image_width_px": 0}}, "camera_config.image_width_px"),
         ({"room_config": {"room_dimensions_m": [4, 0, 3]}}, "room_config.room_dimensions_m"),
-        ({"duration_s": -1}, 's.json: "duration_s" must be a number of at least 0'),
+        ({"duration_s": -1}, 's.json: "duration_s" must be a number from 0 to 1e11'),
         ({"duration_s": 1e9}, 's.json: "duration_s" must give at most 10 million frames, found 1e+09 s'),
         ({"furniture": [{}]}, '"furniture[0].kind" is missing'),
         ({"furniture": [{"kind": "sofa"}]}, 's.json: "furniture[0].kind" must be one of table'),
@@ -86,6 +89,28 @@ def test_what_is_wrong_is_said_with_its_place(raw, where):
         scenario.parse(raw, "s.json")
     assert where in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("dimensions", [[4.66, 4.66, 3.0], [2.5, 3.0, 2.2], [12.0, 6.0, 2.6], [40.0, 30.0, 8.0]])
+def test_the_default_camera_and_microphones_stand_where_the_room_has_them(dimensions):
+    raw = {"room_config": {"room_dimensions_m": dimensions}}
+    usual = scenario.parse({}).config
+    scale = np.array(dimensions) / usual.room.dimensions
+    for changed in (raw, scenario.with_camera(raw, scenario.CAMERAS["thesis"]), scenario.at_height(raw, 1.0)):
+        config = scenario.parse(changed).config
+        np.testing.assert_allclose(config.microphones.positions, usual.microphones.positions * scale, atol=1e-6)
+        camera = usual.camera.T_room_camera[:3, 3] * scale
+        np.testing.assert_allclose(config.camera.T_room_camera[:2, 3], camera[:2], atol=1e-6)
+    same = scale.tolist() == [1, 1, 1]
+    assert (scenario.laboratory(raw) == scenario.LABORATORY) == same, (
+        "the thesis's room has exactly the thesis's places"
+    )
+
+
+def test_a_microphone_outside_the_room_is_refused_with_its_number():
+    raw = {"microphone_config": {"mic_positions_m": [[0, 4.66, 3.0], [1, 9, 1]]}}
+    with pytest.raises(scenario.ScenarioError, match=r"mic_positions_m\[1\].* microphone 2 at .* is outside the room"):
+        scenario.parse(raw)
 
 
 def test_odd_scenes_are_taken_with_a_warning():

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from avcli.formats.live import Stoppable
     from avcli.localization.stream import Block, Recording
 
+_BLOCK = 1 << 16
+"""samples that are read of a file at a time."""
 _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 
 
@@ -51,7 +53,7 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 @from_settings(CommonSettings)
 @from_settings(SteeredSettings)
 @from_settings(ClosedFormSettings)
-@common(seed=True, skip_invalid=True, presets={"thesis": {"method": "3d-ssl"}})
+@common(seed=True, skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"method": "3d-ssl"}})
 def main(
     session: Session,
     files: tuple[str, ...],
@@ -89,7 +91,8 @@ def main(
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
         skips = stack.enter_context(Skips(session, "time steps"))
-        for number, decision in enumerate(chosen.localize(_with_first(first, blocks), sound.recording.begin or 0)):
+        read = session.progress(_with_first(first, blocks), None if live else sound.expected(files))
+        for number, decision in enumerate(chosen.localize(read, sound.recording.begin or 0)):
             skips.take(decision.time, skips.skipped + decision.skipped, starting=number == 0)
             for notice in decision.notices:
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
@@ -143,13 +146,35 @@ class _Sound:
             else:
                 yield from self.recorded(whole, name)
 
+    def expected(self, files: Iterable[str]) -> int | None:
+        """Return about how many blocks the files have, for a progress bar; None where a stream or a fault hides it."""
+        if self.session.lines(files) is None:
+            return None
+        import soundfile
+
+        from avcli.formats import records
+
+        lengths: list[int] = []
+        for path in files:
+            try:
+                with open(path, "rb") as stream:
+                    if stream.read(4) in _SOUND:
+                        lengths.append(soundfile.info(path).frames)
+                        continue
+                    stream.seek(0)
+                    found = [records.audio(records.decode(text), outside=True) for _, text in records.texts(stream)]
+                    lengths += [chunk.num_samples for chunk in found if chunk is not None]
+            except (ValueError, OSError, soundfile.LibsndfileError):  # reading the sound reports it
+                return None
+        return sum(-(-length // _BLOCK) for length in lengths)
+
     def sound(self, path: str, name: str, head: bytes, stream: BinaryIO) -> Iterator[Block]:
         """Yield the blocks of a sound file, or of a WAV on standard input."""
         from avcli.formats import media
 
         if path != "-" and not self.live:
             stream.close()
-            pieces = media.audio_blocks(path)
+            pieces = media.audio_blocks(path, _BLOCK)
         elif head in (b"RIFF", b"RF64"):
             pieces = media.wav_stream_blocks(stream, name)
         else:
@@ -161,14 +186,15 @@ class _Sound:
         from avcli.formats import media, records
 
         seen = found = 0
-        for chunk in self.session.stream_records(stream, name, lambda record, _bad: records.audio(record)):
+        read = functools.partial(records.audio, outside=self.session.allow_outside)
+        for chunk in self.session.stream_records(stream, name, lambda record, _bad: read(record)):
             seen += 1
             if chunk is not None:
                 found += 1
                 path = self.session.media_root / chunk.path
                 yield from self.recording.piece(
                     str(path),
-                    media.audio_blocks(path),
+                    media.audio_blocks(path, _BLOCK),
                     start_sample=chunk.start_sample,
                     num_samples=chunk.num_samples,
                     tail_samples=chunk.tail_samples,

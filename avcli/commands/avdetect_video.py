@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     help="When behind, take the newest picture and skip the older ones.  [default: with a camera]",
 )
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw the people into a video, or into PNG files in DIR.")
-@filter.common(skip_invalid=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
+@filter.common(skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
 def main(
     session: filter.Session,
     files: tuple[str, ...],
@@ -189,17 +189,18 @@ def _shots(
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
         return newest(session, stack, shots, "pictures") if moving[0].is_live else shots
     refuse_without_effect(["rate"], "on frame records, which have their own times")
+    parse = partial(_frame, session.allow_outside)
     if not live:
-        return _frames(session, session.records(files, _frame))
+        return _frames(session, session.records(files, parse))
     name, pipe = open_pipe(session, files)
-    frames = session.stream_records(io.BufferedReader(pipe), name, _frame)
+    frames = session.stream_records(io.BufferedReader(pipe), name, parse)
     return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
 
 
-def _frame(record: Any, _bad: object) -> records.Frame | None:
+def _frame(outside: bool, record: Any, _bad: object) -> records.Frame | None:
     from avcli.formats import records
 
-    return records.frame(record)
+    return records.frame(record, outside=outside)
 
 
 def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> Iterator[footage.UnreadShot]:

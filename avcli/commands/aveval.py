@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -174,7 +174,15 @@ def _identified(session: Session, path: str, rate: float) -> list[Identified]:
 
     with session.timing("read"):
         if Path(path).suffix.lower() not in (".txt", ".csv"):
-            return list(session.records([path], records.identified))
+            names = records.Names()
+
+            def people(record: Mapping[str, Any], bad: records.Bad) -> Identified:
+                try:
+                    return records.identified(record, bad, names)
+                except records.WrongKindError as error:
+                    raise records.WrongKindError(f"{error}; --detections scores them") from None
+
+            return list(session.records([path], people))
         with session.open(path) as stream, _ending(session.fail, path):
             return mot.read(stream.read().decode(), rate)
 

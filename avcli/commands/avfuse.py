@@ -140,7 +140,7 @@ def _usual(field: str) -> str:
     metavar="FILE",
     help="Also write to FILE how each record was used: hypotheses, associations, births and deaths of tracks.",
 )
-@common(skip_invalid=True, presets={"thesis": _THESIS})
+@common(skip_invalid=True, mark_end=True, presets={"thesis": _THESIS})
 def main(
     session: Session,
     files: tuple[str, ...],

@@ -70,7 +70,7 @@ class Filter(click.Command):
         """Run the command and exit the process; only click's completion of shells returns to click."""
         if f"_{str(self.name).replace('-', '_').upper()}_COMPLETE" in os.environ:
             return super().main(args, self.name, *others, **extra)
-        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        for number in _ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:  # "nohup" and "&" ignore some on purpose
                 signal.signal(number, _kill)
         sys.unraisablehook = _deliver_again
@@ -110,7 +110,8 @@ class Filter(click.Command):
             # Every stage refuses invalid input by ValueError with a sentence made for the user.
             if isinstance(error, ValueError | ModuleNotFoundError):
                 return self._ended(str(error), EXIT_FAILURE)
-            return self._ended(f"fault of the program (-v shows where): {type(error).__name__}: {error}", EXIT_FAULT)
+            said = f"internal error: {type(error).__name__}: {error} (please report it; -v shows where)"
+            return self._ended(said, EXIT_FAULT)
 
     def _ended(self, text: str, code: int) -> int:
         _say(self.name, text)
@@ -121,8 +122,13 @@ class FilterGroup(Filter, click.Group):
     """A filter with several actions (avcalib)."""
 
 
+_ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+
+
 def _kill(number: int, _frame: object) -> NoReturn:
-    signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the clean-up of the first
+    for each in _ENDING:  # a second signal ends the process at once, even where the clean-up waits for something
+        if signal.getsignal(each) is _kill:
+            signal.signal(each, signal.SIG_DFL)
     raise _Killed(number)
 
 
@@ -171,6 +177,9 @@ class Session:
         self.verbose: bool = options["verbose"]
         self.output_path: str = options.get("output") or "-"
         self.skip_invalid: bool = bool(options.get("skip_invalid"))
+        self.allow_outside: bool = bool(options.get("allow_outside"))
+        self._must_be_complete: bool = bool(options.get("complete"))
+        self._marks_end: bool = bool(options.get("mark_end"))
         self._experiment: str | None = options.get("experiment")
         self._config_path: str | None = options.get("config")
         self._stdin_used = False
@@ -211,12 +220,30 @@ class Session:
             self._timings[stage] = self._timings.get(stage, 0.0) + time.perf_counter() - begin
 
     def progress(self, items: Iterable[Any], total: int | None = None, label: str = "") -> Iterator[Any]:
-        """Yield the items, with a progress bar on stderr where that is a terminal."""
-        if self.quiet or not sys.stderr.isatty():
+        """Yield the items, with a progress bar on stderr where that is a terminal and records do not appear on it."""
+        if not self.shows_progress:
             yield from items
             return
         with click.progressbar(items, length=total, label=label or self.name, file=sys.stderr) as bar:
             yield from bar
+
+    @property
+    def shows_progress(self) -> bool:
+        """Whether a progress bar can be seen and disturbs nothing."""
+        records_on_terminal = self.output_path == "-" and sys.stdout.isatty()
+        return not self.quiet and sys.stderr.isatty() and not records_on_terminal
+
+    def lines(self, files: Iterable[str]) -> int | None:
+        """Return how many lines the files have, for a progress bar; None where there is none, or one is a stream."""
+        paths = [Path(path) for path in files]
+        if not (self.shows_progress and paths and all(path.is_file() for path in paths)):
+            return None
+        count = 0
+        for path in paths:
+            with open(path, "rb") as file:
+                while chunk := file.read(1 << 20):
+                    count += chunk.count(b"\n")
+        return count
 
     def finish(self) -> None:
         """Print the numbers of skipped records and of repeated warnings and, under -v, the time of each stage."""
@@ -316,19 +343,29 @@ class Session:
         from avcli.formats import records
 
         bad = self._drop_object if self.skip_invalid else records.refuse
+        marks = records.EndMarks()
+        good = 0
         for number, text in records.texts(stream):
             place = f"{name}:{number}"
             try:
                 record = records.decode(text)
+                if marks.is_mark(record):
+                    continue
                 parsed = record if parse is None else parse(record, bad)
             except records.RecordError as error:
-                if not self.skip_invalid:
+                another = isinstance(error, records.WrongKindError) and not good  # all records would be skipped
+                if another or not self.skip_invalid:
                     column = f":{error.column}" if error.column else ""
                     raise Failure(f"{place}{column}: {error}") from None
                 self._skipped["record"] += 1
                 self.note(f"{place}: skipped: {error}")
                 continue
+            good += 1
             yield parsed
+        if missing := marks.missing():
+            if self._must_be_complete:
+                self.fail(f"{name}: {missing}")
+            self.warn(f"{name}: {missing}")
 
     def _drop_object(self, reason: str) -> None:
         self._skipped["object"] += 1
@@ -340,24 +377,36 @@ class Session:
     def output(self) -> Iterator[Write]:
         """Yield `write`, which sends one record (or bytes, or text) to -o FILE or stdout and flushes it.
 
-        A regular file appears whole when the block ends well, and otherwise not at all.
+        A regular file appears whole when the block ends well, and otherwise not at all. With --mark-end the first
+        record announces a mark, which follows the last one when the block ends well.
         """
         from avcli.formats import atomic, records
 
-        def writer(stream: BinaryIO) -> Write:
+        @contextlib.contextmanager
+        def writer(stream: BinaryIO) -> Iterator[Write]:
+            count, last = 0, 0.0
+
             def write(item: Mapping[str, Any] | bytes | str) -> None:
-                item = item.encode() if isinstance(item, str) else item
-                stream.write(item if isinstance(item, bytes) else records.encode(item))
+                nonlocal count, last
+                if isinstance(item, Mapping):
+                    announced = {**item, "end": False} if self._marks_end and not count else item
+                    count, last = count + 1, item.get("timestamp", last)
+                    item = records.encode(announced)
+                stream.write(item.encode() if isinstance(item, str) else item)
                 stream.flush()
 
-            return write
+            yield write
+            if self._marks_end:
+                stream.write(records.encode(records.end_mark(last, count)))
+                stream.flush()
 
         if self.output_path == "-":
-            yield writer(sys.stdout.buffer)
+            with writer(sys.stdout.buffer) as write:
+                yield write
             return
         try:
-            with atomic.writing(self.output_path) as stream:
-                yield writer(stream)
+            with atomic.writing(self.output_path) as stream, writer(stream) as write:
+                yield write
         except OSError as error:
             if error.errno == errno.EPIPE:
                 raise
@@ -372,7 +421,9 @@ def common(
     experiment: bool = True,
     seed: bool = False,
     skip_invalid: bool = False,
+    media: bool = False,
     output: bool = True,
+    mark_end: bool = False,
     presets: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add the shared options to a command and hand it a Session as its first argument.
@@ -380,8 +431,10 @@ def common(
     Args:
         experiment: -C/--experiment and -c/--config.
         seed: --seed.
-        skip_invalid: --skip-invalid.
+        skip_invalid: --skip-invalid and --complete, for a command that reads records.
+        media: --allow-outside, for a command that reads the files which records name.
         output: -o/--output.
+        mark_end: --mark-end, for a command that writes records with timestamps.
         presets: for --preset: name -> parameter name -> value; an option that is given wins over the preset's.
     """
     options = []
@@ -399,16 +452,29 @@ def common(
         options.append(click.option("--preset", type=click.Choice(list(presets)), **words))
     if seed:
         text = "Random seed; the same inputs and seed give the same bytes."
-        options.append(click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help=text))
+        options.append(
+            click.option(
+                "--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", default=0, show_default=True, help=text
+            )
+        )
     if skip_invalid:
         options.append(click.option("--skip-invalid", is_flag=True, help="Drop and count invalid lines and objects."))
+        text = "Exit 1 if an input announced an end mark and ended without it."
+        options.append(click.option("--complete", is_flag=True, help=text))
+    if media:
+        text = "Also read files outside the experiment directory that records name."
+        options.append(click.option("--allow-outside", is_flag=True, help=text))
+    if mark_end:
+        text = "Write an end mark after the last record; readers then notice a stream that was cut."
+        options.append(click.option("--mark-end", is_flag=True, envvar="AVCLI_MARK_END", help=text))
     options += [
         click.option("-q", "--quiet", is_flag=True, help="Print only errors on stderr."),
         click.option("-v", "--verbose", is_flag=True, help="Print details on stderr, with the time of each stage."),
         click.version_option(__version__, "--version", message="%(prog)s %(version)s"),
         click.help_option("-h", "--help"),
     ]
-    shared = {"experiment", "config", "output", "seed", "skip_invalid", "quiet", "verbose"}
+    shared = {"experiment", "config", "output", "seed", "skip_invalid", "complete", "allow_outside", "mark_end"}
+    shared |= {"quiet", "verbose"}
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)

@@ -132,7 +132,7 @@ class Detector:
         if self.network is None and background is None:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
-        known = "room_dimensions_m" in config.raw.get("room_config", {})
+        known = config.states("room_config", "room_dimensions_m")
         self._room = config.room.dimensions if known else None
 
     def look(self, rgb: Picture | None, depth: Picture | None = None) -> list[Person]:

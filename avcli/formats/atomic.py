@@ -2,26 +2,50 @@
 
 import contextlib
 import errno
+import fcntl
 import os
+import re
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+_LONGEST_NAME = 255
+"""bytes; NAME_MAX of the file systems in use."""
+_TEMPORARY = re.compile(r"\..*\.(\d+)\.avcli-tmp(\.\w+)?", re.DOTALL)
+_swept: set[Path] = set()
+_in_progress: set[Path] = set()
+
 
 @contextlib.contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str], suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path` that takes its place when the block ends well.
 
-    Any other end of the block (an error, Ctrl-C) removes the temporary file and leaves an old `path` as it was.
+    Any other end of the block (an error, Ctrl-C) removes the temporary file and leaves an old `path` as it was. Only a
+    process that is killed leaves it behind; the next one that writes into the directory removes it. Where `path` is a
+    symbolic link, the file that it points at is replaced.
+
+    Args:
+        path: where the file is to appear.
+        suffix: ends the name of the temporary file, for a writer that looks at it (".mp4").
 
     Raises:
-        OSError: the directory is missing or not writable (at once, before the block runs), or the disk is full.
+        OSError: the directory is missing or not writable (at once, before the block runs), the disk is full, or the
+            file is being written by this process already.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    if path.is_symlink():
+        path = Path(os.path.realpath(path))
+    if path in _in_progress:
+        raise FileExistsError(errno.EEXIST, "two outputs have the same name", str(path))
+    _sweep(path.parent)
+    temporary = _temporary(path, suffix)
     # The file is created here, with the user's umask, so that an unwritable directory is known before any work is done.
-    os.close(os.open(temporary, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o666))
+    handle = os.open(temporary, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o666)
+    _in_progress.add(path)
     try:
+        with contextlib.suppress(OSError):  # some file systems have no locks
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield temporary
         os.replace(temporary, path)
     except BaseException as error:
@@ -29,6 +53,47 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         if isinstance(error, OSError) and error.filename is None:
             error.filename = str(path)  # a full disk does not say where it is full
         raise
+    finally:
+        os.close(handle)
+        _in_progress.remove(path)
+
+
+def _temporary(path: Path, suffix: str) -> Path:
+    """Name the temporary file of a path: a long name is cut, and its checksum tells it from others."""
+    end = f".{os.getpid()}.avcli-tmp{suffix}"
+    name = os.fsencode(path.name)
+    room = _LONGEST_NAME - len(end) - 1
+    if len(name) > room:
+        name = name[: room - 9] + f"-{zlib.crc32(name):08x}".encode()
+    return path.with_name("." + os.fsdecode(name) + end)
+
+
+def _sweep(directory: Path) -> None:
+    """Remove the temporary files that killed processes left in a directory, once in each process.
+
+    A file is removed where no process has its number any more, and where nobody holds its lock: the process may run on
+    another machine that shares the directory, or in another container.
+    """
+    if directory in _swept:
+        return
+    _swept.add(directory)
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(directory):
+            found = _TEMPORARY.fullmatch(entry.name)
+            if found and entry.is_file(follow_symlinks=False) and not _is_running(int(found[1])):
+                with contextlib.suppress(OSError), open(entry.path, "rb") as stream:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    os.unlink(entry.path)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it is another user's
+        return True
+    return True
 
 
 @contextlib.contextmanager

@@ -7,12 +7,13 @@ avcli.formats.experiment, and scenarios are in avcli.scene.scenario.
 
 from dataclasses import dataclass
 
+from avcli.formats import bounds
 from avcli.formats.schema import (
-    IDENTITY,
     Boolean,
     Choice,
     Covariance,
     Either,
+    Identity,
     Integer,
     Key,
     Kind,
@@ -30,9 +31,11 @@ from avcli.formats.schema import (
 from avcli.formats.sensors import KINDS
 
 PROBABILITY = Number(least=0, most=1)
-BOX = Numbers(4)
+BOX = bounds.BOX
+POSITION = Point(bounds.FARTHEST_M)
+SPREAD = Covariance(bounds.LARGEST_VARIANCE)
 TIMESTAMP = Key(
-    Timestamp(),
+    Timestamp(bounds.LATEST_S),
     "time since the start of the scene (live sensors: Unix time), s; written as text with ten decimals",
     required=True,
 )
@@ -51,16 +54,16 @@ class Format:
 
 PERSON = Object(
     {
-        "object_id": Key(IDENTITY, "identity of the person, the same in all records", required=True),
-        "position": Key(Point(), "point on the floor under the body's axis, m in the room frame", required=True),
-        "mouth_position": Key(Numbers(3), "where the voice comes from, m in the room frame"),
+        "object_id": Key(Identity(), "identity of the person, the same in all records", required=True),
+        "position": Key(POSITION, "point on the floor under the body's axis, m in the room frame", required=True),
+        "mouth_position": Key(bounds.VECTOR, "where the voice comes from, m in the room frame"),
         "speaking": Key(
             Either((Boolean(), PROBABILITY)),
             "in ground truth, whether it is the person's turn to speak; in tracks, a probability",
         ),
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] around the visible pixels, px; absent where none is visible"),
-        "velocity": Key(Numbers(3), "velocity, m/s"),
-        "covariance": Key(Covariance(), "covariance of the position, m²"),
+        "velocity": Key(bounds.VECTOR, "velocity, m/s"),
+        "covariance": Key(SPREAD, "covariance of the position, m²"),
         "existence": Key(PROBABILITY, "probability that the track is a person"),
     }
 )
@@ -77,12 +80,14 @@ FRAME = Object(
 AUDIO = Object(
     {
         "path": Key(Text(), "path of the sound file, relative to the experiment directory", required=True),
-        "start_sample": Key(Integer(), "number of the first sample; sample 0 is time 0 of the scene", required=True),
-        "num_samples": Key(Integer(least=0), "number of samples in the file", required=True),
-        "sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", required=True),
-        "num_channels": Key(Integer(least=1), "number of microphones", required=True),
+        "start_sample": Key(
+            bounds.SAMPLE, "number of the first sample; sample 0 is time 0 of the scene", required=True
+        ),
+        "num_samples": Key(bounds.SAMPLES, "number of samples in the file", required=True),
+        "sample_rate_hz": Key(bounds.SAMPLE_RATE, "sample rate, Hz", required=True),
+        "num_channels": Key(bounds.CHANNELS, "number of microphones", required=True),
         "tail_samples": Key(
-            Integer(least=0),
+            bounds.SAMPLES,
             "number of samples after the scene's end, where only reverberation is left; at most "
             "num_samples; by default config.json's reverberation time, at the end of the recording",
         ),
@@ -92,16 +97,21 @@ AUDIO = Object(
 DETECTION = Object(
     {
         "position": Key(
-            Point(height_may_be_null=True),
+            Point(bounds.FARTHEST_M, height_may_be_null=True),
             "position, m in the room frame; z is null or absent where it was not observed",
             required=True,
         ),
-        "covariance": Key(Covariance(), "covariance of the position, m²; a zero variance means: not observed"),
+        "covariance": Key(SPREAD, "covariance of the position, m²; a zero variance means: not observed"),
         "score": Key(PROBABILITY, "probability that the detection is right"),
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
-        "height": Key(Number(), "height of the person, m"),
+        "height": Key(bounds.COORDINATE, "height of the person, m"),
     }
 )
+
+
+def _objects(kind: Object) -> ListOf:
+    return ListOf(kind, most=bounds.MOST_OBJECTS)
+
 
 _TRUE_PERSON = Object(
     {
@@ -111,7 +121,7 @@ _TRUE_PERSON = Object(
         ),
         "bbox_full_px": Key(BOX, "the same box without occlusion and without the image's border", read=False),
         "keypoints_px": Key(
-            ListOf(Numbers(3), 17, 17),
+            ListOf(bounds.VECTOR, 17, 17),
             "the 17 joints of COCO as [u, v, visibility]; 0: outside the image, 1: hidden, 2: visible",
             read=False,
         ),
@@ -123,7 +133,7 @@ GROUNDTRUTH = Format(
     Object(
         {
             "timestamp": TIMESTAMP,
-            "objects": Key(ListOf(_TRUE_PERSON), "the people", required=True),
+            "objects": Key(_objects(_TRUE_PERSON), "the people", required=True),
             "frame": Key(FRAME, "the camera's pictures of this time"),
         }
     ),
@@ -137,7 +147,7 @@ LOCALIZATION = Format(
             "sensor": Key(Text(filled=True), "name of the sensor"),
             "kind": Key(Choice(KINDS), 'kind of the sensor; if it is absent, "sensors" in config.json gives it'),
             "objects": Key(
-                ListOf(DETECTION), "the detections; an empty list where the sensor found nothing", required=True
+                _objects(DETECTION), "the detections; an empty list where the sensor found nothing", required=True
             ),
         }
     ),
@@ -145,7 +155,7 @@ LOCALIZATION = Format(
 TRACK = Format(
     "track",
     "The tracks at one time (Listing .5 of the thesis, with more keys)",
-    Object({"timestamp": TIMESTAMP, "objects": Key(ListOf(PERSON), "the people", required=True)}),
+    Object({"timestamp": TIMESTAMP, "objects": Key(_objects(PERSON), "the people", required=True)}),
 )
 FRAME_RECORD = Format(
     "frame", "One camera frame", Object({"timestamp": TIMESTAMP, "frame": Key(FRAME, "the pictures", required=True)})
@@ -158,7 +168,7 @@ AUDIO_RECORD = Format(
             "timestamp": TIMESTAMP,
             "audio": Key(AUDIO, "the sound file", required=True),
             "activity": Key(
-                MapOf(ListOf(Numbers(2))),
+                MapOf(ListOf(bounds.TIMES)),
                 "when each voice sounds (avsim-audio): object_id -> list of [start, end], s",
                 read=False,
             ),

@@ -16,15 +16,15 @@ import numpy as np
 import orjson
 
 from avcli import lens, pose
-from avcli.formats import atomic
+from avcli.formats import atomic, bounds
 from avcli.formats.descriptions import PROBABILITY, Format
 from avcli.formats.records import format_timestamp
 from avcli.formats.schema import (
     Choice,
     Either,
-    Integer,
     Invalid,
     Key,
+    Kind,
     ListOf,
     MapOf,
     Number,
@@ -32,6 +32,7 @@ from avcli.formats.schema import (
     Object,
     Text,
     Written,
+    refuse_depth,
     shown,
 )
 from avcli.formats.sensors import KINDS
@@ -42,9 +43,9 @@ DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardio
 
 # --- what config.json may hold ----------------------------------------------------------------------------------------
 
-_LENGTH = Number(above=0)
-_DIRECTION = Numbers(3)
-_PLACE = Numbers(3)
+_LENGTH = bounds.LENGTH
+_COORDINATE, _PLACE = bounds.COORDINATE, bounds.VECTOR
+_ANGLE = Number(0, most=360)
 
 _LENS_KEYS = {
     "lens_model": Key(
@@ -54,9 +55,9 @@ _LENS_KEYS = {
     ),
     "fx_px": Key(_LENGTH, "focal length, px", required=True),
     "fy_px": Key(_LENGTH, "focal length, px", required=True),
-    "cx_px": Key(Number(), "principal point, px; pixel (0, 0) is the centre of the top-left pixel", required=True),
-    "cy_px": Key(Number(), "principal point, px", required=True),
-    **{f"k{i}": Key(Number(), "coefficient of the lens model", default=0.0) for i in (1, 2, 3, 4)},
+    "cx_px": Key(_COORDINATE, "principal point, px; pixel (0, 0) is the centre of the top-left pixel", required=True),
+    "cy_px": Key(_COORDINATE, "principal point, px", required=True),
+    **{f"k{i}": Key(_COORDINATE, "coefficient of the lens model", default=0.0) for i in (1, 2, 3, 4)},
 }
 _CAMERA = Object(
     {
@@ -65,13 +66,13 @@ _CAMERA = Object(
             _PLACE, "position of the camera in the room, m; required by commands that place things in the room"
         ),
         "camera_rotation_deg": Key(
-            _DIRECTION,
+            Numbers(3, bounds.DEGREES),
             "orientation: pitch, yaw, roll; [90, 0, 0] looks straight down with image right = +x and image up = +y",
             default=[90.0, 0.0, 0.0],
         ),
-        "image_width_px": Key(Integer(least=1), "width of the image, px", default=1920),
-        "image_height_px": Key(Integer(least=1), "height of the image, px", default=1080),
-        "frame_rate_hz": Key(_LENGTH, "frames in a second, Hz", default=10.0),
+        "image_width_px": Key(bounds.PIXELS, "width of the image, px", default=1920),
+        "image_height_px": Key(bounds.PIXELS, "height of the image, px", default=1080),
+        "frame_rate_hz": Key(bounds.FRAME_RATE, "frames in a second, Hz", default=10.0),
         "depth_kind": Key(
             Choice(("radial", "z")),
             "meaning of depth: m along the pixel's ray (radial), or along the optical axis (z)",
@@ -80,15 +81,21 @@ _CAMERA = Object(
         "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
         "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
         "theta_max_observed_deg": Key(
-            Number(least=0),
+            _ANGLE,
             "largest angle from the axis where the calibration saw corners; rays beyond it are not used",
         ),
         "theta_max_valid_deg": Key(
-            Number(least=0), "largest angle at which the lens is one-to-one; rays beyond it are not used"
+            _ANGLE, "largest angle at which the lens is one-to-one; rays beyond it are not used"
         ),
     }
 )
 _PATTERN = Choice(tuple(DIRECTIVITIES))
+
+
+def _one_each(kind: Kind) -> ListOf:
+    return ListOf(kind, most=bounds.MOST_CHANNELS)
+
+
 _MICROPHONES = Object(
     {
         "mic_positions_m": Key(
@@ -98,35 +105,36 @@ _MICROPHONES = Object(
                         _PLACE,
                         Object(
                             {
-                                "object_id": Key(Integer(), "number of the microphone", read=False),
+                                "object_id": Key(bounds.ANY_COUNT, "number of the microphone", read=False),
                                 "position": Key(_PLACE, "position, m", required=True),
                             }
                         ),
                     )
                 ),
                 least=1,
+                most=bounds.MOST_CHANNELS,
             ),
             "positions in the order of the channels, m: lists [x, y, z], or objects",
             required=True,
         ),
-        "audio_sample_rate_hz": Key(Integer(least=1), "sample rate, Hz", default=44100),
+        "audio_sample_rate_hz": Key(bounds.SAMPLE_RATE, "sample rate, Hz", default=44100),
         "audio_bit_depth": Key(Choice((16, 24, 32)), "bits of a sample", default=32),
         "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
-        "directivities": Key(ListOf(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
+        "directivities": Key(_one_each(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
         "orientations": Key(
-            ListOf(_DIRECTION), "direction that each microphone faces, a vector of any length; default: down"
+            _one_each(bounds.VECTOR), "direction that each microphone faces, a vector of any length; default: down"
         ),
     }
 )
 _ROOM = Object(
     {
-        "room_dimensions_m": Key(Numbers(3, _LENGTH), "size of the room along x, y and z, m", required=True),
-        "reverberation_time_s": Key(Number(least=0), "reverberation time T60, s"),
+        "room_dimensions_m": Key(Numbers(3, bounds.SIDE), "size of the room along x, y and z, m", required=True),
+        "reverberation_time_s": Key(bounds.REVERBERATION, "reverberation time T60, s"),
         "absorption": Key(
             Either((PROBABILITY, Numbers(6, PROBABILITY))),
             "energy absorption of all walls, or of each in the order x0 x1 y0 y1 z0 z1",
         ),
-        "speed_of_sound_m_s": Key(_LENGTH, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
+        "speed_of_sound_m_s": Key(bounds.SPEED_OF_SOUND, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
     }
 )
 _SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "what the sensor is", required=True)}))
@@ -241,6 +249,9 @@ class Config:
         if values["camera_position_m"] is None:
             raise self._error(Invalid("is missing", ("camera_config", "camera_position_m")))
         width, height = values["image_width_px"], values["image_height_px"]
+        if width * height > bounds.MOST_PIXELS:
+            reason = f"must have at most {bounds.MOST_PIXELS} pixels, found {width} × {height}"
+            raise self._error(Invalid(reason, ("camera_config",)))
         optics = _lens(values, width, height)
         limits = [values[f"theta_max_{kind}_deg"] for kind in ("observed", "valid")]
         return Camera(
@@ -305,6 +316,11 @@ class Config:
             speed_of_sound_m_s=values["speed_of_sound_m_s"],
         )
 
+    def states(self, section: str, key: str) -> bool:
+        """Tell whether the file states a key of a section, or the section is invalid, which its reader refuses."""
+        values = self.raw.get(section)
+        return values is not None and (not isinstance(values, Mapping) or values.get(key) is not None)
+
     def _section(self, key: str, kind: Object | MapOf, *, needed: bool = True) -> dict[str, Any]:
         values = self.raw.get(key)
         if values is None and needed:
@@ -353,10 +369,18 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         ConfigError: it is not a JSON object.
         OSError: it cannot be read.
     """
+    with open(path, "rb") as stream:
+        text = stream.read(bounds.LARGEST_JSON_FILE + 1)
+    if len(text) > bounds.LARGEST_JSON_FILE:
+        raise ConfigError(f"{path}: longer than {bounds.LARGEST_JSON_FILE >> 20} MiB, which is not a config.json")
     try:
-        return Config(orjson.loads(Path(path).read_bytes()), str(path))
+        raw = orjson.loads(text)
+        refuse_depth(raw)
+        return Config(raw, str(path))
     except orjson.JSONDecodeError as error:
         raise ConfigError(f"{path}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
+    except Invalid as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def write_config(path: str | os.PathLike[str], raw: Mapping[str, Any]) -> None:

@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 import numpy as np
 
 from avcli.formats.atomic import replacing, write_bytes
-from avcli.formats.media import MediaError, decode_picture, encode_picture, quiet_decoders, read_picture, swapped
+from avcli.formats.media import (
+    MediaError,
+    decode_picture,
+    encode_picture,
+    quiet_decoders,
+    read_picture,
+    refuse_full_disk,
+    swapped,
+)
 
 if TYPE_CHECKING:
     import cv2
@@ -326,8 +334,8 @@ def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Gen
         rgb, depth: which of the pictures will be needed of each shot.
     """
     pool = ThreadPoolExecutor(2)
+    waiting: deque[UnreadShot] = deque()
     try:
-        waiting: deque[UnreadShot] = deque()
         for shot in shots:
             colour = pool.submit(shot.rgb).result if rgb and shot.rgb else shot.rgb
             distance = pool.submit(shot.depth).result if depth and shot.depth else shot.depth
@@ -336,7 +344,7 @@ def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Gen
                 yield waiting.popleft()
         yield from waiting
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)  # a read that hangs (a share that is gone) must not hold the end
         raise
     pool.shutdown()
 
@@ -353,7 +361,7 @@ class Sink(contextlib.ExitStack):
         rate_hz: of a video.
         single: whether the sources are one picture or one video, and not several.
         prefix: begins the name of a picture in a folder that comes from no file: "frame_0.1000000000.png".
-        whole: a video appears when it is complete, and not at all where an error ends the block.
+        whole: whether a signal (Ctrl-C) drops a video, as an error does; otherwise it ends the video.
 
     Raises:
         ValueError: `target` is one picture, and the sources are not.
@@ -416,21 +424,52 @@ class Sink(contextlib.ExitStack):
 
 
 @contextlib.contextmanager
-def _video_writer(path: Path, size: tuple[int, int], rate_hz: float, whole: bool) -> Iterator["cv2.VideoWriter"]:
-    quiet_decoders()
-    import cv2
-
+def _video_writer(path: Path, size: tuple[int, int], rate_hz: float, whole: bool) -> Iterator["_Video"]:
     with contextlib.ExitStack() as stack:
-        place = stack.enter_context(replacing(path)) if whole else path
-        temporary = place.with_suffix(path.suffix)  # OpenCV looks at the extension
-        if whole:
-            stack.callback(temporary.unlink, missing_ok=True)
+        video = _Video(path, stack.enter_context(replacing(path, path.suffix)), size, rate_hz)
+        try:
+            yield video
+        except Exception:
+            video.writer.release()
+            raise
+        except BaseException as ending:  # Ctrl-C or a signal, by which the film of a camera usually ends
+            video.writer.release()
+            if not whole:
+                video.check()
+                stack.close()  # the film appears
+            raise ending
+        video.writer.release()
+        video.check()
+
+
+class _Video:
+    """A video that OpenCV writes to a temporary file, and whose end says whether the file is good."""
+
+    def __init__(self, path: Path, temporary: Path, size: tuple[int, int], rate_hz: float):
+        quiet_decoders()
+        import cv2
+
+        self.path, self.temporary, self.count = path, temporary, 0
         codec = cv2.VideoWriter.fourcc(*VIDEOS[path.suffix.lower()])
-        writer = cv2.VideoWriter(str(temporary), codec, rate_hz, size)
-        stack.callback(writer.release)
-        if not writer.isOpened():
+        self.writer = cv2.VideoWriter(str(temporary), codec, rate_hz, size)
+        if not self.writer.isOpened():
+            refuse_full_disk(temporary, path)
             raise MediaError(f"{path}: this OpenCV cannot write such a video")
-        yield writer
-        writer.release()
-        if whole:
-            os.replace(temporary, place)
+
+    def write(self, image: np.ndarray) -> None:
+        """Append a picture, (height, width, 3) uint8 BGR."""
+        self.writer.write(image)
+        self.count += 1
+
+    def check(self) -> None:
+        """Refuse a video that cannot be read again: OpenCV does not say that a disk is full."""
+        import cv2
+
+        if not self.count:
+            return
+        refuse_full_disk(self.temporary, self.path)
+        capture = cv2.VideoCapture(str(self.temporary))
+        good = capture.isOpened() and capture.grab()
+        capture.release()
+        if not good:
+            raise OSError(errno.EIO, "the video could not be written in full", str(self.path))

@@ -4,7 +4,11 @@ A file appears whole or not at all. It holds no time of writing, so that the sam
 """
 
 import contextlib
+import errno
+import functools
+import math
 import os
+import stat
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,6 +18,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from avcli.formats import atomic
+from avcli.formats.bounds import LARGEST_PICTURE_FILE, MOST_CHANNELS, MOST_PIXELS
+
+FLAC_CHANNELS = 8
+"""The most channels that a FLAC file can have (RFC 9639, 9.1.3)."""
 
 
 class MediaError(ValueError):
@@ -145,18 +153,48 @@ def read_picture(path: str | os.PathLike) -> np.ndarray:
         MediaError: the file is missing, empty or not a picture.
     """
     content = read_bytes(path)
+    if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
+        raise MediaError(f"{path}: a picture has at most {MOST_PIXELS} pixels, and this one has {size[0]} × {size[1]}")
     if content.startswith(b"\x93NUMPY"):
-        import io
-
-        try:
-            image = np.load(io.BytesIO(content), allow_pickle=False)
-        except ValueError as error:
-            raise MediaError(f"{path}: a broken .npy file: {error}") from None
+        image: np.ndarray | None = _raw_picture(content, path)
     else:
         image = decode_picture(content)
-        if image is None:
-            raise MediaError(f"{path}: not a picture that can be read ({len(content)} bytes)")
+    if image is None:
+        raise MediaError(f"{path}: not a picture that can be read ({len(content)} bytes)")
     return image
+
+
+def _raw_picture(content: bytes, path: str | os.PathLike) -> np.ndarray:
+    import io
+
+    stream = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(stream)
+        head = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, kind = head(stream)
+        # The header is checked first, since NumPy makes room for what it states.
+        if kind.hasobject or math.prod(shape) * kind.itemsize != len(content) - stream.tell():
+            raise ValueError(f"its header states {kind} {shape}, which is not what follows")
+        return np.load(io.BytesIO(content), allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise MediaError(f"{path}: a broken .npy file: {error}") from None
+
+
+def stated_size(content: bytes) -> tuple[int, int] | None:
+    """Read the width and height in px from a picture's header; None where it is not PNG or JPEG, or is broken."""
+    if content.startswith(b"\x89PNG\r\n\x1a\n") and len(content) >= 24:
+        return struct.unpack(">II", content[16:24])
+    if not content.startswith(b"\xff\xd8"):
+        return None
+    place = 2
+    while place + 9 <= len(content) and content[place] == 0xFF:  # JPEG's segments (ITU-T T.81, B.1.1)
+        marker = content[place + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # a frame header
+            height, width = struct.unpack(">HH", content[place + 5 : place + 9])
+            return width, height
+        alone = marker == 0xFF or marker == 0x01 or 0xD0 <= marker <= 0xD7
+        place += 1 if marker == 0xFF else 2 if alone else 2 + struct.unpack(">H", content[place + 2 : place + 4])[0]
+    return None
 
 
 def decode_picture(content: bytes) -> np.ndarray | None:
@@ -164,6 +202,8 @@ def decode_picture(content: bytes) -> np.ndarray | None:
     quiet_decoders()
     import cv2
 
+    if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
+        return None
     try:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
@@ -207,28 +247,89 @@ def quiet_decoders() -> None:
     """Keep the messages of OpenCV's decoders off stderr: our own error says what is wrong with a file."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))  # for the formats that `stated_size` lacks
 
 
 def _described(image: np.ndarray) -> str:
     return f"{image.dtype} {' × '.join(map(str, image.shape))}"
 
 
-def read_bytes(path: str | os.PathLike) -> bytes:
+def read_bytes(path: str | os.PathLike, largest: int = LARGEST_PICTURE_FILE) -> bytes:
     """Read a file that a record or a config names.
 
+    Args:
+        path: of a regular file.
+        largest: size in bytes that is not read any more.
+
     Raises:
-        MediaError: it is missing, empty or cannot be read.
+        MediaError: it is missing, empty, too large, cannot be read, or is not a regular file.
     """
     try:
-        content = Path(path).read_bytes()
+        with _open_regular(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            content = b"" if size > largest else stream.read(size)
     except OSError as error:
         raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    if size > largest:
+        raise MediaError(f"{path}: larger than {largest >> 20} MiB")
     if not content:
         raise MediaError(f"{path}: the file is empty")
     return content
 
 
+def _open_regular(path: str | os.PathLike) -> BinaryIO:
+    """Open a file that is neither a directory nor a pipe, device or socket: those may never end, or never begin.
+
+    Raises:
+        MediaError: it is one of them.
+        OSError: it cannot be opened.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(handle).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(handle)
+        kinds = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+        raise MediaError(f"{path}: {kinds.get(stat.S_IFMT(mode), 'a device')}, not a file")
+    return os.fdopen(handle, "rb")
+
+
+def refuse_full_disk(temporary: Path, path: Path) -> None:
+    """Find out by a write of our own why a library could not write a file.
+
+    Raises:
+        OSError: the disk is full, or whatever else the system says; `filename` is `path`.
+    """
+    try:
+        with open(temporary, "ab") as stream:
+            stream.write(bytes(1 << 16))
+            stream.flush()
+            os.fsync(stream.fileno())
+            stream.truncate(stream.tell() - (1 << 16))
+    except OSError as error:
+        error.filename = str(path)
+        raise
+
+
 # --- sound ------------------------------------------------------------------------------------------------------------
+
+
+def refuse_sound_format(name: str, suffix: str, channels: int, bit_depth: int) -> None:
+    """Refuse what a format of sound files cannot hold.
+
+    Args:
+        name: begins the message.
+        suffix: ".wav" or ".flac".
+        channels: number of channels.
+        bit_depth: bits of a sample.
+
+    Raises:
+        MediaError: the format does not have so many channels, or samples of so many bits.
+    """
+    flac = suffix.lower() == ".flac"
+    if bit_depth not in ((16, 24) if flac else (16, 24, 32)):
+        raise MediaError(f"{name}: {'FLAC takes 16 or 24' if flac else 'WAV takes 16, 24 or 32'} bits, not {bit_depth}")
+    if flac and channels > FLAC_CHANNELS:
+        raise MediaError(f"{name}: FLAC has at most {FLAC_CHANNELS} channels, not {channels}; use WAV")
 
 
 class AudioWriter:
@@ -248,10 +349,7 @@ class AudioWriter:
     def __init__(self, path: str | os.PathLike, sample_rate_hz: int, channels: int, bit_depth: int = 32):
         self.path, self.sample_rate_hz, self.channels, self.bit_depth = Path(path), sample_rate_hz, channels, bit_depth
         self.flac = self.path.suffix.lower() == ".flac"
-        if bit_depth not in ((16, 24) if self.flac else (16, 24, 32)):
-            raise MediaError(
-                f"{path}: {'FLAC takes 16 or 24' if self.flac else 'WAV takes 16, 24 or 32'} bits, not {bit_depth}"
-            )
+        refuse_sound_format(str(path), self.path.suffix, channels, bit_depth)
         self.num_samples = self.clipped = 0
         self._file: Any = None
 
@@ -262,6 +360,7 @@ class AudioWriter:
                 import soundfile
 
                 kind = f"PCM_{self.bit_depth}"
+                stack.push(functools.partial(self._refuse_broken, temporary))
                 file = soundfile.SoundFile(temporary, "w", self.sample_rate_hz, self.channels, kind, format="FLAC")
                 self._file = stack.enter_context(file)
             else:
@@ -280,6 +379,24 @@ class AudioWriter:
             self._file.write(b"\0" * (self.num_samples * self.channels * self.bit_depth // 8 % 2))
             self._file.seek(0)
             self._file.write(self._wav_header())
+
+    def _refuse_broken(
+        self, temporary: Path, kind: type[BaseException] | None, error: BaseException | None, _trace: object
+    ) -> None:
+        """Turn what libsndfile says of a full disk into the system's words, and check that the file's end is there."""
+        import soundfile
+
+        if kind is not None and not isinstance(error, soundfile.LibsndfileError):
+            return
+        found = 0
+        with contextlib.suppress(soundfile.LibsndfileError), soundfile.SoundFile(temporary) as file:
+            file.seek(max(self.num_samples - 1, 0))
+            found = file.frames if len(file.read(1)) else 0
+        if kind is None and found == self.num_samples:
+            return
+        refuse_full_disk(temporary, self.path)
+        reason = error.error_string if isinstance(error, soundfile.LibsndfileError) else "its end is missing"
+        raise OSError(errno.EIO, f"the sound could not be written: {reason}", str(self.path)) from error
 
     def write(self, samples: np.ndarray) -> None:
         """Append samples, (n, channels) floats with full scale at 1."""
@@ -355,11 +472,15 @@ def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator
     import soundfile
 
     try:
-        size = os.stat(path).st_size
+        with _open_regular(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
         if size == 0:
             raise MediaError(f"{path}: the file is empty")
         with soundfile.SoundFile(path) as file:
+            if file.channels > MOST_CHANNELS:
+                raise MediaError(f"{path}: sound has at most {MOST_CHANNELS} channels, and this has {file.channels}")
             expected, found = file.frames, 0
+            block_size = max(min(block_size, (1 << 24) // file.channels), 1)
             while True:
                 block = file.read(block_size, dtype="float64", always_2d=True)
                 found += len(block)
@@ -407,9 +528,12 @@ def wav_stream_blocks(stream: BinaryIO, name: str, block_size: int = 1 << 10) ->
         kind, length = struct.unpack("<4sI", _exactly(stream, 8, name))
         if kind == b"data":
             break
-        content = _exactly(stream, length + length % 2, name)
-        if kind == b"fmt ":
-            layout = _wav_layout(content, name)
+        length += length % 2
+        if kind == b"fmt " and length <= 1 << 16:
+            layout = _wav_layout(_exactly(stream, length, name), name)
+        else:
+            while length:
+                length -= len(_exactly(stream, min(length, 1 << 20), name))
     if layout is None:
         raise MediaError(f"{name}: the WAV has no format")
     decode, width, channels, rate = layout
@@ -437,7 +561,8 @@ def _wav_layout(content: bytes, name: str) -> tuple[Callable[[bytes], np.ndarray
     tag, channels, rate, _, _, bits = struct.unpack("<HHIIHH", content[:16])
     if tag == 0xFFFE and len(content) >= 26:
         tag = struct.unpack("<H", content[24:26])[0]
-    if channels == 0 or rate == 0 or (tag, bits) not in {(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)}:
+    known = (tag, bits) in {(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)}
+    if not known or not 0 < channels <= MOST_CHANNELS or rate == 0:
         raise MediaError(f"{name}: a WAV of format {tag} with {bits} bits and {channels} channels cannot be read")
     if tag == 3:
         kind = f"<f{bits // 8}"

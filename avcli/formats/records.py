@@ -24,10 +24,8 @@ import numpy as np
 import orjson
 
 from avcli.formats import atomic, descriptions
-from avcli.formats.schema import Invalid, Object, shown
-
-LONGEST_LINE = 1 << 26
-"""bytes; a longer line is not a record, and reading on would fill the memory."""
+from avcli.formats.bounds import LATEST_S, LONGEST_RECORD, MOST_OBJECTS
+from avcli.formats.schema import DEEPEST, IDENTITY, Invalid, Object, refuse_depth, shown
 
 
 class RecordError(ValueError):
@@ -36,6 +34,10 @@ class RecordError(ValueError):
     def __init__(self, reason: str, column: int | None = None):
         super().__init__(reason)
         self.column = column
+
+
+class WrongKindError(RecordError):
+    """A record of another kind than the reader's: ground truth or tracks in place of detections, or the reverse."""
 
 
 def refuse(reason: str) -> NoReturn:
@@ -58,40 +60,54 @@ def texts(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     are separated by a literal \n. Blank lines are ignored.
     """
     block: list[bytes] = []
-    number, begin, indent = 0, 0, b""
-    while line := stream.readline(LONGEST_LINE):
-        number += 1
+    size = begin = 0
+    indent = b""
+    for number, line in enumerate(_lines(stream), 1):
         if number == 1:
             line = line.removeprefix(b"\xef\xbb\xbf")
         text = line.strip()
         if block:
-            block.append(line)
+            size += len(line)
+            if size < LONGEST_RECORD:
+                block.append(line)
             if text in (b"}", b"},") and line[: len(line) - len(line.lstrip())] == indent:
-                yield begin, b"".join(block).strip().removesuffix(b",")
-                block = []
-            elif sum(map(len, block)) > LONGEST_LINE:
-                yield begin, b"".join(block)
+                yield begin, _joined(block, size)
                 block = []
         elif text == b"{":
-            block, begin, indent = [line], number, line[: len(line) - len(line.lstrip())]
-        elif b"}\\n" in text:
+            block, begin, size, indent = [line], number, len(line), line[: len(line) - len(line.lstrip())]
+        elif b"}\\n" in text and len(line) < LONGEST_RECORD:
             for part in text.replace(b"}\\n", b"}\n").split(b"\n"):
                 if part.strip():
                     yield number, part.strip()
         elif text:
-            yield number, text
+            yield number, line if len(line) >= LONGEST_RECORD else text
     if block:
-        yield begin, b"".join(block)
+        yield begin, _joined(block, size)
+
+
+def _joined(block: list[bytes], size: int) -> bytes:
+    """Join the lines of one object; of one that is longer than a record, what was kept, just as long."""
+    text = b"".join(block).strip().removesuffix(b",")
+    return text if size < LONGEST_RECORD else text.ljust(LONGEST_RECORD)
+
+
+def _lines(stream: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of a stream; of one that is longer than a record, the beginning stands for all of it."""
+    while line := stream.readline(LONGEST_RECORD):
+        yield line
+        while len(line) >= LONGEST_RECORD and not line.endswith(b"\n"):
+            line = stream.readline(LONGEST_RECORD)
 
 
 def decode(line: bytes) -> dict[str, Any]:
     """Decode one line to a record whose "timestamp" is a float in seconds.
 
     Raises:
-        RecordError: the line is not a JSON object, is too long, or its timestamp is missing or not a finite number.
+        RecordError: the line is not a JSON object, is too long or too deep, or its timestamp is missing or not a number
+            of seconds.
     """
-    if len(line) >= LONGEST_LINE:
-        raise RecordError(f"longer than {LONGEST_LINE >> 20} MiB, which is not a record")
+    if len(line) >= LONGEST_RECORD:
+        raise RecordError(f"longer than {LONGEST_RECORD >> 20} MiB, which is not a record")
     try:
         record = orjson.loads(line)
     except orjson.JSONDecodeError as error:
@@ -101,10 +117,31 @@ def decode(line: bytes) -> dict[str, Any]:
     if "timestamp" not in record:
         raise RecordError('"timestamp" is missing')
     try:
+        if not _is_flat(line):
+            refuse_depth(record)
+    except Invalid as error:
+        raise RecordError(str(error)) from None
+    try:
         record["timestamp"] = descriptions.TIMESTAMP.kind.read(record["timestamp"])
     except Invalid as error:
         raise RecordError(str(error.within("timestamp"))) from None
     return record
+
+
+_ALIKE = bytes.maketrans(b"{}", b"[]")
+_NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
+
+
+def _is_flat(line: bytes) -> bool:
+    """Tell quickly whether a line is surely not too deep; one with brackets inside its texts may need a closer look."""
+    if line.count(b"[") + line.count(b"{") <= DEEPEST:
+        return True
+    brackets = line.translate(_ALIKE, _NO_BRACKETS)
+    for _ in range(DEEPEST):
+        if not brackets:
+            return True
+        brackets = brackets.replace(b"[]", b"")
+    return False
 
 
 def encode(record: Mapping) -> bytes:
@@ -123,7 +160,7 @@ def encode(record: Mapping) -> bytes:
 
 def format_timestamp(seconds: float) -> str:
     """Write a time in seconds as records and media names do: "0.1000000000"."""
-    if not math.isfinite(seconds):
+    if not abs(seconds) <= LATEST_S:
         raise RecordError(f"timestamp is {seconds}")
     return f"{seconds + 0.0:.10f}" if round(seconds, 10) else "0.0000000000"
 
@@ -219,7 +256,8 @@ class Identified:
         velocities: (n, 3) m/s.
         covariances: (n, 3, 3) m².
         existence: (n,) probability.
-    All from `mouths` on are NaN where the record does not give them.
+        names: text of the identities that are text in the records, by their numbers in `ids`; None: all are integers.
+    All from `mouths` to `existence` are NaN where the record does not give them.
     """
 
     timestamp: float
@@ -231,6 +269,7 @@ class Identified:
     velocities: np.ndarray = field(default_factory=_unknown)
     covariances: np.ndarray = field(default_factory=_unknown)
     existence: np.ndarray = field(default_factory=_unknown)
+    names: Mapping[int, str] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -253,12 +292,15 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
             the object is dropped.
 
     Raises:
+        WrongKindError: the record has identities and no sensor: it is ground truth or tracks.
         RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid.
     """
     try:
         head = _SENSOR.read(record)
     except Invalid as error:
         raise RecordError(str(error)) from None
+    if record.get("sensor") is None and record.get("kind") is None and _some_object(record, has_identity=True):
+        raise WrongKindError('has "object_id": these are ground truth or tracks, not detections')
     rows = _rows(record, descriptions.DETECTION, bad)
     return Detections(
         timestamp=record["timestamp"],
@@ -272,27 +314,66 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
     )
 
 
-def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
+class Names:
+    """Numbers for the people of a stream that are named by text: 0, 1, 2 … in the order in which they appear.
+
+    >>> names = Names()
+    >>> [names.number(identity) for identity in ("anna", "ben", "anna")]
+    [0, 1, 0]
+
+    Attributes:
+        by_number: number -> text.
+    """
+
+    def __init__(self) -> None:
+        self.by_number: dict[int, str] = {}
+        self._numbers: dict[str, int] = {}
+        self._has_integers = False
+
+    def number(self, identity: int | str) -> int:
+        """Return the number of a person; an integer stands for itself.
+
+        Raises:
+            RecordError: some identities of the stream are text and others are integers.
+        """
+        self._has_integers |= not isinstance(identity, str)
+        if isinstance(identity, str):
+            number = self._numbers.setdefault(identity, len(self._numbers))
+            self.by_number[number] = identity
+        else:
+            number = identity
+        if self._has_integers and self._numbers:
+            raise RecordError('"object_id" is text for some people and an integer for others')
+        return number
+
+
+def identified(record: Mapping[str, Any], bad: Bad = refuse, names: Names | None = None) -> Identified:
     """Read the people of a ground-truth or track record.
 
     Args:
         record, bad: as `detections` has them.
+        names: numbers the people whose "object_id" is text, the same for all records of a stream; None: text is
+            invalid.
 
     Raises:
+        WrongKindError: the record names a sensor, or none of its objects has an identity: they are detections.
         RecordError: "objects" is missing or not a list, or, by `bad`, a key of an object is invalid or an identity
             occurs twice.
     """
-
-    def bad_person(reason: str) -> None:
-        hint = "; detections have none, but tracks and ground truth do"
-        bad(reason + hint if reason.endswith('"object_id" is missing') else reason)
-
-    rows = _rows(record, descriptions.PERSON, bad_person)
+    named = record.get("sensor") is not None or record.get("kind") is not None
+    if (named or _some_object(record, has_identity=False)) and not _some_object(record, has_identity=True):
+        raise WrongKindError('"object_id" is missing: these are detections, not ground truth or tracks')
+    rows = _rows(record, descriptions.PERSON, bad)
     known: set[int] = set()
     for place, row in list(rows.items()):
-        if row["object_id"] in known:
-            bad(f'objects[{place}]: "object_id" {row["object_id"]} occurs twice in one record')
+        try:
+            row["object_id"] = _number_of(row["object_id"], names)
+            if row["object_id"] in known:
+                raise RecordError(f'"object_id" {row["object_id"]} occurs twice in one record')
+        except RecordError as error:
+            bad(f"objects[{place}]: {error}")
             del rows[place]
+            continue
         known.add(row["object_id"])
     return Identified(
         timestamp=record["timestamp"],
@@ -304,6 +385,24 @@ def identified(record: Mapping[str, Any], bad: Bad = refuse) -> Identified:
         velocities=_column(rows, "velocity", 3),
         covariances=_column(rows, "covariance", 3, 3),
         existence=_column(rows, "existence"),
+        names=names.by_number if names and names.by_number else None,
+    )
+
+
+def _number_of(identity: int | str, names: Names | None) -> int:
+    if names is not None:
+        return names.number(identity)
+    try:
+        return IDENTITY.read(identity)
+    except Invalid as error:
+        raise RecordError(str(error.within("object_id"))) from None
+
+
+def _some_object(record: Mapping[str, Any], *, has_identity: bool) -> bool:
+    """Tell whether some object of a record has, or has not, an identity."""
+    objects = record.get("objects")
+    return isinstance(objects, list) and any(
+        isinstance(item, dict) and ("object_id" in item) == has_identity for item in objects[:MOST_OBJECTS]
     )
 
 
@@ -316,6 +415,8 @@ def _rows(record: Mapping[str, Any], kind: Object, bad: Bad) -> dict[int, Row]:
         raise RecordError('"objects" is missing')
     if not isinstance(record["objects"], list):
         raise RecordError(f'"objects" must be a list, found {shown(record["objects"])}')
+    if len(record["objects"]) > MOST_OBJECTS:
+        raise RecordError(f'"objects" must be a list of at most {MOST_OBJECTS}, found {len(record["objects"])}')
     rows = {}
     for place, item in enumerate(record["objects"]):
         try:
@@ -347,6 +448,7 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
     """
     if isinstance(item, Detections):
         named = {"sensor": item.sensor, "kind": item.kind}
+        names: Mapping[int, str] = {}
         columns = {
             "position": item.positions,
             "covariance": item.covariances,
@@ -355,7 +457,7 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             "height": item.heights,
         }
     else:
-        named = {}
+        named, names = {}, item.names or {}
         columns = {
             "object_id": item.ids,
             "position": item.positions,
@@ -370,7 +472,9 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
     for key, column in columns.items():
         known = ~np.isnan(column.reshape(len(item), -1)).any(axis=1) if len(item) else np.empty(0, bool)
         for row, value, given in zip(objects, column.tolist(), known.tolist(), strict=True):
-            if given:
+            if key == "object_id":
+                row[key] = names.get(value, value)
+            elif given:
                 row[key] = bool(value) if key == "speaking" and value in (0, 1) and "existence" not in row else value
             elif key == "position":
                 row[key] = value[:2] if "object_id" in row else [*value[:2], None]
@@ -418,8 +522,11 @@ def load(path: str | os.PathLike[str]) -> list[Detections | Identified]:
     """
     with open(path, "rb") as stream:
         lines = list(texts(stream))
+    marks = EndMarks()
     decoded = [(number, _located(path, number, decode, text)) for number, text in lines]
-    read = detections if any(_holds_detections(record) for _, record in decoded) else identified
+    decoded = [(number, record) for number, record in decoded if not marks.is_mark(record)]
+    found = any(_holds_detections(record) for _, record in decoded)
+    read = detections if found else functools.partial(identified, names=Names())
     return [_located(path, number, read, record) for number, record in decoded]
 
 
@@ -431,10 +538,58 @@ def _located(path: str | os.PathLike[str], number: int, read: Callable[[Any], An
 
 
 def _holds_detections(record: Mapping[str, Any]) -> bool:
-    if "sensor" in record or "kind" in record:
-        return True
-    objects = record.get("objects")
-    return isinstance(objects, list) and any(isinstance(item, dict) and "object_id" not in item for item in objects)
+    return "sensor" in record or "kind" in record or _some_object(record, has_identity=False)
+
+
+# --- the end of a stream ----------------------------------------------------------------------------------------------
+
+
+class EndMarks:
+    """Follows the end marks of a stream, or of several that were merged into one.
+
+    A writer that marks its end puts `"end": false` into its first record, and after its last record it writes
+    `{"timestamp": …, "end": true, "records": N}`. A mark is not a record. Nothing is expected of a stream that did not
+    announce its mark.
+
+    >>> marks = EndMarks()
+    >>> [marks.is_mark(record) for record in ({"timestamp": 0.0, "end": False}, {"timestamp": 0.1})]
+    [False, False]
+    >>> marks.missing()
+    'ended before its end mark: its writer was stopped, or the end was cut off'
+    """
+
+    def __init__(self) -> None:
+        self._announced = self._marked = self._records = self._stated = 0
+
+    def is_mark(self, record: Mapping[str, Any]) -> bool:
+        """Take the next record of the stream; true if it is a mark, which is to be left out."""
+        end = record.get("end")
+        if end is True:
+            self._marked += 1
+            stated = record.get("records")
+            self._stated += stated if type(stated) is int else 0
+            return True
+        self._announced += end is False
+        self._records += 1
+        return False
+
+    def missing(self) -> str | None:
+        """Say at the end of the stream what is missing of it, as the end of a sentence; None: nothing is missing."""
+        if self._announced > self._marked:
+            return "ended before its end mark: its writer was stopped, or the end was cut off"
+        if self._records < self._stated:
+            return f"has {self._records} of the {self._stated} records that its end mark counts"
+        return None
+
+
+def end_mark(timestamp: float, records: int) -> dict[str, Any]:
+    """Return the mark that follows the last record of a stream.
+
+    Args:
+        timestamp: of the last record, s.
+        records: number of records before it.
+    """
+    return {"timestamp": timestamp, "end": True, "records": records}
 
 
 # --- media ------------------------------------------------------------------------------------------------------------
@@ -466,27 +621,37 @@ class AudioChunk:
     tail_samples: int | None = None
 
 
-def frame(record: Mapping[str, Any]) -> Frame | None:
+def frame(record: Mapping[str, Any], *, outside: bool = False) -> Frame | None:
     """Read a record's frame, None where the record has none.
 
+    Args:
+        record: as `decode` returns it.
+        outside: whether a path may lead out of the experiment directory.
+
     Raises:
-        RecordError: the frame has no colour picture, or a path is not text.
+        RecordError: the frame has no colour picture, or a path is not text or leads out of the directory.
     """
     if record.get("frame") is None:
         return None
     value = _read_media("frame", descriptions.FRAME, record)
+    for key in ("rgb", "depth"):
+        _refuse_outside(f"frame.{key}", value[key], outside)
     return Frame(record["timestamp"], value["rgb"], value["depth"])
 
 
-def audio(record: Mapping[str, Any]) -> AudioChunk | None:
+def audio(record: Mapping[str, Any], *, outside: bool = False) -> AudioChunk | None:
     """Read a record's audio chunk, None where the record has none.
 
+    Args:
+        record, outside: as `frame` has them.
+
     Raises:
-        RecordError: a key is missing or of the wrong kind.
+        RecordError: a key is missing or of the wrong kind, or the path leads out of the directory.
     """
     if record.get("audio") is None:
         return None
     value = _read_media("audio", descriptions.AUDIO, record)
+    _refuse_outside("audio.path", value["path"], outside)
     tail = value["tail_samples"]
     if tail is not None and tail > value["num_samples"]:
         raise RecordError(f'"audio.tail_samples" must be at most "num_samples", {value["num_samples"]}, found {tail}')
@@ -498,3 +663,15 @@ def _read_media(key: str, kind: Object, record: Mapping[str, Any]) -> dict[str, 
         return kind.read(record[key])
     except Invalid as error:
         raise RecordError(str(error.within(key))) from None
+
+
+def _refuse_outside(key: str, path: str | None, outside: bool) -> None:
+    """Refuse a path that leads out of the experiment by its letters; links inside may lead anywhere."""
+    if path is None:
+        return
+    if "\0" in path:
+        raise RecordError(f'"{key}" must be a path, found {shown(path)}')
+    if not outside and (os.path.isabs(path) or os.path.normpath(path).split(os.sep, 1)[0] == os.pardir):
+        raise RecordError(
+            f'"{key}" must be inside the experiment directory, found {shown(path)}; --allow-outside reads it'
+        )

@@ -22,11 +22,12 @@ classes are not frozen all the same, since Python builds frozen ones 2.5 times a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite, nan
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import orjson
@@ -52,13 +53,55 @@ def written(path: tuple[str | int, ...]) -> str:
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
 
 
+DEEPEST = 64
+"""Lists and objects inside one another in a record, a config.json or a scenario; none needs more than ten."""
+_SHOWN = 60
+"""Characters of a wrong value that a message shows."""
+
+
 def shown(value: Any) -> str:
-    """Show a wrong value in a message, in at most 60 characters."""
+    """Show a wrong value in a message, in at most 60 characters; any value, however large or deep, costs little."""
+    beginning = _beginning(value, [_SHOWN])
     try:
-        text = orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
+        text = orjson.dumps(beginning, option=orjson.OPT_SERIALIZE_NUMPY).decode()
     except TypeError:
-        text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+        try:
+            text = repr(beginning)
+        except ValueError:  # Python refuses to write integers of thousands of digits
+            text = f"a value of type {type(value).__name__}"
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
+def _beginning(value: Any, left: list[int]) -> Any:
+    """Copy as much of a value as its first characters can show; `left` counts down the values that may still follow."""
+    left[0] -= 1
+    if isinstance(value, str):
+        return value[: 2 * _SHOWN]
+    if isinstance(value, Mapping):
+        return {str(k)[: 2 * _SHOWN]: _beginning(v, left) for k, v in value.items() if left[0] > 0}
+    if isinstance(value, list | tuple):
+        return [_beginning(item, left) for item in value if left[0] > 0]
+    return value
+
+
+def refuse_depth(value: Any, most: int = DEEPEST) -> None:
+    """Refuse a decoded JSON value whose lists and objects lie more than `most` deep inside one another.
+
+    Raises:
+        Invalid: it is deeper.
+    """
+    level = [value]
+    for _ in range(most):
+        inner: list[Any] = []
+        for item in level:
+            if isinstance(item, dict):
+                inner += item.values()
+            elif isinstance(item, list):
+                inner += item
+        level = [item for item in inner if isinstance(item, dict | list)]
+        if not level:
+            return
+    raise Invalid(f"has lists or objects more than {most} deep inside one another")
 
 
 class Kind(Protocol):
@@ -83,6 +126,11 @@ def _count(number: int) -> str:
     return words[number] if number < len(words) else str(number)
 
 
+def _plain(number: float) -> str:
+    """Write a bound as people do: 1000000 is 1e6, and 0.001 stays."""
+    return re.sub(r"e\+?(-?)0*", r"e\1", f"{number:g}")
+
+
 _PLAIN = {float, int}
 
 
@@ -94,14 +142,14 @@ def _is_number(value: Any) -> bool:
         return False
 
 
-def _are_numbers(values: list[Any] | tuple[Any, ...]) -> bool:
-    # One sum is quicker than a check of each; where it overflows, each is checked.
-    try:
-        if _PLAIN.issuperset(map(type, values)) and isfinite(sum(values)):
-            return True
-    except OverflowError:
-        pass
-    return all(map(_is_number, values))
+def _are_within(values: list[Any] | tuple[Any, ...], least: float, most: float) -> bool:
+    """Tell whether all are numbers from least to most; NaN is not."""
+    for value in values:
+        if type(value) not in _PLAIN and not _is_number(value):
+            return False
+        if not least <= value <= most:
+            return False
+    return True
 
 
 # --- single values ----------------------------------------------------------------------------------------------------
@@ -136,10 +184,11 @@ class Number:
     def bounds(self) -> str:
         """Return the bounds in words: "above 0", "from 0 to 1"; empty where there are none."""
         if self.least is not None and self.most is not None:
-            return f"from {self.least:g} to {self.most:g}"
+            return f"from {_plain(self.least)} to {_plain(self.most)}"
         if self.above is not None:
-            return f"above {self.above:g}" + (f" and at most {self.most:g}" if self.most is not None else "")
-        return f"of at least {self.least:g}" if self.least is not None else ""
+            most = f" and at most {_plain(self.most)}" if self.most is not None else ""
+            return f"above {_plain(self.above)}{most}"
+        return f"of at least {_plain(self.least)}" if self.least is not None else ""
 
 
 @dataclass(eq=False)
@@ -164,17 +213,36 @@ class Integer:
         return {"type": "integer"} | {name: bound for name, bound in bounds.items() if bound is not None}
 
     def words(self) -> str:
-        if self.least is None or self is IDENTITY:
+        if self.least is None or self.least <= -(2**53):  # any that JSON's readers hold exactly
             return "an integer"
         return (
             f"an integer of at least {self.least}"
-            if self.most is None
+            if self.most is None or self.most >= 2**53
             else f"an integer from {self.least} to {self.most}"
         )
 
 
 IDENTITY = Integer(-(2**63), 2**63 - 1)
-"""What names a person: any integer of 64 bits."""
+"""What names a person in numbers: any integer of 64 bits."""
+
+
+@dataclass(eq=False)
+class Identity:
+    """What names a person: an integer of 64 bits, or text."""
+
+    def read(self, value: Any) -> int | str:
+        if isinstance(value, str) and value:
+            return value
+        try:
+            return IDENTITY.read(value)
+        except Invalid:
+            raise _refuse(self, value) from None
+
+    def schema(self) -> dict[str, Any]:
+        return {"anyOf": [IDENTITY.schema(), Text(filled=True).schema()]}
+
+    def words(self) -> str:
+        return "an integer or text"
 
 
 @dataclass(eq=False)
@@ -233,25 +301,28 @@ class Choice:
 
 @dataclass(eq=False)
 class Timestamp:
-    """A time in seconds: a number, or text that holds one."""
+    """A time in seconds: a number, or text that holds one; at most so large, before or after 0."""
 
-    pattern = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$"
+    most: float
+
+    pattern: ClassVar[str] = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$"
 
     def read(self, value: Any) -> float:
         if isinstance(value, int | float | str) and not isinstance(value, bool):
             try:
                 seconds = float(value)
-                if isfinite(seconds) and not (isinstance(value, str) and "_" in value):
+                if -self.most <= seconds <= self.most and not (isinstance(value, str) and "_" in value):
                     return seconds
             except (ValueError, OverflowError):
                 pass
         raise _refuse(self, value)
 
     def schema(self) -> dict[str, Any]:
-        return {"anyOf": [{"type": "string", "pattern": self.pattern}, {"type": "number"}]}
+        number = Number(-self.most, most=self.most).schema()
+        return {"anyOf": [{"type": "string", "pattern": self.pattern}, number]}
 
     def words(self) -> str:
-        return "a finite number of seconds"
+        return f"a number of seconds from {_plain(-self.most)} to {_plain(self.most)}"
 
 
 # --- lists ------------------------------------------------------------------------------------------------------------
@@ -268,11 +339,15 @@ class Numbers:
     item: Number = _ANY_NUMBER
 
     def read(self, value: Any) -> list[float]:
-        if not isinstance(value, list | tuple) or len(value) != self.count or not _are_numbers(value):
+        if not isinstance(value, list | tuple) or len(value) != self.count:
             raise _refuse(self, value)
-        if self.item is not _ANY_NUMBER:
+        item = self.item
+        if item.above is None and item.least is not None and item.most is not None:
+            if not _are_within(value, item.least, item.most):
+                raise _refuse(self, value)
+        else:
             try:
-                return [self.item.read(number) for number in value]
+                return [item.read(number) for number in value]
             except Invalid:
                 raise _refuse(self, value) from None
         return list(map(float, value))
@@ -290,28 +365,34 @@ class Point:
     """A position [x, y, z] or [x, y]; read as three numbers, z NaN where it is not given.
 
     Attributes:
+        most: largest coordinate, before or after 0.
         height_may_be_null: whether [x, y, null] is valid too.
     """
 
+    most: float
     height_may_be_null: bool = False
 
     def read(self, value: Any) -> list[float]:
         if isinstance(value, list | tuple):
-            if len(value) == 3 and _are_numbers(value):
+            most = self.most
+            if len(value) == 3 and _are_within(value, -most, most):
                 return list(map(float, value))
             numbers = value[:2] if self.height_may_be_null and len(value) == 3 and value[2] is None else value
-            if len(numbers) == 2 and _are_numbers(numbers):
+            if len(numbers) == 2 and _are_within(numbers, -most, most):
                 return [float(numbers[0]), float(numbers[1]), nan]
         raise _refuse(self, value)
 
     def schema(self) -> dict[str, Any]:
+        number = Number(-self.most, most=self.most).schema()
         if not self.height_may_be_null:
-            return {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}
-        items = [{"type": "number"}, {"type": "number"}, {"type": ["number", "null"]}]
+            return {"type": "array", "items": number, "minItems": 2, "maxItems": 3}
+        items = [number, number, number | {"type": ["number", "null"]}]
         return {"type": "array", "prefixItems": items, "items": False, "minItems": 2}
 
     def words(self) -> str:
-        return "a list of two or three finite numbers" + (", the third may be null" if self.height_may_be_null else "")
+        bounds = f"from {_plain(-self.most)} to {_plain(self.most)}"
+        null = ", the third may be null" if self.height_may_be_null else ""
+        return f"a list of two or three numbers {bounds}{null}"
 
 
 @dataclass(eq=False)
@@ -319,13 +400,18 @@ class Covariance:
     """A symmetric, positive semidefinite matrix, 3 × 3 or 2 × 2, as a list of rows.
 
     `read` returns nine numbers, row by row; of a 2 × 2 matrix, the third row and column are 0: not observed.
+
+    Attributes:
+        most: largest entry, before or after 0.
     """
+
+    most: float
 
     def read(self, value: Any) -> list[float]:
         if not isinstance(value, list) or len(value) not in (2, 3):
             raise _refuse(self, value)
         for row in value:
-            if not isinstance(row, list) or len(row) != len(value) or not _are_numbers(row):
+            if not isinstance(row, list) or len(row) != len(value) or not _are_within(row, -self.most, self.most):
                 raise _refuse(self, value)
         if len(value) == 2:
             (a, b), (d, e) = value
@@ -342,12 +428,18 @@ class Covariance:
 
     def schema(self) -> dict[str, Any]:
         rows = [
-            {"type": "array", "items": Numbers(size).schema(), "minItems": size, "maxItems": size} for size in (2, 3)
+            {
+                "type": "array",
+                "items": Numbers(size, Number(-self.most, most=self.most)).schema(),
+                "minItems": size,
+                "maxItems": size,
+            }
+            for size in (2, 3)
         ]
         return {"anyOf": rows}
 
     def words(self) -> str:
-        return "a 2 × 2 or 3 × 3 matrix of finite numbers"
+        return f"a 2 × 2 or 3 × 3 matrix of numbers from {_plain(-self.most)} to {_plain(self.most)}"
 
 
 def _semidefinite(matrix: list[list[float]]) -> bool:

@@ -18,7 +18,7 @@ from avcli.localization.memory import Memory, Trace, level_distance
 from avcli.localization.noise import NoiseLaw, draw_noise_law
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
-from avcli.localization.stream import Block, LatestSamples
+from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.talkers import Peak, TalkerSearch
 from avcli.localization.windows import Ballot, Band, Correlator, Heard, Window, together
 
@@ -95,6 +95,12 @@ class SteeredLocalizer:
             blocks: the stream, piece by piece. Time steps are skipped where a block says that others wait behind it.
             begin: the first sample's place on the clock, in samples.
         """
+        for first, stretch in stretches(blocks, begin):
+            yield from self._stretch(stretch, first)
+            self.memory.traces.clear()  # a talker of one stretch is not expected in the next
+
+    def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
+        """Yield a decision for every time step of a stream without long gaps."""
         fs, rate = self.array.sample_rate, self.settings.rate
         stream = LatestSamples(begin, len(self.array.microphones))
         windows: dict[int, Window] = {}

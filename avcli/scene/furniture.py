@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from avcli.formats import bounds
 from avcli.formats.schema import Choice, Invalid, Key, Number, Numbers, Object, Text, Variants
 
 BOX, CYLINDER, BALL, TRIANGLE = range(4)
@@ -13,14 +14,14 @@ PAINT, WOOD, PLASTIC, METAL, CLOTH, CARD = range(6)
 _MATERIALS = {"paint": PAINT, "wood": WOOD, "plastic": PLASTIC, "metal": METAL, "cloth": CLOTH, "card": CARD}
 _LARGEST_MESH = 200_000
 _GREY, _WOOD = [0.62, 0.63, 0.62], [0.72, 0.53, 0.34]
-_LENGTH = Number(above=0)
+_LENGTH = bounds.LENGTH
 
 
 def _kind(place: tuple[int, str], color: list[float], material: str = "", turns: str = "", **own: Key) -> Object:
     """Describe a kind of furniture: where it stands, its own keys, and those that it shares with others."""
-    keys = {"position_m": Key(Numbers(place[0]), f"position {place[1]}, m", required=True), **own}
+    keys = {"position_m": Key(Numbers(place[0], bounds.COORDINATE), f"position {place[1]}, m", required=True), **own}
     if turns:
-        keys["rotation_deg"] = Key(Number(), turns, default=0.0)
+        keys["rotation_deg"] = Key(bounds.DEGREES, turns, default=0.0)
     if material:
         keys["material"] = Key(Choice(tuple(_MATERIALS)), "material of its surface", default=material)
     keys["color"] = Key(Numbers(3, Number(least=0, most=1)), "colour, sRGB fractions", default=color)

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from avcli.formats import bounds
+from avcli.formats.schema import DEEPEST, Invalid, refuse_depth
 from avcli.scene import crowd, scenario
 from avcli.scene.settings import BUILT_IN, SCENARIOS
 
@@ -72,8 +74,16 @@ def decode(text: bytes, name: str) -> Any:
     Raises:
         ScenarioError: it is not JSON, or not UTF-8; the message begins with `name` and the place.
     """
+    if len(text) > bounds.LARGEST_JSON_FILE:
+        limit = bounds.LARGEST_JSON_FILE >> 20
+        raise scenario.ScenarioError(f"{name}: longer than {limit} MiB, which is not a scenario")
     try:
-        return json.loads(text)
+        raw = json.loads(text)
+        refuse_depth(raw)
+        return raw
+    except (Invalid, RecursionError):  # the latter from json, which calls itself for each list in a list
+        reason = f"has lists or objects more than {DEEPEST} deep inside one another"
+        raise scenario.ScenarioError(f"{name}: {reason}") from None
     except json.JSONDecodeError as error:
         raise scenario.ScenarioError(f"{name}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
     except UnicodeDecodeError as error:
