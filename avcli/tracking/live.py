@@ -155,12 +155,12 @@ class LiveMerger(Merger):
     def _end(self) -> float:
         return math.inf if self.open else super()._end()
 
-    def _ignore(self, sensor: str, *, new: bool) -> None:
-        if new:  # its sensor was not known, so the step did not wait for it
-            return
-        if sensor not in self.late:
-            self.say(f"sensor {sensor!r}: records come too late and are ignored")
-        super()._ignore(sensor, new=new)
+    def _ignore(self, key: Key) -> None:
+        if self.clock() - self.heard.get(key, -math.inf) >= self.max_wait:
+            return  # nobody waited for the first record of a sensor, or for the first after a silence
+        if key[1] not in self.late:
+            self.say(f"sensor {key[1]!r}: records come too late and are ignored")
+        super()._ignore(key)
 
     def _stream(self, time: float) -> LiveStream:
         return LiveStream(time, time, 1.0 / self.rate if self.rate else math.inf, reach=self.max_wait)

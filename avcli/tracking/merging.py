@@ -12,6 +12,7 @@ from avcli.formats.records import Detections
 SAME = 1e-6  # s; nearer times are one
 PATIENCE = 3  # records after a gap before the missing one is given up
 JUMP = 10.0  # s without any record, after which the clock starts anew
+FASTEST = 1000.0  # Hz, of a clock that is estimated
 LATEST = 1e11  # s; the steps of a clock cannot be told from each other much beyond
 
 
@@ -129,7 +130,7 @@ class Merger:
             )
         stream = self.streams.get((source, sensor))
         if self.began and time < self._time(self.tick - 1) + SAME:
-            self._ignore(sensor, new=stream is None)
+            self._ignore((source, sensor))
         else:
             self.records.append((time, sensor, source, detections))
             self.first, self.last = min(self.first, time), max(self.last, time)
@@ -197,9 +198,9 @@ class Merger:
         """Time in s after which there is no step without a further record."""
         return self.last + 1e-3
 
-    def _ignore(self, sensor: str, *, new: bool) -> None:
-        """Count a record that came too late; new: it is the first of its sensor."""
-        self.late[sensor] += 1
+    def _ignore(self, key: Key) -> None:
+        """Count a record that came too late."""
+        self.late[key[1]] += 1
 
     def _stream(self, time: float) -> Stream:
         return Stream(time, time, 1.0 / self.rate if self.rate else math.inf)
@@ -221,7 +222,7 @@ class Merger:
             if sensor in before and time - before[sensor] > SAME:
                 steps[round(time - before[sensor], 6)] += 1
             before[sensor] = time
-        return 1.0 / max(steps, key=lambda step: (steps[step], -step)) if steps else 10.0
+        return min(1.0 / max(steps, key=lambda step: (steps[step], -step)), FASTEST) if steps else 10.0
 
     def _time(self, tick: int) -> float:
         return self.origin + tick / (self.rate or 1.0)
