@@ -102,15 +102,14 @@ def test_a_time_that_no_clock_can_reach_is_refused(time):
 # --- arrival ----------------------------------------------------------------------------------------------------------
 
 
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
+@pytest.mark.parametrize("seed", range(4))
 def test_the_order_of_records_does_not_depend_on_their_arrival(seed):
     rng = np.random.default_rng(seed)
-    times = [np.sort(rng.uniform(0, 20, rng.integers(0, 4000))).round(1).tolist() for _ in range(3)]
+    times = [np.sort(rng.uniform(0, 20, rng.integers(0, 600))).round(1).tolist() for _ in range(3)]
     pipes = [os.pipe() for _ in times]
 
     def write(number):
-        data = b"".join(b"%.1f\n" % t for t in times[number])
+        data = b"".join(b"%300.1f\n" % t for t in times[number])
         chunks = np.random.default_rng(seed + number)
         with open(pipes[number][1], "wb", buffering=0) as stream:
             while data:
@@ -125,11 +124,11 @@ def test_the_order_of_records_does_not_depend_on_their_arrival(seed):
     for writer in writers:
         writer.start()
     arrivals = Arrivals(["a", "b", "c"], [os.fdopen(end, "rb", 0) for end, _ in pipes], read)
-    arrived = [(k, one and one.timestamp) for k, one in in_turn([arrivals.of(k) for k in range(3)])]
+    arrived = [(k, None if one is None else one.timestamp) for k, one in in_turn([arrivals.of(k) for k in range(3)])]
     for writer in writers:
         writer.join()
     in_files = in_turn([iter([seen(t, f"s{k}") for t in times[k]]) for k in range(3)])
-    assert arrived == [(k, one and one.timestamp) for k, one in in_files]
+    assert arrived == [(k, None if one is None else one.timestamp) for k, one in in_files]
 
 
 def test_a_fault_in_one_pipe_is_raised_where_its_item_is_wanted():
@@ -137,7 +136,7 @@ def test_a_fault_in_one_pipe_is_raised_where_its_item_is_wanted():
     arrivals = Arrivals(["a", "b"], [os.fdopen(end, "rb", 0) for end, _ in ends], lambda k, s: map(int, s))
     os.write(ends[0][1], b"1\n")
     os.write(ends[1][1], b"2\nthree\n")
-    assert list(zip(arrivals.of(1), range(1), strict=False)) == [(2, 0)]
+    assert next(arrivals.of(1)) == 2
     assert next(arrivals.of(0)) == 1
     with pytest.raises(ValueError, match="three"):
         next(arrivals.of(1))
@@ -218,7 +217,7 @@ def test_live_a_source_that_never_speaks_is_left_behind():
     assert live.now(0.0, "video", 1) == []
     assert live.after(0.9) == []
     assert live.after(0.2) == [0.0]
-    assert live.said[:1] == ["a.fifo has no record after 1 s (--max-wait); it is not waited for"]
+    assert live.said[1:] == ["a.fifo has no record after 1 s (--max-wait); it is not waited for"]
 
 
 def test_live_the_clock_goes_on_while_all_are_silent_and_no_further():

@@ -170,7 +170,7 @@ class Merger:
             now = self._time(self.tick)
             if now + SAME >= horizon or now > self._end():
                 return
-            known = min((record[0] for record in self.records if record[0] < horizon), default=now)
+            known = min((record[0] for record in self.records if record[0] <= horizon), default=now)
             if known - now > JUMP:
                 self.say(f"no sensor has a record for more than {JUMP:g} s; the tracks go on with the next record")
                 self._begin()
