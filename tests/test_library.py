@@ -64,6 +64,7 @@ def test_the_door_is_lazy_and_complete():
         assert name in dir(avcli)
         assert all(p.annotation is not p.empty for p in inspect.signature(function).parameters.values()), name
         assert inspect.signature(function).return_annotation is not inspect.Signature.empty, name
+        assert "Args:" in function.__doc__, name
         assert "Raises:" in function.__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'simulat'"):
         avcli.simulat  # noqa: B018

@@ -383,6 +383,14 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
 def save(path: str | os.PathLike[str], items: Iterable[Detections | Identified]) -> None:
     """Write detections, ground truth or tracks as JSON Lines; the file appears whole or not at all.
 
+    Args:
+        path: of the file.
+        items: in the order in which they are written.
+
+    Raises:
+        RecordError: a number is NaN or infinite where JSON needs a number.
+        OSError: the file cannot be written.
+
     >>> import numpy as np
     >>> save("tracks.jsonl", [Identified(0.0, np.array([1]), np.array([[1.0, 2.0, 0.0]]))])
     >>> load("tracks.jsonl")[0].positions
@@ -397,6 +405,12 @@ def load(path: str | os.PathLike[str]) -> list[Detections | Identified]:
 
     Objects with "object_id" are people, and records with "sensor" or "kind" or with other objects are detections. A
     file without any object and any sensor holds people.
+
+    Args:
+        path: of the file, JSON Lines.
+
+    Returns:
+        One item a record, in the order of the file.
 
     Raises:
         RecordError: a record is invalid; the message names the file and the line.

@@ -119,15 +119,13 @@ def refine(
         reached = cost(candidate[1])
         if reached <= least:
             found, least = found + step, reached
-            jacobian, residual, robust = candidate
-            damping *= 0.1
+            (jacobian, residual, robust), damping = candidate, 0.1 * damping
             if np.abs(step).max() < 1e-5:
                 break
         else:
             damping = max(damping * 100.0, 1e-6)
     normal = jacobian.T @ (jacobian * robust[:, None])
-    total = robust.sum()
-    rms = float(np.sqrt((robust * residual**2).sum() / total)) if total > 0.0 else np.inf
+    rms = float(np.sqrt((robust * residual**2).sum() / robust.sum())) if robust.any() else np.inf
     return found, normal, rms
 
 

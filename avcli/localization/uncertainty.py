@@ -91,8 +91,8 @@ class Law:
         first, further: weights of the logit of the probability that a decision's first peak, or a further one, is
             within half a metre (x, y) of a talker, by the names of `terms`.
         spread: for each of `PARTS` the weights of its terms.
-        widened: logarithms by which the parts "motion" and "level" are wider than the likelihood has them: errors have
-            heavier tails than the Gaussian that is fitted, and 95 % ellipses shall hold 95 % of them.
+        widened: logarithms by which parts are wider than `spread` has them: errors have heavier tails than the Gaussian
+            that is fitted, and 95 % ellipses shall hold 95 % of them. Empty where `spread` has it in it.
         memory: s, how long a decision counts in the later ones.
         sharpness: logarithm of a place's likelihood over the response there, in standard deviations of a GCC of noise.
         closed_form, closed_form_refined: of 3D-SSL, without and with its refinement.

@@ -48,7 +48,7 @@ def waypoints(
             knots_t.append(knots_t[-1] + rng.uniform(0.5, 3.0))
         else:
             there = rng.uniform(low, high, 2)
-            knots_t.append(knots_t[-1] + np.linalg.norm(there - here) / rng.uniform(0.5, 1.3) + 1e-3)
+            knots_t.append(knots_t[-1] + float(np.linalg.norm(there - here)) / rng.uniform(0.5, 1.3) + 1e-3)
             here = there
         knots.append(here)
     corners = np.array(knots)
@@ -77,7 +77,8 @@ class People:
                 length = np.linalg.norm(step)
                 ahead = step / length if length > 1e-6 else np.array([1.0, 0.0])
                 ids.append(i)
-                rows.append((here, here + 0.1 * ahead, bool(speaks[min(np.searchsorted(times, time), len(times) - 1)])))
+                turn = min(int(np.searchsorted(times, time)), len(times) - 1)
+                rows.append((here, here + 0.1 * ahead, bool(speaks[turn])))
         place = np.array([r[0] for r in rows]).reshape(-1, 2)
         return (
             np.array(ids, int),
@@ -248,7 +249,7 @@ def comings_and_goings(rng: Rng) -> Scene:
         stroll = begin + np.arange(0.0, rng.uniform(4.0, 9.0), 0.1)
         path = waypoints(rng, stroll, doorway())
         way = doorway() - path[-1]
-        leave = np.arange(1, max(np.linalg.norm(way) / 1.0 / 0.1, 1.0))[:, None] * 0.1
+        leave = np.arange(1, max(float(np.linalg.norm(way)) / 1.0 / 0.1, 1.0))[:, None] * 0.1
         path = np.vstack([path, path[-1] + leave * way / max(np.linalg.norm(way), 1e-9)])
         times = begin + 0.1 * np.arange(len(path))
         keep = times <= 30.0
