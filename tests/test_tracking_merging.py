@@ -270,6 +270,15 @@ def test_live_a_sensor_that_lags_is_left_behind_though_it_speaks():
     assert live.said[0] == "sensor 'audio' lags more than 1 s (--max-wait); its records are not waited for"
 
 
+def test_live_what_has_piled_up_is_taken_as_a_whole():
+    live = Live(["a", "v"])
+    out = [step for k in range(50) for step in live.now(k / 10, "audio", 0)]  # all at once, as after a stop
+    out += [step for k in range(50) for step in live.now(k / 10, "video", 1)]
+    assert out == [k / 10 for k in range(50)]
+    assert live.said == []
+    assert not live.merger.late
+
+
 def test_live_with_infinite_patience_waits():
     live = Live(["a", "v"], max_wait=float("inf"))
     for k in range(5):

@@ -45,8 +45,8 @@ class LiveMerger(Merger):
     """Merges records as they come; what it yields depends on when they come.
 
     A step closes as soon as every sensor that is present has delivered for it. A sensor that has been quiet for
-    `max_wait` of wall time, or lags as much behind the newest record of any sensor, is absent: it is not waited for
-    until it speaks again. While all are absent, the clock goes on with the wall.
+    `max_wait` of wall time, or has lagged for so long as much behind the newest record of any sensor, is absent: it is
+    not waited for until it speaks again. While all are absent, the clock goes on with the wall.
 
     Call `steps` with an event of None whenever `due` seconds have gone by without another.
     """
@@ -72,6 +72,7 @@ class LiveMerger(Merger):
         super().__init__(sources, rate, max_wait, one_sensor=True, say=say)
         self.clock, self.start = clock, clock()
         self.heard: dict[Key, float] = {}  # wall time in s of the latest record
+        self.behind: dict[Key, float] = {}  # wall time in s since when a sensor lags
         self.absent: set[Key] = set()
         self.unheard: set[int] = set()  # sources without any record that are not waited for any more
 
@@ -96,6 +97,7 @@ class LiveMerger(Merger):
         super().end(source)
         for key in [key for key in self.heard if key[0] == source]:
             del self.heard[key]
+            self.behind.pop(key, None)
             self.absent.discard(key)
 
     def watch(self) -> None:
@@ -103,7 +105,9 @@ class LiveMerger(Merger):
         now = self.clock()
         quiet = {key for key, heard in self.heard.items() if now - heard >= self.max_wait}
         newest = max((s.complete for key, s in self.streams.items() if key not in quiet), default=-math.inf)
-        lagging = {key for key, s in self.streams.items() if newest - s.complete > self.max_wait + SAME} - quiet
+        behind = [key for key, s in self.streams.items() if newest - s.complete > self.max_wait + SAME]
+        self.behind = {key: self.behind.get(key, now) for key in behind}
+        lagging = {key for key, since in self.behind.items() if now - since >= self.max_wait} - quiet
         for key in sorted((quiet | lagging) - self.absent):
             how = "has been quiet for" if key in quiet else "lags"
             self.say(
@@ -136,7 +140,7 @@ class LiveMerger(Merger):
         if not self.open or math.isinf(self.max_wait):
             return None
         now = self.clock()
-        times = [heard for key, heard in self.heard.items() if key not in self.absent]
+        times = [at for one in (self.heard, self.behind) for key, at in one.items() if key not in self.absent]
         if now - self.start < self.max_wait and (self._without_record() or not self.began):
             times.append(self.start)
         waits = [at + self.max_wait - now for at in times]
