@@ -279,6 +279,16 @@ def test_live_what_has_piled_up_is_taken_as_a_whole():
     assert not live.merger.late
 
 
+def test_live_a_sensor_is_not_quiet_while_its_records_wait_for_a_slow_tracker():
+    live = Live(["a", "v"])
+    out = []
+    for k in range(60):
+        out += live.now(k % 30 / 10, ["audio", "video"][k // 30], k // 30)
+        live.wall += 0.1
+    assert out == [k / 10 for k in range(30)]
+    assert live.said == []
+
+
 def test_live_with_infinite_patience_waits():
     live = Live(["a", "v"], max_wait=float("inf"))
     for k in range(5):

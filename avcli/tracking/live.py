@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from avcli.formats.records import Detections
 from avcli.tracking.merging import PATIENCE, SAME, Key, Merger, Stream
 
+SLACK = 0.02  # s, in which what has been sent arrives
+
 
 @dataclass
 class LiveStream(Stream):
@@ -100,24 +102,28 @@ class LiveMerger(Merger):
             self.behind.pop(key, None)
             self.absent.discard(key)
 
-    def watch(self) -> None:
-        """Note which sensors are present, and tell the user of those that are not waited for."""
+    def watch(self, *, idle: bool) -> None:
+        """Note which sensors are present, and tell the user of those that are not waited for.
+
+        None of them becomes absent unless the merger is idle: their records may have arrived while others were used.
+        """
         now = self.clock()
         quiet = {key for key, heard in self.heard.items() if now - heard >= self.max_wait}
         newest = max((s.complete for key, s in self.streams.items() if key not in quiet), default=-math.inf)
         behind = [key for key, s in self.streams.items() if newest - s.complete > self.max_wait + SAME]
         self.behind = {key: self.behind.get(key, now) for key in behind}
         lagging = {key for key, since in self.behind.items() if now - since >= self.max_wait} - quiet
-        for key in sorted((quiet | lagging) - self.absent):
+        absent = quiet | lagging if idle else (quiet | lagging) & self.absent
+        for key in sorted(absent - self.absent):
             how = "has been quiet for" if key in quiet else "lags"
             self.say(
                 f"sensor {key[1]!r} {how} more than {self.max_wait:g} s (--max-wait); its records are not waited for"
             )
-        for key in sorted(self.absent - quiet - lagging):
+        for key in sorted(self.absent - absent):
             self.say(f"sensor {key[1]!r} is back; its records are waited for again")
-        self.absent = quiet | lagging
+        self.absent = absent
         for source in sorted(self._without_record() - self.unheard):
-            if now - self.start >= self.max_wait:
+            if idle and now - self.start >= self.max_wait:
                 self.unheard.add(source)
                 name = self.sources[source]
                 self.say(f"{name} has no record after {self.max_wait:g} s (--max-wait); it is not waited for")
@@ -141,12 +147,12 @@ class LiveMerger(Merger):
             return None
         now = self.clock()
         times = [at for one in (self.heard, self.behind) for key, at in one.items() if key not in self.absent]
-        if now - self.start < self.max_wait and (self._without_record() or not self.began):
+        if self._without_record() - self.unheard or (not self.began and now - self.start < self.max_wait):
             times.append(self.start)
         waits = [at + self.max_wait - now for at in times]
         if not waits and self.streams:
             waits = [self._time(self.tick) - self._gone_by(now)]
-        return max(min(waits, default=math.inf), 0.0) + 1e-3 if waits else None
+        return max(min(waits), 0.0) + SLACK if waits else None
 
     def _gone_by(self, now: float) -> float:
         """Time in s of the records that would have come `max_wait` ago, had the sensors not fallen silent."""

@@ -113,7 +113,7 @@ class Merger:
                     self.end(source)
                 else:
                     self.push(source, detections.sensor or "sensor", detections.timestamp, detections)
-            self.watch()
+            self.watch(idle=event is None)
             yield from self.closed()
         for name, count in sorted(self.late.items()):
             self.say(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
@@ -145,8 +145,8 @@ class Merger:
         for key in [key for key in self.streams if key[0] == source]:
             del self.streams[key]
 
-    def watch(self) -> None:
-        """Tell the user of sensors that are no longer waited for."""
+    def watch(self, *, idle: bool) -> None:
+        """Tell the user of sensors that are no longer waited for; idle: all that has arrived is taken."""
         laggards = self.laggards()
         for name in sorted(laggards - self.lagging):
             self.say(f"sensor {name!r} lags more than {self.max_wait:g} s (--max-wait); its records are not waited for")
