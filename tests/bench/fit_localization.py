@@ -485,9 +485,9 @@ def fit(
     """Return the law that fits scenes best, its covariance only where that is asked for, and the number of their peaks.
 
     What a decision remembers rests on the coefficients at hand, so that the scores are fitted twice with the new ones:
-    on one scene of each condition and as many seconds of worlds, with each memory, and then on all.
+    on one scene of each condition and a few worlds, with each memory, and then on all.
     """
-    few = [*heard["conditions"][:WORLD], *heard["worlds"][: round(WORLD * SECONDS / WORLD_S)]]
+    few = [*heard["conditions"][:WORLD], *heard["worlds"][: WORLD // 4]]
     every = [*heard["conditions"], *heard["worlds"]]
     closed, refined = (
         fit_closed_form([row for scene in every for row in closed_form_rows(scene, name)], getattr(law, name))
