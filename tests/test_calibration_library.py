@@ -102,7 +102,7 @@ TRUE = {
 
 @pytest.mark.parametrize("model", LENSES)
 def test_every_lens_model_comes_back_from_exact_corners(model):
-    true = TRUE.get(model, THESIS)
+    true = TRUE.get(model) or LENSES[model].of_image([860.0, 863.0, 1049.5, 552.8, -0.02, 0.0, 0.0, 0.0], *SIZE)
     observations = exact(film(20, np.random.default_rng(3), lens=true), lens=true)
     solution, kept = fit.fit_robustly(observations, *SIZE, model=model)
     assert kept.all()

@@ -498,7 +498,7 @@ def test_a_new_key_is_in_the_schema_and_in_the_manual():
         "own", "Own", schemas.Object({"voice": schemas.Key(schemas.Choice(("high", "low")), "pitch", default="low")})
     )
     assert orjson.loads(written.json_schema(described))["properties"]["voice"]["enum"] == ["high", "low", None]
-    assert '.It Va voice\nPitch. One of high, low; default "low".\n' in written.key_list(described)
+    assert '.It Va voice\nPitch.\nOne of high, low; default "low".\n' in written.key_list(described)
 
 
 def test_numbers_beyond_floats_are_refused_and_large_ones_are_not():

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import avcli.lens
 from avcli import pose
-from avcli.lens import Angular, BrownConrady, Division, KannalaBrandt, shader
+from avcli.lens import LENSES, Angular, BrownConrady, Division, KannalaBrandt, shader
 from avcli.lens.radial import fold_of_odd_polynomial, odd_polynomial
 
 REAL = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
@@ -31,6 +31,8 @@ LISTING = Division(596.43, 596.43, 960.0, 540.0, -0.2)
 @dataclass(frozen=True)
 class Equisolid(Angular):
     """The equal-area fisheye, written as CONTRIBUTING.md says, to hold that a lens is one class and one table entry."""
+
+    text = "the equal-area fisheye"
 
     @cached_property
     def theta_max(self) -> float:
@@ -236,11 +238,10 @@ def test_jacobian_equals_central_differences(lens):
         numeric = (lens.project(points + delta) - lens.project(points - delta)) / (2 * step)
         np.testing.assert_allclose(d_point[:, :, axis], numeric, rtol=1e-6, atol=1e-5)
     names = ["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"]
-    fields = {name: getattr(lens, name) for name in lens.__dataclass_fields__}
     for index, name in enumerate(names):
-        h = 1e-6 * max(1.0, abs(fields[name]))
-        above = type(lens)(**{**fields, name: fields[name] + h})
-        below = type(lens)(**{**fields, name: fields[name] - h})
+        value = getattr(lens, name)
+        h = 1e-6 * max(1.0, abs(value))
+        above, below = replace(lens, **{name: value + h}), replace(lens, **{name: value - h})
         numeric = (above.project(points) - below.project(points)) / (2 * h)
         np.testing.assert_allclose(d_parameters[:, :, index], numeric, rtol=1e-6, atol=1e-5)
 
@@ -271,6 +272,10 @@ def test_any_coefficients_give_an_exact_inverse_up_to_their_fold(k1, k2, k3, k4)
         np.testing.assert_allclose(again, pixels, rtol=1e-13, atol=1e-9)
         few = lens.unproject(pixels[:50])
         np.testing.assert_allclose(few, lens.unproject(pixels)[:50], rtol=0, atol=1e-12)
+
+
+def test_every_registered_lens_has_an_example():
+    assert set(LENSES.values()) <= {type(lens) for lens in EXAMPLES}
 
 
 def test_a_lens_is_registered_in_one_place():

@@ -106,9 +106,9 @@ def test_a_second_run_gives_the_same_bytes(finished_s1, tmp_path):
 # --- live -------------------------------------------------------------------------------------------------------------
 
 PIPELINE = """
-mkfifo truth
-avsim-audio -C out/s1 truth | avdetect-audio -C out/s1 >a.jsonl &
-avsim-scene s1 -C out/s1 | tee truth | avdetect-video -C out/s1 >v.jsonl; wait
+exec 3> >(avsim-audio -C out/s1 | avdetect-audio -C out/s1 >a.jsonl); ears=$!
+avsim-scene s1 -C out/s1 | tee /dev/fd/3 | avdetect-video -C out/s1 >v.jsonl
+exec 3>&-; wait $ears
 avfuse -C out/s1 a.jsonl v.jsonl | tee t.jsonl | aveval out/s1/groundtruth_sources.jsonl -
 """
 
@@ -129,6 +129,24 @@ def test_the_live_pipeline_gives_the_same_tracks(finished_s1, tmp_path):
         ("t.jsonl", "tracking/audio_video_tracking.jsonl"),
     ]:
         assert (tmp_path / file).read_bytes() == (finished_s1 / made).read_bytes(), file
+
+
+@pytest.mark.parametrize("stage", ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "tee"])
+def test_a_stage_that_fails_at_once_ends_the_others(tmp_path, stage):
+    lines = [line for line in PIPELINE.strip().splitlines() if not line.startswith("avfuse")]
+    failing = "\n".join(lines).replace(f"{stage} ", f"{stage} --no-such-option ", 1)
+    path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
+    result = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", failing + "; jobs -p"],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+    )
+    assert "--no-such-option" in result.stderr or "unrecognized option" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
 
 
 def test_by_ear_alone_nothing_is_rendered(tmp_path):

@@ -6,6 +6,7 @@ python -m avcli.formats --check    # exit 1, naming the files that are not as th
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,7 +66,8 @@ def _sentence(key: Key) -> str:
     words = key.kind.words() + ("; required" if key.required else "")
     if key.default is not None:
         words += f"; default {json.dumps(key.default)}"
-    text = " ".join(f"{part[:1].upper()}{part[1:]}." for part in (key.text, words))
+    text = "\n".join(f"{part[:1].upper()}{part[1:]}." for part in (key.text, words))
+    text = re.sub(r"\. (?=[A-Z])", ".\n", text)  # mandoc wants a line for each sentence
     # A backslash would be an escape, and formatters differ in what they make of other characters than ASCII.
     return "".join(c if c.isascii() else f"\\[u{ord(c):04X}]" for c in text.replace("\\", "\\e"))
 

@@ -49,8 +49,7 @@ _PLACE = Numbers(3)
 _LENS_KEYS = {
     "lens_model": Key(
         Choice(tuple(lens.LENSES)),
-        "the lens model; kannala_brandt is OpenCV's fisheye (KB-8), brown_conrady has four radial terms, division is "
-        "the thesis's shader",
+        "the lens model; " + ", ".join(f"{name}: {model.text}" for name, model in lens.LENSES.items()),
         default="division",
     ),
     "fx_px": Key(_LENGTH, "focal length, px", required=True),

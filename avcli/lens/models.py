@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,8 +44,10 @@ class Lens(ABC):
         fx, fy: focal lengths, px.
         cx, cy: where the axis meets the image, px.
         k1, k2, k3, k4: coefficients of the radial polynomial, without unit.
+        text: of each model in `LENSES`, what it is: a few words for the schema and the manual.
     """
 
+    text: ClassVar[str]
     fx: float
     fy: float
     cx: float
@@ -349,6 +351,8 @@ class KannalaBrandt(Angular):
     Source: Kannala and Brandt (2006), A generic camera model and calibration method, eq. 6, as cv2.fisheye has it.
     """
 
+    text = "OpenCV's fisheye (KB-8)"
+
     @cached_property
     def theta_max(self) -> float:
         """The largest angle from the axis that is imaged, rad: where d(theta) stops growing, at most pi."""
@@ -370,6 +374,8 @@ class BrownConrady(Perspective):
 
     Source: Brown (1966), Decentering distortion of lenses.
     """
+
+    text = "an ordinary lens with four radial terms"
 
     @cached_property
     def theta_max(self) -> float:
@@ -412,6 +418,8 @@ class Division(Perspective):
 
     Source: Fitzgibbon (2001), Simultaneous linear estimation of multiple view geometry and lens distortion.
     """
+
+    text = "the thesis's shader"
 
     width: float = 1920
     height: float = 1080
