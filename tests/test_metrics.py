@@ -240,5 +240,5 @@ def test_bad_sequences_are_refused():
         Sequence.of([([1], np.array([[np.nan, 0]]))], [EMPTY])
     with pytest.raises(ValueError, match="dimensions"):
         Sequence.of([([1], np.zeros((1, 2)))], [([1], np.zeros((1, 3)))])
-    with pytest.raises(ValueError, match="2 frames of ground truth against 1"):
+    with pytest.raises(ValueError, match="the ground truth has 2 frames, but the tracks have 1"):
         Sequence.of([EMPTY, EMPTY], [EMPTY])

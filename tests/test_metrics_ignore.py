@@ -80,5 +80,5 @@ def test_ears_are_judged_by_those_who_speak(tmp_path):
     assert scores("--speaking", "--html", "r.html", "--detections", "ears.jsonl") == {"ears": 1, "all": 1, "ghost": 0}
     silent = run("aveval", "all.jsonl", "ears.jsonl", "--speaking", cwd=tmp_path)
     assert (silent.returncode, silent.stdout) == (1, b"")
-    assert 'needs "speaking" for every person' in silent.stderr
+    assert 'must give "speaking" for every person' in silent.stderr
     assert run("aveval", "all.jsonl", "ears.jsonl", "--speaking", "--compare-thesis", cwd=tmp_path).returncode == 2

@@ -24,6 +24,12 @@ def test_what_is_left_out_is_the_laboratory():
     assert len(scene.times) == 41
 
 
+def test_every_key_of_people_and_waypoints_is_used():
+    source = (ROOT / "avcli" / "scene" / "scenario.py").read_text()
+    unused = [key for kind in (scenario._PERSON, scenario._WAYPOINT) for key in kind.keys if f'["{key}"]' not in source]
+    assert not unused
+
+
 def point(**keys):
     return {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0], **keys}]}]}
 
@@ -46,13 +52,19 @@ def point(**keys):
         (point(t_s=0), '"people[0].waypoints[1].t_s" must be after the previous waypoint, 0 s, found 0'),
         (point(pose="lie"), '"people[0].waypoints[1].pose" must be one of stand, sit, found "lie"'),
         (point(stay_s=-1), '"people[0].waypoints[1].stay_s" must be a number of at least 0'),
-        (point(position_m=[1.0, 1.0]), '"people[0].waypoints[1].position_m" is where the person already is; give t_s'),
+        (
+            point(position_m=[1.0, 1.0]),
+            '"people[0].waypoints[1].position_m" is the position of the previous waypoint; give t_s',
+        ),
         ({"people": [{**GOOD["people"][0], "look": "pink"}]}, '"people[0].look" must be one of red'),
         ({"people": [{**GOOD["people"][0], "height_m": 9}]}, '"people[0].height_m" must be a number from 0.5 to 2.5'),
         ({"people": [{**GOOD["people"][0], "speech_s": [[2, 1]]}]}, '"people[0].speech_s[0]" must start before'),
         ({"people": [{**GOOD["people"][0], "speech_s": [[0, 2], [1, 3]]}]}, '"people[0].speech_s[1]" begins before'),
         ({"people": [{**GOOD["people"][0], "speech_s": [[0]]}]}, '"people[0].speech_s[0]" must be a list of two'),
-        ({"people": [{**GOOD["people"][0], "object_id": 1}, GOOD["people"][0]]}, '"people[1].object_id" 1 is another'),
+        (
+            {"people": [{**GOOD["people"][0], "object_id": 1}, GOOD["people"][0]]},
+            '"people[1].object_id" must differ between people; 1 is used twice',
+        ),
         ({"camera_config": {"camera_position_m": [1, 1, 3.5]}}, 'camera_position_m" [1.0, 1.0, 3.5] is outside'),
         ({"camera_config": {"fx_px": -1}}, 's.json: "camera_config.fx_px" must be a number above 0, found -1'),
         ({"camera_config": {"image_width_px": 0}}, "camera_config.image_width_px"),

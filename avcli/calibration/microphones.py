@@ -211,7 +211,7 @@ def align(
     clear = np.isfinite(heard.delays)
     if clear.any(1).sum() < 8 or len(path_times) < 2:
         raise ValueError(
-            f"too little to go by: a clear voice in {int(clear.any(1).sum())} windows, a track of {len(path_times)} "
+            f"not enough data: a clear voice in {int(clear.any(1).sum())} windows, a track of {len(path_times)} "
             "records; record one person who talks or claps at ten or more places"
         )
     problem = _Problem(heard, path_times, path, microphones, speed_of_sound)

@@ -178,7 +178,8 @@ def target_command(session: Session, paper: str | None, format: str | None, **va
         drawing = target.draw(board, paper)
     if board.is_ambiguous:
         session.warn(
-            f"a checkerboard of {board} squares looks the same upside down: avcalib pose cannot tell which way it lies"
+            f"a checkerboard of {board} squares looks the same upside down: avcalib pose cannot find its direction; "
+            "make one count odd and one even"
         )
     is_pdf = format == "pdf" or (format is None and session.output_path.lower().endswith(".pdf"))
     with session.output() as write:

@@ -139,7 +139,9 @@ def microphones_command(
     if into_config and result.improves:
         camera.write_microphones(session.config_path, session.config.raw, result.positions.tolist())
     elif into_config:
-        session.warn("config.json was not changed: the found positions are not better than the given ones")
+        session.warn(
+            "config.json was not changed: the new positions do not explain held-out sound better than the old ones"
+        )
 
 
 def _heard(session: Session, audio: tuple[str, ...]) -> Heard:

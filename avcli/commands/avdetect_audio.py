@@ -50,11 +50,11 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 def main(
     session: Session, files: tuple[str, ...], method: str, start: float, temperature: float | None, **options: Any
 ) -> None:
-    """Find who speaks where, by ear.
+    """Localize people who speak, with microphones.
 
     FILE holds audio records, or is a WAV or FLAC file; standard input may be a WAV stream too. One record is written
     for every time step: the positions of the talkers' mouths at the time at which the sound left them. Its list of
-    objects is empty where nobody speaks.
+    objects is empty if nobody speaks.
     """
     for name, kind in METHODS.items():
         if name != method:

@@ -82,7 +82,7 @@ def main(
     """Score tracks against ground truth: HOTA, CLEAR and identity as TrackEval does, and OSPA, GOSPA, errors, delays.
 
     Writes one metrics record for each sequence and tracker, and for each tracker one "combined" over all sequences
-    (and, of several sequences, their plain "mean"). TRACKS may be -, standard input.
+    (and, for several sequences, their plain "mean"). TRACKS may be -, standard input.
     """
     from avcli.metrics import gates, table
     from avcli.metrics.scoring import combined
@@ -255,5 +255,5 @@ def _warn(session: Session, name: str, mismatch: Mismatch, settings: Settings, k
     if settings.dims == 3 and kind == "track" and abs(mismatch.height) > 0.25:
         session.warn(
             f"{name}: tracks are {mismatch.height:+.2f} m from the ground truth in height on average, perhaps because "
-            "they mean other points of a person; --dims 2 compares x and y only"
+            "they are positions of another point of the body; --dims 2 compares x and y only"
         )

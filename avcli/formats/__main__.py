@@ -1,4 +1,4 @@
-"""Write what follows from the formats' descriptions: the JSON Schemas, and the lists in avcli-formats(5) and aveval(1).
+"""Write the JSON Schemas, and the lists in avcli-formats(5), aveval(1) and avfuse(1), from their descriptions.
 
 python -m avcli.formats            # write them
 python -m avcli.formats --check    # exit 1, naming the files that are not as the descriptions say
@@ -16,10 +16,12 @@ from avcli.formats.experiment import CONFIG
 from avcli.formats.schema import Either, Key, Kind, ListOf, MapOf, Object, Variants
 from avcli.metrics.description import METRICS, with_score_list
 from avcli.scene.scenario import SCENARIO
+from avcli.tracking.trackers import with_trackers
 
 SCHEMAS = Path(__file__).with_name("schemas")
 MANUAL = Path(__file__).parents[2] / "man" / "avcli-formats.5"
 SCORES_MANUAL = MANUAL.with_name("aveval.1")
+TRACKERS_MANUAL = MANUAL.with_name("avfuse.1")
 FORMATS = (*RECORDS, METRICS, CONFIG, SCENARIO)
 
 
@@ -92,6 +94,7 @@ def main() -> int:
     files = {SCHEMAS / f"{described.name}.schema.json": json_schema(described) for described in FORMATS}
     files[MANUAL] = _with_key_lists(MANUAL.read_text())
     files[SCORES_MANUAL] = with_score_list(SCORES_MANUAL.read_text())
+    files[TRACKERS_MANUAL] = with_trackers(TRACKERS_MANUAL.read_text())
     stale = [path for path, text in files.items() if not path.exists() or path.read_text() != text]
     for path in stale:
         if check:

@@ -130,12 +130,12 @@ GROUNDTRUTH = Format(
 )
 LOCALIZATION = Format(
     "localization",
-    "What one sensor found at one time (Listing .4 of the thesis, with more keys)",
+    "The detections of one sensor at one time (Listing .4 of the thesis, with more keys)",
     Object(
         {
             "timestamp": TIMESTAMP,
             "sensor": Key(Text(filled=True), "name of the sensor"),
-            "kind": Key(Choice(KINDS), 'what the sensor is; where it is absent, "sensors" in config.json says it'),
+            "kind": Key(Choice(KINDS), 'kind of the sensor; if it is absent, "sensors" in config.json gives it'),
             "objects": Key(
                 ListOf(DETECTION), "the detections; an empty list where the sensor found nothing", required=True
             ),
@@ -204,7 +204,7 @@ _EXPLAINED_DETECTION = _written(
     unclaimed=(PROBABILITY, "probability that no known person caused it"),
     person_if_unclaimed=(PROBABILITY, "probability of a new person if no known person caused it"),
     clutter_density=(Number(least=0), "density of false detections here, 1/m²"),
-    stranger_density=(Number(least=0), "density of people who are not known yet, 1/m²"),
+    stranger_density=(Number(least=0), "density of people without a track, 1/m²"),
 )
 _HYPOTHESIS = _written(
     weight=(PROBABILITY, "probability of the joint hypothesis"),
@@ -217,7 +217,7 @@ _CLUSTER = _written(
 )
 EXPLAIN = Format(
     "explain",
-    "What one record of one sensor meant to the tracker (avfuse --explain)",
+    "How the tracker used one record of one sensor (avfuse --explain)",
     _written(
         timestamp=(
             Written({"type": "string", "pattern": r"^-?\d+\.\d{10}$"}, "a number of seconds with ten decimals"),
@@ -231,7 +231,7 @@ EXPLAIN = Format(
             "detections in order of x, then y, without exact repetitions; other keys give their number in this list",
         ),
         people=(ListOf(_EXPLAINED_PERSON), "the known people"),
-        clusters=(ListOf(_CLUSTER), "people whose detections are decided together"),
+        clusters=(ListOf(_CLUSTER), "people whose detections are assigned together"),
         existence_before=(MapOf(PROBABILITY), "probabilities of existence before this record, by label"),
         born=(ListOf(_BIRTH), "new tracks"),
         died=(ListOf(_DEATH), "tracks that ended"),

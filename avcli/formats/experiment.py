@@ -80,9 +80,12 @@ _CAMERA = Object(
         "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
         "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
         "theta_max_observed_deg": Key(
-            Number(least=0), "largest angle from the axis at which the calibration saw corners; no rays beyond it"
+            Number(least=0),
+            "largest angle from the axis where the calibration saw corners; rays beyond it are not used",
         ),
-        "theta_max_valid_deg": Key(Number(least=0), "largest angle at which the lens is one-to-one; no rays beyond it"),
+        "theta_max_valid_deg": Key(
+            Number(least=0), "largest angle at which the lens is one-to-one; rays beyond it are not used"
+        ),
     }
 )
 _PATTERN = Choice(tuple(DIRECTIVITIES))
@@ -111,7 +114,7 @@ _MICROPHONES = Object(
         "mic_directivity": Key(_PATTERN, "pattern of all microphones", default="omni"),
         "directivities": Key(ListOf(_PATTERN), "pattern of each microphone, in place of mic_directivity"),
         "orientations": Key(
-            ListOf(_DIRECTION), "direction in which each microphone looks, a vector of any length; default: down"
+            ListOf(_DIRECTION), "direction that each microphone faces, a vector of any length; default: down"
         ),
     }
 )
@@ -138,12 +141,12 @@ CONFIG = Format(
             "room_config": Key(_ROOM, "the room"),
             "sensors": Key(
                 _SENSORS,
-                'what each named sensor is: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
-                "a sensor that is not listed, and whose records do not say their kind, is guessed from its name",
+                'kind of each sensor, by its name: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
+                "if neither this nor a record gives the kind of a sensor, it is guessed from the name",
             ),
             "written_by": Key(
                 Written({"type": "object"}),
-                "command that wrote the file; a run overwrites only its own directory",
+                "command that wrote the file; avsim-scene overwrites only directories that it wrote",
                 read=False,
             ),
         }

@@ -64,7 +64,8 @@ class Array:
             raise ValueError("the microphones are on one line; a position needs at least one more off that line")
         if dimensions == 3 and self.spread[2] < 0.001:
             raise ValueError(
-                "the microphones are in one plane; the closed form cannot tell on which side a talker is (srp can)"
+                "the microphones are in one plane; the closed form cannot decide on which side a talker is; "
+                "use the method srp"
             )
 
     def mean_delay(self, low: np.ndarray, high: np.ndarray) -> float:

@@ -40,7 +40,7 @@ class SteeredSettings:
     )
     cell: float = setting(0.25, "Edge of the search's first, coarsest cells, in m.", unit="M", least=0.02, only="srp")
     resolution: float = setting(
-        0.02, "Edge of the search's last, finest cells, in m; a fit then goes below.", unit="M", least=0.001, only="srp"
+        0.02, "Edge of the search's last, finest cells, in m; a fit refines it.", unit="M", least=0.001, only="srp"
     )
     keep: int = setting(
         24, "Number of cells that each level passes to the next, finer one.", unit="N", least=1, only="srp"
@@ -57,7 +57,7 @@ class SteeredSettings:
     )
     min_score: float = setting(
         0.5,
-        "Least probability of being right; less probable talkers are not reported.",
+        "Least probability that a talker is right; less probable talkers are not reported.",
         unit="P",
         least=0.0,
         most=1.0,

@@ -149,8 +149,8 @@ def _score(case: SensorCase) -> Scores:
 
 METRIC: Metric[SensorCase] = Metric(
     name="Detections",
-    text="scores of one sensor, which stand alone in a record with sensor in place of tracker; a detection is right "
-    "within half of d0 of a person; null where a score has no meaning",
+    text="scores of one sensor, in a record with sensor in place of tracker and without other sections; a detection is "
+    "right within half of d0 of a person; a score without meaning is null",
     fields=(
         Field("Precision", "share of the detections that are right", "%", "up", column="Prec", optional=True),
         Field("Recall", "share of the people who are found", "%", "up", column="Rec", optional=True),
@@ -162,8 +162,8 @@ METRIC: Metric[SensorCase] = Metric(
         Field("MAE", "mean error of the right detections", "m", "down", column="MAE", optional=True),
         Field(
             "ANEES",
-            "squared error relative to the claimed covariance, per dimension: 1 for an honest covariance, above 1 if "
-            "the claimed errors are too small",
+            "squared error relative to the stated covariance, per dimension: 1 for a correct covariance, above 1 if "
+            "the stated covariance is too small",
             column="ANEES",
             optional=True,
         ),

@@ -163,5 +163,5 @@ def speakers(sequence: Sequence, d0: float = 2.0) -> Sequence:
         ValueError: the ground truth does not give "speaking" for every point.
     """
     if np.isnan(sequence.truth.speaking).any():
-        raise ValueError('scoring speaking people only needs "speaking" for every person in the ground truth')
+        raise ValueError('to score only speaking people, the ground truth must give "speaking" for every person')
     return ignore(sequence, sequence.truth.speaking < 0.5, d0)

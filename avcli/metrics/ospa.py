@@ -206,7 +206,7 @@ METRIC: Metric[Case] = Metric(
         Field("GOSPA_false", "false people per frame", "", "down"),
         Field(
             "TGOSPA",
-            "distance of the sets of trajectories, with the cutoff as the price of a switch; null if too many people "
+            "distance between the sets of trajectories; an identity switch costs the cutoff; null if too many people "
             "come close to too many tracks for an exact solution",
             "m",
             "down",

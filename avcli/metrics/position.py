@@ -62,7 +62,7 @@ def combine(results: Iterable[Scores]) -> Scores:
 
 METRIC: Metric[Case] = Metric(
     name="Position",
-    text="errors of the matched points, and how late each person is found; null if nothing matches",
+    text="errors of the matched points, and the delay until each person is found; null if nothing matches",
     fields=(
         Field("RMSE", "root mean square distance of the matches", "m", "down", True, "RMSE", optional=True),
         Field("MAE", "mean distance of the matches", "m", "down", True, optional=True),
@@ -78,7 +78,7 @@ METRIC: Metric[Case] = Metric(
         Field("MaxError", "largest distance of a match", "m", "down", optional=True),
         Field("MaxBirthDelay", "longest such time", "s", "down", optional=True),
         Field("Matches", "matched points", "count", "up"),
-        Field("Found", "people who were ever matched", "count", "up"),
+        Field("Found", "people who were matched at least once", "count", "up"),
     ),
     score=lambda case: position(case.sequence, case.matches),
     combine=lambda scores, _cases: combine(scores),

@@ -131,7 +131,7 @@ class Sequence:
         true, tracked = Points.of(truth), Points.of(track)
         frames = true.start.size - 1
         if tracked.start.size - 1 != frames:
-            raise ValueError(f"{frames} frames of ground truth against {tracked.start.size - 1} of tracks")
+            raise ValueError(f"the ground truth has {frames} frames, but the tracks have {tracked.start.size - 1}")
         if true.identity.size and tracked.identity.size and true.position.shape[1] != tracked.position.shape[1]:
             raise ValueError("ground truth and tracks have different dimensions")
         return cls(true, tracked, np.arange(frames, dtype=float) if time is None else np.asarray(time, dtype=float))

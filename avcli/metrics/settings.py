@@ -25,9 +25,7 @@ class Settings:
         most=1e9,
     )
     tolerance: float = setting(0.001, "Records match if their times differ by at most this, in s.", unit="S", least=0.0)
-    speaking: bool = setting(
-        False, "Score people only while they speak; a track of a silent person counts neither as right nor as false."
-    )
+    speaking: bool = setting(False, "Score people only while they speak; tracks of silent people are ignored.")
     cutoff: float | None = setting(
         None,
         "Distance in m that a missed or false point costs in OSPA and GOSPA.",

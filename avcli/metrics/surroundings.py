@@ -35,7 +35,7 @@ def with_surroundings(
         known["camera"] = np.asarray(config.camera.T_room_camera[:2, 3], dtype=float)
         known["frame_size"] = (config.camera.width_px, config.camera.height_px)
     except ConfigError as error:
-        say(f"pictures of {run.name} lack a part: {error}")
+        say(f"{run.name}: the room, the microphones or the camera are not drawn: {error}")
     if pictures:
         known["frames"] = _camera_frames(pictures, sorted(set(run.truth_time.tolist())), say)
     return replace(run, **known)
@@ -62,5 +62,5 @@ def _camera_frames(directory: Path, times: Sequence[float], say: Callable[[str],
         except MediaError as error:
             lacking.append(error)
     if lacking:
-        say(f"the report lacks {len(lacking)} of {len(there)} camera frames; the first: {lacking[0]}")
+        say(f"{len(lacking)} of {len(there)} camera frames are missing in the report; the first is {lacking[0]}")
     return frames

@@ -69,7 +69,7 @@ class Canvas:
         limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
         if max(self.size) > limit:
             raise ValueError(
-                f"an image of {self.size[0]} x {self.size[1]} px: this OpenGL draws up to {limit} px a side"
+                f"an image of {self.size[0]} x {self.size[1]} px: this OpenGL draws at most {limit} px per side"
             )
         self.T_camera_room = pose.inverse(camera.T_room_camera)
         self._lens = lens_shader.uniforms(camera.lens, *self.size)

@@ -218,7 +218,7 @@ def _parsed(
         try:
             person, odd = _person(item, index, duration, dimensions)
             if any(other.object_id == person.object_id for other in people):
-                raise Invalid(f"{person.object_id} is another person's already", ("object_id",))
+                raise Invalid(f"must differ between people; {person.object_id} is used twice", ("object_id",))
         except Invalid as error:
             raise error.within("people", index) from None
         people.append(person)
@@ -339,7 +339,7 @@ def _arrival(
         return time
     distance = float(np.linalg.norm(place - places[-1]))
     if distance == 0:
-        reason = "is where the person already is; give t_s, or stay_s at the previous waypoint"
+        reason = "is the position of the previous waypoint; give t_s, or stay_s at the previous waypoint"
         raise Invalid(reason, ("position_m",))
     return times[-1] + distance / (point["speed_m_s"] or 1.0)
 

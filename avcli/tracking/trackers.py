@@ -1,11 +1,12 @@
 """The trackers: what each must offer, and the table in which each is registered once.
 
-A new tracker is a module with a class that satisfies `Tracker`, and an entry in `TRACKERS`. The option, the manual's
-test, the bench and `fusion.Fusion` read the table.
+A new tracker is a module with a class that satisfies `Tracker`, and an entry in `TRACKERS`. The option, the manual,
+the bench and `fusion.Fusion` read the table.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -123,3 +124,24 @@ TRACKERS = {
     "jpda": Entry("Stone Soup's", _jpda, _NO_HYPOTHESES | {"motion", "process_noise"}),
 }
 """Tracker name -> entry; the first is the default."""
+
+
+def with_trackers(page: str) -> str:
+    """Return avfuse(1) with the names of the trackers, and "Not with" at each option, as `TRACKERS` has them."""
+    before, options, rest = page.partition(".Sh OPTIONS")
+    entries = re.split(r"^(?=\.It Fl )", rest, flags=re.MULTILINE)
+    return before + options + "".join(map(_with_trackers, entries))
+
+
+def _with_trackers(entry: str) -> str:
+    option = re.match(r"\.It Fl -([a-z-]+)", entry)
+    if option is None or option[1] == "process-noise":  # that --motion cv alone uses
+        return entry
+    if option[1] == "tracker":
+        return re.sub(r"^.*\n", f".It Fl -tracker Cm {' | '.join(TRACKERS)}\n", entry)
+    names = [name for name, one in TRACKERS.items() if option[1].replace("-", "_") in one.unused]
+    entry = re.sub(r"^Not with\n.*\n", "", entry, flags=re.MULTILINE)
+    text, end, after = entry.partition(".El\n")
+    if names:
+        text += "Not with\n.Cm " + " No and Cm ".join(filter(None, (" , ".join(names[:-1]), names[-1]))) + " .\n"
+    return text + end + after

@@ -372,7 +372,7 @@ def tables(result: dict) -> str:
                 ["relative speed, m/s", "images", "method", "error, dB"],
                 [[f"{r['speed_m_s']:g}", r["images"], r["method"], f"{r['error_db']:.1f}"] for r in exact],
             ),
-            "## How the cost of a scene grows\n\nAt -40 dB unless it says otherwise.",
+            "## How the cost of a scene grows\n\nAt -40 dB unless the row states another level.",
             table(["", "", "CPU-s"], [[r["what"], r["value"], f"{r['cpu_s']:.2f}"] for r in growth]),
         ]
     )

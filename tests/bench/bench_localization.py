@@ -422,7 +422,7 @@ recall is over the tenths of a second in which a talker sounds. Errors are media
 normalised error squared of three dimensions, its mean and its median; then the shares of errors inside the ellipses and
 ellipsoids that should hold 95 %. CPU time is of one process for a decision, the start left out, and the
 least of the scenes.
-The bound is Cramér and Rao's for one window of 0.186 s, echoes counted as noise: of several windows less is possible.
+The bound is Cramér and Rao's for one window of 0.186 s, with echoes as noise; several windows allow less.
 
 ![recall against run time, and error against the bound](localization.svg)
 

@@ -217,7 +217,7 @@ def markdown(table: list[Row], seeds: range, gains: dict[str, dict[str, float]])
         "",
         "HOTA and its parts in percent, OSPA(2) in m, birth delay in frames; times are processor time of the tracker",
         f"alone, the least of the seeds (load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end).",
-        "The ceiling is the filter that is told which detection belongs to whom.  Made by",
+        "The ceiling is a filter that knows the true association of detections with people.  Made by",
         "`tests/bench/bench_tracking.py`, which describes the cases; see tracking.svg for run time against error.",
         "",
         "| case | tracker | " + " | ".join((*COLUMNS, "worst HOTA", "ms a frame")) + " |",
