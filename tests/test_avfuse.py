@@ -183,7 +183,6 @@ def test_one_wrong_time_does_not_make_thousands_of_records(experiment, far):
     assert times == [f"{k / 10:.10f}" for k in range(41)] + [f"{far:.10f}"]
 
 
-@pytest.mark.skipif(not hasattr(records, "WrongKindError"), reason="the formats do not name wrong kinds yet")
 def test_ground_truth_and_tracks_are_not_detections(experiment, finished_s1):
     for path in (finished_s1 / "groundtruth_sources.jsonl", finished_s1 / "tracking" / "video_tracking.jsonl"):
         result = run("avfuse", "-C", finished_s1, path)

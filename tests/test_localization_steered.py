@@ -46,6 +46,12 @@ def found(talk):
 # --- what it finds ----------------------------------------------------------------------------------------------------
 
 
+def test_microphones_too_far_apart_for_the_window_are_refused():
+    far = MICROPHONES + np.array([[200.0, 0.0, 0.0]]) * (np.arange(len(MICROPHONES)) == 3)[:, None]
+    with pytest.raises(ValueError, match=r"microphones \d and \d are \d+\.\d m apart"):
+        SteeredLocalizer(Array(far, FS, ROOM), SteeredSettings(), np.random.default_rng(0))
+
+
 def test_a_talker_is_found_in_every_step_and_nobody_else(found):
     assert [d.time for d in found] == pytest.approx(np.arange(17) / 10)
     spoken = found[1:15]

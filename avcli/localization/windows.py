@@ -96,6 +96,9 @@ class Correlator:
     Attributes:
         first, second: (pairs,) the two microphones of each pair.
         baseline: (pairs,) m, the distance between them.
+
+    Raises:
+        ValueError: two microphones are farther apart than a window can tell.
     """
 
     def __init__(self, array: Array, band: Band, half_lags: int, beta: float):
@@ -103,6 +106,12 @@ class Correlator:
         self.sample_rate = array.sample_rate
         self.first, self.second = correlation.pairs(len(array.microphones))
         self.baseline = np.linalg.norm(array.microphones[self.first] - array.microphones[self.second], axis=1)
+        if 2 * half_lags >= band.size * band.oversampling:
+            far = int(self.baseline.argmax())
+            raise ValueError(
+                f"microphones {self.first[far] + 1} and {self.second[far] + 1} are {self.baseline[far]:.1f} m apart, "
+                "farther than sound travels in half a window; check their positions, or use a longer window"
+            )
 
     def whitened(self, tapered: np.ndarray) -> np.ndarray:
         """Return the whitened spectra (m, bins) of tapered samples (m, size)."""
