@@ -335,3 +335,25 @@ def test_going_back_in_time_and_wrong_lengths_are_refused():
         source.move(0.1, [1, 2, 1.6], np.zeros(3))
     with pytest.raises(ValueError, match="0 samples"):
         source.move(0.0, [1, 2, 1.6])
+
+
+@pytest.mark.parametrize("rate", [8, 4000])
+def test_time_steps_without_a_sample_are_no_trouble(rate):
+    """Steps may be shorter than a sample, the last one too: the path ends behind its last sample all the same."""
+    rng = np.random.default_rng(0)
+    nodes = interpolation(np.ones(9), np.linspace(0, 100, 9), -40.0)
+    around = Surroundings(ROOM, np.zeros(6), MICROPHONES, rate, 10.0)
+    for _ in range(60):
+        source = MovingSource(around, Switching(0.01) if rng.random() < 0.3 else nodes, band=0.25)
+        time, position, dry = rng.random(), np.array([2.0, 2.0, 1.5]), np.zeros(0)
+        for _ in range(rng.integers(1, 8)):
+            source.move(time, position, dry)
+            step = float(rng.choice([1e-9, 1e-6, 1e-3, 0.1, 0.3]))
+            position = np.clip(position + rng.uniform(-5, 5, 3) * step, 0.1, 2.9)
+            dry = rng.standard_normal(first_sample(time + step, rate) - first_sample(time, rate))
+            time += step
+        source.move(time, position, dry)
+        source.finish()
+        assert source.settled == np.inf
+        assert np.isfinite(source.take(0, first_sample(time, rate) + rate + 1000)).all()
+        assert source.exhausted

@@ -156,6 +156,22 @@ def test_chunks_join_to_one_stream(tmp_path, sound, found):
     assert "missing" in gap.stderr
 
 
+@pytest.mark.parametrize("method", ["srp", "3d-ssl"])
+def test_a_jump_in_time_starts_anew_and_writes_no_records_between(experiment, method):
+    far = 1_000_000_000
+    alone = lines(run("avdetect-audio", "-C", experiment, "--method", method, stdin=record()))
+    both = run("avdetect-audio", "-C", experiment, "--method", method, stdin=record() + record(start=far * FS))
+    assert both.returncode == 0
+    assert "starts anew" in one_line(both, code=0)
+    out = [orjson.loads(line) for line in both.stdout.splitlines()]
+    assert out[: len(alone)] == alone
+    assert len(out) == 2 * len(alone)
+    for first, second in zip(alone, out[len(alone) :], strict=True):
+        assert float(second["timestamp"]) == pytest.approx(far + float(first["timestamp"]), abs=1e-6)
+        places = [[item["position"] for item in decision["objects"][:1]] for decision in (first, second)]
+        np.testing.assert_allclose(places[1], places[0], atol=0.1)
+
+
 def test_nothing_in_nothing_out(experiment):
     result = run("avdetect-audio", "-C", experiment, stdin=b"")
     assert (result.returncode, result.stdout, result.stderr) == (0, b"", "")

@@ -119,6 +119,81 @@ def test_a_track_leaves_as_soon_as_its_step_is_complete(experiment):
         assert process.wait() == 0
 
 
+def test_live_a_track_leaves_with_its_record_and_a_frozen_sensor_does_not_freeze_the_tracks(experiment):
+    fifos = [experiment / "a.fifo", experiment / "v.fifo", experiment / "never.fifo"]
+    for fifo in fifos:
+        os.mkfifo(fifo)
+    command = [BIN / "avfuse", "-C", experiment, "--live", "--max-wait", "0.2", *fifos]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        with open(fifos[1], "wb", buffering=0) as video:
+            with open(fifos[0], "wb", buffering=0) as audio:
+                audio.write(line(0.0, [[1, 1]], "audio").encode())
+                for k in range(5):  # the microphones have nothing more to say, and the third pipe has no writer
+                    video.write(line(k / 10, [[1, 1]]).encode())
+                    assert json.loads(process.stdout.readline())["timestamp"]
+            open(fifos[2], "wb").close()
+        times = [float(json.loads(text)["timestamp"]) for text in process.stdout]  # of the pauses in between
+        warnings = process.stderr.read().decode()
+        assert process.wait() == 0
+    assert "never.fifo has no record after 0.2 s (--max-wait); it is not waited for" in warnings
+    assert "sensor 'audio' has been quiet for more than 0.2 s (--max-wait); its records are not waited for" in warnings
+    assert all(time >= 0.4 for time in times)
+
+
+def test_fifos_give_what_files_give_though_one_branch_delivers_at_its_end(experiment):
+    """A common source, 150 s: the microphones' branch writes nothing before its end, and no pipe holds so much."""
+    video = experiment / "video.jsonl"
+    video.write_text("".join(line(k / 10, [[1 + k % 30 / 10, 2.0]], note="x" * 200) for k in range(1500)))
+    as_audio = "sed 's/video/audio/; s/camera/microphones/'"
+    script = f"""
+        set -e; mkfifo truth v.fifo a.fifo
+        (tac truth | tac | {as_audio} >a.fifo) & (tee truth <video.jsonl >v.fifo) &
+        "$0" -q -c config.json a.fifo v.fifo >fifos.jsonl; wait
+        {as_audio} video.jsonl >a.jsonl; "$0" -q -c config.json a.jsonl video.jsonl >files.jsonl
+        (tee truth <video.jsonl >v.fifo) & ({as_audio} truth >a.fifo) &
+        "$0" -q -c config.json v.fifo a.fifo >again.jsonl; wait
+        cmp fifos.jsonl files.jsonl && cmp again.jsonl files.jsonl
+    """
+    result = run("bash", "-c", script, BIN / "avfuse", cwd=experiment)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert (experiment / "files.jsonl").read_text().count("\n") == 1500
+
+
+def test_a_source_that_keeps_the_others_waiting_is_named(experiment):
+    for name in ("a.fifo", "v.fifo"):
+        os.mkfifo(experiment / name)
+    command = [BIN / "avfuse", "-C", experiment, experiment / "a.fifo", experiment / "v.fifo"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        with open(experiment / "v.fifo", "wb", buffering=0) as video:
+            video.write(line(0.0).encode())
+            assert process.stderr.readline().decode() == f"avfuse: waiting for {experiment / 'a.fifo'}\n"
+            (experiment / "a.fifo").write_text(line(0.0, sensor="audio"))
+        assert process.stdout.read().count(b"\n") == 1
+        assert process.wait() == 0
+
+
+@pytest.mark.parametrize("far", [600.0, 3000.0, 1e11])
+def test_one_wrong_time_does_not_make_thousands_of_records(experiment, far):
+    lines = walk(steps=41)
+    lines.insert(20, line(far, [[1.0, 1.0]]))
+    result = run("avfuse", "-C", experiment, stdin="".join(lines))
+    assert result.returncode == 0
+    assert result.stderr == "avfuse: no sensor has a record for more than 10 s; the tracks go on with the next record\n"
+    times = [json.loads(text)["timestamp"] for text in result.stdout.splitlines()]
+    assert times == [f"{k / 10:.10f}" for k in range(41)] + [f"{far:.10f}"]
+
+
+@pytest.mark.skipif(not hasattr(records, "WrongKindError"), reason="the formats do not name wrong kinds yet")
+def test_ground_truth_and_tracks_are_not_detections(experiment, finished_s1):
+    for path in (finished_s1 / "groundtruth_sources.jsonl", finished_s1 / "tracking" / "video_tracking.jsonl"):
+        result = run("avfuse", "-C", finished_s1, path)
+        assert result.returncode == 1
+        assert result.stdout == b""
+        assert result.stderr.startswith(f"avfuse: {path}:1: ")
+        assert "not detections" in result.stderr
+        assert result.stderr.count("\n") == 1
+
+
 def test_one_record_for_every_tick_whatever_is_missing_or_added(experiment):
     video, audio = walk(steps=41), walk("audio", steps=41, begin=0.03)
     del video[17], video[5:7]

@@ -1,6 +1,7 @@
 """avsim-audio as a user meets it: files, records, pipes and bad input."""
 
 import json
+import re
 import subprocess
 
 import jsonschema
@@ -10,7 +11,10 @@ import pytest
 from conftest import BIN, ROOT, run
 
 from avcli.acoustics.images import shoebox_rir
+from avcli.acoustics.settings import Settings
+from avcli.acoustics.surroundings import surroundings_of
 from avcli.formats import media
+from avcli.formats.experiment import Config
 
 MICROPHONES = [
     [0.115, 4.545, 2.493],
@@ -322,10 +326,10 @@ def test_microphones_at_one_place_hear_the_same(experiment):
 
 
 def path_of(times, **channels):
-    """Records of microphones given as functions of time."""
+    """Records of microphones given as functions of time; m0 is the microphone of channel 0, whose number is 1."""
     lines = []
     for time in times:
-        objects = [{"object_id": int(name[1:]), "position": place(time)} for name, place in channels.items()]
+        objects = [{"object_id": int(name[1:]) + 1, "position": place(time)} for name, place in channels.items()]
         lines.append(json.dumps({"timestamp": f"{time:.10f}", "objects": objects}))
     return "\n".join(lines) + "\n"
 
@@ -367,10 +371,11 @@ def test_pieces_are_the_whole_where_microphones_move(experiment, tmp_path):
     ("text", "code", "message"),
     [
         (None, 2, "no such file"),
-        (path_of([0.0], m1=lambda t: (9.0, 1, 1)), 1, "microphone 1 at [9.0, 1.0, 1.0] is outside the room"),
-        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "channel 1: moves at 30 m/s from 0 s on; at most 20"),
-        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "channel 1: the times of a trajectory must increase"),
-        ('{"timestamp":0,"objects":[{"object_id":8,"position":[1,1,1]}]}', 1, "channel 8 does not exist"),
+        (path_of([0.0], m1=lambda t: (9.0, 1, 1)), 1, "microphone 2 at [9.0, 1.0, 1.0] is outside the room"),
+        (path_of([0.0, 0.1], m1=lambda t: (30 * t, 1, 1)), 1, "microphone 2: moves at 30 m/s from 0 s on; at most 20"),
+        (path_of([0.1, 0.0], m1=lambda t: (1, 1, 1)), 1, "microphone 2: the times of a trajectory must increase"),
+        (path_of([0.0], m8=lambda t: (1, 1, 1)), 1, "microphone 9 does not exist"),
+        ('{"timestamp":0,"objects":[{"object_id":0,"position":[1,1,1]}]}', 1, "microphone 0 does not exist"),
         ('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1]}]}', 1, "microphones.jsonl:1: "),
     ],
 )
@@ -518,6 +523,62 @@ def test_reverberation_that_is_too_long(experiment):
     assert "would never end" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("section", "key", "value", "message"),
+    [
+        ("room_config", "speed_of_sound_m_s", 1, '"room_config.speed_of_sound_m_s" must be from 100 to 10000, found 1'),
+        ("microphone_config", "audio_sample_rate_hz", 100, "must be from 4000 to 384000, found 100"),
+        ("microphone_config", "audio_sample_rate_hz", 10**30, "audio_sample_rate_hz"),
+        ("room_config", "reverberation_time_s", 1e300, "reverberation_time_s"),
+        ("room_config", "room_dimensions_m", [1e300, 1e300, 1e300], "room_dimensions_m"),
+    ],
+)
+def test_numbers_that_cannot_be_simulated(experiment, section, key, value, message):
+    config = json.loads((experiment / "config.json").read_text())
+    config[section][key] = value
+    (experiment / "config.json").write_text(json.dumps(config))
+    result = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
+    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+    assert message in result.stderr
+
+
+def test_what_takes_long_or_too_much_memory_is_said_before_it_begins(experiment):
+    config = json.loads((experiment / "config.json").read_text())
+    config["microphone_config"]["mic_positions_m"] = [[1 + i / 1000, 2, 1] for i in range(1000)]
+    said = []
+    surroundings_of(Config(config), Settings(rt60_s=0.35), say=said.append)
+    assert len(said) == 1
+    assert re.search(r"1000 microphones: about 1\d\d s of computing for a second of a voice that moves", said[0])
+    with pytest.raises(ValueError, match=r"1000 microphones would hear a sound for 3 s in this room, .* memory"):
+        surroundings_of(Config(config), Settings(rt60_s=3.0, ism_decay_db=5.0), say=said.append)
+
+
+def test_a_second_run_into_a_directory_is_refused_by_name(experiment):
+    command = [str(BIN / "avsim-audio"), "-C", str(experiment), "--chunk", "0.1", "--rt60", "0"]
+    first = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    first.stdin.write(truth(TIMES, walk).encode())
+    first.stdin.flush()
+    first.stdout.readline()
+    written = sorted((experiment / "audio" / "wav").glob("*.wav"))
+    second = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
+    assert second.returncode == 1
+    assert f"avsim-audio (PID {first.pid}) is writing there" in second.stderr
+    assert set(written) <= set((experiment / "audio" / "wav").glob("*.wav"))
+    first.communicate()
+    assert first.returncode == 0
+    assert not list(experiment.glob(".*"))
+
+
+def test_a_jump_in_time_writes_no_hours_of_silence(experiment):
+    late = truth(TIMES, walk) + truth([1e9], lambda t: walk(0.0))
+    result = run("avsim-audio", "-C", experiment, "--rt60", "0", stdin=late)
+    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+    assert "<stdin>:12: timestamp 1e+09 is more than 60 s after 1" in result.stderr
+    kept = run("avsim-audio", "-C", experiment, "--rt60", "0", "--skip-invalid", stdin=late)
+    assert kept.returncode == 0
+    assert json.loads(kept.stdout)["audio"]["num_samples"] < 2 * RATE
+
+
 @pytest.mark.parametrize("dimensions", [[0.3, 0.3, 0.3], [50.0, 40.0, 20.0]])
 def test_tiny_and_huge_rooms(experiment, dimensions):
     config = json.loads((experiment / "config.json").read_text())
@@ -604,7 +665,7 @@ def test_a_config_that_is_wrong(experiment):
     (experiment / "config.json").write_text(json.dumps(config))
     result = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
     assert result.returncode == 1
-    assert "microphone 3 at [9.0, 1.0, 1.0] is outside the room" in result.stderr
+    assert "microphone 4 at [9.0, 1.0, 1.0] is outside the room" in result.stderr
     (experiment / "config.json").unlink()
     result = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
     assert result.returncode == 1

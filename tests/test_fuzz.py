@@ -1,7 +1,8 @@
 """One number, key or value of a valid input is changed at random, and the filter is to end as a filter does.
 
 The changes are the same in every run. `OPENBLAS_NUM_THREADS=1 python tests/test_fuzz.py 1000` tries that many of each
-filter, and prints the number of each exit status.
+filter, and prints the
+number of each exit status.
 """
 
 import copy

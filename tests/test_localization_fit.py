@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,15 +15,49 @@ import fit_localization
 from avcli.localization import uncertainty
 
 STATED = json.loads(fit_localization.FITTED.read_bytes())
+FITTED_ON = STATED["fitted_on"]
 
 
-def test_the_fit_says_what_it_was_made_of_and_is_better_on_scenes_that_took_no_part():
-    fit = STATED["fit"]
-    assert {"command", "avcli", "commit", "scenes", "seeds", "speech", "conditions", "peaks"} <= set(fit)
-    before, after = fit["held_out_before"], fit["held_out_after"]
-    assert after["first_log_loss"] <= before["first_log_loss"]
-    assert after["further_log_loss"] <= before["further_log_loss"]
-    assert after["reported_right"] >= before["reported_right"]
+def test_the_file_says_what_each_part_was_fitted_to():
+    assert set(FITTED_ON["origin"]) == set(STATED["law"])
+
+
+@pytest.mark.parametrize("trial", FITTED_ON.get("trials", []), ids=lambda trial: "+".join(trial["parts"]))
+def test_a_part_was_replaced_only_where_it_was_surely_better_on_both_sets_and_no_scenario_was_worse(trial):
+    assert {"command", "version", "commit", "seeds", "conditions", "worlds", "peaks", "candidate"} <= set(FITTED_ON)
+    sets = [trial["conditions"], trial["worlds"]]
+    better = all(one["gain"] > fit_localization.SURE * one["gain_standard_error"] for one in sets)
+    assert ("hota" in trial) == better
+    if better:
+        before, after = trial["hota"]["before"], trial["hota"]["after"]
+        better = all(after[name] > before[name] - fit_localization.FALL for name in before)
+    assert trial["replaced"] == better
+    for part in trial["parts"]:
+        assert not better or STATED["law"][part] == FITTED_ON["candidate"][part]
+
+
+@pytest.mark.parametrize(
+    ("gain", "worlds_gain", "fall", "adopted"),
+    [(0.1, 0.1, 0.0, True), (0.1, 0.01, 0.0, False), (-0.1, 0.1, 0.0, False), (0.1, 0.1, 0.001, False)],
+)
+def test_a_part_is_adopted_where_it_is_surely_better_on_both_sets_and_no_scenario_is_worse(
+    gain, worlds_gain, fall, adopted
+):
+    standing = uncertainty.fitted_law()
+    candidate = replace(standing, memory=standing.memory + 1.0)
+    spread = np.array([-0.05, 0.0, 0.05, 0.0])  # a standard error of 0.02
+    gains = {"conditions": gain, "worlds": worlds_gain}
+
+    def judge(heard, law, parts):
+        return 1.0 - (spread + gains[heard[0]]) * (law.memory == candidate.memory), {}
+
+    def hotas(law, part):
+        return {"s1": 0.9 - fall * (law.memory == candidate.memory)}
+
+    sets = {name: [name] for name in gains}
+    law, trials = fit_localization.adopt(standing, candidate, sets, hotas, judge)
+    assert law == (candidate if adopted else standing)
+    assert {trial["replaced"] for trial in trials} == {adopted}
 
 
 def test_the_law_has_the_terms_that_the_code_has():

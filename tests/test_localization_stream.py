@@ -6,13 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from localization_rooms import MICROPHONES, ROOM
 
+from avcli.formats.bounds import LONGEST_GAP_S
 from avcli.formats.experiment import Config
 from avcli.localization import localizer
 from avcli.localization.array import Array
 from avcli.localization.memory import Memory, Trace
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings
-from avcli.localization.stream import LatestSamples, Recording
+from avcli.localization.stream import Block, LatestSamples, Recording, stretches
 
 RATE = 100
 CONFIG = Config(
@@ -58,6 +59,26 @@ def test_what_is_missing_is_silence_and_what_is_repeated_is_dropped_and_both_are
         ("a.wav: 10 samples before it are missing; they count as silence", "gaps"),
         ("a.wav: 15 of its samples are repeated; they are dropped", "repeated"),
     ]
+
+
+def test_a_long_gap_starts_the_recording_anew_and_writes_no_silence():
+    said = []
+    recording = Recording(CONFIG.microphones, warn=lambda text, kind: said.append((text, kind)))
+    gap = LONGEST_GAP_S * RATE
+    far = 4_410_000_000_000
+    samples, _ = pieces(recording, (0, 20), (20 + gap, 10), (far, 20))
+    assert len(samples) == 20 + gap + 10 + 20, "ten seconds are silence, more than that is not"
+    missing = f"a.wav: {(far - 30 - gap) / RATE:.0f} s before it are missing; the recording starts anew there"
+    assert said[1:] == [(missing, "long gaps")]
+    blocks = [
+        Block(np.zeros((5, 8))),
+        Block(np.ones((5, 8))),
+        Block(np.ones((3, 8)), begin=far),
+        Block(np.ones((2, 8))),
+    ]
+    found = [(begin, sum(len(block.samples) for block in stretch)) for begin, stretch in stretches(blocks, 7)]
+    assert found == [(7, 10), (far, 5)]
+    assert list(stretches([], 0)) == []
 
 
 def test_nothing_is_decided_about_what_comes_after_the_scene():

@@ -175,6 +175,51 @@ def test_a_second_run_clears_the_frames_of_the_first(tmp_path):
     ]
 
 
+def test_a_second_run_into_a_directory_is_refused_by_name_and_clears_nothing(tmp_path):
+    exp = tmp_path / "exp"
+    command = [str(BIN / "avsim-scene"), "s1", "--no-video", "--duration", "100000", "-C", str(exp)]
+    first = subprocess.Popen(command, stdout=subprocess.PIPE)
+    line = first.stdout.readline()
+    before = (exp / "config.json").read_bytes()
+    second = run("avsim-scene", "s3", "--no-video", "-C", exp)
+    assert second.returncode == 1
+    assert second.stderr == (
+        f"avsim-scene: {exp}: avsim-scene (PID {first.pid}) is writing there; wait for it, or use another directory\n"
+    )
+    assert (exp / "config.json").read_bytes() == before
+    assert run("avsim-audio", "-C", exp, stdin=line).returncode == 0, "another command may write beside it"
+    first.kill()
+    first.communicate()
+    assert run("avsim-scene", "s3", "--no-video", "--duration", "0", "-C", exp).returncode == 0, "the lock died with it"
+    assert json.loads((exp / "config.json").read_bytes())["session_id"] == "s3"
+    assert not list(exp.rglob(".*"))
+
+
+def test_only_pictures_of_earlier_runs_are_removed_and_none_behind_a_link(tmp_path):
+    exp, elsewhere = tmp_path / "exp", tmp_path / "elsewhere"
+    simulate(tmp_path, SMALL)
+    mine = exp / "video" / "rgb" / "RGB_frame_of_my_cat.png"
+    mine.touch()
+    (exp / "video" / "rgb").rename(elsewhere)
+    (exp / "video" / "rgb").symlink_to(elsewhere)
+    before = sorted(path for path in [*elsewhere.iterdir(), *exp.rglob("*")])
+    refused = run("avsim-scene", "-", "-C", exp, "--no-video", stdin=json.dumps(SMALL))
+    assert refused.returncode == 1
+    assert f"leads by a symbolic link to {elsewhere}, where 4 files" in refused.stderr
+    assert sorted(path for path in [*elsewhere.iterdir(), *exp.rglob("*")]) == before
+    forced = run("avsim-scene", "-", "-C", exp, "--no-video", "--force", stdin=json.dumps(SMALL))
+    assert forced.returncode == 0
+    assert [path.name for path in elsewhere.iterdir()] == [mine.name]
+
+
+def test_the_config_says_what_the_sensors_are(tmp_path):
+    simulate(tmp_path, SMALL, "--no-video")
+    assert experiment.read_config(tmp_path / "exp" / "config.json").sensors == {
+        "audio": "microphones",
+        "video": "camera",
+    }
+
+
 @pytest.mark.parametrize("name", ["s1", "s2", "s3", "s4"])
 def test_built_in_scenarios(tmp_path, name):
     result = run("avsim-scene", name, "-C", tmp_path / "exp", "--no-video")

@@ -91,6 +91,28 @@ def test_what_is_wrong_is_said_with_its_place(raw, where):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("dimensions", [[4.66, 4.66, 3.0], [2.5, 3.0, 2.2], [12.0, 6.0, 2.6], [40.0, 30.0, 8.0]])
+def test_the_default_camera_and_microphones_stand_where_the_room_has_them(dimensions):
+    raw = {"room_config": {"room_dimensions_m": dimensions}}
+    usual = scenario.parse({}).config
+    scale = np.array(dimensions) / usual.room.dimensions
+    for changed in (raw, scenario.with_camera(raw, scenario.CAMERAS["thesis"]), scenario.at_height(raw, 1.0)):
+        config = scenario.parse(changed).config
+        np.testing.assert_allclose(config.microphones.positions, usual.microphones.positions * scale, atol=1e-6)
+        camera = usual.camera.T_room_camera[:3, 3] * scale
+        np.testing.assert_allclose(config.camera.T_room_camera[:2, 3], camera[:2], atol=1e-6)
+    same = scale.tolist() == [1, 1, 1]
+    assert (scenario.laboratory(raw) == scenario.LABORATORY) == same, (
+        "the thesis's room has exactly the thesis's places"
+    )
+
+
+def test_a_microphone_outside_the_room_is_refused_with_its_number():
+    raw = {"microphone_config": {"mic_positions_m": [[0, 4.66, 3.0], [1, 9, 1]]}}
+    with pytest.raises(scenario.ScenarioError, match=r"mic_positions_m\[1\].* microphone 2 at .* is outside the room"):
+        scenario.parse(raw)
+
+
 def test_odd_scenes_are_taken_with_a_warning():
     fast = scenario.parse(point(speed_m_s=100))
     assert "100 m/s" in fast.warnings[0]

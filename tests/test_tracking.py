@@ -20,7 +20,6 @@ from avcli.tracking import gaussian
 from avcli.tracking.association import ranked
 from avcli.tracking.fusion import Fusion, noise_of
 from avcli.tracking.glmb import GLMB
-from avcli.tracking.merging import Merger
 from avcli.tracking.model import Population
 from avcli.tracking.motion import FITTED, WALKING, Model, Motion
 from avcli.tracking.settings import Sensor, Settings, sensor
@@ -463,55 +462,3 @@ def test_crossing_paths_keep_their_labels():
 
         kept += nearest(10) == nearest(-1)
     assert kept >= 3
-
-
-# --- merging ----------------------------------------------------------------------------------------------------------
-
-
-def merged(times, **how):
-    """Merge one sensor's times; [(step, times in it)]."""
-    merger, out = Merger(1, one_sensor=True, **how), []
-    for t in times:
-        merger.push(0, "video", t, detections(t, []))
-        out += merger.closed()
-    merger.end(0)
-    out += merger.closed()
-    return [(round(step, 9), [t for t, *_ in inside]) for step, inside in out], merger
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
-def test_neighbours_out_of_order_and_repetitions_are_put_right(seed):
-    rng = np.random.default_rng(seed)
-    times = [k / 10 for k in range(25)]
-    keys = [k + (rng.uniform(-1.4, 1.4) if k > 1 else 0) for k in range(25)]
-    shuffled = [t for _, t in sorted(zip(keys, times, strict=True))]
-    doubled = [t for t in shuffled for _ in range(rng.integers(1, 3))]
-    steps, merger = merged(doubled, rate=10.0)
-    assert [step for step, _ in steps] == [round(t, 9) for t in times]
-    assert {t for _, inside in steps for t in inside} == set(times)
-    assert sum(merger.late.values()) <= len(doubled) - len(times)  # second copies only
-
-
-@given(st.lists(st.floats(0, 50), min_size=1, max_size=40), st.sampled_from([None, 5.0, 10.0]))
-@settings(max_examples=60, deadline=None)
-def test_steps_are_regular_whatever_the_times(times, rate):
-    steps, merger = merged(times, rate=rate)
-    assert np.allclose(np.diff([step for step, _ in steps]), 1 / merger.rate if merger.rate else 0)
-    taken = sum(len(inside) for _, inside in steps)
-    assert taken + sum(merger.late.values()) <= len(times)
-    assert all(t <= step + 1e-6 for step, inside in steps for t in inside)
-
-
-def test_a_step_closes_when_all_sensors_have_passed_it():
-    merger = Merger(2, rate=10.0)
-    merger.push(0, "video", 0.0, detections(0.0, []))
-    merger.push(0, "video", 0.1, detections(0.1, []))
-    assert not list(merger.closed())
-    merger.push(1, "audio", 0.0, detections(0.0, []))
-    assert not list(merger.closed())
-    merger.push(1, "audio", 0.1, detections(0.1, []))
-    assert [step for step, _ in merger.closed()] == [0.0]
-    merger.end(1)
-    merger.push(0, "video", 0.2, detections(0.2, []))
-    assert [step for step, _ in merger.closed()] == [0.1]

@@ -223,12 +223,13 @@ class DelaySpectrum:
         fractions = (np.arange(self.ROWS) + 0.5) / self.ROWS
         self._taps = [kernel(1 + k - width / 2 - fractions) for k in range(width)]
         nodes, weights = np.polynomial.legendre.leggauss(32 + 4 * width)
-        frequencies = np.arange(self.bins) / self._cells
         cells = nodes * width / 2
-        transform = (np.cos(2 * np.pi * np.outer(frequencies, cells)) * (weights * width / 2 * kernel(cells))).sum(
-            axis=1
-        )
-        self._inverse = 1 / transform
+        weights = weights * width / 2 * kernel(cells)
+        self._inverse = np.empty(self.bins)
+        for start in range(0, self.bins, self.ROWS):  # a long response has millions of bins
+            frequencies = np.arange(start, min(start + self.ROWS, self.bins)) / self._cells
+            transform = (np.cos(2 * np.pi * np.outer(frequencies, cells)) * weights).sum(axis=1)
+            self._inverse[start : start + self.ROWS] = 1 / transform
 
     def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the spectra of several sums, (m, bins) complex128.

@@ -145,14 +145,15 @@ class MovingSource:
 
         cubic = _Cubic(t0, p0, velocity(here - 1), t1, p1, velocity(here))
         rate, nodes = self._surroundings.sample_rate_hz, self._nodes
-        times = np.arange(first_sample(t0, rate), first_sample(t1, rate)) / rate
+        first = first_sample(t0, rate)
+        times = np.arange(first, first_sample(t1, rate)) / rate
         if len(times) == 0:
+            if to == -1 and self._places:
+                beyond = self._beyond(self._travelled)
+                pace = float(self._nodes_a_second(cubic, np.array([t1]))[0])
+                self._add_nodes(cubic, beyond, first / rate + (beyond - self._travelled) / pace)
             return
-        speeds = np.sqrt((cubic.velocity(times) ** 2).sum(axis=1))
-        surroundings = self._surroundings
-        receding = surroundings.fastest_microphone(t0, t1 + surroundings.longest_delay / rate)
-        speeds = (speeds + receding) / (1 - receding / surroundings.speed_of_sound_m_s)
-        steps = nodes.nodes_a_second(speeds) / rate
+        steps = self._nodes_a_second(cubic, times) / rate
         start = self._travelled if self._places else 0.0
         path = start + np.concatenate([[0.0], np.cumsum(steps)])
         crossed = np.arange(np.ceil(start), np.ceil(path[-1]), dtype=int)
@@ -160,17 +161,34 @@ class MovingSource:
         if not self._places:
             crossed = np.concatenate([np.arange(1 - nodes.half_width, 0), crossed])
             at = np.concatenate([times[0] + np.arange(1 - nodes.half_width, 0) / (steps[0] * rate), at])
-        if to == -1:  # the path goes straight on for as long as its end is interpolated
-            beyond = np.arange(np.ceil(path[-1]), np.ceil(path[-1]) + nodes.half_width + 1, dtype=int)
+        if to == -1:
+            beyond = self._beyond(path[-1])
             crossed = np.concatenate([crossed, beyond])
             at = np.concatenate([at, times[-1] + (beyond - path[-2]) / (steps[-1] * rate)])
-        for node, time, position, moving in zip(crossed, at, cubic.position(at), cubic.velocity(at), strict=True):
+        self._add_nodes(cubic, crossed, at)
+        self._travelled = float(path[-1])
+        self._dry, self._path = np.append(self._dry, dry), np.append(self._path, path[:-1])
+
+    def _nodes_a_second(self, cubic: "_Cubic", times: np.ndarray) -> np.ndarray:
+        """Return how many nodes a second the source passes at times on a part of its path, (n,)."""
+        surroundings = self._surroundings
+        speeds = np.sqrt((cubic.velocity(times) ** 2).sum(axis=1))
+        heard_s = surroundings.longest_delay / surroundings.sample_rate_hz
+        receding = surroundings.fastest_microphone(cubic.t0, cubic.t1 + heard_s)
+        speeds = (speeds + receding) / (1 - receding / surroundings.speed_of_sound_m_s)
+        return self._nodes.nodes_a_second(speeds)
+
+    def _beyond(self, end: float) -> np.ndarray:
+        """Return the nodes after the end of the path, on which its last samples are interpolated."""
+        return np.arange(np.ceil(end), np.ceil(end) + self._nodes.half_width + 1, dtype=int)
+
+    def _add_nodes(self, cubic: "_Cubic", nodes: np.ndarray, at: np.ndarray) -> None:
+        """Note where the source is at nodes, and how it looks there; the path goes straight on beyond its ends."""
+        for node, time, position, moving in zip(nodes, at, cubic.position(at), cubic.velocity(at), strict=True):
             level = moving * (1.0, 1.0, 0.0)
             if (length := np.linalg.norm(level)) > 0.05:
                 self._heading = level / length
             self._places[int(node)] = (position, self._heading, time)
-        self._travelled = float(path[-1])
-        self._dry, self._path = np.append(self._dry, dry), np.append(self._path, path[:-1])
 
     def _render(self) -> None:
         nodes = self._nodes

@@ -20,8 +20,9 @@ from avcli.formats import media
 from avcli.formats.experiment import Config
 from avcli.formats.records import Identified
 
-LONGEST_SILENCE_S = 3600.0
-"""s; a recording starts at time 0, or with its first time step if that is later than this (a clock of Unix time)."""
+LONGEST_STEP_S = 60.0
+"""s; a recording starts at time 0, or with its first time step if that is later than this (a clock of Unix time). Two
+time steps are no further apart."""
 PIECE = 1 << 16
 """samples that are taken at a time, which bounds the memory."""
 
@@ -106,9 +107,12 @@ class Recorder:
             The positions of the people's mouths, (n, 3) m.
 
         Raises:
-            ValueError: the time does not increase.
+            ValueError: the time does not increase, or by more than LONGEST_STEP_S.
         """
-        if self._speakers.time is None and people.timestamp >= LONGEST_SILENCE_S:
+        last = self._speakers.time
+        if last is not None and people.timestamp > last + LONGEST_STEP_S:
+            raise ValueError(f"the time {people.timestamp:g} s is more than {LONGEST_STEP_S:g} s after {last:g} s")
+        if last is None and people.timestamp >= LONGEST_STEP_S:
             self.begin = self.end = math.ceil(people.timestamp * self.sample_rate_hz)
         return self._speakers.step(people)
 
@@ -191,7 +195,7 @@ def hear(
         its reverberation; `tail_samples` is the length of the latter.
 
     Raises:
-        ValueError: the times do not increase, the first is not within LONGEST_SILENCE_S, or the room cannot be
+        ValueError: the times do not increase, the first is not within LONGEST_STEP_S, or the room cannot be
             simulated; see `surroundings_of`.
 
     Source: J. B. Allen and D. A. Berkley, "Image method for efficiently simulating small-room acoustics", JASA 65(4),

@@ -61,7 +61,8 @@ class Settings:
         None,
         "Speed of sound, m/s.",
         unit="M/S",
-        above=0,
+        least=100,
+        most=10000,
         flag="--speed-of-sound",
         default_text="the config's, else 343",
     )

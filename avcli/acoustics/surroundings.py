@@ -15,15 +15,21 @@ from avcli.acoustics.images import MOST_IMAGES, image_count
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.trajectory import Trajectory
 from avcli.formats.experiment import DIRECTIVITIES, Config, Room
+from avcli.formats.schema import shown
 from avcli.numeric import SPEED_OF_SOUND_M_S
-from avcli.settings import DEFAULT_RT60_S
+from avcli.settings import DEFAULT_RT60_S, settings_of
 
 STRIDE_M = 0.5
 """m; the audible images are chosen anew after source and microphones have moved by this much."""
 MOTION_STEP_S = 0.001
 """s; a microphone moves in a straight line for so long: at 10 m/s² it is wrong by no more than 1.3 µm."""
-MANY_IMAGES = 1_000_000
-"""images of a microphone; more of them take long, and the user is warned."""
+COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
+"""s of computing for each microphone and each second of a voice that moves at 1 m/s, for each image of the microphone,
+and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
+LONG_S, MANY_IMAGES = 20.0, 1_000_000
+"""s of computing for a second of a moving voice, and images of a microphone; the user is warned of more."""
+MOST_SAMPLES = 1 << 25
+"""samples of the responses of all microphones; more would take gigabytes."""
 BYTES_AN_IMAGE = 100
 """bytes, roughly, that the choice among the images of a microphone takes for each of them."""
 DECAY_HEARD_DB = 15.0
@@ -133,10 +139,12 @@ def surroundings_of(
         say: called with a sentence where the user should be warned.
 
     Raises:
-        ValueError: a microphone is outside the room, the room cannot have the reverberation time (with `strict`), or
-            the sound is followed to too many images.
+        ValueError: a number of the configuration is out of the settings' bounds, a microphone is outside the room, the
+            room cannot have the reverberation time (with `strict`), or the sound is followed to too many images or for
+            too long.
     """
     room, microphones = config.room, config.microphones
+    _refuse_beyond_settings(config)
     positions, paths = _microphones(config, trajectories or {})
     speed = settings.speed_of_sound_m_s or room.speed_of_sound_m_s
     rt60, absorption = walls_of(room, settings, say)
@@ -145,9 +153,7 @@ def surroundings_of(
     if settings.ism_decay_db is not None:
         followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
     reach_m = max(followed_s * speed, diagonal_m)
-    if (absorption < 1).all():
-        _check_image_count(image_count(room.dimensions, reach_m), rt60, settings, say)
-    return Surroundings(
+    surroundings = Surroundings(
         room_dimensions_m=room.dimensions,
         reflection=(-1 if settings.reflection_sign == "negative" else 1) * np.sqrt(1 - absorption),
         microphones_m=positions,
@@ -161,6 +167,22 @@ def surroundings_of(
         end_s=max(rt60, diagonal_m / speed) if settings.ism_decay_db is not None and rt60 > 0 else 0.0,
         trajectories=paths,
     )
+    images = image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1.0
+    _check_cost(images, surroundings, settings, say)
+    return surroundings
+
+
+def _refuse_beyond_settings(config: Config) -> None:
+    """Refuse numbers of a configuration that the settings of the same meaning could not have."""
+    room, bounds = config.room, settings_of(Settings)
+    for key, value, name in (
+        ("room_config.reverberation_time_s", room.reverberation_time_s, "rt60_s"),
+        ("room_config.speed_of_sound_m_s", room.speed_of_sound_m_s, "speed_of_sound_m_s"),
+        ("microphone_config.audio_sample_rate_hz", config.microphones.sample_rate_hz, "sample_rate_hz"),
+    ):
+        least, most = bounds[name][1].least or 0.0, bounds[name][1].most or math.inf
+        if value is not None and not least <= value <= most:
+            raise ValueError(f'{config.name}: "{key}" must be from {least:g} to {most:g}, found {shown(value)}')
 
 
 def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnings.warn) -> tuple[float, np.ndarray]:
@@ -203,15 +225,32 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
         return 0.0, np.ones(6)
 
 
-def _check_image_count(images: float, rt60_s: float, settings: Settings, say: Callable[[str], None]) -> None:
-    if images <= MANY_IMAGES:
-        return
-    count = f"T60 {rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
+def _check_cost(images: float, surroundings: Surroundings, settings: Settings, say: Callable[[str], None]) -> None:
+    """Refuse what takes too much memory, and warn of what takes long.
+
+    Args:
+        images: of each microphone.
+        surroundings: of the sound.
+        settings: of the simulation.
+        say: called with the warning.
+    """
+    what = f"T60 {surroundings.rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
     remedy = "use --ism-decay 15" if settings.ism_decay_db is None else "use a smaller --ism-decay"
     remedy += ", which follows the strong images and continues with noise"
     if images > MOST_IMAGES:
-        raise ValueError(f"{count}, about {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {remedy}")
-    say(f"{count}, which takes long; {remedy}")
+        raise ValueError(f"{what}, about {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {remedy}")
+    samples, microphones = surroundings.longest_delay, len(np.unique(surroundings.microphones_m, axis=0))
+    if samples * microphones > MOST_SAMPLES:
+        raise ValueError(
+            f"{microphones} microphones would hear a sound for {samples / surroundings.sample_rate_hz:.3g} s in this "
+            "room, which takes too much memory; use a lower sample rate, a shorter reverberation time or fewer of them"
+        )
+    seconds = microphones * (COST_S + COST_OF_IMAGE_S * images + COST_OF_SAMPLE_S * samples)
+    if seconds > LONG_S or images > MANY_IMAGES:
+        if COST_OF_IMAGE_S * images < COST_S + COST_OF_SAMPLE_S * samples:
+            remedy = "use fewer microphones, a shorter reverberation time or a lower sample rate"
+        places = f"{microphones} microphone{'s' if microphones > 1 else ''}"
+        say(f"{what}, {places}: about {seconds:.0f} s of computing for a second of a voice that moves; {remedy}")
 
 
 def _microphones(
@@ -222,12 +261,14 @@ def _microphones(
     positions = fixed.copy()
     for channel, path in sorted(trajectories.items()):
         if not 0 <= channel < len(fixed):
-            raise ValueError(f"channel {channel} does not exist: {config.name} has {len(fixed)} microphones")
+            raise ValueError(
+                f"microphone {channel + 1} does not exist: {config.name} has {len(fixed)}, numbered from 1"
+            )
         positions[channel] = path.positions_m[0]
     for channel in range(len(fixed)):
         visited = trajectories[channel].positions_m if channel in trajectories else fixed[[channel]]
         outside = visited[((visited < 0) | (visited > config.room.dimensions)).any(axis=1)]
         if len(outside):
             source = "the path of a microphone" if channel in trajectories else config.name
-            raise ValueError(f"{source}: microphone {channel} at {outside[0].tolist()} is outside the room")
+            raise ValueError(f"{source}: microphone {channel + 1} at {outside[0].tolist()} is outside the room")
     return positions, tuple(trajectories.get(channel) for channel in range(len(fixed))) if trajectories else ()

@@ -10,6 +10,7 @@ from typing import Any
 from avcli.acoustics.recorder import Recorder
 from avcli.formats.experiment import Layout
 from avcli.formats.media import AudioWriter, refuse_sound_format
+from avcli.formats.writer import SOUND, earlier_files
 
 
 @dataclass(frozen=True)
@@ -50,15 +51,18 @@ class Chunk:
 
 
 class Tape:
-    """The sound files of an experiment, one after another; older ones are deleted.
+    """The sound files of an experiment, one after another; those of an earlier run are removed.
 
     Args:
         recorder: gives the sound.
-        experiment: directory of the experiment.
+        experiment: directory of the experiment; this process must be its `only_writer`.
         files: holds the file that is being written: leaving it completes the file, or drops it after an error.
         chunk_s: length of a file, s; None: one file for the whole scene.
         extension: "wav" or "flac".
         bit_depth: 16, 24 or 32, where 32 are floats; FLAC has at most 24.
+
+    Raises:
+        Linked: sound files of an earlier run are behind a symbolic link.
     """
 
     def __init__(
@@ -79,10 +83,9 @@ class Tape:
         refuse_sound_format(str(experiment), f".{extension}", channels, self._bit_depth)
         self._file: AudioWriter | None = None
         self._path, self._begin, self._now = "", 0, 0
-        directory = (experiment / Layout.audio(0.0)).parent
-        directory.mkdir(parents=True, exist_ok=True)
-        for old in directory.glob("multichannel_audio_*"):
-            old.unlink()
+        for old in earlier_files(experiment, SOUND):
+            old.unlink(missing_ok=True)
+        (experiment / Layout.audio(0.0)).parent.mkdir(parents=True, exist_ok=True)
 
     def roll(self) -> Iterator[Chunk]:
         """Write the sound that is settled, and yield each file that becomes complete."""

@@ -101,13 +101,13 @@ class Trajectory:
 
 
 def trajectories_of(moments: Iterable[Identified]) -> dict[int, Trajectory]:
-    """Return the paths of microphones from records whose ids are channels: channel -> path.
+    """Return the paths of microphones from records whose ids are channels, from 0: channel -> path.
 
     Args:
         moments: positions in three coordinates, in the order of time.
 
     Raises:
-        ValueError: a path is not one (see `Trajectory`); the message names the channel.
+        ValueError: a path is not one (see `Trajectory`); the message names the microphone, from 1.
     """
     paths: dict[int, tuple[list[float], list[np.ndarray]]] = {}
     for moment in moments:
@@ -120,5 +120,5 @@ def trajectories_of(moments: Iterable[Identified]) -> dict[int, Trajectory]:
         try:
             trajectories[channel] = Trajectory(np.array(times), np.array(positions))
         except ValueError as error:
-            raise ValueError(f"channel {channel}: {error}") from None
+            raise ValueError(f"microphone {channel + 1}: {error}") from None
     return trajectories

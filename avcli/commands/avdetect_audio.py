@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
 import io
 from collections.abc import Iterable, Iterator
@@ -10,13 +12,17 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from avcli.commands.filter import Filter, Session, common
+from avcli.commands.live import Skips, open_pipe
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.localization.settings import METHODS, ClosedFormSettings, CommonSettings, SteeredSettings
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
+    from avcli.formats.live import Stoppable
     from avcli.localization.stream import Block, Recording
 
+_BLOCK = 1 << 16
+"""samples that are read of a file at a time."""
 _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 
 
@@ -43,12 +49,19 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
     metavar="C",
     help="Air temperature in °C, which sets the speed of sound.  [default: the config's speed, or 343 m/s]",
 )
+@click.option("--live", is_flag=True, help="srp: When behind a stream in real time, skip time steps.")
 @from_settings(CommonSettings)
 @from_settings(SteeredSettings)
 @from_settings(ClosedFormSettings)
 @common(seed=True, skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"method": "3d-ssl"}})
 def main(
-    session: Session, files: tuple[str, ...], method: str, start: float, temperature: float | None, **options: Any
+    session: Session,
+    files: tuple[str, ...],
+    method: str,
+    start: float,
+    temperature: float | None,
+    live: bool,
+    **options: Any,
 ) -> None:
     """Localize people who speak, with microphones.
 
@@ -59,10 +72,14 @@ def main(
     for name, kind in METHODS.items():
         if name != method:
             refuse_without_effect(settings_of(kind), f"with --method {method}")
-    with session.output() as write:
-        streams = [(path, session.open(path)) for path in files or ("-",)]
-        sound = _Sound(session, start)
-        blocks = sound.blocks(streams)
+    if method != "srp":
+        refuse_without_effect(["live"], f"with --method {method}, which needs the whole recording")
+    with session.output() as write, contextlib.ExitStack() as stack:
+        sound = _Sound(session, start, live)
+        if live:
+            blocks = _arriving(sound, stack, *open_pipe(session, files))
+        else:
+            blocks = sound.blocks([(path, session.open(path)) for path in files or ("-",)])
         with session.timing("read"):
             first = next(blocks, None)
         if first is None:
@@ -73,7 +90,10 @@ def main(
         chosen = localizer(session.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
-        for decision in chosen.localize(_with_first(first, blocks), sound.recording.begin or 0):
+        skips = stack.enter_context(Skips(session, "time steps"))
+        read = session.progress(_with_first(first, blocks), None if live else sound.expected(files))
+        for number, decision in enumerate(chosen.localize(read, sound.recording.begin or 0)):
+            skips.take(decision.time, skips.skipped + decision.skipped, starting=number == 0)
             for notice in decision.notices:
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
             objects = [
@@ -90,11 +110,21 @@ def _with_first(first: Block, rest: Iterable[Block]) -> Iterator[Block]:
     yield from rest
 
 
+def _arriving(sound: _Sound, stack: contextlib.ExitStack, name: str, pipe: Stoppable) -> Iterator[Block]:
+    """Yield the blocks of a live source, each with what has arrived after it; the stack ends the reading."""
+    from avcli.formats.live import Arrivals
+
+    arrivals = stack.enter_context(Arrivals(sound.blocks([(name, io.BufferedReader(pipe))]), stop=pipe.stop))
+    for block in arrivals:
+        samples = arrivals.waiting(lambda block: len(block.samples))
+        yield dataclasses.replace(block, waiting=samples / sound.recording.microphones.sample_rate_hz)
+
+
 class _Sound:
     """The sound that files hold, or the records in them point at, as one recording."""
 
-    def __init__(self, session: Session, start: float):
-        self.session, self.start = session, start
+    def __init__(self, session: Session, start: float, live: bool):
+        self.session, self.start, self.live = session, start, live
 
     @functools.cached_property
     def recording(self) -> Recording:
@@ -116,13 +146,35 @@ class _Sound:
             else:
                 yield from self.recorded(whole, name)
 
+    def expected(self, files: Iterable[str]) -> int | None:
+        """Return about how many blocks the files have, for a progress bar; None where a stream or a fault hides it."""
+        if self.session.lines(files) is None:
+            return None
+        import soundfile
+
+        from avcli.formats import records
+
+        lengths: list[int] = []
+        for path in files:
+            try:
+                with open(path, "rb") as stream:
+                    if stream.read(4) in _SOUND:
+                        lengths.append(soundfile.info(path).frames)
+                        continue
+                    stream.seek(0)
+                    found = [records.audio(records.decode(text), outside=True) for _, text in records.texts(stream)]
+                    lengths += [chunk.num_samples for chunk in found if chunk is not None]
+            except (ValueError, OSError, soundfile.LibsndfileError):  # reading the sound reports it
+                return None
+        return sum(-(-length // _BLOCK) for length in lengths)
+
     def sound(self, path: str, name: str, head: bytes, stream: BinaryIO) -> Iterator[Block]:
         """Yield the blocks of a sound file, or of a WAV on standard input."""
         from avcli.formats import media
 
-        if path != "-":
+        if path != "-" and not self.live:
             stream.close()
-            pieces = media.audio_blocks(path)
+            pieces = media.audio_blocks(path, _BLOCK)
         elif head in (b"RIFF", b"RF64"):
             pieces = media.wav_stream_blocks(stream, name)
         else:
@@ -142,7 +194,7 @@ class _Sound:
                 path = self.session.media_root / chunk.path
                 yield from self.recording.piece(
                     str(path),
-                    media.audio_blocks(path),
+                    media.audio_blocks(path, _BLOCK),
                     start_sample=chunk.start_sample,
                     num_samples=chunk.num_samples,
                     tail_samples=chunk.tail_samples,

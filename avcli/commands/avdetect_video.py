@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import io
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from avcli.commands import filter
+from avcli.commands.live import newest, open_pipe
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.detection.settings import Settings
 from avcli.settings import settings_of
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from avcli.detection.body import Person
     from avcli.detection.detector import Detector
     from avcli.detection.view import View
-    from avcli.formats import footage
+    from avcli.formats import footage, records
 
 
 @click.command("avdetect-video", cls=filter.Filter, epilog="Example: avdetect-video -C out/s1 scene.jsonl -o v.jsonl")
@@ -38,6 +40,11 @@ if TYPE_CHECKING:
     show_default="the video's own, else config.json's",
     help="Time steps per second of picture files, a video or a camera.",
 )
+@click.option(
+    "--live",
+    is_flag=True,
+    help="When behind, take the newest picture and skip the older ones.  [default: with a camera]",
+)
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw the people into a video, or into PNG files in DIR.")
 @filter.common(skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
 def main(
@@ -45,6 +52,7 @@ def main(
     files: tuple[str, ...],
     model: str | None,
     rate: float | None,
+    live: bool,
     overlay: str | None,
     **options: Any,
 ) -> None:
@@ -62,9 +70,10 @@ def main(
     network = settings.detector == "net"
     detector: Detector | None = None
     with session.output() as write, contextlib.ExitStack() as stack:
-        shots = _shots(session, files, rate, depth=not network)
+        shots = _shots(session, stack, files, rate, live=live, depth=not network)
         if files and all(Path(file).is_file() or Path(file).is_dir() for file in files):
-            shots = footage.decoded_ahead(shots, rgb=network or bool(overlay), depth=not network)
+            ahead = footage.decoded_ahead(shots, rgb=network or bool(overlay), depth=not network)
+            shots = stack.enter_context(contextlib.closing(ahead))
         for shot in shots:
             if detector is None:
                 with session.timing("start"):
@@ -150,10 +159,16 @@ def _draw(
 
 
 def _shots(
-    session: filter.Session, files: tuple[str, ...], rate: float | None, *, depth: bool
+    session: filter.Session,
+    stack: contextlib.ExitStack,
+    files: tuple[str, ...],
+    rate: float | None,
+    *,
+    live: bool,
+    depth: bool,
 ) -> Iterator[footage.UnreadShot]:
-    """Yield the time steps of all files: picture files, one video or camera, or else frame records."""
-    from avcli.formats import footage, media, records
+    """Return the time steps of all files: picture files, one video or camera, or else frame records."""
+    from avcli.formats import footage
 
     try:
         sources = footage.sources(files or ("-",))
@@ -165,18 +180,38 @@ def _shots(
         session.usage("give one video or one camera, or picture files only, or frame records only")
     if moving and depth:
         session.usage(f"{moving[0].name}: a video has no depth; use --detector net")
+    if still or (moving and not moving[0].is_live):
+        refuse_without_effect(["live"], "on files; it is for a camera, or for frame records from a pipe")
+    if still:
+        return _picture_shots(session, still, rate, depth=depth)
     if moving:
-        for picture in footage.pictures([moving[0].name], rate):
-            yield footage.UnreadShot(picture.timestamp, picture.image.view, None)
-    elif still:
-        yield from _picture_shots(session, still, rate, depth=depth)
-    else:
-        refuse_without_effect(["rate"], "on frame records, which have their own times")
-        root = session.media_root
-        for frame in session.records(files, lambda record, _bad: records.frame(record, outside=session.allow_outside)):
-            if frame is not None:
-                distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
-                yield footage.UnreadShot(frame.timestamp, partial(media.read_rgb, root / frame.rgb), distance)
+        pictures = footage.pictures([moving[0].name], rate)
+        shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
+        return newest(session, stack, shots, "pictures") if moving[0].is_live else shots
+    refuse_without_effect(["rate"], "on frame records, which have their own times")
+    parse = partial(_frame, session.allow_outside)
+    if not live:
+        return _frames(session, session.records(files, parse))
+    name, pipe = open_pipe(session, files)
+    frames = session.stream_records(io.BufferedReader(pipe), name, parse)
+    return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
+
+
+def _frame(outside: bool, record: Any, _bad: object) -> records.Frame | None:
+    from avcli.formats import records
+
+    return records.frame(record, outside=outside)
+
+
+def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> Iterator[footage.UnreadShot]:
+    """Yield the time steps of frame records; the other records are passed over."""
+    from avcli.formats import footage, media
+
+    root = session.media_root
+    for frame in frames:
+        if frame is not None:
+            distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
+            yield footage.UnreadShot(frame.timestamp, partial(media.read_rgb, root / frame.rgb), distance)
 
 
 def _picture_shots(

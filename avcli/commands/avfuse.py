@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
@@ -17,8 +17,10 @@ from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
 
 if TYPE_CHECKING:
+    from avcli.formats.arrivals import Arrivals
     from avcli.formats.records import Detections
     from avcli.tracking.fusion import Fusion
+    from avcli.tracking.merging import Event, Merger
 
 _THESIS = {
     "motion": "cv",
@@ -97,6 +99,11 @@ def _usual(field: str) -> str:
     help="Also read FILE; its records are of sensor NAME unless they state another.  Can be repeated.",
 )
 @click.option(
+    "--live",
+    is_flag=True,
+    help="Write each record at once; do not wait for a sensor that is quiet for --max-wait by the wall clock.",
+)
+@click.option(
     "--tracker",
     type=click.Choice(list(TRACKERS)),
     default=next(iter(TRACKERS)),
@@ -145,6 +152,7 @@ def main(
     session: Session,
     files: tuple[str, ...],
     named: tuple[tuple[str, str], ...],
+    live: bool,
     tracker: str,
     lag: float,
     explain: str | None,
@@ -164,16 +172,20 @@ def main(
             given.setdefault(name, {})[key] = value
     from avcli.formats.records import as_record
     from avcli.tracking.fusion import Fusion
-    from avcli.tracking.merging import in_turn
 
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
-    events = in_turn(_readers(session, sources))
+    inputs = _Inputs(session, sources, live)
     with session.output() as write, _accounts(explain) as account:
-        first = next(events)  # as soon as there is a record, config.json is complete
+        first = inputs.until_first_record()  # then config.json is complete
         config = session.config if session.has_config else None
         fusion = Fusion.of(config, settings, tracker, lag, given=given, explain=bool(explain), say=session.warn)
-        merger = fusion.merger(len(sources), one_sensor=not files and bool(named))
-        for step in merger.steps(itertools.chain([first], events)):
+        merger: Merger = (
+            fusion.live_merger(inputs.names)
+            if live
+            else fusion.merger(inputs.names, one_sensor=not files and bool(named))
+        )
+        events = itertools.chain(first, inputs.rest(merger))
+        for step in merger.steps(events):
             with session.timing("tracking"):
                 ready = fusion.step(*step)
             for tracks in ready:
@@ -214,17 +226,60 @@ def _sensor_name(path: str) -> str:
     return next((word for word in ("audio", "video") if word in stem), "sensor" if path == "-" else stem)
 
 
-def _readers(session: Session, sources: list[tuple[str, str]]) -> list[Iterator[Detections]]:
-    """Return an iterator over the detections of each source; all are opened first, so that a missing file is found."""
-    from avcli.formats import records
-    from avcli.tracking.fusion import named
+class _Inputs:
+    """The detections of all sources; all are opened first, so that a missing file is found."""
 
-    streams = [(name, path, session.open(path)) for name, path in sources]
+    def __init__(self, session: Session, sources: list[tuple[str, str]], live: bool) -> None:
+        from avcli.formats.arrivals import Arrivals, is_pipe, open_fifo
+        from avcli.tracking.merging import in_turn
 
-    def read(name: str, path: str, stream: Any) -> Iterator[Detections]:
+        self.session, self.sources = session, sources
+        self.names = ["standard input" if path == "-" else path for _, path in sources]
+        streams = [self._opened(path, open_fifo) for _, path in sources]
+        pipes = [k for k, stream in enumerate(streams) if is_pipe(stream)]
+        self.arrivals: Arrivals[Detections] | None = None
+        self.in_turn: Iterator[Event]
+        if pipes and live:
+            self.arrivals = Arrivals(self.names, streams, self._read)
+        elif pipes and len(sources) > 1:
+            names, several = [self.names[k] for k in pipes], [streams[k] for k in pipes]
+            arrivals = Arrivals(names, several, lambda k, stream: self._read(pipes[k], stream), session.warn)
+            of = {source: arrivals.of(k) for k, source in enumerate(pipes)}
+            self.in_turn = in_turn([of.get(k) or self._read(k, stream) for k, stream in enumerate(streams)])
+        else:
+            self.in_turn = in_turn([self._read(k, stream) for k, stream in enumerate(streams)])
+
+    def until_first_record(self) -> list[Event]:
+        """Return the events up to the first record, or to the end."""
+        events: list[Event] = []
+        ended = 0
+        while ended < len(self.sources):
+            event = self.arrivals.next() if self.arrivals else next(self.in_turn)
+            events.append(event)
+            if event and event[1] is not None:
+                break
+            ended += 1
+        return events
+
+    def rest(self, merger: Merger) -> Iterator[Event]:
+        """Yield the further events; live ones with one of None where the merger has something due."""
+        if not self.arrivals:
+            yield from self.in_turn
+            return
+        while merger.open:
+            yield self.arrivals.next(merger.due())
+
+    def _opened(self, path: str, open_fifo: Callable[[str], BinaryIO | None]) -> BinaryIO:
+        with contextlib.suppress(OSError):  # which `Session.open` finds again and reports
+            if path != "-" and (fifo := open_fifo(path)):
+                return fifo
+        return self.session.open(path)
+
+    def _read(self, number: int, stream: BinaryIO) -> Iterator[Detections]:
+        from avcli.formats import records
+        from avcli.tracking.fusion import named
+
+        name, path = self.sources[number]
         with stream:
-            yield from named(
-                name, session.stream_records(stream, "<stdin>" if path == "-" else path, records.detections)
-            )
-
-    return [read(*one) for one in streams]
+            place = "<stdin>" if path == "-" else path
+            yield from named(name, self.session.stream_records(stream, place, records.detections))

@@ -64,7 +64,7 @@ def _noise(_context: click.Context, _parameter: click.Parameter, texts: tuple[st
 @click.option(
     "--microphone-path",
     metavar="FILE",
-    help="Records of microphones that move: object_id is the channel, position that of the microphone. "
+    help="Records of microphones that move: object_id is the number of the microphone, from 1, as in config.json. "
     "The other microphones stay where the configuration has them.",
 )
 @from_settings(Settings)
@@ -118,6 +118,8 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     Reads ground-truth records (where people are, and whose turn it is to speak). Writes sound files with one channel
     for each microphone to DIR/audio/wav, and a record for each file.
     """
+    from avcli.formats.writer import only_writer
+
     settings = _settings(session, options)
     trajectories = _trajectories(session, options["microphone_path"])
     speech = _speech(session, options["speech"])
@@ -126,16 +128,21 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     mouths: list[tuple[float, int, np.ndarray]] = []
 
     def people_at(record: Mapping, bad: Callable[[str], None]) -> Identified:
+        from avcli.acoustics.recorder import LONGEST_STEP_S
         from avcli.formats import records
 
         nonlocal last
         people = records.identified(record, bad)
         if people.timestamp <= last:
             raise records.RecordError(f"timestamp {people.timestamp:g} is not later than {last:g}")
+        if last + LONGEST_STEP_S < people.timestamp and last > -math.inf:
+            raise records.RecordError(
+                f"timestamp {people.timestamp:g} is more than {LONGEST_STEP_S:g} s after {last:g}"
+            )
         last = people.timestamp
         return people
 
-    with session.output() as write, contextlib.ExitStack() as open_file:
+    with session.output() as write, contextlib.ExitStack() as held, contextlib.ExitStack() as open_file:
 
         def store(chunks: Iterable[Chunk]) -> None:
             for chunk in chunks:
@@ -144,8 +151,9 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
                     session.warn(text, "samples clipped")
                 write(chunk.record())
 
-        for people in session.records(files, people_at):
+        for people in session.progress(session.records(files, people_at), session.lines(files)):
             if recorder is None:
+                held.enter_context(only_writer(session.experiment, session.name))
                 recorder = _recorder(session, settings, speech, trajectories)
                 tape = _tape(session, recorder, open_file, options)
             with session.timing("simulation"):
@@ -244,9 +252,10 @@ def _trajectories(session: Session, path: str | None) -> dict[int, Trajectory]:
     def moment(record: Mapping, bad: Callable[[str], None]) -> Identified:
         microphones = records.identified(record, bad)
         known = ~np.isnan(microphones.positions[:, 2])
-        for channel in microphones.ids[~known].tolist():
-            bad(f"object_id {channel}: a microphone needs three coordinates")
-        return records.Identified(microphones.timestamp, microphones.ids[known], microphones.positions[known])
+        for number in microphones.ids[~known].tolist():
+            bad(f"object_id {number}: a microphone needs three coordinates")
+        channels = microphones.ids[known] - 1
+        return records.Identified(microphones.timestamp, channels, microphones.positions[known])
 
     try:
         return trajectories_of(session.records([path], moment) if path else ())

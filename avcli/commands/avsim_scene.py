@@ -55,7 +55,11 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @from_settings(Drawing, "shutter_s")
 @from_settings(Effects)
 @click.option("--print-scenario", is_flag=True, help="Print the scenario with every default filled in, and exit.")
-@click.option("--force", is_flag=True, help="Use DIR even if another program wrote its config.json.")
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Use DIR even if another program wrote its config.json, or its folders are symbolic links.",
+)
 @common(seed=True, presets=PRESETS, mark_end=True)
 def main(session: Session, scenario: str, **options: Any) -> None:
     """Simulate people who walk and talk in a room under a fisheye camera.
@@ -68,6 +72,7 @@ def main(session: Session, scenario: str, **options: Any) -> None:
         with session.output() as write:
             write(json.dumps(scene.raw, indent=2, ensure_ascii=False) + "\n")
         return
+    from avcli.formats.writer import only_writer
     from avcli.scene import output
 
     for warning in scene.warnings:
@@ -81,13 +86,14 @@ def main(session: Session, scenario: str, **options: Any) -> None:
         refuse_without_effect(PICTURES, "with --no-video")
     if directory.exists() and not directory.is_dir():
         session.usage(f"{directory}: not a directory")
-    film = _film(session, scene, options)
-    output.prepare(directory, force=options["force"])
     files = output.Files(options["frames"], options["masks"], options["coco"], options["sheet"])
-    records = output.write(film, directory, files, session.timing)
-    with session.output() as write, contextlib.closing(records):
-        for record in session.progress(records, len(scene.times)):
-            write(record)
+    film = _film(session, scene, options)
+    with only_writer(directory, session.name):
+        output.prepare(directory, force=options["force"])
+        records = output.write(film, directory, files, session.timing)
+        with session.output() as write, contextlib.closing(records):
+            for record in session.progress(records, len(scene.times)):
+                write(record)
 
 
 def _film(session: Session, scene: Scenario, options: dict[str, Any]) -> Film:

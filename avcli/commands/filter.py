@@ -220,12 +220,30 @@ class Session:
             self._timings[stage] = self._timings.get(stage, 0.0) + time.perf_counter() - begin
 
     def progress(self, items: Iterable[Any], total: int | None = None, label: str = "") -> Iterator[Any]:
-        """Yield the items, with a progress bar on stderr where that is a terminal."""
-        if self.quiet or not sys.stderr.isatty():
+        """Yield the items, with a progress bar on stderr where that is a terminal and records do not appear on it."""
+        if not self.shows_progress:
             yield from items
             return
         with click.progressbar(items, length=total, label=label or self.name, file=sys.stderr) as bar:
             yield from bar
+
+    @property
+    def shows_progress(self) -> bool:
+        """Whether a progress bar can be seen and disturbs nothing."""
+        records_on_terminal = self.output_path == "-" and sys.stdout.isatty()
+        return not self.quiet and sys.stderr.isatty() and not records_on_terminal
+
+    def lines(self, files: Iterable[str]) -> int | None:
+        """Return how many lines the files have, for a progress bar; None where there is none, or one is a stream."""
+        paths = [Path(path) for path in files]
+        if not (self.shows_progress and paths and all(path.is_file() for path in paths)):
+            return None
+        count = 0
+        for path in paths:
+            with open(path, "rb") as file:
+                while chunk := file.read(1 << 20):
+                    count += chunk.count(b"\n")
+        return count
 
     def finish(self) -> None:
         """Print the numbers of skipped records and of repeated warnings and, under -v, the time of each stage."""

@@ -13,8 +13,9 @@ FARTHEST_M = 1e6
 """m; the largest coordinate, of a position, a velocity in m/s or a direction."""
 LARGEST_VARIANCE = 1e12
 """m²; the largest entry of a covariance, the square of the largest coordinate."""
-LONGEST_GAP_S = 600
-"""s; a longer hole in the sound of a stream is not filled with silence, each step of which would give a record."""
+LONGEST_GAP_S = 10
+"""s; a longer hole in the sound of a stream is not filled with silence, each step of which would give a record: the
+recording starts anew after it."""
 MOST_OBJECTS = 10_000
 """Objects in one record."""
 MOST_CHANNELS = 1024

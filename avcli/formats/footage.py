@@ -7,7 +7,7 @@ import re
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -323,10 +323,11 @@ def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Pictur
         raise MediaError("<stdin>: no JPEG in this stream")
 
 
-def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Iterator[UnreadShot]:
+def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Generator[UnreadShot, None, None]:
     """Yield the same shots while the pictures of the next few are read in threads.
 
-    A live pipeline must not be read ahead, since that holds back the shot in hand.
+    A live pipeline must not be read ahead, since that holds back the shot in hand. Closing the generator does not wait
+    for a picture that is being read: its file may hang.
 
     Args:
         shots: in the order of time.

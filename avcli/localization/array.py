@@ -99,6 +99,7 @@ class Decision:
         covariances: (n, 3, 3) m².
         scores: (n,) probability that the detection is right.
         notices: what was noticed about the channels, one sentence each.
+        skipped: how many time steps before it were skipped, since the localizer was behind a live stream.
     """
 
     time: float
@@ -106,6 +107,7 @@ class Decision:
     covariances: np.ndarray
     scores: np.ndarray
     notices: tuple[str, ...] = ()
+    skipped: int = 0
 
     @classmethod
     def of(cls, time: float, talkers: Sequence[Talker] = (), notices: Iterable[str] = ()) -> "Decision":

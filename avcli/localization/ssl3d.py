@@ -11,7 +11,7 @@ import numpy as np
 from avcli.localization import correlation, events, multilateration, uncertainty
 from avcli.localization.array import Array, Decision, Talker, time_steps
 from avcli.localization.settings import ClosedFormSettings
-from avcli.localization.stream import Block
+from avcli.localization.stream import Block, stretches
 
 RT60_S = 0.35
 """s, the reverberation time of the thesis's room."""
@@ -68,17 +68,13 @@ class ClosedFormLocalizer:
             blocks: the recording, piece by piece.
             begin: the first sample's place on the clock, in samples.
         """
-        read = list(blocks)
-        if not read:
-            return
-        samples, fs, rate = (
-            np.concatenate([block.samples for block in read]),
-            self.array.sample_rate,
-            self.settings.rate,
-        )
-        steps = self.steps(samples, begin)
-        for step in time_steps(begin, len(samples), fs, rate, read[-1].tail):
-            yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [])
+        fs, rate = self.array.sample_rate, self.settings.rate
+        for first, stretch in stretches(blocks, begin):
+            read = list(stretch)
+            samples = np.concatenate([block.samples for block in read])
+            steps = self.steps(samples, first)
+            for step in time_steps(first, len(samples), fs, rate, read[-1].tail):
+                yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [])
 
     def steps(self, samples: np.ndarray, begin: int = 0) -> dict[int, list[Event]]:
         """Return the events of a recording (n, m) by the time step, k at k / rate seconds, to which each belongs."""

@@ -7,7 +7,7 @@ and one of 0.39 s for rooms that echo; the search over place and velocity lets t
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from avcli.localization.memory import Memory, Trace, level_distance
 from avcli.localization.noise import NoiseLaw, draw_noise_law
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
-from avcli.localization.stream import Block, LatestSamples
+from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.talkers import Peak, TalkerSearch
 from avcli.localization.windows import Ballot, Band, Correlator, Heard, Window, together
 
@@ -92,31 +92,49 @@ class SteeredLocalizer:
         """Yield a decision for every time step of a stream, as soon as its last window is complete.
 
         Args:
-            blocks: the stream, piece by piece.
+            blocks: the stream, piece by piece. Time steps are skipped where a block says that others wait behind it.
             begin: the first sample's place on the clock, in samples.
         """
+        for first, stretch in stretches(blocks, begin):
+            yield from self._stretch(stretch, first)
+            self.memory.traces.clear()  # a talker of one stretch is not expected in the next
+
+    def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
+        """Yield a decision for every time step of a stream without long gaps."""
         fs, rate = self.array.sample_rate, self.settings.rate
         stream = LatestSamples(begin, len(self.array.microphones))
         windows: dict[int, Window] = {}
-        step, tail = time_steps(begin, 1, fs, rate, 0.0).start, 0.0
+        step, tail, skipped = time_steps(begin, 1, fs, rate, 0.0).start, 0.0, 0
         for block in itertools.chain(blocks, [None]):
             if block is not None:
                 stream.append(block.samples)
                 tail = block.tail
             last = time_steps(begin, stream.end - begin, fs, rate, tail).stop
-            while step < last and self._cut(stream, windows, step, ended=block is None):
-                yield self.step(step, windows)
-                step += 1
+            behind = block is not None and block.waiting >= 1.0 / rate
+            while step < last and behind and self._skip(stream, step):
+                step, skipped = step + 1, skipped + 1
+            while step < last and not behind and self._cut(stream, windows, step, ended=block is None):
+                yield replace(self.step(step, windows), skipped=skipped)
+                step, skipped = step + 1, 0
+
+    def _skip(self, stream: LatestSamples, step: int) -> bool:
+        """Pass over a time step if its last window is complete; tell whether it is."""
+        if self._place(step * self.windows_a_step + self.reach) + self.band.size > stream.end:
+            return False
+        stream.forget(self._place((step + 1) * self.windows_a_step - self.reach))
+        self.memory.keep([])
+        return True
 
     def _cut(self, stream: LatestSamples, windows: dict[int, Window], step: int, *, ended: bool) -> bool:
         """Cut the windows that a step still lacks out of the stream; tell whether it has them all."""
         middle, size = step * self.windows_a_step, self.band.size
+        for index in [index for index in windows if index < middle - self.reach]:
+            del windows[index]
         for index in range(next(reversed(windows), middle - self.reach - 1) + 1, middle + self.reach + 1):
             if self._place(index) + size > stream.end and not ended:
                 return False
             windows[index] = self.sounding(self.correlator.correlate(*stream.window(self._place(index), size)))
             stream.forget(self._place(index + 1))
-            windows.pop(index - 2 * self.reach - 1, None)
         return True
 
     def _place(self, index: int) -> int:

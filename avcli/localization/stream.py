@@ -18,10 +18,41 @@ class Block:
         samples: (n, m).
         tail: s, how much of the stream up to this block's end comes after the scene's end, or may do so. No decision is
             made about it.
+        waiting: s of sound that had arrived after this block when it was taken. Where that is a time step or more, the
+            localizer is behind a live stream, and skips time steps until it has caught up.
+        begin: its first sample's place on the clock, in samples, where the stream starts anew there; None: it goes on.
     """
 
     samples: np.ndarray
     tail: float = 0.0
+    waiting: float = 0.0
+    begin: int | None = None
+
+
+def stretches(blocks: Iterable[Block], begin: int) -> Iterator[tuple[int, Iterator[Block]]]:
+    """Split a stream where it starts anew: yield each stretch's first place on the clock, and its blocks.
+
+    The blocks of a stretch must be taken before the next stretch.
+
+    Args:
+        blocks: of the stream.
+        begin: the first sample's place on the clock, in samples, where its block does not say it.
+    """
+    rest = iter(blocks)
+    following = next(rest, None)
+
+    def stretch(first: Block) -> Iterator[Block]:
+        nonlocal following
+        yield first
+        for following in rest:
+            if following.begin is not None:
+                return
+            yield following
+        following = None
+
+    while following is not None:
+        first = following
+        yield begin if first.begin is None else first.begin, stretch(first)
 
 
 class Recording:
@@ -51,6 +82,7 @@ class Recording:
         self.next = 0
         self.scene_end: int | None = None
         self.held_back = 0.0
+        self._anew: int | None = None  # the place where the next block starts anew
 
     def sound(self, name: str, blocks: Iterable[tuple[np.ndarray, int]]) -> Iterator[Block]:
         """Yield the blocks of a sound that goes on where the one before ended.
@@ -79,6 +111,8 @@ class Recording:
     ) -> Iterator[Block]:
         """Yield the blocks of a piece at its place: silence where samples are missing before it, and no sample twice.
 
+        Where more than LONGEST_GAP_S is missing, the recording starts anew with the piece.
+
         Args:
             name, blocks: as for `sound`.
             start_sample: the place of its first sample on the clock.
@@ -88,19 +122,21 @@ class Recording:
         Raises:
             ValueError: as for `sound`, or it has fewer samples.
         """
+        rate = self.microphones.sample_rate_hz
+        if self.begin is not None and start_sample - self.next > LONGEST_GAP_S * rate:
+            gap = (start_sample - self.next) / rate
+            self.warn(f"{name}: {gap:.0f} s before it are missing; the recording starts anew there", "long gaps")
+            self.next, self._anew, self.scene_end = start_sample, start_sample, None
         if tail_samples is None:
             self.held_back = self.reverberation_s
         elif tail_samples and self.scene_end is None:
             self.scene_end = start_sample + num_samples - tail_samples
         if self.begin is None:
             self.begin = self.next = start_sample
-        gap = start_sample - self.next
-        if gap > LONGEST_GAP_S * self.microphones.sample_rate_hz:
-            raise ValueError(
-                f"{name}: {gap} samples before it are missing, more than {LONGEST_GAP_S} s; start a new run there"
+        if start_sample > self.next:
+            self.warn(
+                f"{name}: {start_sample - self.next} samples before it are missing; they count as silence", "gaps"
             )
-        if gap > 0:
-            self.warn(f"{name}: {gap} samples before it are missing; they count as silence", "gaps")
         while self.next < start_sample:
             yield self._block(np.zeros((min(1 << 16, start_sample - self.next), len(self.microphones.positions))))
         skip, left = self.next - start_sample, num_samples
@@ -119,9 +155,10 @@ class Recording:
 
     def _block(self, samples: np.ndarray) -> Block:
         self.next += len(samples)
+        begin, self._anew = self._anew, None
         if self.scene_end is None:
-            return Block(samples, self.held_back)
-        return Block(samples, max(0, self.next - self.scene_end) / self.microphones.sample_rate_hz)
+            return Block(samples, self.held_back, begin=begin)
+        return Block(samples, max(0, self.next - self.scene_end) / self.microphones.sample_rate_hz, begin=begin)
 
     def _check(self, name: str, channels: int, rate: int) -> None:
         count = len(self.microphones.positions)

@@ -13,12 +13,16 @@ import numpy as np
 from avcli.formats.experiment import Config, Layout
 from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
+from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.scene import annotations, load, people, render, sensor
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects
 
 _CHUNK = 100  # frames whose bodies are posed together: memory does not grow with the scene
 _SHUTTER_PICTURES = 8  # that are averaged while the shutter is open
+
+_SENSORS = {"audio": {"kind": MICROPHONES}, "video": {"kind": CAMERA}}
+"""What avdetect-audio and avdetect-video call themselves in their records, for config.json."""
 
 Timing = Callable[[str], contextlib.AbstractContextManager]
 
@@ -92,7 +96,7 @@ class Film:
         if background:
             camera["background_depth"] = Layout.background_depth
         sections = {key: raw[key] for key in ("microphone_config", "room_config")}
-        return {"session_id": self.scenario.name, "camera_config": camera, **sections}
+        return {"session_id": self.scenario.name, "camera_config": camera, **sections, "sensors": _SENSORS}
 
     def frames(self) -> Iterator[Frame]:
         """Draw the frames, one at a time; a second call draws the same film again."""

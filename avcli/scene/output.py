@@ -15,6 +15,7 @@ import numpy as np
 from avcli import __version__
 from avcli.formats import atomic, media, records
 from avcli.formats.experiment import Layout, write_config
+from avcli.formats.writer import PICTURES, earlier_files
 from avcli.scene import annotations, mesh, people
 from avcli.scene.film import Film, Frame, Timing
 from avcli.scene.scenario import Scenario
@@ -46,14 +47,15 @@ class Files:
 
 
 def prepare(directory: Path, *, force: bool = False) -> None:
-    """Make the directory of an experiment, and remove what an earlier run wrote there.
+    """Remove what an earlier run wrote into the directory of an experiment: all of it, or nothing after an error.
 
     Args:
-        directory: of the experiment.
-        force: also where another program wrote its config.json.
+        directory: of the experiment; this process must be its `only_writer`.
+        force: also where another program wrote its config.json, and pictures behind a symbolic link.
 
     Raises:
         ForeignConfig: another program wrote its config.json.
+        Linked: there are pictures behind a symbolic link.
     """
     layout = Layout(directory)
     if layout.config.exists() and not force:
@@ -65,13 +67,9 @@ def prepare(directory: Path, *, force: bool = False) -> None:
             raise ForeignConfig(
                 f"{layout.config}: not written by {_COMMAND}; --force overwrites it and the frames beside it"
             )
-    layout.config.unlink(missing_ok=True)
-    layout.groundtruth.unlink(missing_ok=True)
-    for pattern in ("rgb/RGB_frame_*", "depth/Depth_frame_*", "depth/Depth_background", "masks/Mask_frame_*"):
-        for extension in ("png", "npy"):
-            for path in (directory / "video").glob(f"{pattern}.{extension}"):
-                path.unlink()
-    directory.mkdir(parents=True, exist_ok=True)
+    pictures = earlier_files(directory, PICTURES, force=force)
+    for path in (layout.config, layout.groundtruth, *pictures):
+        path.unlink(missing_ok=True)
 
 
 def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generator[dict[str, Any], None, None]:

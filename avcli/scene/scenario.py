@@ -62,7 +62,10 @@ LABORATORY: dict[str, dict[str, Any]] = {
     },
     "room_config": {"room_dimensions_m": [4.66, 4.66, 3.0], "reverberation_time_s": 0.35},
 }
-"""The thesis's laboratory and its real camera: what a scenario that leaves a section out gets."""
+"""The thesis's laboratory and its real camera: what a scenario that leaves a key out gets.
+
+In a room of another size the camera and the microphones stand at the same fractions of its sides; see `laboratory`.
+"""
 
 CAMERAS: dict[str, dict[str, Any]] = {
     "real": {
@@ -118,7 +121,10 @@ _PERSON = Object(
     },
     closed=True,
 )
-_AS_CONFIG = "section of config.json; keys that are left out have the values of the thesis's laboratory"
+_AS_CONFIG = (
+    "section of config.json; keys that are left out have the values of the thesis's laboratory, and positions that are "
+    "left out are scaled with the room"
+)
 SCENARIO = Format(
     "scenario",
     "A scenario of avsim-scene: who walks where and speaks when, in which room, seen by which camera",
@@ -198,11 +204,14 @@ def _parsed(
     sections = _with_laboratory(raw)
     title = name if values["name"] is None else values["name"]
     config = experiment.Config({"session_id": title, **sections}, name)
-    _ = config.microphones
     camera, dimensions, duration = config.camera, config.room.dimensions, values["duration_s"]
     position = camera.T_room_camera[:3, 3]
     if ((position <= 0) | (position >= dimensions)).any():
         raise _outside(position, dimensions).within("camera_config", "camera_position_m")
+    for index, place in enumerate(config.microphones.positions):
+        if ((place < 0) | (place > dimensions)).any():  # one on a wall is possible
+            error = _outside(place, dimensions, f"microphone {index + 1} at ")
+            raise error.within("microphone_config", "mic_positions_m", index)
     if camera.width_px * camera.height_px > 1 << 26:
         reason = f"has an image of {camera.width_px} x {camera.height_px}; at most {1 << 26} pixels can be simulated"
         raise Invalid(reason, ("camera_config",))
@@ -234,7 +243,7 @@ def _parsed(
 def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the sections of config.json, filled with the laboratory's values."""
     sections = {}
-    for key, default in LABORATORY.items():
+    for key, default in laboratory(raw).items():
         given = raw.get(key) or {}
         # A lens is one thing: a scenario that gives one part of it does not want the rest of another lens.
         own_lens = key == "camera_config" and {"lens_model", "fx_px", "fy_px", "k1"} & given.keys()
@@ -243,8 +252,36 @@ def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return sections
 
 
-def _outside(position: np.ndarray, dimensions: np.ndarray) -> Invalid:
-    return Invalid(f"{position.tolist()} is outside the room of {dimensions.tolist()} m")
+def laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return LABORATORY with the camera and the microphones scaled to the room of a scenario's JSON object.
+
+    An invalid room scales nothing: its reader says what is wrong with it.
+    """
+    usual = np.array(LABORATORY["room_config"]["room_dimensions_m"])
+    section = raw.get("room_config")
+    given = section.get("room_dimensions_m") if isinstance(section, Mapping) else None
+    try:
+        scale = usual / usual if given is None else np.array(_DIMENSIONS.read(given)) / usual
+    except Invalid:
+        scale = usual / usual
+
+    def scaled(position: Sequence[float]) -> list[float]:
+        return np.round(position * scale, 6).tolist()
+
+    camera, microphones = LABORATORY["camera_config"], LABORATORY["microphone_config"]
+    places = [item | {"position": scaled(item["position"])} for item in microphones["mic_positions_m"]]
+    return {
+        "camera_config": camera | {"camera_position_m": scaled(camera["camera_position_m"])},
+        "microphone_config": microphones | {"mic_positions_m": places},
+        "room_config": LABORATORY["room_config"],
+    }
+
+
+_DIMENSIONS = Numbers(3, Number(above=0))
+
+
+def _outside(position: np.ndarray, dimensions: np.ndarray, what: str = "") -> Invalid:
+    return Invalid(f"{what}{position.tolist()} is outside the room of {dimensions.tolist()} m")
 
 
 _LENS_KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
@@ -263,18 +300,23 @@ def with_camera(raw: Mapping[str, Any], camera_config: Mapping[str, Any]) -> dic
     given = camera_config.get("camera_config", camera_config) if isinstance(camera_config, Mapping) else camera_config
     if not isinstance(given, Mapping):
         raise ScenarioError(f"camera_config must be a JSON object, found {shown(given)}")
-    old = {**LABORATORY["camera_config"], **(raw.get("camera_config") or {})}
-    kept = {key: old[key] for key in ("camera_position_m", "camera_rotation_deg", "frame_rate_hz") if key in old}
+    own = raw.get("camera_config") or {}
+    if not isinstance(own, Mapping):
+        return dict(raw)  # `parse` says what is wrong
+    old = {**laboratory(raw)["camera_config"], **own}
+    kept = {key: old[key] for key in ("camera_position_m", "camera_rotation_deg", "frame_rate_hz")}
     return {**raw, "camera_config": {**kept, **given}}
 
 
 def at_height(raw: Mapping[str, Any], height: float) -> dict[str, Any]:
     """Put a scenario's camera at another height, m."""
-    section = {**LABORATORY["camera_config"], **(raw.get("camera_config") or {})}
-    position = section["camera_position_m"]
+    own = raw.get("camera_config") or {}
+    if not isinstance(own, Mapping):
+        return dict(raw)  # `parse` says what is wrong
+    position = own.get("camera_position_m", laboratory(raw)["camera_config"]["camera_position_m"])
     if isinstance(position, list) and len(position) == 3:
         position = [*position[:2], height]
-    return {**raw, "camera_config": {**(raw.get("camera_config") or {}), "camera_position_m": position}}
+    return {**raw, "camera_config": {**own, "camera_position_m": position}}
 
 
 def _person(values: Mapping[str, Any], index: int, duration: float, dimensions: np.ndarray) -> tuple[Person, list[str]]:

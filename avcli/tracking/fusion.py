@@ -13,6 +13,7 @@ from avcli.formats.experiment import Config, ConfigError
 from avcli.formats.records import Detections, Identified
 from avcli.formats.sensors import CAMERA, MICROPHONES, sensor_kind
 from avcli.tracking.coverage import Coverage, of_camera
+from avcli.tracking.live import LiveMerger
 from avcli.tracking.merging import Merger, Record, in_turn
 from avcli.tracking.model import Corners, Population, Track
 from avcli.tracking.settings import Sensor, Settings, sensor
@@ -64,8 +65,9 @@ def track(
     """
     settings = settings or Settings()
     fusion = Fusion.of(config, settings, tracker, lag, given=given, say=say)
-    merger = fusion.merger(len(detections))
-    sources = [named(f"sensor{k}", source) for k, source in enumerate(detections)]
+    names = [f"sensor{k}" for k in range(len(detections))]
+    merger = fusion.merger(names)
+    sources = [named(*one) for one in zip(names, detections, strict=True)]
     out = [one for step in merger.steps(in_turn(sources)) for one in fusion.step(*step)]
     return out + fusion.finish()
 
@@ -189,9 +191,13 @@ class Fusion:
         fusion._notes += [note] * bool(note)
         return fusion
 
-    def merger(self, sources: int, *, one_sensor: bool = False) -> Merger:
+    def merger(self, sources: Sequence[str], *, one_sensor: bool = False) -> Merger:
         """Return what merges streams of records, see `Merger`, for `step`."""
         return Merger(sources, self.rate, self.settings.max_wait, one_sensor=one_sensor, say=self.say)
+
+    def live_merger(self, sources: Sequence[str]) -> LiveMerger:
+        """Return what merges streams of records by the wall clock, see `LiveMerger`, for `step`."""
+        return LiveMerger(sources, self.rate, self.settings.max_wait, say=self.say)
 
     def notes(self) -> list[str]:
         """Return sentences for a user who wants to know more."""

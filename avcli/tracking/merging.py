@@ -11,7 +11,9 @@ from avcli.formats.records import Detections
 
 SAME = 1e-6  # s; nearer times are one
 PATIENCE = 3  # records after a gap before the missing one is given up
-JUMP = 3600.0  # s without any record, after which the clock starts anew
+JUMP = 10.0  # s without any record, after which the clock starts anew
+FASTEST = 1000.0  # Hz, of a clock that is estimated
+LATEST = 1e11  # s; the steps of a clock cannot be told from each other much beyond
 
 
 Record = tuple[float, str, Detections]
@@ -19,6 +21,12 @@ Record = tuple[float, str, Detections]
 
 Step = tuple[float, list[Record]]
 """Time in s of a step of the clock, and the records up to it since the step before, in order of time."""
+
+Event = tuple[int, Detections | None] | None
+"""The number of a source and its next record, or None at its end; None alone: nothing came for a while."""
+
+Key = tuple[int, str]
+"""One sensor: the number of its source, and its name."""
 
 
 @dataclass
@@ -55,7 +63,7 @@ class Stream:
 
 
 class Merger:
-    """Merges records by their time into the steps of one regular clock.
+    """Merges records by their time into the steps of one regular clock; the result depends on the records alone.
 
     A step closes when every sensor that is still open has passed it. A record that comes out of order or twice is put
     in its place as long as its step is open; a later one is dropped and counted in `late`.
@@ -66,7 +74,7 @@ class Merger:
 
     def __init__(
         self,
-        sources: int,
+        sources: Sequence[str],
         rate: float | None = None,
         max_wait: float = 1.0,
         *,
@@ -76,53 +84,58 @@ class Merger:
         """Begin without records.
 
         Args:
-            sources: how many streams of records there are.
+            sources: names of the streams of records.
             rate: Hz of the clock, None: estimated from the records, whose first `max_wait` seconds are then held back.
             max_wait: s of data by which a sensor may lag behind the others of its source.
             one_sensor: whether each source is known to hold one sensor; else a sole source waits for its second one.
             say: called with a sentence for the user, for each sensor that lags too far behind or was late.
         """
-        self.open = set(range(sources))
+        self.sources, self.open = sources, set(range(len(sources)))
         self.rate, self.max_wait, self.say = rate, max_wait, say
-        self.waits_for_second = sources == 1 and not one_sensor
-        self.streams: dict[tuple[int, str], Stream] = {}
+        self.waits_for_second = len(sources) == 1 and not one_sensor
+        self.streams: dict[Key, Stream] = {}
         self.records: list[tuple[float, str, int, Detections]] = []
         self.lagging: set[str] = set()
         self.first, self.last = math.inf, -math.inf
         self.origin, self.tick, self.began = 0.0, 0, False
         self.late: Counter[str] = Counter()
 
-    def steps(self, events: Iterable[tuple[int, Detections | None]]) -> Iterator[Step]:
+    def steps(self, events: Iterable[Event]) -> Iterator[Step]:
         """Yield each step as soon as it is complete.
 
         Args:
-            events: the number of a source, and its next record or None at its end, as `in_turn` yields them.
+            events: what the sources deliver, as `in_turn` yields it.
         """
-        for source, detections in events:
-            if detections is None:
-                self.end(source)
-            else:
-                self.push(source, detections.sensor or "sensor", detections.timestamp, detections)
-            laggards = self.laggards()
-            for name in sorted(laggards - self.lagging):
-                self.say(
-                    f"sensor {name!r} lags more than {self.max_wait:g} s (--max-wait); its records are not waited for"
-                )
-            self.lagging |= laggards
+        for event in events:
+            if event is not None:
+                source, detections = event
+                if detections is None:
+                    self.end(source)
+                else:
+                    self.push(source, detections.sensor or "sensor", detections.timestamp, detections)
+            self.watch(idle=event is None)
             yield from self.closed()
         for name, count in sorted(self.late.items()):
             self.say(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
 
     def push(self, source: int, sensor: str, time: float, detections: Detections) -> None:
-        """Take one record: number of its source, name of its sensor, time in s."""
-        if self.began and time < self._time(self.tick - 1) + SAME:
-            self.late[sensor] += 1
-        else:
-            self.records.append((time, sensor, len(self.records), detections))
-            self.first, self.last = min(self.first, time), max(self.last, time)
+        """Take one record: number of its source, name of its sensor, time in s.
+
+        Raises:
+            ValueError: the time is beyond 1e11 s, so that no clock can count up to it.
+        """
+        if not abs(time) <= LATEST:
+            raise ValueError(
+                f"sensor {sensor!r}: the time of a record must be within {LATEST:g} s of 0, not {time:g} s"
+            )
         stream = self.streams.get((source, sensor))
+        if self.began and time < self._time(self.tick - 1) + SAME:
+            self._ignore((source, sensor))
+        else:
+            self.records.append((time, sensor, source, detections))
+            self.first, self.last = min(self.first, time), max(self.last, time)
         if stream is None:
-            self.streams[source, sensor] = Stream(time, time, 1.0 / self.rate if self.rate else math.inf)
+            self.streams[source, sensor] = self._stream(time)
         else:
             stream.take(time)
 
@@ -131,6 +144,13 @@ class Merger:
         self.open.remove(source)
         for key in [key for key in self.streams if key[0] == source]:
             del self.streams[key]
+
+    def watch(self, *, idle: bool) -> None:
+        """Tell the user of sensors that are no longer waited for; idle: all that has arrived is taken."""
+        laggards = self.laggards()
+        for name in sorted(laggards - self.lagging):
+            self.say(f"sensor {name!r} lags more than {self.max_wait:g} s (--max-wait); its records are not waited for")
+        self.lagging |= laggards
 
     def laggards(self) -> set[str]:
         """Return the names of the sensors that lag too far behind to be waited for."""
@@ -141,23 +161,25 @@ class Merger:
 
     def closed(self) -> Iterator[Step]:
         """Yield the steps that have become complete."""
-        horizon = self._horizon()
+        horizon = self.horizon()
         if not self.began:
             if not self.records or horizon <= self.first + SAME:
                 return
             self._begin()
         while True:
             now = self._time(self.tick)
-            if now + SAME >= horizon or now > self.last + 1e-3:
+            if now + SAME >= horizon or now > self._end():
                 return
+            known = min((record[0] for record in self.records if record[0] <= horizon), default=now)
+            if known - now > JUMP:
+                self.say(f"no sensor has a record for more than {JUMP:g} s; the tracks go on with the next record")
+                self._begin()
+                continue
             yield now, self._until(now)
             self.tick += 1
-            if self.records and min(record[0] for record in self.records) - now > JUMP:
-                self.first = min(record[0] for record in self.records)
-                self._begin()
 
-    def _horizon(self) -> float:
-        """Time in s before which all steps are complete."""
+    def horizon(self) -> float:
+        """Return the time in s before which all steps are complete."""
         if any(not any(key[0] == source for key in self.streams) for source in self.open):
             return -math.inf
         if not self.open:
@@ -167,6 +189,21 @@ class Merger:
             return -math.inf
         lagging = self.laggards()
         return min((s.complete for key, s in self.streams.items() if key[1] not in lagging), default=-math.inf)
+
+    def due(self) -> float | None:
+        """Return the wall time in s after which a step can close without a further event; None: never."""
+        return None
+
+    def _end(self) -> float:
+        """Time in s after which there is no step without a further record."""
+        return self.last + 1e-3
+
+    def _ignore(self, key: Key) -> None:
+        """Count a record that came too late."""
+        self.late[key[1]] += 1
+
+    def _stream(self, time: float) -> Stream:
+        return Stream(time, time, 1.0 / self.rate if self.rate else math.inf)
 
     def _begin(self) -> None:
         rate = self.rate = self.rate or self._commonest_rate()
@@ -185,7 +222,7 @@ class Merger:
             if sensor in before and time - before[sensor] > SAME:
                 steps[round(time - before[sensor], 6)] += 1
             before[sensor] = time
-        return 1.0 / max(steps, key=lambda step: (steps[step], -step)) if steps else 10.0
+        return min(1.0 / max(steps, key=lambda step: (steps[step], -step)), FASTEST) if steps else 10.0
 
     def _time(self, tick: int) -> float:
         return self.origin + tick / (self.rate or 1.0)

@@ -90,7 +90,7 @@ class Population:
     def surface(self) -> float:
         """Size of the area, m²."""
         (x0, y0), (x1, y1) = self.area
-        return max((x1 - x0) * (y1 - y0), 1e-6)
+        return min(max((x1 - x0) * (y1 - y0), 1e-6), 1e12)
 
     @cached_property
     def strip(self) -> float:

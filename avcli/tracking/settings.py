@@ -33,7 +33,7 @@ class Settings:
         hidden: whether a person can be hidden from a sensor for a while.
         room_margin: m beyond the room's walls where detections are still used.
         rate: Hz of the output, None: from config.json, else from the records.
-        max_wait: s of data by which a sensor may lag behind another one of its stream.
+        max_wait: s of data by which a sensor may lag behind another one of its stream; live: s of wall time, too.
         newborn: with adaptive birth, people expected to be born in each record.
         hypotheses: joint hypotheses kept in each cluster of interacting people.
     """
@@ -88,7 +88,8 @@ class Settings:
     )
     max_wait: float = setting(
         1.0,
-        "Do not wait for a sensor that lags more than S seconds of data behind another one of its stream; inf: wait.",
+        "Do not wait for a sensor that lags more than S seconds of data behind another one of its stream or, with "
+        "--live, is quiet for so long; inf: wait.",
         unit="S",
         least=0.0,
         most=math.inf,
