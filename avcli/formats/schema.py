@@ -427,16 +427,8 @@ class Covariance:
         return [float(a), b, c, b, float(e), f, c, f, float(i)]
 
     def schema(self) -> dict[str, Any]:
-        rows = [
-            {
-                "type": "array",
-                "items": Numbers(size, Number(-self.most, most=self.most)).schema(),
-                "minItems": size,
-                "maxItems": size,
-            }
-            for size in (2, 3)
-        ]
-        return {"anyOf": rows}
+        entry = Number(-self.most, most=self.most)
+        return {"anyOf": [ListOf(Numbers(size, entry), size, size).schema() for size in (2, 3)]}
 
     def words(self) -> str:
         return f"a 2 × 2 or 3 × 3 matrix of numbers from {_plain(-self.most)} to {_plain(self.most)}"
