@@ -17,7 +17,7 @@ from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
 from avcli.commands.live import newest
 from avcli.formats import experiment, media
-from avcli.formats.live import Arrivals, Stoppable
+from avcli.formats.live import LiveSource, Stoppable
 from avcli.localization import localizer
 from avcli.localization.stream import Block
 
@@ -29,13 +29,13 @@ HANG_S = 300
 
 
 def test_all_that_arrives_comes_in_order():
-    with Arrivals(range(1000)) as arrivals:
+    with LiveSource(range(1000)) as arrivals:
         assert list(arrivals) == list(range(1000))
     assert arrivals.skipped == 0
 
 
 def test_what_waits_can_be_measured():
-    with Arrivals([3, 4, 5]) as arrivals:
+    with LiveSource([3, 4, 5]) as arrivals:
         arrivals.thread.join(HANG_S)
         assert arrivals.waiting(float) == 12.0
         assert next(iter(arrivals)) == 3
@@ -47,7 +47,7 @@ def test_an_error_of_the_source_comes_after_its_items():
         yield 1
         raise ValueError("broken")
 
-    with Arrivals(items(), newest=True) as arrivals:
+    with LiveSource(items(), newest=True) as arrivals:
         taken = iter(arrivals)
         assert next(taken) == 1
         with pytest.raises(ValueError, match="broken"):
@@ -58,7 +58,7 @@ def test_a_pipe_that_says_nothing_can_be_left():
     out, into = os.pipe()
     with open(out, "rb") as stream, open(into, "wb", buffering=0) as writer:
         pipe = Stoppable(stream)
-        with Arrivals(io.BufferedReader(pipe), stop=pipe.stop) as arrivals:
+        with LiveSource(io.BufferedReader(pipe), stop=pipe.stop) as arrivals:
             writer.write(b"one\ntwo\nth")
             taken = iter(arrivals)
             assert [next(taken), next(taken)] == [b"one\n", b"two\n"]

@@ -67,6 +67,7 @@ def test_ears_are_judged_by_those_who_speak(tmp_path):
     ]
     write("truth.jsonl", people)
     write("ears.jsonl", [[{"object_id": 9, "position": each[1]["position"]}] for each in people])
+    write("found.jsonl", [[{"position": each[1]["position"]}] for each in people])
     write("all.jsonl", [[{k: v for k, v in o.items() if k != "speaking"} for o in each] for each in people])
     write("ghost.jsonl", [[{"object_id": 9, "position": [t / 10, 4.5]}] for t in range(20)])
 
@@ -77,7 +78,7 @@ def test_ears_are_judged_by_those_who_speak(tmp_path):
         return {r["tracker"]: r["summary"]["HOTA"] for r in found if r["sequence"] == "truth" and "tracker" in r}
 
     assert scores() == {"ears": pytest.approx(3**-0.5), "all": 1.0, "ghost": pytest.approx(0, abs=0.2)}
-    assert scores("--speaking", "--html", "r.html", "--detections", "ears.jsonl") == {"ears": 1, "all": 1, "ghost": 0}
+    assert scores("--speaking", "--html", "r.html", "--detections", "found.jsonl") == {"ears": 1, "all": 1, "ghost": 0}
     silent = run("aveval", "all.jsonl", "ears.jsonl", "--speaking", cwd=tmp_path)
     assert (silent.returncode, silent.stdout) == (1, b"")
     assert 'must give "speaking" for every person' in silent.stderr

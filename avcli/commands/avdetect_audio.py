@@ -112,9 +112,9 @@ def _with_first(first: Block, rest: Iterable[Block]) -> Iterator[Block]:
 
 def _arriving(sound: _Sound, stack: contextlib.ExitStack, name: str, pipe: Stoppable) -> Iterator[Block]:
     """Yield the blocks of a live source, each with what has arrived after it; the stack ends the reading."""
-    from avcli.formats.live import Arrivals
+    from avcli.formats.live import LiveSource
 
-    arrivals = stack.enter_context(Arrivals(sound.blocks([(name, io.BufferedReader(pipe))]), stop=pipe.stop))
+    arrivals = stack.enter_context(LiveSource(sound.blocks([(name, io.BufferedReader(pipe))]), stop=pipe.stop))
     for block in arrivals:
         samples = arrivals.waiting(lambda block: len(block.samples))
         yield dataclasses.replace(block, waiting=samples / sound.recording.microphones.sample_rate_hz)

@@ -74,7 +74,7 @@ def main(
         if files and all(Path(file).is_file() or Path(file).is_dir() for file in files):
             ahead = footage.decoded_ahead(shots, rgb=network or bool(overlay), depth=not network)
             shots = stack.enter_context(contextlib.closing(ahead))
-        for shot in shots:
+        for shot in session.progress(shots, _expected(session, files, rate)):
             if detector is None:
                 with session.timing("start"):
                     detector = _detector(session, model, settings)
@@ -195,6 +195,17 @@ def _shots(
     name, pipe = open_pipe(session, files)
     frames = session.stream_records(io.BufferedReader(pipe), name, parse)
     return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
+
+
+def _expected(session: filter.Session, files: tuple[str, ...], rate: float | None) -> int | None:
+    """Return the number of time steps, for a progress bar; None if it is not known, or nobody sees the bar."""
+    from avcli.formats import footage
+
+    if not (session.shows_progress and files):
+        return None
+    if any(one.kind == "file" for one in footage.sources(files)):
+        return session.lines(files)
+    return footage.count_pictures(list(files), rate)
 
 
 def _frame(outside: bool, record: Any, _bad: object) -> records.Frame | None:

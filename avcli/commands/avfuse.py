@@ -185,7 +185,7 @@ def main(
             else fusion.merger(inputs.names, one_sensor=not files and bool(named))
         )
         events = itertools.chain(first, inputs.rest(merger))
-        for step in merger.steps(events):
+        for step in merger.steps(session.progress(events, session.lines(path for _, path in sources))):
             with session.timing("tracking"):
                 ready = fusion.step(*step)
             for tracks in ready:

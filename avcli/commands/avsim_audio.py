@@ -153,8 +153,8 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
 
         for people in session.progress(session.records(files, people_at), session.lines(files)):
             if recorder is None:
-                held.enter_context(only_writer(session.experiment, session.name))
                 recorder = _recorder(session, settings, speech, trajectories)
+                held.enter_context(only_writer(session.experiment, session.name))
                 tape = _tape(session, recorder, open_file, options)
             with session.timing("simulation"):
                 here = recorder.step(people)

@@ -90,10 +90,10 @@ def newest(
         what: it consists of: "pictures".
         stop: ends a wait inside `shots`.
     """
-    from avcli.formats.live import Arrivals
+    from avcli.formats.live import LiveSource
 
     skips = stack.enter_context(Skips(session, what))
-    arrivals = stack.enter_context(Arrivals(shots, newest=True, stop=stop))
+    arrivals = stack.enter_context(LiveSource(shots, newest=True, stop=stop))
     for number, shot in enumerate(arrivals):
         skips.take(shot.timestamp, arrivals.skipped, starting=number < 2)  # the first one waits for the detector
         yield shot

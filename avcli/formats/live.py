@@ -15,7 +15,7 @@ _PATIENCE = 1.0
 T = TypeVar("T")
 
 
-class Arrivals(Generic[T]):
+class LiveSource(Generic[T]):
     """The items of a live source, which a thread takes as they come; a context manager and an iterator.
 
     Args:
@@ -28,7 +28,7 @@ class Arrivals(Generic[T]):
 
     The reader comes back after three items have arrived, and takes the last one:
 
-    >>> with Arrivals([1, 2, 3], newest=True) as arrivals:
+    >>> with LiveSource([1, 2, 3], newest=True) as arrivals:
     ...     arrivals.thread.join()
     ...     list(arrivals), arrivals.skipped
     ([3], 2)
@@ -43,7 +43,7 @@ class Arrivals(Generic[T]):
         self.skipped = 0
         self.thread = threading.Thread(target=self._read, daemon=True)
 
-    def __enter__(self) -> "Arrivals[T]":
+    def __enter__(self) -> "LiveSource[T]":
         self.thread.start()
         return self
 
