@@ -212,6 +212,14 @@ def test_live_a_quiet_sensor_is_left_behind_and_taken_up_again():
     assert live.now(3.1, "audio", 0) == [3.1]
 
 
+def test_live_the_end_of_the_only_source_that_spoke_holds_nothing_back():
+    live = Live(["a.fifo", "v.fifo"], rate=1.0)
+    out = [step for k in range(3) for step in live.now(float(k), "video", 1)]
+    live.merger.end(1)
+    assert out + live.after(1.5) == [0.0, 1.0, 2.0]
+    assert live.after(5.0) == []
+
+
 def test_live_a_source_that_never_speaks_is_left_behind():
     live = Live(["a.fifo", "v.fifo"])
     assert live.now(0.0, "video", 1) == []

@@ -136,8 +136,10 @@ class LiveMerger(Merger):
         known = self.rate is not None or any(s.steady >= PATIENCE - 1 for s in self.streams.values())
         if not self.began and not known and now - self.start < self.max_wait:
             return -math.inf
-        if self._without_record() - self.unheard or not self.streams:
+        if self._without_record() - self.unheard:
             return -math.inf
+        if not self.streams:  # the sources that spoke have ended, and the others are not waited for
+            return self.last + 2 * SAME
         present = [s.delivered() for key, s in self.streams.items() if key not in self.absent]
         return min(present) if present else self._gone_by(now)
 
