@@ -164,6 +164,7 @@ def camera(pictures, tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_report_in_pictures(pictures, tmp_path):
     plot, page = tmp_path / "report.svg", tmp_path / "report.html"
     result = run("avcalib", "calibrate", pictures, "--plot", plot, "--html", page)

@@ -140,6 +140,7 @@ def test_live_a_track_leaves_with_its_record_and_a_frozen_sensor_does_not_freeze
     assert all(time >= 0.4 for time in times)
 
 
+@pytest.mark.slow
 def test_fifos_give_what_files_give_though_one_branch_delivers_at_its_end(experiment):
     """A common source, 150 s: the microphones' branch writes nothing before its end, and no pipe holds so much."""
     video = experiment / "video.jsonl"

@@ -69,6 +69,7 @@ def test_a_video_and_its_rate(shots, tmp_path, usual):
     assert found["calibration"]["views_given"] == 8
 
 
+@pytest.mark.slow
 def test_a_video_with_rot_in_it(shots, tmp_path, usual):
     film = write_video(tmp_path / "film.avi", shots)
     content = bytearray(film.read_bytes())
@@ -160,6 +161,7 @@ def test_pictures_that_are_none(tmp_path, shots):
     assert run("avcalib", "calibrate", "-", stdin=b"").returncode == 1
 
 
+@pytest.mark.slow
 def test_a_very_large_picture():
     """8K: corners are placed as well as in a small picture."""
     k = 8

@@ -65,6 +65,7 @@ def test_the_file_says_what_its_numbers_were_fitted_on():
         assert KNOWN[name] == law["refitted"] or not law["replaced"]
 
 
+@pytest.mark.slow
 def test_the_numbers_describe_todays_detector():
     """On a part of the scenes that were fitted to, the detector is as far off as it was then."""
     part = KNOWN["fitted_on"]["part"]

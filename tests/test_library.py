@@ -14,6 +14,7 @@ import avcli
 PROGRAMS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "most_lines"), list(zip(PROGRAMS, (12, 20), strict=True)), ids=["by ear", "by both"]
 )
@@ -26,6 +27,7 @@ def test_the_programs_of_the_readme(program, most_lines, tmp_path):
     assert result.stdout.splitlines() == re.findall(r"# (HOTA .*)$", program, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_library_gives_what_the_filters_give(finished_s1):
     scene = avcli.simulate("s1")
     truth = avcli.load(finished_s1 / "groundtruth_sources.jsonl")

@@ -66,6 +66,7 @@ def test_the_law_has_the_terms_that_the_code_has():
     assert set(law.widened) <= set(uncertainty.PARTS)
 
 
+@pytest.mark.slow
 def test_a_small_part_of_the_fit_gives_the_same_again():
     """If this fails, the peaks have changed: make fit-localization fits the law again."""
     stated, found = STATED["check"], fit_localization.check(uncertainty.fitted_law())

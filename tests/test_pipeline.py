@@ -86,6 +86,7 @@ def test_the_experiment_has_the_layout_of_the_thesis(finished_s1):
     assert (finished_s1 / "audio/wav/multichannel_audio_0.0000000000.wav").is_file()
 
 
+@pytest.mark.slow
 def test_a_second_run_gives_the_same_bytes(finished_s1, tmp_path):
     for name, options, file in [
         ("avsim-audio", [finished_s1 / "scene.jsonl"], "audio/wav/multichannel_audio_0.0000000000.wav"),
@@ -113,6 +114,7 @@ avfuse -C out/s1 a.jsonl v.jsonl | tee t.jsonl | aveval out/s1/groundtruth_sourc
 """
 
 
+@pytest.mark.slow
 def test_the_live_pipeline_gives_the_same_tracks(finished_s1, tmp_path):
     path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
     result = subprocess.run(
@@ -292,6 +294,7 @@ def test_nothing_in_nothing_out(finished_s1, command):
 # --- the manual's examples --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_examples_of_the_manual_run(finished_s1, tmp_path, command):
     from test_house import examples_of, page_of

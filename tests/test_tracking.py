@@ -104,6 +104,7 @@ def test_after_many_frames_the_covariance_is_the_riccati_solution():
     assert np.linalg.eigvalsh(cov).min() > 0
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_steps_keep_the_covariance_sound():
     mean, cov, mode = np.zeros((1, 1, 4)), np.eye(4)[None, None], np.ones((1, 1))
     for _ in range(100_000):
