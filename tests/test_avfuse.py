@@ -184,6 +184,19 @@ def test_one_wrong_time_does_not_make_thousands_of_records(experiment, far):
     assert times == [f"{k / 10:.10f}" for k in range(41)] + [f"{far:.10f}"]
 
 
+def test_an_explanation_does_not_overwrite_an_input(tmp_path):
+    path = tmp_path / "in.jsonl"
+    path.write_text("".join(walk()))
+    before = path.read_bytes()
+    link = tmp_path / "link.jsonl"
+    link.symlink_to(path)
+    for explain in (path, link):
+        result = run("avfuse", path, "--explain", explain)
+        assert result.returncode == 2
+        assert "is an input" in result.stderr
+    assert path.read_bytes() == before
+
+
 def test_ground_truth_and_tracks_are_not_detections(experiment, finished_s1):
     for path in (finished_s1 / "groundtruth_sources.jsonl", finished_s1 / "tracking" / "video_tracking.jsonl"):
         result = run("avfuse", "-C", finished_s1, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -174,6 +175,8 @@ def main(
     from avcli.tracking.fusion import Fusion
 
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
+    if explain and any(os.path.realpath(path) == os.path.realpath(explain) for _, path in sources):
+        session.usage(f"--explain {explain}: this file is an input; name another one")
     inputs = _Inputs(session, sources, live)
     with session.output() as write, _accounts(explain) as account:
         first = inputs.until_first_record()  # then config.json is complete

@@ -137,7 +137,7 @@ _ROOM = Object(
         "speed_of_sound_m_s": Key(bounds.SPEED_OF_SOUND, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
     }
 )
-_SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "what the sensor is", required=True)}))
+_SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "kind of the sensor", required=True)}))
 CONFIG = Format(
     "config",
     "config.json of an experiment (Listing .1 of the thesis, with more keys)",
