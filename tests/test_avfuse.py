@@ -310,7 +310,7 @@ GIVEN = {
     "birth": ("--birth", "adaptive"),
     "stay": ("--stay", "3"),
     "doors": ("--doors", "anywhere"),
-    "adapt": ("--no-adapt",),
+    "learn": ("--no-learn",),
     "hidden": ("--no-hidden",),
     "detection": ("--detection", "video=0.5"),
     "clutter": ("--clutter", "video=3"),
@@ -359,7 +359,7 @@ def test_options_of_a_sensor_reach_it():
     wide = fuse(lines, "--sigma", "video=0.5,0.5,0")
     assert wide[0]["objects"][0]["covariance"][0][0] == pytest.approx(0.25)
     assert fuse(lines, "--sigma", "video=0.3,0")[0]["objects"][0]["covariance"][1][1] > 3.0  # y is not observed
-    assert not fuse(lines, "--detection", "video=0", "--no-adapt")[-1]["objects"]
+    assert not fuse(lines, "--detection", "video=0", "--no-learn")[-1]["objects"]
 
 
 def test_options_of_a_kind_reach_all_its_sensors_and_those_of_a_name_win():
@@ -424,7 +424,7 @@ def test_without_hidden_states_a_few_misses_end_a_track():
     lines = walk(steps=40)
     lines = lines[:30] + [line(k / 10) for k in range(30, 40)]
     assert fuse(lines)[32]["objects"]
-    assert not fuse(lines, "--no-hidden", "--no-adapt")[32]["objects"]
+    assert not fuse(lines, "--no-hidden", "--no-learn")[32]["objects"]
 
 
 def test_a_config_with_half_a_camera_tracks_without_one(experiment):

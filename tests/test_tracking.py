@@ -89,7 +89,7 @@ def test_one_track_and_one_sensor_are_the_textbook_filter():
 
 
 def test_after_many_frames_the_covariance_is_the_riccati_solution():
-    tracker = GLMB(Settings(adapt=False), Population(motion=CV), [SURE])
+    tracker = GLMB(Settings(learn=False), Population(motion=CV), [SURE])
     noise = 0.12**2 * np.eye(2)[None]
     for k in range(3000):
         tracker.update(k / 10, "video", np.array([[2.0, 2.0]]), noise)
@@ -250,7 +250,7 @@ def test_tracks_move_with_the_room(turn, shift):
 def test_a_sensor_that_finds_nothing_changes_nothing():
     rng = np.random.default_rng(3)
     blind = Sensor("blind", detection=0.0, clutter=0.0)
-    one, two = (GLMB(Settings(adapt=False), Population(), some) for some in ([SURE], [SURE, blind]))
+    one, two = (GLMB(Settings(learn=False), Population(), some) for some in ([SURE], [SURE, blind]))
     for k in range(20):
         z, noise = look(rng, walkers(k / 10, 2))
         for tracker in (one, two):
@@ -303,7 +303,7 @@ def test_doubled_detections_make_no_second_person():
 def test_extreme_parameters_give_finite_answers(detection, clutter, sigma, adapt):
     extreme = Sensor("video", detection=detection, clutter=clutter, sigma=(sigma, sigma))
     tracker, rng = (
-        GLMB(Settings(adapt=adapt), Population(stay=math.inf, pass_by=math.inf), [extreme]),
+        GLMB(Settings(learn=adapt), Population(stay=math.inf, pass_by=math.inf), [extreme]),
         np.random.default_rng(7),
     )
     for k in range(15):

@@ -27,7 +27,7 @@ _THESIS = {
     "motion": "cv",
     "process_noise": 0.15,
     "birth": "adaptive",
-    "adapt": False,
+    "no_learn": True,
     "stay": 10.0,
     "doors": "anywhere",
     "sigma": ["camera=0.2,0.2,0", "microphones=0.25,0.25,0"],
@@ -143,6 +143,14 @@ def _usual(field: str) -> str:
     help="Expected number of false detections in one record of a sensor.  " + _usual("clutter"),
 )
 @click.option(
+    "--learn",
+    type=click.Path(dir_okay=False, writable=True),
+    metavar="FILE",
+    help="Begin with what FILE says was learnt of the room and its sensors, if it exists; at the end write to it what "
+    "is known then.",
+)
+@click.option("--no-learn", is_flag=True, help="Learn nothing from the run: all rates stay as they were given.")
+@click.option(
     "--explain",
     type=click.Path(dir_okay=False, writable=True),
     metavar="FILE",
@@ -156,6 +164,8 @@ def main(
     live: bool,
     tracker: str,
     lag: float,
+    learn: str | None,
+    no_learn: bool,
     explain: str | None,
     **options: Any,
 ) -> None:
@@ -165,7 +175,7 @@ def main(
     soon as every sensor has passed it. Tracks are points on the floor, with velocity, covariance, probability of
     existence and, where there are microphones, the probability that the person is speaking.
     """
-    settings = settings_from(Settings, options)
+    settings = settings_from(Settings, options | {"learn": not no_learn})
     _refuse(tracker, lag, settings, session.has_config)
     given: dict[str, dict[str, Any]] = {}
     for key in ("sigma", "detection", "clutter"):
@@ -187,6 +197,8 @@ def main(
             if live
             else fusion.merger(inputs.names, one_sensor=not files and bool(named))
         )
+        if learn:
+            _recall(session, fusion, learn)
         events = itertools.chain(first, inputs.rest(merger))
         for step in merger.steps(session.progress(events, session.lines(path for _, path in sources))):
             with session.timing("tracking"):
@@ -196,6 +208,10 @@ def main(
             account(fusion)
         for tracks in fusion.finish():
             write(as_record(tracks))
+    if learn and not no_learn:
+        from avcli.tracking.learnt import write_learnt
+
+        write_learnt(learn, fusion.state())
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
     for note in fusion.notes():
@@ -209,6 +225,17 @@ def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> N
     refuse_without_effect(foreign, f"with --motion {settings.motion}")
     if not has_config:
         refuse_without_effect(["room_margin"], "without a config.json (-C or -c), which gives the room's size")
+
+
+def _recall(session: Session, fusion: Fusion, path: str) -> None:
+    """Let a fusion begin with what an earlier run has written to a file, if there is one."""
+    from avcli.tracking.learnt import read_learnt
+
+    if os.path.exists(path):
+        try:
+            fusion.restore(read_learnt(path))
+        except ValueError as error:
+            session.fail(f"--learn {path}: {error}")
 
 
 @contextlib.contextmanager

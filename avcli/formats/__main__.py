@@ -16,13 +16,14 @@ from avcli.formats.experiment import CONFIG
 from avcli.formats.schema import Either, Key, Kind, ListOf, MapOf, Object, Variants
 from avcli.metrics.description import METRICS, with_score_list
 from avcli.scene.scenario import SCENARIO
+from avcli.tracking.learnt import LEARNT
 from avcli.tracking.trackers import with_trackers
 
 SCHEMAS = Path(__file__).with_name("schemas")
 MANUAL = Path(__file__).parents[2] / "man" / "avcli-formats.5"
 SCORES_MANUAL = MANUAL.with_name("aveval.1")
 TRACKERS_MANUAL = MANUAL.with_name("avfuse.1")
-FORMATS = (*RECORDS, METRICS, CONFIG, SCENARIO)
+FORMATS = (*RECORDS, METRICS, CONFIG, SCENARIO, LEARNT)
 
 
 def json_schema(described: Format) -> str:

@@ -64,7 +64,9 @@ PERSON = Object(
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] around the visible pixels, px; absent where none is visible"),
         "velocity": Key(bounds.VECTOR, "velocity, m/s"),
         "covariance": Key(SPREAD, "covariance of the position, m²"),
-        "existence": Key(PROBABILITY, "probability that the track is a person"),
+        "existence": Key(PROBABILITY, "probability that the person is there, within 1 m of the position"),
+        "observed": Key(Boolean(), "whether a sensor detected the person since the record before"),
+        "last_seen": Key(bounds.TIME, "when a sensor detected the person last, s"),
     }
 )
 """A person of a ground-truth or track record, with the keys that readers use in either."""

@@ -256,8 +256,10 @@ class Identified:
         velocities: (n, 3) m/s.
         covariances: (n, 3, 3) m².
         existence: (n,) probability.
+        observed: (n,) 1 or 0, whether a sensor has detected the person since the record before.
+        last_seen: (n,) s, when a sensor detected the person last.
         names: text of the identities that are text in the records, by their numbers in `ids`; None: all are integers.
-    All from `mouths` to `existence` are NaN where the record does not give them.
+    All from `mouths` to `last_seen` are NaN where the record does not give them.
     """
 
     timestamp: float
@@ -269,12 +271,14 @@ class Identified:
     velocities: np.ndarray = field(default_factory=_unknown)
     covariances: np.ndarray = field(default_factory=_unknown)
     existence: np.ndarray = field(default_factory=_unknown)
+    observed: np.ndarray = field(default_factory=_unknown)
+    last_seen: np.ndarray = field(default_factory=_unknown)
     names: Mapping[int, str] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)
         _fill_unknown(self, count, mouths=(3,), speaking=(), boxes_px=(4,))
-        _fill_unknown(self, count, velocities=(3,), covariances=(3, 3), existence=())
+        _fill_unknown(self, count, velocities=(3,), covariances=(3, 3), existence=(), observed=(), last_seen=())
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -385,6 +389,8 @@ def identified(record: Mapping[str, Any], bad: Bad = refuse, names: Names | None
         velocities=_column(rows, "velocity", 3),
         covariances=_column(rows, "covariance", 3, 3),
         existence=_column(rows, "existence"),
+        observed=_column(rows, "observed"),
+        last_seen=_column(rows, "last_seen"),
         names=names.by_number if names and names.by_number else None,
     )
 
@@ -465,6 +471,8 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             "velocity": item.velocities,
             "covariance": item.covariances,
             "existence": item.existence,
+            "observed": item.observed,
+            "last_seen": item.last_seen,
             "speaking": item.speaking,
             "bbox_px": item.boxes_px,
         }
@@ -475,7 +483,8 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             if key == "object_id":
                 row[key] = names.get(value, value)
             elif given:
-                row[key] = bool(value) if key == "speaking" and value in (0, 1) and "existence" not in row else value
+                is_bool = key == "observed" or (key == "speaking" and value in (0, 1) and "existence" not in row)
+                row[key] = bool(value) if is_bool else value
             elif key == "position":
                 row[key] = value[:2] if "object_id" in row else [*value[:2], None]
             elif key == "height" and "bbox_px" in row:

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from avcli.tracking.densities import Densities
+from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.model import Population
+from avcli.tracking.places import Places
 from avcli.tracking.scan import GATE, Scan
 from avcli.tracking.settings import Sensor
 
@@ -42,8 +43,8 @@ class Undetected:
         detectable: (S,) probability that each sensor can detect one of them.
     """
 
-    def __init__(self, population: Population) -> None:
-        self.population = population
+    def __init__(self, population: Population, entries: Places) -> None:
+        self.population, self.entries = population, entries
         self.expected, self.detectable = np.array([population.present, 0.0]), np.zeros(0)
 
     def add(self, sensor: Sensor) -> None:
@@ -52,11 +53,18 @@ class Undetected:
 
     def predict(self, dt: float) -> None:
         """Let people come and go for dt seconds."""
-        self.expected = self.expected * math.exp(-dt / self.population.stay) + self.population.birth_rate * dt
+        self.expected = self.expected * math.exp(-dt / self.population.stay) + self.population.birth_rate * (
+            dt * self.entries.overall
+        )
 
     def p_detect(self, scan: Scan) -> float:
         """Return the probability that the record's sensor detects one of them."""
         return float(scan.p_sensor * self.detectable[scan.column])
+
+    def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
+        """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
+        anywhere, near_walls = (detection * self.detectable[column] * self.expected).tolist()
+        return (self.population.density(z, anywhere, near_walls) * self.entries.at(z) / self.entries.overall).tolist()
 
     def update(self, scan: Scan, p_detect: float) -> None:
         """Take the detected ones away, after a record in which each was detected with a probability."""
@@ -87,6 +95,7 @@ def first_detections(
     number = room[len(z) :] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
     anywhere, near_walls = (undetected.p_detect(scan) * undetected.expected).tolist()
     unseen = room[: len(z)] * undetected.population.density(z, anywhere, near_walls)
+    unseen *= undetected.entries.at(z) / undetected.entries.overall
     return number[:, None] * scan.gain.take(rows, 0), unseen if poisson else 0.0 * unseen
 
 
@@ -179,13 +188,14 @@ def births(
 
 
 def newcomers(
-    scan: Scan, js: Sequence[int], population: Population, detectable: np.ndarray, stationary: np.ndarray
+    scan: Scan, js: Sequence[int], time: float, population: Population, detectable: np.ndarray, stationary: np.ndarray
 ) -> Densities:
     """Return densities of people detected for the first time.
 
     Args:
         scan: the record.
         js: numbers of its detections.
+        time: of the record, s.
         population: for the speed of new people.
         detectable: (S,) probability that each sensor can detect one.
         stationary: (M,) long-run probabilities of the motion models.
@@ -197,7 +207,26 @@ def newcomers(
     cov[..., 2:, 2:] = population.speed**2 * np.eye(2)
     able = np.tile(detectable, (n, 1))
     able[:, scan.column] = 1.0
-    return Densities(mean, cov, np.tile(stationary, (n, 1)), np.ones(n), able, [-1] * n, [None] * n)
+    seen = np.full(able.shape, NEVER)
+    seen[:, scan.column] = time
+    return Densities(
+        mean=mean,
+        cov=cov,
+        mode=np.tile(stationary, (n, 1)),
+        existence=np.ones(n),
+        detectable=able,
+        seen=seen,
+        place=scan.z[js],
+        hits=np.ones(n, int),
+        reach=uncertainty(cov[:, 0]),
+        label=[-1] * n,
+        node=[None] * n,
+    )
+
+
+def uncertainty(cov: np.ndarray) -> np.ndarray:
+    """Return the root mean square error (n,) in m of positions, of covariances (n, 4, 4)."""
+    return np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
 
 
 def as_complex(pairs: np.ndarray) -> np.ndarray:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from avcli.tracking.smoothing import Node
 
+NEVER = -math.inf  # s
 
+
+@dataclass
 class Densities:
     """Rows of single-person densities.
 
@@ -19,29 +24,41 @@ class Densities:
         mode: (n, M) probabilities of the models.
         existence: (n,) probability of existence, or of a tentative person the expected number.
         detectable: (n, S) probability that each sensor can detect the person.
+        seen: (n, S) s, when each sensor detected the person last, NEVER: never.
+        place: (n, 2) m, where any sensor did so last.
+        hits: (n,) how often.
+        reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
     """
 
-    def __init__(
-        self,
-        mean: np.ndarray,
-        cov: np.ndarray,
-        mode: np.ndarray,
-        existence: np.ndarray,
-        detectable: np.ndarray,
-        label: list[int],
-        node: list[Node | None],
-    ) -> None:
-        self.mean, self.cov, self.mode, self.existence, self.detectable = mean, cov, mode, existence, detectable
-        self.label, self.node = label, node
+    mean: np.ndarray
+    cov: np.ndarray
+    mode: np.ndarray
+    existence: np.ndarray
+    detectable: np.ndarray
+    seen: np.ndarray
+    place: np.ndarray
+    hits: np.ndarray
+    reach: np.ndarray
+    label: list[int]
+    node: list[Node | None]
 
     @staticmethod
     def empty(models: int) -> Densities:
         """Return no rows, of so many motion models and no sensor."""
-        m = models
         return Densities(
-            np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m)), np.zeros(0), np.zeros((0, 0)), [], []
+            mean=np.zeros((0, models, 4)),
+            cov=np.zeros((0, models, 4, 4)),
+            mode=np.zeros((0, models)),
+            existence=np.zeros(0),
+            detectable=np.zeros((0, 0)),
+            seen=np.zeros((0, 0)),
+            place=np.zeros((0, 2)),
+            hits=np.zeros(0, int),
+            reach=np.zeros(0),
+            label=[],
+            node=[],
         )
 
     def __len__(self) -> int:
@@ -50,28 +67,15 @@ class Densities:
     def take(self, rows: Sequence[int]) -> Densities:
         """Return copies of the given rows, in that order."""
         at = np.array(rows, int)
-        return Densities(
-            self.mean.take(at, 0),
-            self.cov.take(at, 0),
-            self.mode.take(at, 0),
-            self.existence.take(at, 0),
-            self.detectable.take(at, 0),
-            [self.label[i] for i in rows],
-            [self.node[i] for i in rows],
-        )
+        columns: dict[str, Any] = {name: getattr(self, name).take(at, 0) for name in _ARRAYS}
+        return Densities(label=[self.label[i] for i in rows], node=[self.node[i] for i in rows], **columns)
 
     @staticmethod
     def join(parts: Sequence[Densities]) -> Densities:
         """Return all rows of several, one after another."""
-        return Densities(
-            np.concatenate([part.mean for part in parts]),
-            np.concatenate([part.cov for part in parts]),
-            np.concatenate([part.mode for part in parts]),
-            np.concatenate([part.existence for part in parts]),
-            np.concatenate([part.detectable for part in parts]),
-            [label for part in parts for label in part.label],
-            [node for part in parts for node in part.node],
-        )
+        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+        labels = [label for part in parts for label in part.label]
+        return Densities(label=labels, node=[node for part in parts for node in part.node], **columns)
 
     def centres(self, rows: Sequence[int]) -> np.ndarray:
         """Return the mean states (n, 4) of n rows."""
@@ -90,3 +94,6 @@ class Densities:
         self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
         self.existence[first] = share @ self.existence.take(rows)
         self.detectable[first] = share @ self.detectable.take(rows, 0)
+
+
+_ARRAYS = [field.name for field in fields(Densities) if field.name not in ("label", "node")]

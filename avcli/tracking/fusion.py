@@ -18,7 +18,7 @@ from avcli.tracking.merging import Merger, Record, in_turn
 from avcli.tracking.model import Corners, Population, Track
 from avcli.tracking.settings import Sensor, Settings, sensor
 from avcli.tracking.smoothing import Delayed
-from avcli.tracking.trackers import TRACKERS, Explainable, Smoothable
+from avcli.tracking.trackers import TRACKERS, Explainable, Learning, Smoothable
 
 FLOOR, CEILING = 1e-6, 1e8  # m², of variances; a person's position is not defined to better than a millimetre
 HEIGHT_VARIANCE = 1e-4  # m², of tracks: people stand on the floor
@@ -141,6 +141,7 @@ class Fusion:
                 raise ValueError(f"the tracker {tracker} cannot smooth; its lag must be 0")
             self.delayed = Delayed(self.tracker, lag)
         self.origin: float | None = None
+        self.shown = -math.inf  # time of the last output since the origin
         self.numbers: dict[int, int] = {}
         self.ears: list[str] = []  # names of the microphones
         self.outside = 0
@@ -233,6 +234,22 @@ class Fusion:
         """Return the tracks of the steps that are left at the end."""
         return [self._identified(*due) for due in self.delayed.finish()] if self.delayed else []
 
+    def state(self) -> dict[str, Any]:
+        """Return what was learnt of the room and its sensors, as `restore` takes it and `learnt` writes it."""
+        if not isinstance(self.tracker, Learning):
+            raise ValueError("the tracker learns nothing")
+        return self.tracker.state()
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what an earlier run in the same room has learnt; to be called before the first record.
+
+        Raises:
+            ValueError: it was learnt in a room of another size, or the tracker learns nothing.
+        """
+        if not isinstance(self.tracker, Learning):
+            raise ValueError("the tracker learns nothing")
+        self.tracker.restore(state)
+
     def accounts(self) -> list[dict[str, Any]]:
         """Return what each record since the last call meant; labels get the tracks' numbers as `object_id`."""
         if not isinstance(self.tracker, Explainable):
@@ -280,7 +297,11 @@ class Fusion:
 
     def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
         """Make the output of tracks at a time since the origin."""
+        before, self.shown = self.shown, time
+        if self.settings.show == "observed":
+            tracks = [one for one in tracks if one.last_seen > before]
         n, numbers, ears = len(tracks), self.numbers, self.ears
+        last = np.array([one.last_seen for one in tracks])
         states = np.array([one.state for one in tracks]).reshape(n, 4)
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
         positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
@@ -300,6 +321,8 @@ class Fusion:
             velocities=velocities,
             covariances=covariances,
             existence=np.array([one.existence for one in tracks]),
+            observed=(last > before).astype(float),
+            last_seen=np.where(np.isfinite(last), (self.origin or 0.0) + last, np.nan),
         )
 
 

@@ -155,6 +155,22 @@ def update(
     return mean, (cov + cov.swapaxes(-1, -2)) / 2, mode
 
 
+def within(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Compute the probability (n,) that each position lies within a distance of a point.
+
+    Each model counts as an isotropic Gaussian around the point with the second moment that it has there.
+
+    Args:
+        mean: (n, M, 4).
+        cov: (n, M, 4, 4).
+        mode: (n, M).
+        centre: (n, 2) m.
+        radius: (n,) m.
+    """
+    second = cov[..., 0, 0] + cov[..., 1, 1] + np.square(mean[..., :2] - centre[:, None]).sum(-1)
+    return np.minimum(-(mode * np.expm1(-np.square(radius)[:, None] / second)).sum(1), 1.0)
+
+
 def moments(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return mean (n, 4) and covariance (n, 4, 4) of each density's mixture over its models.
 

@@ -18,7 +18,7 @@ Source:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,9 +27,10 @@ from avcli.tracking import association, gaussian, journal, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import BORN, TENTATIVE, Birth, Undetected, births, first_detections, newcomers
 from avcli.tracking.births import other_detections as others
-from avcli.tracking.densities import Densities
+from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.hypotheses import ABSENT, Cluster
-from avcli.tracking.model import Population, Track
+from avcli.tracking.learning import SURE_HITS, Habits
+from avcli.tracking.model import BLUR, NEAR, REPORT, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import Rates, logit
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
@@ -39,6 +40,9 @@ from avcli.tracking.smoothing import End, Node, cut
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
+
+
+UNSEEN = 0.5  # s, since which no sensor has detected a person of whom a blind sensor tells nothing
 
 
 class Labelled(NamedTuple):
@@ -81,7 +85,7 @@ class GLMB:
         """Begin without people.
 
         Args:
-            settings: of which birth, adapt, newborn and hypotheses are used.
+            settings: of which birth, learn, newborn, show and hypotheses are used.
             population: how people come, move, stay and leave.
             sensors: those that may report (others: `add`).
             factorise: keep only each label's marginal after every record (the LMB filter).
@@ -94,11 +98,15 @@ class GLMB:
         self.tentative: list[int] = []  # rows of people without a label
         self.labelled_rows: list[int] = []
         self.likely_rows: list[int] = []  # of those: rows of the best joint hypotheses
-        self.undetected = Undetected(population)
+        self.habits = Habits(population, settings.learn)
+        self.undetected = Undetected(population, self.habits.entries)
         self.time: float | None = None
         self.sensors: list[Sensor] = []
         self.column: dict[str, int] = {}
         self.rates: list[Rates] = []
+        self.known: dict[str, Any] = {}  # sensor name -> what another run has learnt
+        self.detectable, self.turnover = np.zeros(0), np.zeros(0)  # of each sensor: see `rates.Hiding`
+        self.last_record: list[float] = []  # s
         self.next_label = 0
         self.retired: dict[int, End] = {}
         self.journal: list[dict[str, Any]] | None = [] if explain else None
@@ -113,11 +121,29 @@ class GLMB:
         self.column[sensor.name] = len(self.sensors)
         self.sensors.append(sensor)
         self.rates.append(Rates(sensor))
+        if sensor.name in self.known:
+            self.rates[-1].restore(self.known[sensor.name])
         people = self.people
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
+        people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
         self.undetected.add(sensor)
-        self.detectable = np.array([one.detectable() for one in self.sensors])
-        self.turnover = np.array([one.hide + one.show for one in self.sensors])
+        self.detectable, self.turnover = np.append(self.detectable, 0.0), np.append(self.turnover, 0.0)
+        self._know_hiding(-1)
+        self.last_record.append(self._now())
+
+    def state(self) -> dict[str, Any]:
+        """Return what was learnt, as `restore` takes it: numbers and lists of numbers."""
+        sensors = {name: self.rates[k].state() for name, k in self.column.items()}
+        return {**self.habits.state(), "sensors": {**self.known, **sensors}}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what another run in the same room has learnt, before the first record.
+
+        Raises:
+            ValueError: it was learnt in a room of another size.
+        """
+        self.habits.restore(state)
+        self.known = dict(state["sensors"])
 
     # --- predict ------------------------------------------------------------------------------------------------------
 
@@ -130,7 +156,8 @@ class GLMB:
             return
         self.time = time
         population, people = self.population, self.people
-        survival = population.survival(people.mean[:, 0], dt)
+        self.habits.wait(time, dt)
+        survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
         self.undetected.predict(dt)
         if len(people):
             prediction.evade(people, self.labelled_rows, self.likely_rows, population, dt)
@@ -170,8 +197,9 @@ class GLMB:
         background = [c + b + t for c, b, t in zip(scan.clutter, birth, twice, strict=True)]
         existence = [b / whole for b, whole in zip(birth, background, strict=True)]
         false = [u * c / whole for u, c, whole in zip(unclaimed, scan.clutter, background, strict=True)]
-        if settings.adapt:
+        if settings.learn:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
+            self._learn(groups, scan)
         rates.learn_score(scan.odds, [1 - f for f in false])
         newborn = None if poisson else settings.newborn
         revealed = births(unclaimed, existence, self.tentative, from_tentative, from_undetected, newborn)
@@ -198,8 +226,11 @@ class GLMB:
         if sensor.coverage:
             covered = sensor.coverage.at(people.mean[:, 0, :2])
             reach = [able * share for able, share in zip(detectable, covered, strict=True)]
-        ratio = plausibility(self.likely_rows, existence, reach, likely, clutters, rates.detection)
-        p_sensor = rates.detection * (1 - rates.blindness(self._now(), ratio))
+        new = self.undetected.arriving(z, rates.detection, column)
+        ratio = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
+        existence = self._see(column, ratio, existence)
+        blind = rates.blindness.probability * (1 - rates.blindness.left)
+        p_sensor = rates.detection * (1 - blind)
         p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
@@ -217,6 +248,27 @@ class GLMB:
             p_detect,
         )
 
+    def _see(self, column: int, ratio: float, existence: list[float]) -> list[float]:
+        """Weigh whether a sensor is blind, or everybody left; returns the n probabilities of existence after that.
+
+        Args:
+            column: of the sensor.
+            ratio: how much likelier its record is if the sensor is not blind.
+            existence: n probabilities.
+        """
+        blindness, people, now = self.rates[column].blindness, self.people, self._now()
+        dt, leaving = now - self.last_record[column], 0.0
+        blindness.update(dt, ratio)
+        if blindness.probability >= 0.5 and not blindness.left:
+            rows = [row for row in self.likely_rows if existence[row] > 0.5]
+            leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
+        stay = blindness.empty(dt, leaving)
+        if stay == 1.0:
+            return existence
+        unseen = people.seen.max(1) < now - UNSEEN
+        people.existence = np.where(unseen, people.existence * stay, people.existence)
+        return people.existence.tolist()
+
     def _associate(self, scan: Scan, background: Sequence[float]) -> tuple[list[Group], list[float]]:
         """Update the joint hypotheses; also returns J probabilities that no labelled person caused the detection."""
         options = association.options(scan, self.labelled_rows, background)
@@ -226,6 +278,32 @@ class GLMB:
         groups = [association.associate(members, options, unclaimed, most) for members in competing]
         return groups, [min(max(u, 0.0), 1.0) for u in unclaimed]
 
+    def _learn(self, groups: Iterable[Group], scan: Scan) -> None:
+        """Learn from the known people whom a record detected: they were there since they were detected last."""
+        people, column, now = self.people, scan.column, self._now()
+        dt, self.last_record[column] = now - self.last_record[column], now
+        detected = [
+            (row, math.exp(group.hypotheses[0].weight))
+            for group in groups
+            for row, j in group.hypotheses[0].pairs
+            if j >= 0 and people.hits[row] >= SURE_HITS
+        ]
+        if not detected:
+            return
+        rows, sure = [row for row, _ in detected], np.array([share for _, share in detected])
+        seen = people.seen.take(rows, 0)
+        self.habits.stayed(people.mean.take(rows, 0)[:, 0], (now - seen.max(1)) * sure)
+        known = np.isfinite(seen[:, column])
+        if scan.sensor.hide and known.any():
+            gaps, sure, rates = now - seen[known, column], sure[known], self.rates[column]
+            rates.hiding.learn(people.detectable.take(rows, 0)[known, column], gaps, sure, dt)
+            rates.blindness.learn(gaps, sure, dt)
+            self._know_hiding(column)
+
+    def _know_hiding(self, column: int) -> None:
+        hiding = self.rates[column].hiding
+        self.detectable[column], self.turnover[column] = hiding.detectable(), hiding.hide + hiding.show
+
     def _now(self) -> float:
         return 0.0 if self.time is None else self.time
 
@@ -234,18 +312,19 @@ class GLMB:
     def _rebuild(self, scan: Scan, groups: list[Group], revealed: Sequence[Birth]) -> None:
         """Compute each density that is needed once, and make tentative people and clusters of them."""
         want = needed(scan, self.people, self.tentative, groups, revealed)
-        people = updated(scan, self.people, want)
+        now = self._now()
+        people = updated(scan, self.people, want, now)
         if want.fresh:
-            new = newcomers(scan, want.fresh, self.population, self.undetected.detectable, self.stationary)
+            new = newcomers(scan, want.fresh, now, self.population, self.undetected.detectable, self.stationary)
             people = Densities.join([people, new])
         if self.record:
-            now = self._now()
             people.node = [Node.fork(node, now) for node in people.node]
         self.people = people
         self.tentative = list(range(len(want.missed), len(want.missed) + len(want.staying)))
         row_of = want.rows()
         self._bear(revealed, groups, row_of, want.fresh_rows())
         self._recluster(groups, row_of)
+        self.habits.confirm(self.people, self.likely_rows)
 
     def _bear(
         self, revealed: Sequence[Birth], groups: list[Group], row_of: dict[Pair, int], fresh_rows: dict[int, int]
@@ -269,7 +348,9 @@ class GLMB:
         label = people.label[row]
         if label < 0 or label in taken:
             label, self.next_label = self.next_label, self.next_label + 1
+            self.habits.began(label, people.place[row], self._now())
         else:
+            self.habits.came_back(label)
             for other in self.tentative:  # what remains of the tentative person is somebody else
                 if people.label[other] == label:
                     people.label[other] = -1
@@ -327,6 +408,8 @@ class GLMB:
         if not rows:
             return
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
+        if meant >= 0.5:
+            self.habits.ended(label, people, best)
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
@@ -351,19 +434,26 @@ class GLMB:
         return sorted(people)
 
     def tracks(self, time: float) -> list[Track]:
-        """Return the people who probably exist at a time (s) not before the last record, by label."""
+        """Return the people who are probably there at a time (s) not before the last record, by label."""
         self.predict(time)
-        present = [one for one in self.labelled() if one.existence > 0.5]
+        people, least = self.people, 0.0 if self.settings.show == "all" else REPORT
+        present = [(one.label, one.row, one.existence) for one in self.labelled() if one.existence > least]
+        if self.settings.show == "all":
+            dormant = [row for row in self.tentative if people.label[row] >= 0]
+            present = sorted(present + [(people.label[row], row, float(people.existence[row])) for row in dormant])
         if not present:
             return []
-        rows = [one.row for one in present]
-        people = self.people
-        mean, cov = gaussian.moments(people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0))
-        detectable = people.detectable.take(rows, 0).tolist()
-        return [
-            Track(one.label, mean[k], cov[k], one.existence, dict(zip(self.column, detectable[k], strict=True)))
-            for k, one in enumerate(present)
-        ]
+        rows = [row for _, row, _ in present]
+        densities = people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0)
+        mean, cov = gaussian.moments(*densities)
+        near = gaussian.within(*densities, mean[:, :2], np.maximum(NEAR, BLUR * people.reach.take(rows))).tolist()
+        detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
+        tracks = []
+        for k, (label, _, existence) in enumerate(present):
+            if existence * near[k] > least:
+                able = dict(zip(self.column, detectable[k], strict=True))
+                tracks.append(Track(label, mean[k], cov[k], existence * near[k], able, last[k]))
+        return tracks
 
     def ends(self) -> Iterator[End]:
         """Yield the latest end of each person's history, also of those who left lately."""
@@ -375,6 +465,7 @@ class GLMB:
                 node = people.node[one.row]
                 if node is not None:
                     node.detectable = people.detectable[one.row]
+                    node.seen, node.reach = float(people.seen[one.row].max()), float(people.reach[one.row])
                     yield End(one.label, one.meant, node, mean[k], cov[k], min(one.existence / one.meant, 1.0))
         yield from self.retired.values()
 

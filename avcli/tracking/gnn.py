@@ -139,6 +139,7 @@ class GNN:
         rows = [row for row, *_ in confirmed]
         mean, cov = gaussian.moments(self.mean[rows], self.cov[rows], self.mode[rows])
         tracks = [
-            Track(label, mean[k], cov[k], math.exp(last - self.time)) for k, (_, label, last) in enumerate(confirmed)
+            Track(label, mean[k], cov[k], math.exp(last - self.time), last_seen=last)
+            for k, (_, label, last) in enumerate(confirmed)
         ]
         return sorted(tracks, key=lambda track: track.label)

@@ -147,7 +147,7 @@ class JPDA:
                 state = self.predictor.predict(life.track[-1], timestamp=_clock(self.time))
                 mean = np.asarray(state.state_vector, float).ravel()[order]
                 cov = np.asarray(state.covar, float)[np.ix_(order, order)]
-                tracks.append(Track(life.label, mean, cov, 1.0))
+                tracks.append(Track(life.label, mean, cov, 1.0, last_seen=life.last))
         return sorted(tracks, key=lambda track: track.label)
 
 

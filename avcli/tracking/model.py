@@ -14,6 +14,9 @@ from avcli.tracking.motion import WALKING, Model, Motion
 from avcli.tracking.settings import Settings
 
 WALK = 0.5  # m/s, the least speed of somebody who is walking
+NEAR = 1.0  # m, from a track's position: as near as this the person is there
+BLUR = 2.0  # times the error that the position had when the person was detected last, if that is more
+REPORT = 0.5  # existence from which a person is reported as present
 AREA = ((0.0, 0.0), (4.66, 4.66))  # m, the thesis's room, where the room is not known
 
 Corners = tuple[tuple[float, float], tuple[float, float]]
@@ -43,10 +46,10 @@ class Population:
     walls: bool = True
     motion: Motion = WALKING
     stay: float = 100.0
-    pass_by: float = 10.0
+    pass_by: float = 2.0
     edge: float = 0.7
     arrivals: float = 0.05
-    appear: float = 0.3
+    appear: float = 0.1
     present: float = 2.0
     speed: float = 0.7
     body: float = 0.2
@@ -59,7 +62,7 @@ class Population:
         walls, area = room is not None, AREA if room is None else ((0.0, 0.0), room)
         if settings.doors == "anywhere":
             return Population(area, walls, motion, settings.stay, pass_by=settings.stay, appear=1.0)
-        return Population(area, walls, motion, settings.stay, pass_by=settings.stay / 10)
+        return Population(area, walls, motion, settings.stay, pass_by=settings.stay / 50)
 
     @cached_property
     def corners(self) -> np.ndarray:
@@ -98,13 +101,13 @@ class Population:
         low, high = self.corners
         return max(self.surface - (high - low - 2 * self.edge).clip(0.0).prod(), 1e-6)
 
-    def survival(self, states: np.ndarray, dt: float) -> np.ndarray:
-        """Return the probability (n,) that people in states (n, 4) m and m/s are still in the room dt s later."""
+    def leaving(self, states: np.ndarray) -> np.ndarray:
+        """Return the rate (n,) per second at which people in states (n, 4) m and m/s leave the room."""
         near = self._near_walls(states)
         if not np.count_nonzero(near):
-            return np.full(len(states), math.exp(-dt / self.stay))
+            return np.full(len(states), 1 / self.stay)
         walks = np.minimum(np.hypot(states[:, 2], states[:, 3]) * (near / WALK), 1.0)
-        return np.exp(-dt * np.maximum(walks / self.pass_by, 1 / self.stay))
+        return np.maximum(walks / self.pass_by, 1 / self.stay)
 
     def density(self, positions: np.ndarray, anywhere: float, near_walls: float) -> np.ndarray:
         """Return the density (n,) per m² at positions (n, 2) m of so many people anywhere and so many near walls."""
@@ -123,9 +126,10 @@ class Track(NamedTuple):
         label: unique, never given twice.
         state: (4,) x, y m, vx, vy m/s.
         cov: (4, 4).
-        existence: probability.
+        existence: probability that the person is there: within NEAR of the position, or within BLUR times its error.
         detectable: sensor name -> probability that this sensor can detect the person now (microphones: that the person
             speaks).
+        last_seen: s, when a sensor detected the person last.
     """
 
     label: int
@@ -133,3 +137,4 @@ class Track(NamedTuple):
     cov: np.ndarray
     existence: float
     detectable: Mapping[str, float] = {}
+    last_seen: float = -math.inf

@@ -8,7 +8,7 @@ from itertools import chain
 
 from avcli.tracking import gaussian
 from avcli.tracking.association import MISSED, Group, Pair
-from avcli.tracking.births import TENTATIVE, Birth
+from avcli.tracking.births import TENTATIVE, Birth, uncertainty
 from avcli.tracking.densities import Densities
 from avcli.tracking.hypotheses import ABSENT
 from avcli.tracking.scan import Scan
@@ -70,8 +70,8 @@ def needed(
     )
 
 
-def updated(scan: Scan, people: Densities, needed: Needed) -> Densities:
-    """Compute the densities after a record, all but the fresh ones, in the order of `Needed`."""
+def updated(scan: Scan, people: Densities, needed: Needed, time: float) -> Densities:
+    """Compute the densities after a record at a time in s, all but the fresh ones, in the order of `Needed`."""
     parents, pairs = needed.missed + needed.staying, needed.detected + needed.renewed
     n, old, column = len(needed.missed), len(parents), scan.column
     existence, detectable, p_detect = scan.existence, scan.detectable, scan.p_detect
@@ -94,5 +94,8 @@ def updated(scan: Scan, people: Densities, needed: Needed) -> Densities:
             scan.sensor.mouth_offset,
             scan.gain_by_model[[row for row, _ in pairs], :, js],
         )
-        new.existence[old:], new.detectable[old:, column] = 1.0, 1.0
+        new.existence[old:], new.detectable[old:, column], new.seen[old:, column] = 1.0, 1.0, time
+        centre, spread = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])
+        new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)
+        new.hits[old:] += 1
     return new

@@ -88,9 +88,10 @@ def plausibility(
     reach: list[float],
     likelihoods: list[list[float]],
     clutter: list[float],
+    new: list[float],
     detection: float,
 ) -> float:
-    """Return how much likelier a record is with known people than as clutter alone.
+    """Return how much likelier a record is with known and new people than as clutter alone.
 
     Args:
         rows: the densities of the known people.
@@ -105,4 +106,6 @@ def plausibility(
         present = existence[row] * reach[row] * detection
         more = math.fsum(g / c for g, c in zip(likelihoods[row], clutter, strict=True) if g)
         ratio *= min(1 - present + present * more, 1e3)
+    for c, b in zip(clutter, new, strict=True):
+        ratio *= min(1 + b / c, 1e3)
     return ratio

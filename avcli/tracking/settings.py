@@ -21,7 +21,7 @@ __all__ = ["SENSORS", "TRACKERS", "Sensor", "Settings", "sensor"]
 
 @dataclass(frozen=True)
 class Settings:
-    """What the user can decide about a tracker; each is an option of avfuse, but for the last two.
+    """What the user can decide about a tracker; each is an option of avfuse, but for the last three.
 
     Attributes:
         motion: "imm" (several motion models that switch) or "cv" (constant velocity).
@@ -29,11 +29,13 @@ class Settings:
         birth: "poisson" (a track begins with the first unexplained detection) or "adaptive" (one record later).
         stay: s, mean time that a person stays in the room.
         doors: "walls" or "anywhere".
-        adapt: whether clutter and detection probability of each sensor are estimated.
         hidden: whether a person can be hidden from a sensor for a while.
+        show: "likely", "observed" or "all": which people are reported.
         room_margin: m beyond the room's walls where detections are still used.
         rate: Hz of the output, None: from config.json, else from the records.
         max_wait: s of data by which a sensor may lag behind another one of its stream; live: s of wall time, too.
+        learn: whether the run learns where people come and leave, how each sensor loses them, its clutter and its
+            detection probability.
         newborn: with adaptive birth, people expected to be born in each record.
         hypotheses: joint hypotheses kept in each cluster of interacting people.
     """
@@ -57,7 +59,7 @@ class Settings:
     )
     stay: float = setting(
         100.0,
-        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 10 times sooner.",
+        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 50 times sooner.",
         unit="S",
         above=0.0,
         most=math.inf,
@@ -67,13 +69,16 @@ class Settings:
         "Where people come and go: mostly within 0.7 m of the walls, or anywhere.",
         choices=("walls", "anywhere"),
     )
-    adapt: bool = setting(
-        True, "Estimate each sensor's clutter and detection probability from the data.", flag="--adapt/--no-adapt"
-    )
     hidden: bool = setting(
         True,
         "People can be hidden from a sensor (occluded, silent) for a while; without, every miss counts.",
         flag="--hidden/--no-hidden",
+    )
+    show: str = setting(
+        "likely",
+        "likely: people who are probably there; observed: of those, who was detected since the last record; all: also "
+        "people who probably left, with their existence.",
+        choices=("likely", "observed", "all"),
     )
     room_margin: float = setting(
         0.5, "Ignore detections more than M metres outside the room of config.json.", unit="M", least=0.0
@@ -94,6 +99,7 @@ class Settings:
         least=0.0,
         most=math.inf,
     )
+    learn: bool = True
     newborn: float = 0.05
     hypotheses: int = 40
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from avcli.tracking import gaussian
-from avcli.tracking.model import Track
+from avcli.tracking.model import BLUR, NEAR, REPORT, Track
 
 if TYPE_CHECKING:
     from avcli.tracking.densities import Densities
@@ -33,7 +33,8 @@ class Node:
     Attributes:
         time: s.
         prev: the node before, or None.
-        mean, cov, existence, detectable: (4,), (4, 4), probability, (S,): filtered, written when the next step begins.
+        mean, cov, existence, detectable, seen, reach: (4,), (4, 4), probability, (S,), s and m (the last two of the
+            last detection, see `Densities`): filtered, written when the next step begins.
         gain: (4, 4), of the regression of the state before on the state now.
         predicted, predicted_cov: (4,) and (4, 4), of the state now.
         survival: probability of surviving the step.
@@ -48,6 +49,8 @@ class Node:
         "predicted",
         "predicted_cov",
         "prev",
+        "reach",
+        "seen",
         "survival",
         "time",
     )
@@ -56,6 +59,8 @@ class Node:
     cov: np.ndarray
     existence: float
     detectable: np.ndarray
+    seen: float
+    reach: float
     gain: np.ndarray
     predicted: np.ndarray
     predicted_cov: np.ndarray
@@ -98,12 +103,13 @@ class Node:
             away = (step.mixed - mean[:, None]) * weight
             cross = cross + away.swapaxes(1, 2) @ (people.mean - predicted[:, None])
         gain = np.linalg.solve(predicted_cov, cross.swapaxes(1, 2)).swapaxes(1, 2)
+        last, reach = people.seen.max(1, initial=-math.inf).tolist(), people.reach.tolist()
         nodes: list[Node | None] = []
         for i, old in enumerate(people.node):
             if old is None:
                 raise ValueError("a density without a node cannot be smoothed")
             old.mean, old.cov, old.existence = mean[i], cov[i], min(float(people.existence[i]), 1.0)
-            old.detectable = people.detectable[i]
+            old.detectable, old.seen, old.reach = people.detectable[i], last[i], reach[i]
             new = Node(time)
             new.prev, new.gain, new.predicted = old, gain[i], predicted[i]
             new.predicted_cov, new.survival = predicted_cov[i], survival[i]
@@ -195,10 +201,13 @@ class Delayed:
                 now = round(node.time, 6)
                 if now < earliest:
                     break
-                if now in wanted and end.meant * existence > 0.5:
-                    detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
-                    exists = min(end.meant * existence, 1.0)
-                    wanted[now].append(Track(end.label, mean, cov, exists, detectable))
+                if now in wanted and end.meant * existence > REPORT:
+                    there = min(end.meant * existence, 1.0)
+                    if node.time > node.seen:
+                        there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / (cov[0, 0] + cov[1, 1]))
+                    if there > REPORT:
+                        detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
+                        wanted[now].append(Track(end.label, mean, cov, there, detectable, node.seen))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
 
 

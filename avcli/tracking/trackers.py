@@ -7,7 +7,7 @@ the bench and `fusion.Fusion` read the table.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -75,6 +75,21 @@ class Explainable(Protocol):
         """Return one account of each record since the last call, as explain.schema.json describes it."""
 
 
+@runtime_checkable
+class Learning(Protocol):
+    """A tracker that learns from its records, and can hand on what it has learnt."""
+
+    def state(self) -> dict[str, Any]:
+        """Return what was learnt: numbers, and lists and dictionaries of them."""
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what another run in the same room has learnt, before the first record.
+
+        Raises:
+            ValueError: it was learnt in a room of another size.
+        """
+
+
 @dataclass(frozen=True)
 class Entry:
     """One registered tracker.
@@ -115,7 +130,7 @@ def _jpda(settings: Settings, population: Population, record: bool, explain: boo
     return JPDA(population)
 
 
-_NO_HYPOTHESES = frozenset({"lag", "explain", "birth", "stay", "doors", "adapt"})
+_NO_HYPOTHESES = frozenset({"lag", "explain", "birth", "stay", "doors", "learn", "no_learn", "show"})
 
 TRACKERS = {
     "ms-glmb": Entry("joint hypotheses", _ms_glmb),

@@ -1,0 +1,114 @@
+"""What a run learns of how people use the room: where they come and where they leave."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from avcli.tracking.densities import Densities
+from avcli.tracking.model import Population
+from avcli.tracking.places import Places
+
+# Expected events that the prior is worth, in the whole area and at one place.
+EXITS, ENTRIES = (1.0, 1.0), (3.0, 1.0)
+SURE_HITS = 3  # detections after which a track certainly was a person
+AT_START = 1.0  # s; who is detected first before was there already
+REFRESH = 1.0  # s between two computations of the maps
+MEMORY = 1800.0  # s, over which what was learnt is forgotten
+
+
+class Habits:
+    """Where people come and leave: a prior of the population's, times factors learnt from tracks that begin and end.
+
+    Attributes:
+        exits: of the rate at which people leave.
+        entries: of the rate at which they come.
+    """
+
+    def __init__(self, population: Population, learn: bool) -> None:
+        """Begin with the prior; with `learn` false it stays."""
+        self.population, self.learn = population, learn
+        self.exits, self.entries = Places(population.area, *EXITS), Places(population.area, *ENTRIES)
+        self._fresh: dict[int, np.ndarray] = {}  # label -> where it began, until it certainly is a person
+        self._gone: dict[int, np.ndarray] = {}  # label -> where it was counted as having left
+        cells = self.entries.centres().reshape(-1, 2)
+        self._arrivals = population.density(cells, *population.birth_rate).reshape(self.entries.shape)
+        self._arrivals *= self.entries.step**2
+        self._begin: float | None = None
+        self._refreshed = 0.0
+
+    def state(self) -> dict[str, Any]:
+        """Return what was learnt, as `restore` takes it."""
+        return {
+            "area": self.population.corners.ravel().tolist(),
+            "exits": self.exits.state(),
+            "entries": self.entries.state(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what another run has learnt.
+
+        Raises:
+            ValueError: it was learnt in a room of another size.
+        """
+        if not np.allclose(state["area"], self.population.corners.ravel(), atol=0.01):
+            raise ValueError("it was learnt in a room of another size")
+        self.exits.restore(state["exits"])
+        self.entries.restore(state["entries"])
+
+    def leaving(self, states: np.ndarray) -> np.ndarray:
+        """Return the rate (n,) per second at which people in states (n, 4) m and m/s leave the room."""
+        return self.population.leaving(states) * self.exits.at(states[:, :2])
+
+    def wait(self, time: float, dt: float) -> None:
+        """Note that dt s have passed up to a time in s."""
+        if self._begin is None:
+            self._begin = self._refreshed = time - dt
+        if not self.learn:
+            return
+        self.entries.expected += self._arrivals * dt
+        past = time - self._refreshed
+        if past >= REFRESH:
+            for places in (self.exits, self.entries):
+                places.fade(math.exp(-past / MEMORY))
+                places.refresh()
+            self._refreshed = time
+
+    def stayed(self, states: np.ndarray, gaps: np.ndarray) -> None:
+        """Note that people in states (n, 4) m and m/s were there all the time since gaps (n,) s ago."""
+        if self.learn:
+            self.exits.expect(states[:, :2], self.population.leaving(states) * gaps)
+
+    def began(self, label: int, position: np.ndarray, time: float) -> None:
+        """Note that a new track began at a position (2,) m and a time in s."""
+        if self.learn and self._begin is not None and time > self._begin + AT_START:
+            self._fresh[label] = position.copy()
+
+    def confirm(self, people: Densities, rows: Iterable[int]) -> None:
+        """Count the arrival of those of some rows who are certainly people by now."""
+        if not self._fresh:
+            return
+        for row in rows:
+            if people.hits[row] >= SURE_HITS and (place := self._fresh.pop(people.label[row], None)) is not None:
+                self.entries.happen(place)
+
+    def ended(self, label: int, people: Densities, row: int) -> None:
+        """Note that a label hardly exists any more, whose best density is a row."""
+        self._fresh.pop(label, None)
+        if self.learn and people.hits[row] >= SURE_HITS:
+            self._gone[label] = people.place[row].copy()
+            self.exits.happen(self._gone[label])
+
+    def came_back(self, label: int) -> None:
+        """Note that somebody who was counted as having left was only hidden."""
+        if (place := self._gone.pop(label, None)) is not None:
+            self.exits.happen(place, -1.0)
+
+    def keep(self, labels: Sequence[int]) -> None:
+        """Forget about labels other than these."""
+        if len(self._gone) > len(labels):
+            wanted = set(labels)
+            self._gone = {label: place for label, place in self._gone.items() if label in wanted}

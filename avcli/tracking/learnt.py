@@ -1,0 +1,77 @@
+"""The file in which avfuse keeps what it has learnt of a room and its sensors (`--learn`)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import orjson
+
+from avcli.formats import atomic, bounds
+from avcli.formats.descriptions import Format
+from avcli.formats.schema import Invalid, Key, Kind, ListOf, MapOf, Number, Numbers, Object, OrNull
+
+_AMOUNT, _SIGNED = Number(least=0), Number()
+
+
+def _required(**keys: tuple[Kind, str]) -> Object:
+    return Object({name: Key(kind, text, required=True) for name, (kind, text) in keys.items()})
+
+
+_MAP = _required(
+    happened=(ListOf(ListOf(_SIGNED)), "how often it happened in each cell of a grid over the room, along x, then y"),
+    expected=(ListOf(ListOf(_AMOUNT)), "how often it was expected there before anything was learnt"),
+)
+_SENSOR = _required(
+    typical=(OrNull(_SIGNED), "log odds of the scores of people"),
+    clutter_sum=(_AMOUNT, "false detections"),
+    clutter_count=(_AMOUNT, "records in which they were counted"),
+    hit_sum=(_AMOUNT, "people who were detected"),
+    hit_count=(_AMOUNT, "people who could be detected"),
+    hiding=(
+        _required(
+            events=(_AMOUNT, "how often a person was hidden and came back"),
+            in_sight=(_AMOUNT, "time that people could be detected, s"),
+            hidden=(_AMOUNT, "time that they could not, s"),
+        ),
+        "how the sensor loses people",
+    ),
+    blindness=(
+        _required(
+            events=(_AMOUNT, "how often the sensor lost everybody and found them again"),
+            watched=(_AMOUNT, "time in which that was counted, s"),
+        ),
+        "how it loses everybody",
+    ),
+)
+LEARNT = Format(
+    "learnt",
+    "What the tracker has learnt of a room and its sensors (avfuse --learn)",
+    _required(
+        area=(Numbers(4), "the room: least x, least y, largest x, largest y, m"),
+        entries=(_MAP, "people who came"),
+        exits=(_MAP, "people who left"),
+        sensors=(MapOf(_SENSOR), "what was learnt of each sensor, by its name; all sums contain the prior"),
+    ),
+)
+
+
+def read_learnt(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read what an earlier run has learnt.
+
+    Raises:
+        ValueError: the file does not hold that.
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as stream:
+        text = stream.read(bounds.LARGEST_JSON_FILE + 1)
+    try:
+        return LEARNT.content.read(orjson.loads(text))
+    except (orjson.JSONDecodeError, Invalid) as error:
+        raise ValueError(f"not what avfuse --learn writes: {error}") from None
+
+
+def write_learnt(path: str | os.PathLike[str], state: Mapping[str, Any]) -> None:
+    """Write what a tracker has learnt, whole or not at all."""
+    atomic.write_bytes(path, orjson.dumps(state, option=orjson.OPT_APPEND_NEWLINE))
