@@ -310,7 +310,9 @@ GIVEN = {
     "birth": ("--birth", "adaptive"),
     "stay": ("--stay", "3"),
     "doors": ("--doors", "anywhere"),
-    "learn": ("--no-learn",),
+    "learn": ("--learn", "x"),
+    "no_learn": ("--no-learn",),
+    "show": ("--show", "all"),
     "hidden": ("--no-hidden",),
     "detection": ("--detection", "video=0.5"),
     "clutter": ("--clutter", "video=3"),
@@ -348,7 +350,11 @@ def test_the_manual_describes_every_tracker_and_its_unused_options():
     for name, one in TRACKERS.items():
         assert f".It Cm {name}\n" in described
         for key in one.unused - {"process_noise"}:  # which --motion cv alone uses
-            (entry,) = (entry for entry in entries if entry.startswith(key.replace("_", "-")))
+            (entry,) = (
+                entry
+                for entry in entries
+                if entry.startswith(key.replace("_", "-") + " ") or entry.startswith(key.replace("_", "-") + "\n")
+            )
             assert name in entry.split("Not with")[1], (name, key)
 
 

@@ -17,7 +17,7 @@ from avcli.tracking.glmb import GLMB
 from avcli.tracking.hypotheses import Cluster
 from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
-from avcli.tracking.rates import Rates
+from avcli.tracking.rates import Blindness
 from avcli.tracking.settings import Sensor, Settings, sensor
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
@@ -100,13 +100,32 @@ def test_two_people_and_places_far_apart_never_merge(labels):
 
 
 def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
-    rates = Rates(sensor("video"))
-    assert rates.blindness(0.0, 100.0) < 0.01
-    seen = [rates.blindness(0.1 * k, 0.01) for k in range(1, 8)]
-    assert seen[-1] > 0.9
-    assert rates.blindness(0.8, 1e3) < 0.1
-    never = Rates(Sensor("video", hide=0.0))
-    assert [never.blindness(0.1 * k, 0.01) for k in range(8)] == [0.0] * 8
+    blindness = Blindness(ever=True)
+
+    def after(ratio):
+        blindness.update(0.1, ratio)
+        return blindness.probability
+
+    assert after(100.0) < 0.01
+    assert [after(0.01) for _ in range(7)][-1] > 0.9
+    assert after(1e3) < 0.1
+    never = Blindness(ever=False)
+    for _ in range(8):
+        never.update(0.1, 0.01)
+    assert never.probability == 0.0
+
+
+def test_the_longer_a_sensor_finds_nobody_the_likelier_it_is_that_everybody_left():
+    blindness, there = Blindness(ever=True), [1.0]
+    for _ in range(200):
+        blindness.update(0.1, 0.01)
+        there.append(there[-1] * blindness.empty(0.1, 0.01))
+    assert all(b <= a for a, b in zip(there, there[1:], strict=False))
+    assert there[20] > 0.8 and there[200] < 0.05
+    doors = Blindness(ever=True)
+    while doors.probability < 0.5:
+        doors.update(0.1, 0.01)
+    assert doors.empty(0.1, 5.0) < 0.1  # where people leave within 0.2 s
 
 
 def test_when_nobody_is_found_for_two_seconds_nobody_is_given_up():
@@ -159,7 +178,7 @@ def test_who_comes_to_a_wall_unseen_is_expected_to_turn_inwards():
     for k in range(15):
         tracker.update(k / 10, "video", np.array([[2.5 + 0.1 * k, 2.33]]), noise)
     (walking,) = tracker.tracks(1.4)
-    ahead = [tracker.tracks(1.4 + k / 10)[0].state for k in range(1, 31)]
+    ahead = [tracker.predict(1.4 + k / 10) or tracker.people.centres(tracker.likely_rows)[0] for k in range(1, 31)]
     x, vx = np.array(ahead)[:, [0, 2]].T
     assert walking.state[2] > 0.8
     assert 4.0 < x.max() <= 4.66
@@ -217,13 +236,13 @@ def test_whoever_walks_where_the_camera_sees_nobody_is_kept_and_found_again(seen
         x = 1.0 + 0.1 * min(k, 25) - 0.1 * max(k - 50, 0)
         z = np.array([[x, 0.5]] if x < 3.0 else []).reshape(-1, 2)
         tracker.update(k / 10, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
-        if k == 40:
+        if k == 32:
             assert bool(tracker.tracks(k / 10)) != seen
     assert len(tracker.tracks(7.9)) == 1
 
 
 def test_who_stands_at_a_wall_leaves_less_readily_than_who_walks_there():
     states = np.array([[0.3, 2.3, 0.0, 0.0], [0.3, 2.3, 0.0, -1.0], [2.3, 2.3, 0.0, 0.0], [2.3, 2.3, 1.0, 0.0]])
-    still, walks, amid, through = Population(stay=100.0, pass_by=10.0).survival(states, 1.0)
-    assert walks == pytest.approx(math.exp(-0.1))
-    assert still == amid == through == pytest.approx(math.exp(-0.01))
+    still, walks, amid, through = Population(stay=100.0, pass_by=10.0).leaving(states)
+    assert walks == pytest.approx(0.1)
+    assert still == amid == through == pytest.approx(0.01)

@@ -30,7 +30,7 @@ from avcli.tracking.births import other_detections as others
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.learning import SURE_HITS, Habits
-from avcli.tracking.model import BLUR, NEAR, REPORT, Population, Track
+from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import Rates, logit
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
@@ -450,7 +450,7 @@ class GLMB:
         detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
         tracks = []
         for k, (label, _, existence) in enumerate(present):
-            if existence * near[k] > least:
+            if existence * near[k] > min(least, THERE):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], existence * near[k], able, last[k]))
         return tracks

@@ -16,7 +16,7 @@ from avcli.tracking.settings import Settings
 WALK = 0.5  # m/s, the least speed of somebody who is walking
 NEAR = 1.0  # m, from a track's position: as near as this the person is there
 BLUR = 2.0  # times the error that the position had when the person was detected last, if that is more
-REPORT = 0.5  # existence from which a person is reported as present
+REPORT, THERE = 0.5, 0.35  # from which a person is reported: probability to be in the room, and to be there
 AREA = ((0.0, 0.0), (4.66, 4.66))  # m, the thesis's room, where the room is not known
 
 Corners = tuple[tuple[float, float], tuple[float, float]]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from avcli.tracking import gaussian
-from avcli.tracking.model import BLUR, NEAR, REPORT, Track
+from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Track
 
 if TYPE_CHECKING:
     from avcli.tracking.densities import Densities
@@ -205,7 +205,7 @@ class Delayed:
                     there = min(end.meant * existence, 1.0)
                     if node.time > node.seen:
                         there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / (cov[0, 0] + cov[1, 1]))
-                    if there > REPORT:
+                    if there > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
                         wanted[now].append(Track(end.label, mean, cov, there, detectable, node.seen))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
