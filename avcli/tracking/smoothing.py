@@ -204,7 +204,7 @@ class Delayed:
                 if now in wanted and end.meant * existence > REPORT:
                     there = min(end.meant * existence, 1.0)
                     if node.time > node.seen:
-                        there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / (cov[0, 0] + cov[1, 1]))
+                        there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / max(cov[0, 0] + cov[1, 1], 1e-9))
                     if there > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
                         wanted[now].append(Track(end.label, mean, cov, there, detectable, node.seen))
