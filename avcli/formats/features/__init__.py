@@ -35,8 +35,8 @@ class Feature:
     vectors: np.ndarray
     sds: np.ndarray
 
-    def take(self, rows: np.ndarray) -> "Feature":
-        """Return the feature of some of the detections: rows as an index of numpy."""
+    def take(self, rows: np.ndarray | list[int]) -> "Feature":
+        """Return the feature of some of the detections, by their numbers or by a mask."""
         return Feature(self.kind, self.vectors[rows], self.sds[rows])
 
 
