@@ -31,7 +31,7 @@ TOUCHING, NEAR = 0.3, 0.4  # share added where another person stands at the same
 GARBAGE, WIDE = 0.01, 5.0  # share of vectors that are nobody's, and their standard deviation in the population's
 MEMORY = 1000.0  # s in which what is known of a person fades to 1/e
 SURE = math.log(0.9)  # log probability of an association from which noise is learnt
-FIRST_LOOKS, KEEP, FARTHEST = 100.0, 0.999, 9.0  # looks that the told noise is worth; weight of the past; square in sd
+FIRST_LOOKS, KEEP, FARTHEST = 30.0, 0.999, 9.0  # looks that the told noise is worth; weight of the past; square in sd
 
 X, U, XX, XU, UU = range(5)  # rows of traits: means, variances and covariance of own value and lasting error
 
@@ -60,12 +60,14 @@ class Evidence(NamedTuple):
         vectors, sds: (J, D) as measured, NaN: not measured; standard deviations without NaN.
         ratio: (n, J) factor on the likelihood of each detection under each density, 1 outside the gate.
         own: (n, J, F) probability that the vector is a look at that person, if the detection is.
+        alone: (n, J) whether nobody else is near the detection.
     """
 
     vectors: np.ndarray
     sds: np.ndarray
     ratio: np.ndarray
     own: np.ndarray
+    alone: np.ndarray
 
 
 class Features:
@@ -165,12 +167,15 @@ class Features:
         np.maximum.at(best, j, log)
         odds = np.clip(log_wide - log_usual - best, -500, 500)
         garbage = GARBAGE / (GARBAGE + (1 - GARBAGE) * np.exp(-odds))[j]
-        foreign = (FOREIGN + TOUCHING * _touching(people, likely, z, row, j))[:, None]
+        touching = _touching(people, likely, z, row, j)
+        foreign = (FOREIGN + TOUCHING * touching)[:, None]
         own = (1 - garbage) * (1 - foreign) * np.exp(np.clip(log, -500, 500))
         ratio = own + (1 - garbage) * foreign + garbage
-        evidence = Evidence(vectors, sds, np.ones(gain.shape), np.zeros((*gain.shape, len(self.kinds))))
+        own_share, alone = np.zeros((*gain.shape, len(self.kinds))), np.zeros(gain.shape, bool)
+        evidence = Evidence(vectors, sds, np.ones(gain.shape), own_share, alone)
         evidence.ratio[row, j] = ratio.prod(1)
         evidence.own[row, j] = own / ratio
+        evidence.alone[row, j] = touching == 0
         return evidence
 
     def _measured(self, given: Mapping[str, Feature], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -227,8 +232,7 @@ class Features:
     def first(self, evidence: Evidence, js: Sequence[int]) -> np.ndarray:
         """Return the traits (k, 5, D) of people who were detected for the first time, by detections js."""
         unknown = np.tile(self.prior, (len(js), 1, 1))
-        alone = Evidence(evidence.vectors, evidence.sds, evidence.ratio, np.ones((1, *evidence.own.shape[1:])))
-        return self.update(unknown, alone, [0] * len(js), js)
+        return self.update(unknown, evidence._replace(own=np.ones((1, *evidence.own.shape[1:]))), [0] * len(js), js)
 
     def learn(self, people: Densities, evidence: Evidence, groups: Iterable[Group]) -> None:
         """Learn from associations that are sure how much larger errors are than told.
@@ -239,15 +243,14 @@ class Features:
             groups: the joint hypotheses after it.
         """
         sure = [group.hypotheses[0] for group in groups if group.hypotheses[0].weight > SURE]
-        pairs = [(row, j) for hypothesis in sure for row, j in hypothesis.pairs if j >= 0]
+        pairs = [(row, j) for h in sure for row, j in h.pairs if j >= 0 and evidence.alone[row, j]]
         if not pairs:
             return
         rows, js = np.array(pairs).T
         mean, variance = self._expected(people.traits[rows], evidence.sds[js])
         off = np.minimum(np.square(evidence.vectors[js] - mean) / variance, FARTHEST)
-        trusted = evidence.own[rows, js] > 0.5
-        for at, kind in enumerate(self.kinds.values()):
-            squares = off[trusted[:, at], kind.part]
+        for kind in self.kinds.values():
+            squares = off[:, kind.part]
             squares = squares[~np.isnan(squares)] * kind.scale
             looks = kind.looks * KEEP + len(squares) / len(kind.population.mean)
             total = kind.scale * kind.looks * KEEP + float(squares.sum()) / len(kind.population.mean)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tracking_scenes import ROOM, People, Rng, Scene, assemble, clock, long_pair, strollers, ten
+from tracking_scenes import ROOM, People, Rng, Scene, assemble, clock
 
 from avcli.formats.features import Feature, Population
 
