@@ -13,7 +13,7 @@ Source:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,6 +32,8 @@ GARBAGE, WIDE = 0.01, 5.0  # share of vectors that are nobody's, and their stand
 MEMORY = 1000.0  # s in which what is known of a person fades to 1/e
 SURE = math.log(0.9)  # log probability of an association from which noise is learnt
 FIRST_LOOKS, KEEP, FARTHEST = 30.0, 0.999, 9.0  # looks that the told noise is worth; weight of the past; square in sd
+
+KNOWN = 0.5  # share of the population's variance that is left of a component's, below which it is known
 
 X, U, XX, XU, UU = range(5)  # rows of traits: means, variances and covariance of own value and lasting error
 
@@ -77,7 +79,9 @@ class Features:
     0
     """
 
-    def __init__(self) -> None:
+    def __init__(self, table: Callable[[str], Population | None] = known) -> None:
+        """Begin without any kind; table: what is known of a kind by its name."""
+        self.table = table
         self.kinds: dict[tuple[str, str, int], Kind] = {}
         self.time: float | None = None
         self._gather()
@@ -102,7 +106,7 @@ class Features:
         """Add the kinds that are new; nobody's features of those are known yet."""
         for name, one in sorted(given.items()):
             key = (name, one.kind, one.vectors.shape[1])
-            population = known(one.kind)
+            population = self.table(one.kind)
             if key in self.kinds or population is None or len(population.mean) != key[2]:
                 continue
             self.kinds[key] = Kind(slice(self.width, self.width + key[2]), population)
@@ -117,7 +121,7 @@ class Features:
             people.traits = np.concatenate([people.traits, unknown], 2)
 
     def _predict(self, people: Densities, time: float) -> None:
-        """Let lasting errors change, and what is known of people fade."""
+        """Let lasting errors change, and what is known of people fade (an Ornstein-Uhlenbeck process each)."""
         dt, self.time = max(time - self.time, 0.0) if self.time is not None else 0.0, time
         if not dt or not len(people):
             return
@@ -263,6 +267,19 @@ class Features:
         own = (traits[:, X] - self.mean) / np.sqrt(self.within)
         length = np.square(own).sum(1)
         return np.maximum(length[:, None] + length - 2 * own @ own.T, 0.0)
+
+    def knows(self, traits: np.ndarray) -> bool:
+        """Tell whether half of what there is to know of some kind of a person's (5, D) features is known."""
+        left = (traits[XX] / self.between[: traits.shape[1]]) @ self.member[: traits.shape[1]]
+        return bool((left < KNOWN * self.member.sum(0)).any())
+
+    def faded(self, traits: np.ndarray, dt: float) -> np.ndarray:
+        """Return traits (5, D') of a person dt s later, with the columns that have come since."""
+        later, keep = self.prior.copy(), math.exp(-dt / MEMORY)
+        known_part = later[:, : traits.shape[1]]
+        known_part[X] += (traits[X] - known_part[X]) * keep
+        known_part[XX] += (traits[XX] - known_part[XX]) * keep**2
+        return later
 
     def same(self, one: np.ndarray, others: np.ndarray) -> np.ndarray:
         """Return log likelihood ratios (n,): somebody with traits (5, D) is each of n people (n, 5, D), or a stranger.

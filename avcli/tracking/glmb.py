@@ -35,6 +35,7 @@ from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import Rates, logit
+from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
@@ -96,7 +97,7 @@ class GLMB:
         """
         self.settings, self.population, self.factorise, self.record = settings, population, factorise, record
         self.people = Densities.empty(len(population.motion.models))
-        self.features = Features()
+        self.features, self.gallery = Features(), Gallery()
         self.clusters: list[Cluster] = []
         self.tentative: list[int] = []  # rows of people without a label
         self.labelled_rows: list[int] = []
@@ -222,6 +223,8 @@ class GLMB:
             account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before)
             self.journal.append({**account, "born": self.born, "died": self.died})
         self._rebuild(scan, groups, revealed)
+        if self.gallery.fresh and scan.evidence:
+            self._recognise()
         self.undetected.update(scan, p_undetected)
 
     def _scan(
@@ -387,6 +390,8 @@ class GLMB:
         people.label[row] = label
         self.born.append({"label": label, "detection": j, "existence": float(people.existence[row])})
         self.retired.pop(label, None)
+        if self.features.width:
+            self.gallery.come(label, self._now())
         for group in groups:
             if any(h.used >> j & 1 for h in group.hypotheses):
                 group.labels.append(label)
@@ -439,6 +444,8 @@ class GLMB:
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
         if meant >= 0.5:
             self.habits.ended(label, people, best)
+            if self.features.width:
+                self.gallery.leave(label, self._person(best), self.features)
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
@@ -446,6 +453,19 @@ class GLMB:
         if existence > TENTATIVE:
             people.existence[best] = existence
             self.tentative.append(best)
+
+    def _person(self, row: int) -> Left:
+        people = self.people
+        return Left(float(people.seen[row].max()), people.place[row].copy(), people.traits[row].copy())
+
+    def _recognise(self) -> None:
+        """Give people who came lately and are recognised as somebody who left the label of that person."""
+        known = {one.label: self._person(one.row) for one in self.labelled() if one.existence > 0.5}
+        again = self.gallery.recognise(known, self._now(), self.population.surface, self.features)
+        for label, before in again.items():
+            self.people.label = [-1 if one == before else before if one == label else one for one in self.people.label]
+            for cluster in self.clusters:
+                cluster.labels = [before if one == label else one for one in cluster.labels]
 
     # --- report -------------------------------------------------------------------------------------------------------
 

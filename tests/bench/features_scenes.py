@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tracking_scenes import ROOM, People, Rng, Scene, assemble, clock
+from tracking_scenes import ROOM, People, Rng, Scene, assemble, clock, waypoints
 
 from avcli.formats.features import Feature, Population
 
@@ -52,6 +52,25 @@ def meeting(rng: Rng) -> Scene:
         path += _unit(go) * (speed[1 - k] * (t - part).clip(0))[:, None]
         people.add(t, path.clip(0.3, ROOM - 0.3), talks == k)
     return assemble(rng, people, 14.0)
+
+
+def returning(rng: Rng) -> Scene:
+    """Five visits by at most four people, one after the other, through any wall, 3 to 8 s apart."""
+    visits, who, begin = People(), rng.integers(0, 4, 5), 0.0
+    for _ in who:
+        t = begin + clock(rng.uniform(7.0, 10.0))
+        come, leave = (ROOM / 2 + 2.1 * _unit(angle) for angle in rng.uniform(0, 2 * np.pi, 2))
+        path = waypoints(rng, t, come)
+        steps = max(int(np.linalg.norm(leave - path[-1]) / 0.1), 1)
+        path = np.vstack([path, path[-1] + np.arange(1, steps + 1)[:, None] / steps * (leave - path[-1])])
+        t = np.round(begin + 0.1 * np.arange(len(path)), 6)
+        visits.add(t, path, rng.random() < 0.5)
+        begin = round(t[-1] + rng.uniform(3.0, 8.0), 1)
+    scene = assemble(rng, visits, begin - 3.0)
+    person = np.append(who, -1)  # of each visit; the last is for false detections
+    truth = [(t, person[ids], xy) for t, ids, xy in scene.truth]
+    records = [(t, name, z, sigma, person[owner]) for t, name, z, sigma, owner in scene.records]
+    return replace(scene, truth=truth, records=records)
 
 
 def _unit(angle: "float | np.ndarray") -> np.ndarray:
