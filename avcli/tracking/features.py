@@ -33,6 +33,7 @@ MEMORY = 1000.0  # s in which what is known of a person fades to 1/e
 SURE = math.log(0.9)  # log probability of an association from which noise is learnt
 FIRST_LOOKS, KEEP, FARTHEST = 30.0, 0.999, 9.0  # looks that the told noise is worth; weight of the past; square in sd
 
+MOST_LASTING = 0.99  # share of an error; two looks at the same time are never quite the same
 KNOWN = 0.5  # share of the population's variance that is left of a component's, below which it is known
 
 X, U, XX, XU, UU = range(5)  # rows of traits: means, variances and covariance of own value and lasting error
@@ -96,7 +97,7 @@ class Features:
         )
         sizes = [len(one.mean) for one in populations]
         self.correlation = np.repeat([max(one.correlation_s, 1e-3) for one in populations], sizes)
-        self.lasting = np.repeat([one.correlated for one in populations], sizes)
+        self.lasting = np.repeat([min(one.correlated, MOST_LASTING) for one in populations], sizes)
         self.member = np.repeat(np.eye(len(kinds)), sizes, axis=0)  # (D, F)
         prior = np.zeros((5, self.width))
         prior[X], prior[XX], prior[UU] = self.mean, self.between, 1.0
@@ -198,7 +199,7 @@ class Features:
         """Return means and variances (k, D) of measurements with sds (k, D) of k people."""
         lasting = sds * np.sqrt(self.lasting)
         own_variance = traits[:, XX] + (2 * traits[:, XU] + lasting * traits[:, UU]) * lasting
-        return traits[:, X] + lasting * traits[:, U], own_variance + sds * sds * (1 - self.lasting)
+        return traits[:, X] + lasting * traits[:, U], np.maximum(own_variance, 0.0) + sds * sds * (1 - self.lasting)
 
     @staticmethod
     def _loglikelihood(mean: np.ndarray, variance: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -84,7 +84,7 @@ def with_features(rng: Rng, scene: Scene, drawn: Mapping[str, Drawn], *, alike: 
         rng: for the features alone, so that the detections are the same for all.
         scene: without features.
         drawn: name -> how.
-        alike: all people have the same own values.
+        alike: all people have the same own values and the same lasting errors: only new errors differ.
     """
     at = {round(t, 3): (ids.tolist(), xy) for t, ids, xy in scene.truth}
     people = sorted({i for _, ids, _ in scene.truth for i in ids.tolist()})
@@ -100,6 +100,8 @@ def with_features(rng: Rng, scene: Scene, drawn: Mapping[str, Drawn], *, alike: 
                 continue
             keep, last = np.exp(-(t - last) / one.correlation_s), t
             lasting = {i: keep * u + np.sqrt(1 - keep**2) * rng.standard_normal(d) for i, u in lasting.items()}
+            if alike:
+                lasting = dict.fromkeys(lasting, lasting[people[0]])
             sds = np.sqrt(one.within) * rng.uniform(0.8, 1.3, (len(z), 1)) * np.ones(d)
             vectors = np.empty((len(z), d))
             for j, i in enumerate(owner.tolist()):
