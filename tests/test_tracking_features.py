@@ -75,7 +75,7 @@ def test_looks_whose_errors_last_count_as_one():
     np.testing.assert_allclose(crowd.traits[0, XX], fresh.traits[0, XX], rtol=0.02)
     for k in range(40):
         seen(features, crowd, [[1.0, -1.0]], time=100.0 + 10.0 * k)
-    assert (crowd.traits[0, XX] < 0.05).all()
+    assert (crowd.traits[0, XX] < 0.07).all()  # some is left, since people change
     assert (crowd.traits[0, UU] <= 1 + 1e-9).all()
 
 
