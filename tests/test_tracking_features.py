@@ -31,8 +31,9 @@ def people(count, apart=0.1):
     mean = np.zeros((count, 1, 4))
     mean[:, 0, 0] = apart * np.arange(count)
     cov = np.tile(0.01 * np.eye(4), (count, 1, 1, 1))
-    ones = np.ones((count, 1))
-    return Densities(mean, cov, ones, np.ones(count), ones, list(range(count)), [None] * count)
+    one, each = np.ones((count, 1)), np.ones(count)
+    seen, place, hits = np.zeros((count, 1)), mean[:, 0, :2], np.full(count, 5)
+    return Densities(mean, cov, one, each, one, seen, place, hits, 0.1 * each, list(range(count)), [None] * count)
 
 
 def seen(features, crowd, vectors, time=0.0, sd=0.5):
