@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ class Densities:
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
+        traits: (n, 5, D) what is known of each person's features, see `features`; D is 0 without features.
     """
 
     mean: np.ndarray
@@ -43,6 +44,11 @@ class Densities:
     reach: np.ndarray
     label: list[int]
     node: list[Node | None]
+    traits: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 0)))
+
+    def __post_init__(self) -> None:
+        if len(self.traits) != len(self.label):
+            self.traits = np.zeros((len(self.label), 5, 0))
 
     @staticmethod
     def empty(models: int) -> Densities:
@@ -94,6 +100,15 @@ class Densities:
         self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
         self.existence[first] = share @ self.existence.take(rows)
         self.detectable[first] = share @ self.detectable.take(rows, 0)
+        if self.traits.size:
+            self._merge_traits(rows, share)
+
+    def _merge_traits(self, rows: Sequence[int], share: np.ndarray) -> None:
+        traits = self.traits.take(rows, 0)
+        mean = np.tensordot(share, traits, 1)
+        x, u = (traits[:, :2] - mean[:2]).swapaxes(0, 1)
+        mean[2:] += np.tensordot(share, np.stack([x * x, x * u, u * u], 1), 1)
+        self.traits[rows[0]] = mean
 
 
-_ARRAYS = [field.name for field in fields(Densities) if field.name not in ("label", "node")]
+_ARRAYS = [one.name for one in fields(Densities) if one.name not in ("label", "node")]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from avcli.formats import features
 from avcli.formats.experiment import Config, ConfigError
 from avcli.formats.records import Detections, Identified
 from avcli.formats.sensors import CAMERA, MICROPHONES, sensor_kind
@@ -282,18 +283,21 @@ class Fusion:
     def _update(self, at: float, model: Sensor, parts: Sequence[Detections]) -> None:
         """Update the tracker with what one sensor found at one time."""
         positions, covariances, scores = parts[0].positions, parts[0].covariances, parts[0].scores
+        told = parts[0].features
         if len(parts) > 1:
             positions = np.concatenate([part.positions for part in parts])
             covariances = np.concatenate([part.covariances for part in parts])
             scores = np.concatenate([part.scores for part in parts])
+            told = features.joined([part.features for part in parts], [len(part) for part in parts])
         positions, covariances = positions[:, :2], covariances[:, :2, :2]
         if self.margin is not None:
             low, high = self.population.corners
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
             self.outside += int((~inside).sum())
             positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
+            told = {name: one.take(inside) for name, one in told.items()}
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
-        self.tracker.update(at, model.name, positions, noise, scores)
+        self.tracker.update(at, model.name, positions, noise, scores, told)
 
     def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
         """Make the output of tracks at a time since the origin."""

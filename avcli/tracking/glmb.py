@@ -23,16 +23,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from avcli.formats.features import Feature
 from avcli.tracking import association, gaussian, journal, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import BORN, TENTATIVE, Birth, Undetected, births, first_detections, newcomers
 from avcli.tracking.births import other_detections as others
 from avcli.tracking.densities import NEVER, Densities
+from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import Rates, logit
+from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
@@ -94,6 +97,7 @@ class GLMB:
         """
         self.settings, self.population, self.factorise, self.record = settings, population, factorise, record
         self.people = Densities.empty(len(population.motion.models))
+        self.features, self.gallery = Features(), Gallery()
         self.clusters: list[Cluster] = []
         self.tentative: list[int] = []  # rows of people without a label
         self.labelled_rows: list[int] = []
@@ -177,10 +181,18 @@ class GLMB:
 
     # --- update -------------------------------------------------------------------------------------------------------
 
-    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
+    def update(
+        self,
+        time: float,
+        name: str,
+        z: np.ndarray,
+        noise: np.ndarray,
+        score: np.ndarray | None = None,
+        features: Mapping[str, Feature] | None = None,
+    ) -> None:
         """Update with one record of one sensor, see `trackers.Tracker.update`."""
         self.predict(time)
-        scan = self._scan(name, z, noise, score)
+        scan = self._scan(name, z, noise, score, features or {})
         settings, rates = self.settings, self.rates[scan.column]
         poisson = settings.birth == "poisson"
         p_undetected = self.undetected.p_detect(scan)
@@ -201,6 +213,8 @@ class GLMB:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
         rates.learn_score(scan.odds, [1 - f for f in false])
+        if scan.evidence:
+            self.features.learn(self.people, scan.evidence, groups)
         newborn = None if poisson else settings.newborn
         revealed = births(unclaimed, existence, self.tentative, from_tentative, from_undetected, newborn)
         self.born, self.died = [], []
@@ -209,14 +223,28 @@ class GLMB:
             account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before)
             self.journal.append({**account, "born": self.born, "died": self.died})
         self._rebuild(scan, groups, revealed)
+        if self.gallery.fresh and scan.evidence:
+            self._recognise()
         self.undetected.update(scan, p_undetected)
 
-    def _scan(self, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None) -> Scan:
+    def _scan(
+        self,
+        name: str,
+        z: np.ndarray,
+        noise: np.ndarray,
+        score: np.ndarray | None,
+        features: Mapping[str, Feature],
+    ) -> Scan:
         """Weigh a record against each density."""
-        z, noise, score = distinct(z, noise, score)
+        z, noise, score, order = distinct(z, noise, score)
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
         gain, gain_by_model = likelihoods(people, z, noise, sensor.mouth_offset)
+        evidence = None
+        if features:
+            features = {kind: one.take(order) for kind, one in features.items()}
+            evidence = self.features.weigh(people, self.likely_rows, self._now(), z, gain, features)
+            gain = gain if evidence is None else gain * evidence.ratio
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         likely = gain.tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
@@ -246,6 +274,7 @@ class GLMB:
             clutters,
             p_sensor,
             p_detect,
+            evidence,
         )
 
     def _see(self, column: int, ratio: float, existence: list[float]) -> list[float]:
@@ -313,9 +342,12 @@ class GLMB:
         """Compute each density that is needed once, and make tentative people and clusters of them."""
         want = needed(scan, self.people, self.tentative, groups, revealed)
         now = self._now()
-        people = updated(scan, self.people, want, now)
+        people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
             new = newcomers(scan, want.fresh, now, self.population, self.undetected.detectable, self.stationary)
+            self.features.fill(new)
+            if scan.evidence:
+                new.traits = self.features.first(scan.evidence, want.fresh)
             people = Densities.join([people, new])
         if self.record:
             people.node = [Node.fork(node, now) for node in people.node]
@@ -358,6 +390,8 @@ class GLMB:
         people.label[row] = label
         self.born.append({"label": label, "detection": j, "existence": float(people.existence[row])})
         self.retired.pop(label, None)
+        if self.features.width:
+            self.gallery.come(label, self._now())
         for group in groups:
             if any(h.used >> j & 1 for h in group.hypotheses):
                 group.labels.append(label)
@@ -373,9 +407,9 @@ class GLMB:
             joint = [tuple([row_of[pair] for pair in h.pairs]) for h in group.hypotheses]
             cluster = Cluster(group.labels, joint, [h.weight for h in group.hypotheses])
             if len(joint) > 1:
-                cluster = cluster.condensed(people)
+                cluster = cluster.condensed(people, self.features)
             if len(group.labels) > 1 and len(cluster.hypotheses) > 1:
-                cluster = cluster.decided(people)
+                cluster = cluster.decided(people, self.features)
             self._settle(cluster)
         self.labelled_rows = sorted(
             {row for cluster in self.clusters for joint in cluster.hypotheses for row in joint if row >= 0}
@@ -410,6 +444,8 @@ class GLMB:
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
         if meant >= 0.5:
             self.habits.ended(label, people, best)
+            if self.features.width:
+                self.gallery.leave(label, self._person(best), self.features)
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
@@ -417,6 +453,19 @@ class GLMB:
         if existence > TENTATIVE:
             people.existence[best] = existence
             self.tentative.append(best)
+
+    def _person(self, row: int) -> Left:
+        people = self.people
+        return Left(float(people.seen[row].max()), people.place[row].copy(), people.traits[row].copy())
+
+    def _recognise(self) -> None:
+        """Give people who came lately and are recognised as somebody who left the label of that person."""
+        known = {one.label: self._person(one.row) for one in self.labelled() if one.existence > 0.5}
+        again = self.gallery.recognise(known, self._now(), self.population.surface, self.features)
+        for label, before in again.items():
+            self.people.label = [-1 if one == before else before if one == label else one for one in self.people.label]
+            for cluster in self.clusters:
+                cluster.labels = [before if one == label else one for one in cluster.labels]
 
     # --- report -------------------------------------------------------------------------------------------------------
 

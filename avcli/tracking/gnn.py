@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from avcli.formats.features import Feature
 from avcli.numeric import assign
 from avcli.tracking import gaussian
 from avcli.tracking.model import Population, Track
@@ -65,8 +66,16 @@ class GNN:
             step = gaussian.predict(self.mean, self.cov, self.mode, self.population.motion, dt)
             self.mean, self.cov, self.mode = step.mean, step.cov, step.mode
 
-    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
-        """Update with one record of one sensor, see `trackers.Tracker.update`; the scores are not used."""
+    def update(
+        self,
+        time: float,
+        name: str,
+        z: np.ndarray,
+        noise: np.ndarray,
+        score: np.ndarray | None = None,
+        features: Mapping[str, Feature] | None = None,
+    ) -> None:
+        """Update with one record of one sensor, see `trackers.Tracker.update`; scores and features are not used."""
         self.predict(time)
         sensor = self.sensors[self.column[name]]
         pairs = self._assign(z, noise, sensor.mouth_offset)

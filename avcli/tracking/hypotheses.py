@@ -11,11 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from avcli.tracking.densities import Densities
+from avcli.tracking.features import Features
 
 ABSENT = -1  # in the place of a row: the label does not exist in this joint hypothesis
 INDEPENDENT = 0.05  # total variation of two labels' joint weights from their product that passes for independence
 ALIKE = np.array([0.14, 0.14, 0.6, 0.6])  # m, m/s; rows of one label as near as this are merged
 TWINS = np.array([0.035, 0.035, 0.14, 0.14])  # m, m/s; rows of two labels as near as this are of the same person
+TELL = 2.0  # squared standard deviations of one look; rows whose features are as far apart are neither
 TWIN_DETECTABLE = 0.2  # as far as the probabilities that sensors can detect them are as near as this
 
 Joint = tuple[int, ...]
@@ -92,7 +94,7 @@ class Cluster:
             parts.append(sorted(part))
         return parts
 
-    def condensed(self, people: Densities) -> Cluster:
+    def condensed(self, people: Densities, features: Features | None = None) -> Cluster:
         """Return the cluster with each label's rows that are ALIKE merged, in `people`, and so equal hypotheses."""
         shares: dict[int, float] = {}
         for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
@@ -102,7 +104,7 @@ class Cluster:
         rows = sorted(shares, key=lambda row: (people.label[row], -shares[row], row))
         if len(rows) <= len(self.labels):
             return self
-        groups = _alike(rows, people)
+        groups = _alike(rows, people, features)
         if len(groups) == len(rows):
             return self
         same = {ABSENT: ABSENT}
@@ -112,7 +114,7 @@ class Cluster:
                 people.merge(group, [shares[row] for row in group])
         return self.replaced(self.labels, [tuple([same[row] for row in joint]) for joint in self.hypotheses])
 
-    def decided(self, people: Densities) -> Cluster:
+    def decided(self, people: Densities, features: Features | None = None) -> Cluster:
         """Return the cluster without hypotheses that differ from a likelier one only in which person has which label.
 
         Where the same people stand at the same positions under exchanged labels, no later record can tell which is
@@ -125,6 +127,8 @@ class Cluster:
         apart = np.square(state[:, None] - state).sum(-1)
         detectable = people.detectable.take(rows, 0) / TWIN_DETECTABLE
         apart += np.square(detectable[:, None] - detectable).sum(-1)
+        if features and features.width:
+            apart += features.apart(people.traits.take(rows, 0)) / TELL
         twin = (apart < 1).argmax(1).tolist()
         twin_of = {ABSENT: ABSENT, **dict(zip(rows, twin, strict=True))}
         shares: dict[Joint, float] = {}
@@ -140,20 +144,22 @@ def _by_share(labels: list[int], shares: dict[Joint, float]) -> Cluster:
     return Cluster(labels, hypotheses, [math.log(shares[hypothesis]) for hypothesis in hypotheses])
 
 
-def _alike(rows: Sequence[int], people: Densities) -> list[list[int]]:
+def _alike(rows: Sequence[int], people: Densities, features: Features | None) -> list[list[int]]:
     """Group rows, sorted by label and then by weight, with the likeliest row of their label that they are ALIKE."""
     states = (people.centres(rows) / ALIKE).view(complex).tolist()
+    unlike = (features.apart(people.traits.take(rows, 0)) / TELL).tolist() if features and features.width else None
     groups: list[list[int]] = []
-    heads: list[tuple[complex, complex, list[int]]] = []  # of one label: position, velocity and group of the likeliest
+    heads: list[tuple[complex, complex, list[int], int]] = []  # of one label: state, group and number of the likeliest
     label = None
-    for row, (position, velocity) in zip(rows, states, strict=True):
+    for at, (row, (position, velocity)) in enumerate(zip(rows, states, strict=True)):
         if people.label[row] != label:
             heads, label = [], people.label[row]
-        for its_position, its_velocity, group in heads:
-            if abs(position - its_position) ** 2 + abs(velocity - its_velocity) ** 2 < 1:
+        for its_position, its_velocity, group, head in heads:
+            apart = abs(position - its_position) ** 2 + abs(velocity - its_velocity) ** 2
+            if apart < 1 and not (unlike and apart + unlike[at][head] >= 1):
                 group.append(row)
                 break
         else:
             groups.append([row])
-            heads.append((position, velocity, groups[-1]))
+            heads.append((position, velocity, groups[-1], at))
     return groups

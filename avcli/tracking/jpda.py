@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from avcli.formats.features import Feature
 from avcli.tracking.model import Population, Track
 from avcli.tracking.settings import Sensor
 
@@ -69,8 +70,16 @@ class JPDA:
         """Note the time (s); Stone Soup predicts where a state is asked for."""
         self.time = max(self.time, time)
 
-    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
-        """Update with one record of one sensor, see `trackers.Tracker.update`; the scores are not used."""
+    def update(
+        self,
+        time: float,
+        name: str,
+        z: np.ndarray,
+        noise: np.ndarray,
+        score: np.ndarray | None = None,
+        features: Mapping[str, Feature] | None = None,
+    ) -> None:
+        """Update with one record of one sensor, see `trackers.Tracker.update`; scores and features are not used."""
         from stonesoup.dataassociator.probability import JPDA as Associator
         from stonesoup.hypothesiser.probability import PDAHypothesiser
         from stonesoup.models.measurement.linear import LinearGaussian

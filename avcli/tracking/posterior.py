@@ -10,6 +10,7 @@ from avcli.tracking import gaussian
 from avcli.tracking.association import MISSED, Group, Pair
 from avcli.tracking.births import TENTATIVE, Birth, uncertainty
 from avcli.tracking.densities import Densities
+from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT
 from avcli.tracking.scan import Scan
 
@@ -70,7 +71,7 @@ def needed(
     )
 
 
-def updated(scan: Scan, people: Densities, needed: Needed, time: float) -> Densities:
+def updated(scan: Scan, people: Densities, needed: Needed, time: float, features: Features) -> Densities:
     """Compute the densities after a record at a time in s, all but the fresh ones, in the order of `Needed`."""
     parents, pairs = needed.missed + needed.staying, needed.detected + needed.renewed
     n, old, column = len(needed.missed), len(parents), scan.column
@@ -98,4 +99,6 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float) -> Densi
         centre, spread = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])
         new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)
         new.hits[old:] += 1
+        if scan.evidence:
+            new.traits[old:] = features.update(new.traits[old:], scan.evidence, [row for row, _ in pairs], js)
     return new

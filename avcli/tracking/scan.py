@@ -10,6 +10,7 @@ import numpy as np
 
 from avcli.tracking import gaussian
 from avcli.tracking.densities import Densities
+from avcli.tracking.features import Evidence
 from avcli.tracking.settings import Sensor
 
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
@@ -35,6 +36,7 @@ class Scan:
         clutter: J densities per m² of false detections.
         p_sensor: probability that it detects a detectable person.
         p_detect: n probabilities that it detects the person, if that person exists.
+        evidence: what the features of the detections say; `gain` and `likelihoods` include it. None: there are none.
     """
 
     sensor: Sensor
@@ -50,6 +52,7 @@ class Scan:
     clutter: list[float]
     p_sensor: float
     p_detect: list[float]
+    evidence: Evidence | None = None
 
 
 def likelihoods(
@@ -70,16 +73,16 @@ def likelihoods(
 
 def distinct(
     z: np.ndarray, noise: np.ndarray, score: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return detections in a defined order, without exact repetitions: (J, 2), (J, 2, 2), (J,) or None."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, list[int]]:
+    """Return detections in a defined order, without exact repetitions: (J, 2), (J, 2, 2), (J,), and their numbers."""
     if len(z) < 2:
-        return z, noise, score
+        return z, noise, score, list(range(len(z)))
     positions = z.tolist()
     order = sorted(range(len(positions)), key=positions.__getitem__)
     if any(positions[a] == positions[b] for a, b in pairwise(order)):
         order = np.lexsort((*noise.reshape(-1, 4).T, z[:, 1], z[:, 0])).tolist()
         order = order[:1] + [b for a, b in pairwise(order) if positions[a] != positions[b]]
-    return z.take(order, 0), noise.take(order, 0), None if score is None else score.take(order)
+    return z.take(order, 0), noise.take(order, 0), None if score is None else score.take(order), order
 
 
 def plausibility(

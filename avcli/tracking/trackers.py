@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 if TYPE_CHECKING:
     import numpy as np
 
+    from avcli.formats.features import Feature
     from avcli.tracking.model import Population, Track
     from avcli.tracking.settings import Sensor, Settings
     from avcli.tracking.smoothing import End
@@ -36,7 +37,15 @@ class Tracker(Protocol):
     def predict(self, time: float) -> None:
         """Predict all people to a time in s; a time in the past counts as the present."""
 
-    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
+    def update(
+        self,
+        time: float,
+        name: str,
+        z: np.ndarray,
+        noise: np.ndarray,
+        score: np.ndarray | None = None,
+        features: Mapping[str, Feature] | None = None,
+    ) -> None:
         """Update with one record of one sensor.
 
         Args:
@@ -45,6 +54,7 @@ class Tracker(Protocol):
             z: detections (J, 2) m.
             noise: their covariances (J, 2, 2) m², positive definite.
             score: (J,) probability that each detection is a person (NaN: unknown), or None.
+            features: of the detections, by name; None: there are none.
         """
 
     def tracks(self, time: float) -> list[Track]:

@@ -97,12 +97,14 @@ def ceiling(scene: Scene) -> Tracks:
 def detections(scene: Scene) -> list[Record]:
     """What the sensors of a scene found, as `Fusion.step` takes it."""
     records = []
-    for t, name, z, sigma, _ in scene.records:
+    told = scene.features or [{} for _ in scene.records]
+    for (t, name, z, sigma, _), features in zip(scene.records, told, strict=True):
         n, floor = len(z), sensor(name, KIND[name]).floor
         covariances = np.full((n, 3, 3), np.nan)
         covariances[:, :2, :2] = max(sigma**2 - floor**2, 1e-6) * np.eye(2)
         positions = np.column_stack([z, np.full(n, np.nan)])
-        records.append((t, name, Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name])))
+        found = Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name], features=features)
+        records.append((t, name, found))
     return records
 
 

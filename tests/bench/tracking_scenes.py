@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from avcli.formats.features import Feature
 from avcli.formats.sensors import CAMERA, MICROPHONES
 
 KIND = {"video": CAMERA, "audio": MICROPHONES}
@@ -31,10 +32,12 @@ class Scene:
 
     truth: Truth
     records: list[Record] = field(default_factory=list)
+    features: list[dict[str, Feature]] = field(default_factory=list)  # of each record; empty: none has any
 
     def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
-        return Scene(self.truth, [r for r in self.records if r[1] in sensors])
+        chosen = [k for k, record in enumerate(self.records) if record[1] in sensors]
+        return Scene(self.truth, [self.records[k] for k in chosen], [self.features[k] for k in chosen if self.features])
 
 
 def waypoints(
