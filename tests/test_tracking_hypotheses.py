@@ -35,7 +35,9 @@ def people(states, labels):
     n, m = len(states), len(WALKING.models)
     mean = np.tile(np.reshape(states, (n, 1, 4)), (1, m, 1)).astype(float)
     cov = np.tile(0.01 * np.eye(4), (n, m, 1, 1))
-    return Densities(mean, cov, np.full((n, m), 1 / m), np.ones(n), np.ones((n, 1)), list(labels), [None] * n)
+    return Densities(
+        mean, cov, np.full((n, m), 1 / m), np.ones(n), np.ones((n, 1)), np.ones((n, 1)), list(labels), [None] * n
+    )
 
 
 def test_two_pairs_that_know_nothing_of_each_other_are_two_clusters():

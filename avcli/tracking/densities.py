@@ -19,6 +19,7 @@ class Densities:
         mode: (n, M) probabilities of the models.
         existence: (n,) probability of existence, or of a tentative person the expected number.
         detectable: (n, S) probability that each sensor can detect the person.
+        lean: (n, S) share of each sensor's lasting error that the position follows, see `errors`.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
     """
@@ -30,18 +31,26 @@ class Densities:
         mode: np.ndarray,
         existence: np.ndarray,
         detectable: np.ndarray,
+        lean: np.ndarray,
         label: list[int],
         node: list[Node | None],
     ) -> None:
         self.mean, self.cov, self.mode, self.existence, self.detectable = mean, cov, mode, existence, detectable
-        self.label, self.node = label, node
+        self.lean, self.label, self.node = lean, label, node
 
     @staticmethod
     def empty(models: int) -> Densities:
         """Return no rows, of so many motion models and no sensor."""
         m = models
         return Densities(
-            np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m)), np.zeros(0), np.zeros((0, 0)), [], []
+            np.zeros((0, m, 4)),
+            np.zeros((0, m, 4, 4)),
+            np.zeros((0, m)),
+            np.zeros(0),
+            np.zeros((0, 0)),
+            np.zeros((0, 0)),
+            [],
+            [],
         )
 
     def __len__(self) -> int:
@@ -56,6 +65,7 @@ class Densities:
             self.mode.take(at, 0),
             self.existence.take(at, 0),
             self.detectable.take(at, 0),
+            self.lean.take(at, 0),
             [self.label[i] for i in rows],
             [self.node[i] for i in rows],
         )
@@ -69,6 +79,7 @@ class Densities:
             np.concatenate([part.mode for part in parts]),
             np.concatenate([part.existence for part in parts]),
             np.concatenate([part.detectable for part in parts]),
+            np.concatenate([part.lean for part in parts]),
             [label for part in parts for label in part.label],
             [node for part in parts for node in part.node],
         )
@@ -90,3 +101,4 @@ class Densities:
         self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
         self.existence[first] = share @ self.existence.take(rows)
         self.detectable[first] = share @ self.detectable.take(rows, 0)
+        self.lean[first] = share @ self.lean.take(rows, 0)

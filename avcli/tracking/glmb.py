@@ -28,6 +28,7 @@ from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import BORN, TENTATIVE, Birth, Undetected, births, first_detections, newcomers
 from avcli.tracking.births import other_detections as others
 from avcli.tracking.densities import Densities
+from avcli.tracking.errors import Errors
 from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.model import Population, Track
 from avcli.tracking.posterior import needed, updated
@@ -99,6 +100,7 @@ class GLMB:
         self.sensors: list[Sensor] = []
         self.column: dict[str, int] = {}
         self.rates: list[Rates] = []
+        self.errors = Errors(settings.adapt)
         self.next_label = 0
         self.retired: dict[int, End] = {}
         self.journal: list[dict[str, Any]] | None = [] if explain else None
@@ -113,7 +115,9 @@ class GLMB:
         self.column[sensor.name] = len(self.sensors)
         self.sensors.append(sensor)
         self.rates.append(Rates(sensor))
+        self.errors.add(sensor)
         people = self.people
+        people.lean = np.column_stack([people.lean, np.zeros(len(people))])
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         self.undetected.add(sensor)
         self.detectable = np.array([one.detectable() for one in self.sensors])
@@ -139,8 +143,10 @@ class GLMB:
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
             if population.walls:
                 prediction.meet_walls(people, before[0], population, dt)
+            lasting = self.errors.variance(people.lean)
+            self.errors.predict(people, dt)
             if self.record:
-                people.node = Node.steps(people, before, step, survival, time)
+                people.node = Node.steps(people, before, step, survival, lasting, time)
             people.existence = people.existence * survival
         if self.sensors:
             mix = np.exp(-dt * self.turnover)
@@ -163,6 +169,7 @@ class GLMB:
         birth = (from_tentative.sum(0) + from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
+        self.errors.learn(self._now(), scan, groups, self.people)
         room, twice = others(
             scan, unclaimed, [b / whole for b, whole in zip(birth, background, strict=True)], self.population.body
         )
@@ -178,7 +185,8 @@ class GLMB:
         self.born, self.died = [], []
         if self.journal is not None:
             before = {str(one.label): one.existence for one in self.labelled()}
-            account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before)
+            errors = self.errors.described(scan.column)
+            account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
             self.journal.append({**account, "born": self.born, "died": self.died})
         self._rebuild(scan, groups, revealed)
         self.undetected.update(scan, p_undetected)
@@ -188,7 +196,9 @@ class GLMB:
         z, noise, score = distinct(z, noise, score)
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
-        gain, gain_by_model = likelihoods(people, z, noise, sensor.mouth_offset)
+        z, noise, floor = self.errors.corrected(column, z, noise)
+        ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
+        gain, gain_by_model = likelihoods(people, z, noise, ahead, between.unshared)
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         likely = gain.tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
@@ -206,6 +216,9 @@ class GLMB:
             column,
             z,
             noise,
+            floor,
+            ahead,
+            between,
             odds,
             gain,
             gain_by_model,
@@ -359,6 +372,9 @@ class GLMB:
         rows = [one.row for one in present]
         people = self.people
         mean, cov = gaussian.moments(people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0))
+        lasting = self.errors.variance(people.lean.take(rows, 0))
+        cov[:, 0, 0] += lasting
+        cov[:, 1, 1] += lasting
         detectable = people.detectable.take(rows, 0).tolist()
         return [
             Track(one.label, mean[k], cov[k], one.existence, dict(zip(self.column, detectable[k], strict=True)))
@@ -375,6 +391,7 @@ class GLMB:
                 node = people.node[one.row]
                 if node is not None:
                     node.detectable = people.detectable[one.row]
+                    node.lasting = float(self.errors.variance(people.lean[one.row]))
                     yield End(one.label, one.meant, node, mean[k], cov[k], min(one.existence / one.meant, 1.0))
         yield from self.retired.values()
 

@@ -10,6 +10,7 @@ from avcli.tracking import gaussian
 from avcli.tracking.association import MISSED, Group, Pair
 from avcli.tracking.births import TENTATIVE, Birth
 from avcli.tracking.densities import Densities
+from avcli.tracking.errors import leaning
 from avcli.tracking.hypotheses import ABSENT
 from avcli.tracking.scan import Scan
 
@@ -85,14 +86,19 @@ def updated(scan: Scan, people: Densities, needed: Needed) -> Densities:
     ]
     if pairs:
         js = [j for _, j in pairs]
+        rows = [row for row, _ in pairs]
+        noise, between = scan.noise.take(js, 0), scan.between.take(rows)
+        variance = (new.cov[old:, :, 0, 0] + new.cov[old:, :, 1, 1]) / 2
         new.mean[old:], new.cov[old:], new.mode[old:] = gaussian.update(
             new.mean[old:],
             new.cov[old:],
             new.mode[old:],
             scan.z.take(js, 0),
-            scan.noise.take(js, 0),
-            scan.sensor.mouth_offset,
-            scan.gain_by_model[[row for row, _ in pairs], :, js],
+            noise,
+            scan.ahead,
+            scan.gain_by_model[rows, :, js],
+            *between,
         )
+        new.lean[old:] = leaning(new.lean[old:], column, variance, new.mode[old:], noise, between)
         new.existence[old:], new.detectable[old:, column] = 1.0, 1.0
     return new

@@ -29,7 +29,7 @@ class Settings:
         birth: "poisson" (a track begins with the first unexplained detection) or "adaptive" (one record later).
         stay: s, mean time that a person stays in the room.
         doors: "walls" or "anywhere".
-        adapt: whether clutter and detection probability of each sensor are estimated.
+        adapt: whether clutter, detection probability and errors of each sensor are estimated.
         hidden: whether a person can be hidden from a sensor for a while.
         room_margin: m beyond the room's walls where detections are still used.
         rate: Hz of the output, None: from config.json, else from the records.
@@ -68,7 +68,9 @@ class Settings:
         choices=("walls", "anywhere"),
     )
     adapt: bool = setting(
-        True, "Estimate each sensor's clutter and detection probability from the data.", flag="--adapt/--no-adapt"
+        True,
+        "Estimate each sensor's clutter, detection probability and errors from the data.",
+        flag="--adapt/--no-adapt",
     )
     hidden: bool = setting(
         True,
@@ -112,10 +114,12 @@ class Sensor:
         clutter: false detections expected in one record.
         sigma: m along x and y, noise of detections that carry no covariance.
         floor: m, added (in squares) to the noise of those that do, for what their covariance does not know: body sway,
-            calibration, sound and light that do not quite behave as modelled.
+            calibration, sound and light that do not quite behave as modelled. As much again does not average away.
         hide, show: rates per second at which people become undetectable (occluded, silent) and detectable again;
             hide 0: people are always detectable.
+        memory: s, for which an error lasts that does not average away.
         mouth_offset: m, how far in front of the body's axis the point lies that it localizes (a mouth).
+        offset_sd, bias_sd: m, standard deviations of that, and of a bias along x and along y.
         score_nats: how much a low score speaks against a detection at most, in nats. More than one record can tell if
             false detections come again in the same place, as echoes do.
         coverage: where it detects people at all; None: everywhere alike.
@@ -129,7 +133,10 @@ class Sensor:
     floor: float = 0.05
     hide: float = 0.2
     show: float = 1.0
+    memory: float = 3.0
     mouth_offset: float = 0.0
+    offset_sd: float = 0.03
+    bias_sd: float = 0.02
     score_nats: float = 4.0
     coverage: Coverage | None = field(default=None, compare=False)
 
@@ -149,6 +156,9 @@ SENSORS = {
         floor=0.1,
         hide=1.0,
         mouth_offset=0.1,
+        offset_sd=0.05,
+        memory=10.0,
+        bias_sd=0.05,
         score_nats=6.0,
     ),
 }

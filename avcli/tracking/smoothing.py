@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from avcli.tracking.trackers import Smoothable
 
 FORGET_EVERY = 8  # steps
+POSITION = np.diag([1.0, 1.0, 0.0, 0.0])
 
 
 class Node:
@@ -34,6 +35,7 @@ class Node:
         time: s.
         prev: the node before, or None.
         mean, cov, existence, detectable: (4,), (4, 4), probability, (S,): filtered, written when the next step begins.
+        lasting: m² per axis, variance of the position by sensors' lasting errors, which `cov` leaves out.
         gain: (4, 4), of the regression of the state before on the state now.
         predicted, predicted_cov: (4,) and (4, 4), of the state now.
         survival: probability of surviving the step.
@@ -44,6 +46,7 @@ class Node:
         "detectable",
         "existence",
         "gain",
+        "lasting",
         "mean",
         "predicted",
         "predicted_cov",
@@ -56,6 +59,7 @@ class Node:
     cov: np.ndarray
     existence: float
     detectable: np.ndarray
+    lasting: float
     gain: np.ndarray
     predicted: np.ndarray
     predicted_cov: np.ndarray
@@ -76,7 +80,12 @@ class Node:
 
     @staticmethod
     def steps(
-        people: Densities, before: Sequence[np.ndarray], step: gaussian.Prediction, survival: np.ndarray, time: float
+        people: Densities,
+        before: Sequence[np.ndarray],
+        step: gaussian.Prediction,
+        survival: np.ndarray,
+        lasting: np.ndarray,
+        time: float,
     ) -> list[Node | None]:
         """Close the nodes of all densities and open those of the next time.
 
@@ -85,6 +94,7 @@ class Node:
             before: mean, cov and mode before.
             step: what `gaussian.predict` returned.
             survival: (n,) probabilities.
+            lasting: (n,) m² per axis, see `Node`, before.
             time: s, the next time.
 
         Returns:
@@ -103,7 +113,7 @@ class Node:
             if old is None:
                 raise ValueError("a density without a node cannot be smoothed")
             old.mean, old.cov, old.existence = mean[i], cov[i], min(float(people.existence[i]), 1.0)
-            old.detectable = people.detectable[i]
+            old.detectable, old.lasting = people.detectable[i], float(lasting[i])
             new = Node(time)
             new.prev, new.gain, new.predicted = old, gain[i], predicted[i]
             new.predicted_cov, new.survival = predicted_cov[i], survival[i]
@@ -198,7 +208,7 @@ class Delayed:
                 if now in wanted and end.meant * existence > 0.5:
                     detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
                     exists = min(end.meant * existence, 1.0)
-                    wanted[now].append(Track(end.label, mean, cov, exists, detectable))
+                    wanted[now].append(Track(end.label, mean, cov + node.lasting * POSITION, exists, detectable))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
 
 
