@@ -363,7 +363,7 @@ def test_options_of_a_sensor_reach_it():
     default = fuse(lines)
     assert fuse(lines, "--sigma", "video=0.15") == default
     wide = fuse(lines, "--sigma", "video=0.5,0.5,0")
-    assert wide[0]["objects"][0]["covariance"][0][0] == pytest.approx(0.25)
+    assert wide[0]["objects"][0]["covariance"][0][0] == pytest.approx(0.25, abs=0.01)  # and the lasting error
     assert fuse(lines, "--sigma", "video=0.3,0")[0]["objects"][0]["covariance"][1][1] > 3.0  # y is not observed
     assert not fuse(lines, "--detection", "video=0", "--no-learn")[-1]["objects"]
 

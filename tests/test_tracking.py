@@ -30,6 +30,7 @@ import fit_tracking
 import tracking_scenes as scenes
 
 SURE = Sensor("video", detection=0.9, clutter=0.01, sigma=(0.15, 0.15), hide=0.0)
+WHITE = dataclasses.replace(SURE, floor=0.0, bias_sd=0.0, offset_sd=0.0)  # noise alone, without bias and lasting error
 CV = Motion((Model(0.5),))
 
 
@@ -89,7 +90,7 @@ def test_one_track_and_one_sensor_are_the_textbook_filter():
 
 
 def test_after_many_frames_the_covariance_is_the_riccati_solution():
-    tracker = GLMB(Settings(learn=False), Population(motion=CV), [SURE])
+    tracker = GLMB(Settings(learn=False), Population(motion=CV), [WHITE])
     noise = 0.12**2 * np.eye(2)[None]
     for k in range(3000):
         tracker.update(k / 10, "video", np.array([[2.0, 2.0]]), noise)
@@ -392,7 +393,7 @@ def test_memory_does_not_grow_online():
 
 
 def test_smoothed_covariances_are_no_larger_and_the_newest_state_is_the_filtered_one():
-    tracker = GLMB(Settings(), Population(motion=CV), [SURE], record=True)
+    tracker = GLMB(Settings(), Population(motion=CV), [WHITE], record=True)
     follow(tracker, 1)
     (end,) = tracker.ends()
     history = list(backwards(end.node, end.mean, end.cov, 1.0))

@@ -41,6 +41,7 @@ def people(states, labels):
         mode=np.full((n, m), 1 / m),
         existence=np.ones(n),
         detectable=np.ones((n, 1)),
+        lean=np.ones((n, 1)),
         seen=np.zeros((n, 1)),
         place=np.zeros((n, 2)),
         hits=np.ones(n, int),

@@ -213,8 +213,19 @@ _EXPLAINED_PERSON = _written(
     probability=(PROBABILITY, "probability of that"),
     object_id=_EXPLAINED_ID,
 )
+_ERRORS = _written(
+    noise_factor=(Number(above=0), "the covariances of its detections are multiplied by this"),
+    floor_factor=(Number(above=0), "and so is the square of what is added to them"),
+    detections=(
+        Number(least=0),
+        "number of detections on which the factors rest; what is known beforehand counts, too",
+    ),
+    bias=(Numbers(3), "systematic error along x, along y, and forward in the direction of walking, m"),
+    bias_sd=(Numbers(3), "standard deviations of these, m"),
+    lasting_sd=(Number(least=0), "standard deviation of the error that does not average away, m"),
+)
 _EXPLAINED_DETECTION = _written(
-    position=(Numbers(2), "position, m"),
+    position=(Numbers(2), "position without the sensor's bias, m"),
     unclaimed=(PROBABILITY, "probability that no known person caused it"),
     person_if_unclaimed=(PROBABILITY, "probability of a new person if no known person caused it"),
     clutter_density=(Number(least=0), "density of false detections here, 1/m²"),
@@ -247,6 +258,7 @@ EXPLAIN = Format(
         people=(ListOf(_EXPLAINED_PERSON), "the known people"),
         clusters=(ListOf(_CLUSTER), "people whose detections are assigned together"),
         existence_before=(MapOf(PROBABILITY), "probabilities of existence before this record, by label"),
+        errors=(_ERRORS, "what is known of the errors of the sensor"),
         born=(ListOf(_BIRTH), "new tracks"),
         died=(ListOf(_DEATH), "tracks that ended"),
     ),

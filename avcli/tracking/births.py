@@ -200,21 +200,22 @@ def newcomers(
         detectable: (S,) probability that each sensor can detect one.
         stationary: (M,) long-run probabilities of the motion models.
     """
-    n, m, sensor = len(js), len(stationary), scan.sensor
+    n, m = len(js), len(stationary)
     mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
     mean[..., :2] = scan.z[js][:, None]
-    cov[..., :2, :2] = scan.noise[js][:, None] + sensor.mouth_offset**2 / 2 * np.eye(2)
+    cov[..., :2, :2] = scan.noise[js][:, None] + scan.ahead**2 / 2 * np.eye(2)
     cov[..., 2:, 2:] = population.speed**2 * np.eye(2)
     able = np.tile(detectable, (n, 1))
     able[:, scan.column] = 1.0
-    seen = np.full(able.shape, NEVER)
-    seen[:, scan.column] = time
+    seen, lean = np.full(able.shape, NEVER), np.zeros(able.shape)
+    seen[:, scan.column], lean[:, scan.column] = time, 1.0
     return Densities(
         mean=mean,
         cov=cov,
         mode=np.tile(stationary, (n, 1)),
         existence=np.ones(n),
         detectable=able,
+        lean=lean,
         seen=seen,
         place=scan.z[js],
         hits=np.ones(n, int),

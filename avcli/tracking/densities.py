@@ -24,6 +24,7 @@ class Densities:
         mode: (n, M) probabilities of the models.
         existence: (n,) probability of existence, or of a tentative person the expected number.
         detectable: (n, S) probability that each sensor can detect the person.
+        lean: (n, S) share of each sensor's lasting error that the position follows, see `errors`.
         seen: (n, S) s, when each sensor detected the person last, NEVER: never.
         place: (n, 2) m, where any sensor did so last.
         hits: (n,) how often.
@@ -38,6 +39,7 @@ class Densities:
     mode: np.ndarray
     existence: np.ndarray
     detectable: np.ndarray
+    lean: np.ndarray
     seen: np.ndarray
     place: np.ndarray
     hits: np.ndarray
@@ -59,6 +61,7 @@ class Densities:
             mode=np.zeros((0, models)),
             existence=np.zeros(0),
             detectable=np.zeros((0, 0)),
+            lean=np.zeros((0, 0)),
             seen=np.zeros((0, 0)),
             place=np.zeros((0, 2)),
             hits=np.zeros(0, int),
@@ -100,6 +103,7 @@ class Densities:
         self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
         self.existence[first] = share @ self.existence.take(rows)
         self.detectable[first] = share @ self.detectable.take(rows, 0)
+        self.lean[first] = share @ self.lean.take(rows, 0)
         if self.traits.size:
             self._merge_traits(rows, share)
 

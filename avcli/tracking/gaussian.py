@@ -12,6 +12,7 @@ from avcli.tracking.motion import Motion
 EYE2 = np.eye(2)
 COFACTOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 LOG_2_PI = 1.8378770664093453
+LEAST_SHARED = -0.5  # of a variance: a detection never pushes a position away
 
 
 class Prediction(NamedTuple):
@@ -84,7 +85,12 @@ def expected_detection(mean: np.ndarray, cov: np.ndarray, mouth_offset: float) -
 
 
 def loglikelihood(
-    mean: np.ndarray, cov: np.ndarray, z: np.ndarray, noise: np.ndarray, mouth_offset: float = 0.0
+    mean: np.ndarray,
+    cov: np.ndarray,
+    z: np.ndarray,
+    noise: np.ndarray,
+    mouth_offset: float = 0.0,
+    unshared: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the log likelihood of each detection under each model of each density.
 
@@ -94,6 +100,8 @@ def loglikelihood(
         z: (J, 2) m.
         noise: (J, 2, 2) m².
         mouth_offset: m, see `expected_detection`.
+        unshared: (n,) m², variance per axis of what the detections' errors have in common with each other and not
+            with the density.
 
     Returns:
         The log likelihoods (n, M, J), and the squared Mahalanobis distances (n, M, J).
@@ -102,6 +110,8 @@ def loglikelihood(
     if mouth_offset:
         position, unknown = expected_detection(mean, cov, mouth_offset)
         s11, s22 = s11 + unknown, s22 + unknown
+    if unshared is not None:
+        s11, s22 = s11 + unshared[:, None], s22 + unshared[:, None]
     dx, dy = z[:, 0] - position[..., 0, None], z[:, 1] - position[..., 1, None]
     s11, s12, s22 = s11[..., None] + noise[:, 0, 0], s12 + noise[:, 0, 1], s22[..., None] + noise[:, 1, 1]
     det = s11 * s22 - s12 * s12
@@ -117,6 +127,8 @@ def update(
     noise: np.ndarray,
     mouth_offset: float = 0.0,
     likelihood: np.ndarray | None = None,
+    unshared: np.ndarray | None = None,
+    shared: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Update density k by detection k: K = P Hᵀ S⁻¹, and P⁺ = (I - K H) P (I - K H)ᵀ + K R Kᵀ in each model.
 
@@ -130,6 +142,8 @@ def update(
         noise: (n, 2, 2) m².
         mouth_offset: m, see `expected_detection`.
         likelihood: (n, M) of the detections in each model, if that is known already.
+        unshared, shared: (n,) m² per axis, of errors that last: the variance that they add to the innovation, and
+            their covariance with it, see `errors.Between`.
 
     Returns:
         mean, cov and mode after the update.
@@ -140,9 +154,13 @@ def update(
         noise = noise + unknown[..., None, None] * EYE2
     d = (z[:, None] - position)[..., None]
     s = cov[..., :2, :2] + noise
+    if unshared is not None:
+        s = s + unshared[:, None, None, None] * EYE2
     det = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] * s[..., 1, 0]
     inverse = s[..., ::-1, ::-1] * COFACTOR / det[..., None, None]
     gain = cov[..., :, :2] @ inverse  # (n, M, 4, 2)
+    if shared is not None:
+        gain[..., :2, :] += np.maximum(shared[:, None], LEAST_SHARED * cov[..., 0, 0])[..., None, None] * inverse
     if mode.shape[1] > 1:
         if likelihood is None:
             log = -0.5 * ((d.swapaxes(-1, -2) @ inverse @ d)[..., 0, 0] + np.log(det))

@@ -29,6 +29,7 @@ from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import BORN, TENTATIVE, Birth, Undetected, births, first_detections, newcomers
 from avcli.tracking.births import other_detections as others
 from avcli.tracking.densities import NEVER, Densities
+from avcli.tracking.errors import Errors
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.learning import SURE_HITS, Habits
@@ -111,6 +112,7 @@ class GLMB:
         self.known: dict[str, Any] = {}  # sensor name -> what another run has learnt
         self.detectable, self.turnover = np.zeros(0), np.zeros(0)  # of each sensor: see `rates.Hiding`
         self.last_record: list[float] = []  # s
+        self.errors = Errors(settings.learn)
         self.next_label = 0
         self.retired: dict[int, End] = {}
         self.journal: list[dict[str, Any]] | None = [] if explain else None
@@ -125,9 +127,11 @@ class GLMB:
         self.column[sensor.name] = len(self.sensors)
         self.sensors.append(sensor)
         self.rates.append(Rates(sensor))
+        self.errors.add(sensor)
         if sensor.name in self.known:
             self.rates[-1].restore(self.known[sensor.name])
         people = self.people
+        people.lean = np.column_stack([people.lean, np.zeros(len(people))])
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
         self.undetected.add(sensor)
@@ -170,8 +174,10 @@ class GLMB:
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
             if population.walls:
                 prediction.meet_walls(people, before[0], population, dt)
+            lasting = self.errors.variance(people.lean)
+            self.errors.predict(people, dt)
             if self.record:
-                people.node = Node.steps(people, before, step, survival, time)
+                people.node = Node.steps(people, before, step, survival, lasting, time)
             people.existence = people.existence * survival
         if self.sensors:
             mix = np.exp(-dt * self.turnover)
@@ -202,6 +208,7 @@ class GLMB:
         birth = (from_tentative.sum(0) + from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
+        self.errors.learn(self._now(), scan, groups, self.people)
         room, twice = others(
             scan, unclaimed, [b / whole for b, whole in zip(birth, background, strict=True)], self.population.body
         )
@@ -220,7 +227,8 @@ class GLMB:
         self.born, self.died = [], []
         if self.journal is not None:
             before = {str(one.label): one.existence for one in self.labelled()}
-            account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before)
+            errors = self.errors.described(scan.column)
+            account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
             self.journal.append({**account, "born": self.born, "died": self.died})
         self._rebuild(scan, groups, revealed)
         if self.gallery.fresh and scan.evidence:
@@ -239,7 +247,9 @@ class GLMB:
         z, noise, score, order = distinct(z, noise, score)
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
-        gain, gain_by_model = likelihoods(people, z, noise, sensor.mouth_offset)
+        z, noise, floor = self.errors.corrected(column, z, noise)
+        ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
+        gain, gain_by_model = likelihoods(people, z, noise, ahead, between.unshared)
         evidence = None
         if features:
             features = {kind: one.take(order) for kind, one in features.items()}
@@ -265,6 +275,9 @@ class GLMB:
             column,
             z,
             noise,
+            floor,
+            ahead,
+            between,
             odds,
             gain,
             gain_by_model,
@@ -496,6 +509,9 @@ class GLMB:
         densities = people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0)
         mean, cov = gaussian.moments(*densities)
         near = gaussian.within(*densities, mean[:, :2], np.maximum(NEAR, BLUR * people.reach.take(rows))).tolist()
+        lasting = self.errors.variance(people.lean.take(rows, 0))
+        cov[:, 0, 0] += lasting
+        cov[:, 1, 1] += lasting
         detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
         tracks = []
         for k, (label, _, existence) in enumerate(present):
@@ -515,6 +531,7 @@ class GLMB:
                 if node is not None:
                     node.detectable = people.detectable[one.row]
                     node.seen, node.reach = float(people.seen[one.row].max()), float(people.reach[one.row])
+                    node.lasting = float(self.errors.variance(people.lean[one.row]))
                     yield End(one.label, one.meant, node, mean[k], cov[k], min(one.existence / one.meant, 1.0))
         yield from self.retired.values()
 

@@ -22,6 +22,7 @@ def account(
     existence: Sequence[float],
     birth: Sequence[float],
     before: dict[str, float],
+    errors: dict[str, Any],
 ) -> dict[str, Any]:
     """Describe one record before births and deaths are known; explain.schema.json has the keys.
 
@@ -34,6 +35,7 @@ def account(
         existence: J probabilities that it is a person in that case.
         birth: J densities per m² of detections of new people.
         before: label -> existence before the record.
+        errors: what is known of the errors of its sensor, see `errors.Errors.described`.
     """
     people, clusters = {}, []
     for group in groups:
@@ -62,6 +64,7 @@ def account(
         "people": [people[label] for label in sorted(people)],
         "clusters": clusters,
         "existence_before": before,
+        "errors": errors,
     }
 
 

@@ -10,6 +10,7 @@ from avcli.tracking import gaussian
 from avcli.tracking.association import MISSED, Group, Pair
 from avcli.tracking.births import TENTATIVE, Birth, uncertainty
 from avcli.tracking.densities import Densities
+from avcli.tracking.errors import leaning
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT
 from avcli.tracking.scan import Scan
@@ -86,19 +87,24 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
     ]
     if pairs:
         js = [j for _, j in pairs]
+        rows = [row for row, _ in pairs]
+        noise, between = scan.noise.take(js, 0), scan.between.take(rows)
+        variance = (new.cov[old:, :, 0, 0] + new.cov[old:, :, 1, 1]) / 2
         new.mean[old:], new.cov[old:], new.mode[old:] = gaussian.update(
             new.mean[old:],
             new.cov[old:],
             new.mode[old:],
             scan.z.take(js, 0),
-            scan.noise.take(js, 0),
-            scan.sensor.mouth_offset,
-            scan.gain_by_model[[row for row, _ in pairs], :, js],
+            noise,
+            scan.ahead,
+            scan.gain_by_model[rows, :, js],
+            *between,
         )
+        new.lean[old:] = leaning(new.lean[old:], column, variance, new.mode[old:], noise, between)
         new.existence[old:], new.detectable[old:, column], new.seen[old:, column] = 1.0, 1.0, time
         centre, spread = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])
         new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)
         new.hits[old:] += 1
         if scan.evidence:
-            new.traits[old:] = features.update(new.traits[old:], scan.evidence, [row for row, _ in pairs], js)
+            new.traits[old:] = features.update(new.traits[old:], scan.evidence, rows, js)
     return new

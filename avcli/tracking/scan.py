@@ -10,6 +10,7 @@ import numpy as np
 
 from avcli.tracking import gaussian
 from avcli.tracking.densities import Densities
+from avcli.tracking.errors import Between
 from avcli.tracking.features import Evidence
 from avcli.tracking.settings import Sensor
 
@@ -26,7 +27,10 @@ class Scan:
         sensor: which sensor.
         column: the number of the sensor.
         z: (J, 2) m, in order of x.
-        noise: (J, 2, 2) m².
+        noise: (J, 2, 2) m², of the errors that differ from record to record.
+        floor: (J,) m² per axis, the part of it that comes from the sensor's floor.
+        ahead: m, how far in front of the body's axis the sensor localizes people.
+        between: what its lasting errors have to do with those of the densities.
         odds: J log odds of the scores, NaN: unknown.
         gain: (n, J) likelihood of each detection under each density, per m²; 0 outside the gate.
         gain_by_model: (n, M, J) the same under each model of each density.
@@ -43,6 +47,9 @@ class Scan:
     column: int
     z: np.ndarray
     noise: np.ndarray
+    floor: np.ndarray
+    ahead: float
+    between: Between
     odds: list[float]
     gain: np.ndarray
     gain_by_model: np.ndarray
@@ -56,7 +63,7 @@ class Scan:
 
 
 def likelihoods(
-    people: Densities, z: np.ndarray, noise: np.ndarray, mouth_offset: float
+    people: Densities, z: np.ndarray, noise: np.ndarray, ahead: float, unshared: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the likelihood of each detection under each density, 0 outside the gate: (n, J), and (n, M, J) by model.
 
@@ -64,9 +71,10 @@ def likelihoods(
         people: n densities.
         z: (J, 2) m.
         noise: (J, 2, 2) m².
-        mouth_offset: m, see `gaussian.expected_detection`.
+        ahead: m, the mouth offset of `gaussian.expected_detection`.
+        unshared: (n,) m², see `gaussian.loglikelihood`.
     """
-    log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, mouth_offset)
+    log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, ahead, unshared)
     gain = np.where(distance < GATE, np.exp(log), 0.0)
     return (people.mode[:, None] @ gain)[:, 0], gain
 

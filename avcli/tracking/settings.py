@@ -118,10 +118,12 @@ class Sensor:
         clutter: false detections expected in one record.
         sigma: m along x and y, noise of detections that carry no covariance.
         floor: m, added (in squares) to the noise of those that do, for what their covariance does not know: body sway,
-            calibration, sound and light that do not quite behave as modelled.
+            calibration, sound and light that do not quite behave as modelled. As much again does not average away.
         hide, show: rates per second at which people become undetectable (occluded, silent) and detectable again;
             hide 0: people are always detectable.
+        memory: s, for which an error lasts that does not average away.
         mouth_offset: m, how far in front of the body's axis the point lies that it localizes (a mouth).
+        offset_sd, bias_sd: m, standard deviations of that, and of a bias along x and along y.
         score_nats: how much a low score speaks against a detection at most, in nats. More than one record can tell if
             false detections come again in the same place, as echoes do.
         coverage: where it detects people at all; None: everywhere alike.
@@ -135,7 +137,10 @@ class Sensor:
     floor: float = 0.05
     hide: float = 0.2
     show: float = 1.0
+    memory: float = 3.0
     mouth_offset: float = 0.0
+    offset_sd: float = 0.03
+    bias_sd: float = 0.02
     score_nats: float = 4.0
     coverage: Coverage | None = field(default=None, compare=False)
 
@@ -155,6 +160,9 @@ SENSORS = {
         floor=0.1,
         hide=1.0,
         mouth_offset=0.1,
+        offset_sd=0.05,
+        memory=10.0,
+        bias_sd=0.05,
         score_nats=6.0,
     ),
 }

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from avcli.tracking.trackers import Smoothable
 
 FORGET_EVERY = 8  # steps
+POSITION = np.diag([1.0, 1.0, 0.0, 0.0])
 
 
 class Node:
@@ -35,6 +36,7 @@ class Node:
         prev: the node before, or None.
         mean, cov, existence, detectable, seen, reach: (4,), (4, 4), probability, (S,), s and m (the last two of the
             last detection, see `Densities`): filtered, written when the next step begins.
+        lasting: m² per axis, variance of the position by sensors' lasting errors, which `cov` leaves out.
         gain: (4, 4), of the regression of the state before on the state now.
         predicted, predicted_cov: (4,) and (4, 4), of the state now.
         survival: probability of surviving the step.
@@ -45,6 +47,7 @@ class Node:
         "detectable",
         "existence",
         "gain",
+        "lasting",
         "mean",
         "predicted",
         "predicted_cov",
@@ -61,6 +64,7 @@ class Node:
     detectable: np.ndarray
     seen: float
     reach: float
+    lasting: float
     gain: np.ndarray
     predicted: np.ndarray
     predicted_cov: np.ndarray
@@ -81,7 +85,12 @@ class Node:
 
     @staticmethod
     def steps(
-        people: Densities, before: Sequence[np.ndarray], step: gaussian.Prediction, survival: np.ndarray, time: float
+        people: Densities,
+        before: Sequence[np.ndarray],
+        step: gaussian.Prediction,
+        survival: np.ndarray,
+        lasting: np.ndarray,
+        time: float,
     ) -> list[Node | None]:
         """Close the nodes of all densities and open those of the next time.
 
@@ -90,6 +99,7 @@ class Node:
             before: mean, cov and mode before.
             step: what `gaussian.predict` returned.
             survival: (n,) probabilities.
+            lasting: (n,) m² per axis, see `Node`, before.
             time: s, the next time.
 
         Returns:
@@ -109,7 +119,8 @@ class Node:
             if old is None:
                 raise ValueError("a density without a node cannot be smoothed")
             old.mean, old.cov, old.existence = mean[i], cov[i], min(float(people.existence[i]), 1.0)
-            old.detectable, old.seen, old.reach = people.detectable[i], last[i], reach[i]
+            old.detectable, old.lasting = people.detectable[i], float(lasting[i])
+            old.seen, old.reach = last[i], reach[i]
             new = Node(time)
             new.prev, new.gain, new.predicted = old, gain[i], predicted[i]
             new.predicted_cov, new.survival = predicted_cov[i], survival[i]
@@ -207,7 +218,8 @@ class Delayed:
                         there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / max(cov[0, 0] + cov[1, 1], 1e-9))
                     if there > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
-                        wanted[now].append(Track(end.label, mean, cov, there, detectable, node.seen))
+                        spread = cov + node.lasting * POSITION
+                        wanted[now].append(Track(end.label, mean, spread, there, detectable, node.seen))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
 
 

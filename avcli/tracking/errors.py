@@ -1,0 +1,351 @@
+"""What the errors of each sensor are like, learnt from the detections: the scale of its noise, and its bias.
+
+A detection lies at the person's place, plus the sensor's bias, plus an error that lasts, plus noise that differs from
+record to record. The bias is constant: along x, along y, and forward in the direction of walking. The lasting error
+(the room's echoes, the body's sway) is a Gauss-Markov process of each person. Its variance and that of the bias are
+together the square of `Sensor.floor` before anything is learnt. The noise has the stated covariance times a factor, and
+as much as the floor times another one.
+
+What lasts must not average away, and cannot be told from the person's place. So the filter considers it without
+estimating it: it keeps by what share each position follows the lasting error of each sensor (`Densities.lean`). A
+sensor alone keeps its full weight. Of several, each has the weight that its whole error deserves.
+
+Only differences between sensors can be observed. A bias that all have in common stays unknown, and the sensor whose
+bias is known best beforehand keeps it best.
+
+Source:
+    S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in Control Systems 3, 1966
+    (considered errors);
+    S. Särkkä and A. Nummenmaa, "Recursive noise adaptive Kalman filtering by variational Bayesian approximations", IEEE
+    TAC 54(3), 2009 (the scale of noise).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from avcli.tracking import gaussian
+from avcli.tracking.densities import Densities
+from avcli.tracking.settings import Sensor
+
+if TYPE_CHECKING:
+    from avcli.tracking.association import Group
+    from avcli.tracking.scan import Scan
+
+LEAST, MOST = 0.01, 100.0  # bounds of the factors on variances of noise
+WIDE = 1.0  # m², variance of a coordinate that was hardly observed: it says nothing of the noise
+SURE = 0.9  # existence of a person, and probability of an association, from which is learnt
+DRIFT = 1800.0  # s, after which what was learnt of a bias counts 1/e
+SETTLE = 0.5  # s between two estimates of the biases
+
+# Chosen on S1 to S4 (seeds from 100, synthetic and own detections) and on the walks hotel and zara01.
+BELIEVED = 20.0  # detections that the stated noise is worth
+SOON, LATER, ENOUGH = 4, 32, 60.0  # detections that are learnt from at once, until so many were, and then
+KEEP = 0.998  # weight of what was learnt of the noise before, for each detection
+
+State = Mapping[str, Mapping[str, Any]]
+"""Sensor -> what `Errors.described` returns; "lasting_sd" follows from the others."""
+
+
+class Between(NamedTuple):
+    """What lasting errors add where n densities meet detections of one sensor.
+
+    Attributes:
+        unshared: (n,) m² per axis, to the variance of an innovation.
+        shared: (n,) m² per axis, to the covariance of a position's error with its innovation.
+    """
+
+    unshared: np.ndarray
+    shared: np.ndarray
+
+    def take(self, rows: Sequence[int]) -> Between:
+        """Return those of some densities."""
+        return Between(self.unshared.take(rows), self.shared.take(rows))
+
+
+class Pairs(NamedTuple):
+    """K detections of one sensor, and the people who surely caused them as they were predicted.
+
+    Attributes:
+        weight: (K,) probabilities that they did.
+        again: (K,) records in which a lasting error is about the same.
+        z: (K, 2) m, without the bias.
+        noise: (K, 2, 2) m², as corrected.
+        floor: (K,) m² per axis of it, from the sensor's floor.
+        mean, cov, mode: (K, M, 4), (K, M, 4, 4), (K, M), see `Densities`.
+        lean: (K, S), see `Densities`.
+        unshared: (K,) m² per axis, see `Between`.
+    """
+
+    weight: np.ndarray
+    again: np.ndarray
+    z: np.ndarray
+    noise: np.ndarray
+    floor: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+    mode: np.ndarray
+    lean: np.ndarray
+    unshared: np.ndarray
+
+
+class Errors:
+    """What is known of the errors of each sensor, in order of the tracker's columns.
+
+    Attributes:
+        factor: (S, 2) on the stated noise, and on the floor as noise.
+        worth: (S,) detections on which the factors rest.
+        bias: (S, 3) m along x, along y, and forward.
+        bias_sd: (S, 3) m.
+        lasting: (S,) m² per axis, variance of what a sensor's detections of one person have in common.
+    """
+
+    def __init__(self, learn: bool = True) -> None:
+        """Begin without sensors; learn: whether to learn, or to keep what is known beforehand."""
+        self.learns = learn
+        self.known: State = {}
+        self.sensors: list[Sensor] = []
+        self.factor, self.worth = np.ones((0, 2)), np.zeros(0)
+        self.prior, self.prior_sd = np.zeros(0), np.zeros(0)  # of all biases, (3 S,)
+        self.information, self.evidence = np.zeros((0, 0)), np.zeros(0)  # of all biases, from detections
+        self.memory, self.rest = np.zeros(0), np.zeros(0)  # s and m² of the lasting errors without the biases
+        self.last: list[float] = []  # s, of each sensor's last record
+        self.waiting: list[list[Pairs]] = []  # of each sensor: what it has not learnt from yet
+        self.learnt = self.settled = -math.inf  # s
+        self._settle()
+
+    def add(self, sensor: Sensor) -> None:
+        """Let another sensor report from now on."""
+        known = self.known.get(sensor.name, {})
+        self.sensors.append(sensor)
+        self.last.append(-math.inf)
+        self.waiting.append([])
+        factors = np.array([known.get("noise_factor", 1.0), known.get("floor_factor", 1.0)])
+        self.factor = np.vstack([self.factor, factors.clip(LEAST, MOST)])
+        self.worth = np.append(self.worth, min(known.get("detections", BELIEVED), 1 / (1 - KEEP)))
+        usual = [sensor.bias_sd, sensor.bias_sd, sensor.offset_sd]
+        self.prior = np.append(self.prior, known.get("bias", [0.0, 0.0, sensor.mouth_offset]))
+        self.prior_sd = np.append(self.prior_sd, np.clip(known.get("bias_sd", usual), 1e-6, None))
+        self.information, self.evidence = np.pad(self.information, (0, 3)), np.append(self.evidence, np.zeros(3))
+        self.memory = np.append(self.memory, sensor.memory)
+        self.rest = np.append(self.rest, max(sensor.floor**2 - np.square(usual).sum() / 2, 0.0))
+        self._settle()
+
+    def state(self) -> dict[str, dict[str, Any]]:
+        """Return what is known of each sensor by its name, for `restore`."""
+        return {sensor.name: self.described(k) for k, sensor in enumerate(self.sensors)}
+
+    def described(self, column: int) -> dict[str, Any]:
+        """Return what is known of one sensor's errors, as plain numbers; lengths in m."""
+        return {
+            "noise_factor": float(self.factor[column, 0]),
+            "floor_factor": float(self.factor[column, 1]),
+            "detections": float(self.worth[column]),
+            "bias": self.bias[column].tolist(),
+            "bias_sd": self.bias_sd[column].tolist(),
+            "lasting_sd": math.sqrt(self.lasting[column]),
+        }
+
+    def restore(self, state: State) -> None:
+        """Begin with what `state` returned once; the sensors are added later.
+
+        Raises:
+            ValueError: there are sensors already, or a number is not finite.
+        """
+        if self.sensors:
+            raise ValueError("errors of sensors can be restored only before the first record")
+        for name, one in state.items():
+            if not np.isfinite(np.hstack(list(one.values()))).all():
+                raise ValueError(f"what was learnt of the errors of sensor {name!r} holds a number that is not finite")
+        self.known = state
+
+    # --- what the filter asks -----------------------------------------------------------------------------------------
+
+    def corrected(self, column: int, z: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Correct detections of one sensor by what is known of its errors.
+
+        Args:
+            column: number of the sensor.
+            z: (J, 2) m.
+            noise: (J, 2, 2) m², as stated, with the square of the sensor's floor in it.
+
+        Returns:
+            Positions (J, 2) m without the bias, covariances (J, 2, 2) m² of the noise, and (J,) m² per axis of these
+            that come from the floor.
+        """
+        if not len(z):
+            return z, noise, np.zeros(0)
+        on_told, on_floor = self.factor[column].tolist()
+        xx, xy, yy = noise[:, 0, 0], noise[:, 0, 1], noise[:, 1, 1]
+        half = np.hypot((xx - yy) / 2, xy)
+        most = (xx + yy) / 2 + half
+        least = np.maximum(most - 2 * half, 0.0)
+        floor = np.minimum(least, self.sensors[column].floor ** 2)
+        scaled = on_told * (noise - floor[:, None, None] * gaussian.EYE2)
+        if on_told < 1 and (most > WIDE).any():  # what was hardly observed does not become exact
+            along = (noise - least[:, None, None] * gaussian.EYE2) / np.maximum(2 * half, 1e-12)[:, None, None]
+            scaled += np.where(most > WIDE, (1 - on_told) * (most - floor), 0.0)[:, None, None] * along
+        floor = on_floor * floor
+        return z - self.bias[column, :2], scaled + floor[:, None, None] * gaussian.EYE2, floor
+
+    def ahead(self, column: int) -> float:
+        """Return how far in front of the body's axis a sensor localizes people, m."""
+        return float(self.bias[column, 2])
+
+    def predict(self, people: Densities, dt: float) -> None:
+        """Let lasting errors change for dt s: as far as they do, what they were is noise of the positions."""
+        keep = np.exp(-dt / self.memory)
+        gone = self.variance(people.lean * np.sqrt(1 - keep * keep))[:, None]
+        people.cov[..., 0, 0] += gone
+        people.cov[..., 1, 1] += gone
+        people.lean = people.lean * keep
+
+    def variance(self, lean: np.ndarray) -> np.ndarray:
+        """Return the variance (n,) m² per axis of positions by lasting errors that they follow by shares (n, S)."""
+        return (lean * lean) @ self.lasting
+
+    def between(self, lean: np.ndarray, column: int) -> Between:
+        """Compute what lasting errors add where densities with shares lean (n, S) meet one sensor's detections."""
+        spread = self.variance(lean)
+        own = self.lasting[column] * lean[:, column]
+        return Between(spread + (self.lasting[column] - 2 * own), spread - own)
+
+    # --- learning -----------------------------------------------------------------------------------------------------
+
+    def learn(self, time: float, scan: Scan, groups: Iterable[Group], people: Densities) -> None:
+        """Learn from the detections of one record whose people are sure.
+
+        Args:
+            time: s.
+            scan: the record.
+            groups: the joint hypotheses after it.
+            people: the densities before it.
+        """
+        column = scan.column
+        dt, self.last[column] = time - self.last[column], time
+        if not self.learns:
+            return
+        weight, rows, js = _certain(groups, scan)
+        if rows:
+            again = 1 + 2 * float(self.memory[column]) / max(dt, 1e-3)
+            pairs = Pairs(
+                np.array(weight),
+                np.full(len(rows), again),
+                scan.z.take(js, 0),
+                scan.noise.take(js, 0),
+                scan.floor.take(js),
+                people.mean.take(rows, 0),
+                people.cov.take(rows, 0),
+                people.mode.take(rows, 0),
+                people.lean.take(rows, 0),
+                scan.between.unshared.take(rows),
+            )
+            self.waiting[column].append(pairs)
+        waiting = self.waiting[column]
+        if sum(len(one.weight) for one in waiting) >= (SOON if self.worth[column] < ENOUGH else LATER):
+            self.waiting[column] = []
+            self._learn(time, column, Pairs(*map(np.concatenate, zip(*waiting, strict=True))))
+
+    def _learn(self, time: float, column: int, pairs: Pairs) -> None:
+        """Learn from detections of one sensor since it learnt the last time."""
+        mean, cov = gaussian.moments(pairs.mean, pairs.cov, pairs.mode)
+        speed = np.sqrt(np.square(mean[:, 2:]).sum(1) + cov[:, 2, 2] + cov[:, 3, 3] + 1e-12)
+        heading = mean[:, 2:] / speed[:, None]  # as far as it is known, at most 1 long
+        innovation = pairs.z - mean[:, :2] - self.bias[column, 2] * heading
+        s = cov[:, :2, :2] + pairs.noise + pairs.unshared[:, None, None] * gaussian.EYE2
+        self._learn_noise(column, pairs, innovation, s)
+        if len(self.sensors) > 1:
+            self._learn_bias(time, column, pairs, innovation, heading, (s[:, 0, 0] + s[:, 1, 1]) / 2)
+
+    def _learn_noise(self, column: int, pairs: Pairs, innovation: np.ndarray, s: np.ndarray) -> None:
+        """Learn the factors of the noise: inverse-gamma posteriors of both, given the expected squares of their noise.
+
+        innovation: (K, 2) m; s: (K, 2, 2) m², its covariance.
+        """
+        det = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 1, 0]
+        inverse = s[:, ::-1, ::-1] * gaussian.COFACTOR / det[:, None, None]
+        excess = inverse @ (innovation[:, :, None] * innovation[:, None] - s) @ inverse  # 0 in the mean if all is right
+        told = 2 + (excess * (pairs.noise - pairs.floor[:, None, None] * gaussian.EYE2)).sum((1, 2))
+        floor = 2 + pairs.floor * (excess[:, 0, 0] + excess[:, 1, 1])
+        new = float(pairs.weight.sum())
+        before = float(self.worth[column]) * KEEP**new
+        squares = np.array([pairs.weight @ told, pairs.weight @ floor]) / 2
+        factor = self.factor[column] * (before + squares) / (before + new)
+        self.factor[column], self.worth[column] = factor.clip(LEAST, MOST), before + new
+
+    def _learn_bias(
+        self,
+        time: float,
+        column: int,
+        pairs: Pairs,
+        innovation: np.ndarray,
+        heading: np.ndarray,
+        variance: np.ndarray,
+    ) -> None:
+        """Learn how the sensor's bias differs from those of the sensors that the positions follow.
+
+        innovation: (K, 2) m; heading: (K, 2) direction of walking; variance: (K,) m² per axis, of the innovation.
+        """
+        lean = -pairs.lean / np.maximum(pairs.lean.sum(1), 1e-9)[:, None]
+        lean[:, column] += 1  # by what share of each bias an innovation is off
+        parts = np.zeros((len(lean), 2, len(self.sensors), 3))
+        parts[:, 0, :, 0] = parts[:, 1, :, 1] = lean
+        parts[..., 2] = lean[:, None] * heading[:, :, None]
+        of = parts.reshape(2 * len(lean), -1)
+        weight = np.repeat(pairs.weight / (variance + pairs.unshared * pairs.again), 2)[:, None] * of
+        unbiased = innovation.ravel() + of @ (self.bias.ravel() - self.prior)  # by the prior's bias
+        keep = math.exp((self.learnt - time) / DRIFT)
+        self.information = self.information * keep + weight.T @ of
+        self.evidence = self.evidence * keep + weight.T @ unbiased
+        self.learnt = time
+        if time - self.settled >= SETTLE:
+            self.settled = time
+            self._settle()
+
+    def _settle(self) -> None:
+        """Estimate the biases from prior and detections, a Bayesian linear regression, and what is left to consider."""
+        cov = np.linalg.inv(self.information + np.diag(self.prior_sd**-2))
+        self.bias = (self.prior + cov @ self.evidence).reshape(-1, 3)
+        variance = cov.diagonal().reshape(-1, 3)
+        self.bias_sd = np.sqrt(variance)
+        self.lasting = self.rest + variance.sum(1) / 2
+
+
+def _certain(groups: Iterable[Group], scan: Scan) -> tuple[list[float], list[int], list[int]]:
+    """Return the detections whose people are sure: probabilities, rows and detections."""
+    weight, rows, js = [], [], []
+    for group in groups:
+        for at, (row, j) in enumerate(group.hypotheses[0].pairs):
+            if row < 0 or j < 0 or scan.existence[row] < SURE or scan.noise[j, 0, 0] + scan.noise[j, 1, 1] > WIDE:
+                continue
+            share = math.fsum([math.exp(one.weight) for one in group.hypotheses if one.pairs[at] == (row, j)])
+            if share > SURE:
+                weight.append(min(share, 1.0))
+                rows.append(row)
+                js.append(j)
+    return weight, rows, js
+
+
+def leaning(
+    lean: np.ndarray, column: int, variance: np.ndarray, mode: np.ndarray, noise: np.ndarray, between: Between
+) -> np.ndarray:
+    """Return by what shares (n, S) positions follow lasting errors after density k was updated by detection k.
+
+    Args:
+        lean: (n, S) before.
+        column: number of the sensor.
+        variance: (n, M) m² per axis, of the position in each model before.
+        mode: (n, M) probabilities of the models after.
+        noise: (n, 2, 2) m².
+        between: of the n densities and the sensor.
+    """
+    shared = np.maximum(between.shared[:, None], gaussian.LEAST_SHARED * variance)
+    added = (noise[:, 0, 0] + noise[:, 1, 1]) / 2 + between.unshared
+    pull = (mode * (variance + shared) / (variance + added[:, None])).sum(1)
+    lean = lean * (1 - pull)[:, None]
+    lean[:, column] += pull
+    return lean

@@ -1,0 +1,161 @@
+"""What is learnt of sensors' errors: the scale of their noise, their bias, and what lasts."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.tracking.errors import LEAST, MOST, Errors, leaning
+from avcli.tracking.glmb import GLMB
+from avcli.tracking.model import Population
+from avcli.tracking.motion import Model, Motion
+from avcli.tracking.settings import Sensor, Settings
+
+EYE, ARM = Sensor("eye"), Sensor("arm")
+STILL = Population(motion=Motion((Model(0.01),)))
+ALWAYS = {"detection": 0.99, "clutter": 0.001, "hide": 0.0}
+
+
+def person(seed, seconds, **sensors):
+    """Track somebody who stands at (2, 2); sensors: name -> (Sensor, told sigma, sigma, bias (2,))."""
+    rng = np.random.default_rng(seed)
+    tracker = GLMB(Settings(), STILL, [dataclasses.replace(one[0], name=name) for name, one in sensors.items()])
+    for k in range(round(10 * seconds)):
+        for name, (sensor, told, sigma, bias) in sensors.items():
+            z = np.array([[2.0, 2.0]]) + bias + sigma * rng.standard_normal((1, 2))
+            tracker.update(k / 10, name, z, (told**2 + sensor.floor**2) * np.eye(2)[None])
+    return tracker
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])
+def test_the_scale_of_the_noise_is_learnt(scale):
+    exact = Sensor("", floor=0.0, bias_sd=0.0, offset_sd=0.0, **ALWAYS)
+    tracker = person(1, 60.0, eye=(exact, 0.1, 0.1 * scale, np.zeros(2)))
+    assert tracker.errors.factor[0, 0] == pytest.approx(scale**2, rel=0.3)
+    assert len(tracker.tracks(60.0)) == 1
+
+
+def test_without_adapting_nothing_is_learnt():
+    tracker = GLMB(Settings(learn=False), STILL, [EYE, ARM])
+    before = tracker.errors.state()
+    for k in range(100):
+        tracker.update(k / 10, "eye", np.array([[2.0, 2.0]]), 0.01 * np.eye(2)[None])
+        tracker.update(k / 10, "arm", np.array([[2.1, 2.0]]), 0.01 * np.eye(2)[None])
+    assert tracker.errors.state() == before
+
+
+def test_a_covariance_that_says_a_quarter_of_the_error_keeps_one_track():
+    sensor = dataclasses.replace(EYE, **ALWAYS)
+    tracker = person(2, 20.0, eye=(sensor, 0.05, 0.2, np.zeros(2)))
+    (track,) = tracker.tracks(20.0)
+    assert tracker.next_label <= 2, "a second track at most while the noise was not known"
+    off = track.state[:2] - 2.0
+    assert off @ np.linalg.solve(track.cov[:2, :2], off) < 14
+
+
+def test_the_bias_between_two_sensors_is_learnt_and_goes_to_the_vaguer_one():
+    exact, vague = dataclasses.replace(EYE, **ALWAYS), dataclasses.replace(EYE, **ALWAYS, bias_sd=0.1)
+    shift = np.array([0.15, -0.1])
+    tracker = person(3, 60.0, eye=(exact, 0.05, 0.05, np.zeros(2)), arm=(vague, 0.05, 0.05, shift))
+    bias, sd = tracker.errors.bias[:, :2], tracker.errors.bias_sd[:, :2]
+    np.testing.assert_allclose(bias[1] - bias[0], shift, atol=0.05)
+    assert (abs(bias[1]) > 5 * abs(bias[0])).all()
+    assert (sd[0] > 0.7 * exact.bias_sd).all(), "a bias that both have cannot be known"
+    assert (tracker.errors.lasting < np.square([exact.floor, 0.1])).all()
+
+
+def test_one_sensor_alone_says_nothing_of_its_bias():
+    tracker = person(4, 20.0, eye=(dataclasses.replace(EYE, **ALWAYS), 0.1, 0.1, np.array([0.3, 0.0])))
+    assert not tracker.errors.bias.any()
+    assert tracker.tracks(20.0)[0].cov[0, 0] > 0.9 * EYE.floor**2, "what lasts does not average away"
+
+
+def test_lasting_errors_are_weighted_by_their_variance_in_the_long_run():
+    """Two sensors with constant errors of 0.05 and 0.1 m: weights 0.8 and 0.2, however many detections."""
+    constant = {**ALWAYS, "memory": 1e9, "bias_sd": 0.0, "offset_sd": 0.0}
+    eye, ear = Sensor("", floor=0.05, **constant), Sensor("", floor=0.1, **constant)
+    tracker = GLMB(Settings(learn=False), STILL, [dataclasses.replace(eye, name="eye")])
+    tracker.add(dataclasses.replace(ear, name="ear"))
+    for k in range(200):
+        for name, x in (("eye", 2.0), ("ear", 2.1)):
+            tracker.update(k / 10, name, np.array([[x, 2.0]]), 0.05**2 * np.eye(2)[None])
+    (track,) = tracker.tracks(20.0)
+    assert track.state[0] == pytest.approx(2.02, abs=0.004)
+    assert track.cov[0, 0] == pytest.approx(0.8 * 0.05**2, rel=0.3)
+
+
+def test_fusion_with_errors_that_last_is_better_than_each_sensor():
+    rng, squares = np.random.default_rng(5), {"eye": [], "ear": [], "both": []}
+    kinds = {"eye": Sensor("eye", floor=0.05, **ALWAYS), "ear": Sensor("ear", floor=0.1, **ALWAYS)}
+    for _ in range(15):
+        off = {name: math.sqrt(0.5) * one.floor * rng.standard_normal(2) for name, one in kinds.items()}
+        z = {name: 2.0 + off[name] + one.floor * rng.standard_normal((25, 2)) for name, one in kinds.items()}
+        for case, names in (("eye", ["eye"]), ("ear", ["ear"]), ("both", ["eye", "ear"])):
+            tracker = GLMB(Settings(), STILL, [kinds[name] for name in names])
+            for k in range(25):
+                for name in names:
+                    tracker.update(k / 10, name, z[name][k : k + 1], kinds[name].floor ** 2 * np.eye(2)[None])
+            squares[case].append(float(np.square(tracker.tracks(2.5)[0].state[:2] - 2.0).sum()))
+    mean = {case: np.mean(one) for case, one in squares.items()}
+    assert mean["both"] < mean["eye"] < mean["ear"]
+
+
+def test_what_was_learnt_is_restored():
+    sensor = dataclasses.replace(EYE, **ALWAYS)
+    tracker = person(6, 20.0, eye=(sensor, 0.05, 0.1, np.zeros(2)), arm=(sensor, 0.05, 0.05, np.array([0.05, 0.0])))
+    state = json.loads(json.dumps(tracker.errors.state()))
+    again = Errors()
+    again.restore(state)
+    for one in tracker.sensors:
+        again.add(one)
+    for name, one in again.state().items():
+        assert one == {key: pytest.approx(value) for key, value in state[name].items()}
+    with pytest.raises(ValueError, match="before the first record"):
+        again.restore(state)
+    state["eye"]["detections"] = math.nan
+    with pytest.raises(ValueError, match=r"'eye'.*not finite"):
+        Errors().restore(state)
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(1e-6, 1e8)] * 2, st.floats(-0.999, 0.999)), min_size=1, max_size=4),
+    st.floats(LEAST, MOST),
+    st.floats(LEAST, MOST),
+    st.sampled_from([0.0, 0.05, 0.1]),
+)
+@settings(max_examples=100, deadline=None)
+def test_noise_stays_positive_definite(given_noise, on_told, on_floor, floor):
+    xx, yy, correlation = np.array(given_noise).T
+    cross = correlation * np.sqrt(xx * yy)
+    noise = np.stack([xx, cross, cross, yy], 1).reshape(-1, 2, 2)
+    errors = Errors()
+    errors.add(dataclasses.replace(EYE, floor=floor))
+    errors.factor[0] = on_told, on_floor
+    _, scaled, part = errors.corrected(0, np.zeros((len(noise), 2)), noise)
+    assert np.isfinite(scaled).all()
+    assert (part >= 0).all()
+    np.testing.assert_array_equal(scaled, scaled.swapaxes(1, 2))
+    assert (np.linalg.det(scaled / np.sqrt(xx * yy)[:, None, None]) > 0).all()
+    if floor == 0.0 and on_told == 1.0:
+        np.testing.assert_allclose(scaled, noise)
+
+
+@given(st.lists(st.floats(0, 1), min_size=2, max_size=2), st.floats(1e-6, 1.0), st.floats(1e-6, 1.0))
+@settings(max_examples=100, deadline=None)
+def test_shares_of_lasting_errors_stay_bounded(lean, variance, noise):
+    errors = Errors()
+    errors.add(EYE)
+    errors.add(dataclasses.replace(ARM, floor=0.1, bias_sd=0.05))
+    for _ in range(5):
+        for column in (0, 1):
+            row = np.array([lean])
+            between = errors.between(row, column)
+            assert between.unshared[0] >= 0
+            r = noise * np.eye(2)[None]
+            lean = leaning(row, column, np.array([[variance]]), np.ones((1, 1)), r, between)[0].tolist()
+            assert min(lean) >= -1e-12
+            assert max(lean) <= 1 + 1e-12
