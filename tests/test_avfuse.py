@@ -353,7 +353,7 @@ def test_the_manual_describes_every_tracker_and_its_unused_options():
             (entry,) = (
                 entry
                 for entry in entries
-                if entry.startswith(key.replace("_", "-") + " ") or entry.startswith(key.replace("_", "-") + "\n")
+                if entry.startswith((key.replace("_", "-") + " ", key.replace("_", "-") + "\n"))
             )
             assert name in entry.split("Not with")[1], (name, key)
 

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from avcli.tracking.hypotheses import Cluster
 from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
 from avcli.tracking.rates import Blindness
-from avcli.tracking.settings import Sensor, Settings, sensor
+from avcli.tracking.settings import Settings, sensor
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
 import tracking_scenes as scenes
@@ -121,8 +122,9 @@ def test_the_longer_a_sensor_finds_nobody_the_likelier_it_is_that_everybody_left
     for _ in range(200):
         blindness.update(0.1, 0.01)
         there.append(there[-1] * blindness.empty(0.1, 0.01))
-    assert all(b <= a for a, b in zip(there, there[1:], strict=False))
-    assert there[20] > 0.8 and there[200] < 0.05
+    assert all(b <= a for a, b in pairwise(there))
+    assert there[20] > 0.8
+    assert there[200] < 0.05
     doors = Blindness(ever=True)
     while doors.probability < 0.5:
         doors.update(0.1, 0.01)
