@@ -1,8 +1,14 @@
-"""Trackers on S1 to S4 and on hard cases: HOTA and its parts, OSPA(2), birth delay, time (`make bench-tracking`).
+"""Trackers on S1 to S4, on hard cases and on the tracks of real people (`make bench-tracking`).
+
+Without --out, a line a case for who develops: HOTA, its parts, ghosts, existence and time, of the default settings
+and of each --set beside them, in one run. With --out, the tables of examples/benchmarks/tracking.md.
 
 Every tracker has one set of parameters, its defaults, which were decided on seeds from 100 on; the seeds from 0 on are
 reported. "ceiling" is the Kalman filter (IMM) that is told which detection belongs to whom. Times are processor time of
 the tracker alone, the least of all seeds; another load on the machine still shows in them.
+
+Cases: the names of tracking_scenes.py, and with --walks the names of walks.py. The real sets that judge are refused
+without --judge.
 """
 
 import argparse
@@ -10,8 +16,9 @@ import json
 import math
 import os
 import sys
-import time
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +28,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from tracking_scenes import EASY, HARD, KIND, Scene, Truth
+import walks
+from tracking_measures import brier, departures, existence, hota, matched
+from tracking_runs import Variant, ceiling, detections, fuse
+from tracking_scenes import EASY, HARD, Scene, Truth
 
-from avcli.formats.records import Detections
 from avcli.metrics.metric import Case
 from avcli.metrics.registry import score_case
 from avcli.metrics.sequence import Sequence
-from avcli.tracking import gaussian
-from avcli.tracking.fusion import Fusion
-from avcli.tracking.merging import Record
-from avcli.tracking.model import Population
-from avcli.tracking.motion import WALKING
-from avcli.tracking.settings import Settings, sensor
 from avcli.tracking.trackers import TRACKERS
+
+__all__ = ["detections", "measure", "scene_of"]  # for fit_tracking.py
 
 Tracks = list[tuple[list[int], np.ndarray]]  # (ids, xy (n, 2) m) a frame
 Row = dict[str, Any]
@@ -48,78 +53,13 @@ MORE = {  # seeds of the default tracker and the ceiling alone, where chance wei
 }
 TOO_MUCH = {"jpda": ("clutter", "ten", "long-pair")}  # it enumerates all joint associations: hours, or minutes
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
-VARIANTS: dict[str, dict[str, Any]] = {
-    "ms-glmb": {},
-    "ms-glmb, 5 hypotheses": {"hypotheses": 5},
-    "ms-glmb, 20 hypotheses": {"hypotheses": 20},
-    "ms-glmb, 80 hypotheses": {"hypotheses": 80},
-    "ms-glmb, lag 5": {"lag": 5},
-    "ms-glmb, lag inf": {"lag": math.inf},
-    **{name: {"tracker": name} for name in TRACKERS if name != "ms-glmb"},
+VARIANTS = {
+    "ms-glmb": Variant(),
+    **{f"ms-glmb, {n} hypotheses": Variant.of([f"hypotheses={n}"]) for n in (5, 20, 80)},
+    "ms-glmb, lag 5": Variant(lag=5),
+    "ms-glmb, lag inf": Variant(lag=math.inf),
+    **{name: Variant(name) for name in TRACKERS if name != "ms-glmb"},
 }
-
-
-def ceiling(scene: Scene) -> Tracks:
-    """Tracks of the filter that knows the truth's associations."""
-    states: dict[int, tuple[float, np.ndarray, np.ndarray, np.ndarray]] = {}
-    out, queue = [], list(scene.records)
-    start = WALKING.stationary()
-    m = len(start)
-
-    def moved(
-        state: tuple[float, np.ndarray, np.ndarray, np.ndarray], t: float
-    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        last, mean, cov, mode = state
-        if t - last > 1e-9:
-            mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, WALKING, round(t - last, 9))
-        return max(t, last), mean, cov, mode
-
-    for now, present, _ in scene.truth:
-        while queue and queue[0][0] <= now + 1e-9:
-            t, name, z, sigma, owners = queue.pop(0)
-            noise = sigma**2 * np.eye(2)[None]
-            for position, owner in zip(z, owners.tolist(), strict=True):
-                if owner in states:
-                    last, mean, cov, mode = moved(states[owner], t)
-                    offset = sensor(name, KIND[name]).mouth_offset
-                    states[owner] = (last, *gaussian.update(mean, cov, mode, position[None], noise, offset))
-                elif owner >= 0:
-                    mean, cov = np.zeros((1, m, 4)), np.zeros((1, m, 4, 4))
-                    mean[..., :2], cov[..., :2, :2] = position, noise
-                    cov[..., 2:, 2:] = Population().speed ** 2 * np.eye(2)
-                    states[owner] = (t, mean, cov, start[None])
-        known = [i for i in present.tolist() if i in states]
-        positions = [gaussian.moments(*moved(states[i], now)[1:])[0][0, :2] for i in known]
-        out.append((known, np.reshape(positions, (-1, 2))))
-    return out
-
-
-def detections(scene: Scene) -> list[Record]:
-    """What the sensors of a scene found, as `Fusion.step` takes it."""
-    records = []
-    for t, name, z, sigma, _ in scene.records:
-        n, floor = len(z), sensor(name, KIND[name]).floor
-        covariances = np.full((n, 3, 3), np.nan)
-        covariances[:, :2, :2] = max(sigma**2 - floor**2, 1e-6) * np.eye(2)
-        positions = np.column_stack([z, np.full(n, np.nan)])
-        records.append((t, name, Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name])))
-    return records
-
-
-def track(
-    scene: Scene, tracker: str = "ms-glmb", lag: float = 0, hypotheses: int = Settings.hypotheses
-) -> tuple[Tracks, float]:
-    """Tracks of a scene, and milliseconds a frame."""
-    fusion = Fusion(Settings(hypotheses=hypotheses), tracker, lag, population=Population())
-    queue, steps = detections(scene), []
-    for now, *_ in scene.truth:
-        due = [record for record in queue if record[0] <= now + 1e-9]
-        del queue[: len(due)]
-        steps.append((now, due))
-    begin = time.process_time()
-    out = [one for now, due in steps for one in fusion.step(now, due)] + fusion.finish()
-    spent = time.process_time() - begin
-    return [(one.ids.tolist(), one.positions[:, :2]) for one in out], 1e3 * spent / len(steps)
 
 
 def measure(truth: Truth, tracks: Tracks) -> list[float]:
@@ -130,62 +70,168 @@ def measure(truth: Truth, tracks: Tracks) -> list[float]:
     return [v * (1 if c in ("OSPA2", "BirthDelay") else 100) for c, v in zip(COLUMNS, values, strict=True)]
 
 
-def scene_of(case: str, seed: int) -> Scene:
-    return {**EASY, **HARD}[case](np.random.default_rng(seed))
+def scene_of(case: str, seed: int, root: Path | None = None) -> Scene:
+    """The scene of a case: a name of tracking_scenes.py or of walks.py, or the path of a ready case."""
+    rng = np.random.default_rng(seed)
+    if case in EASY or case in HARD:
+        return {**EASY, **HARD}[case](rng)
+    if root is not None and walks.dataset(case):
+        return walks.scene(rng, case, root)
+    return walks.ready(Path(case))
 
 
-Variant = tuple[str, tuple[str, ...]]  # a tracker, and the sensors that it gets: (): all
-Task = tuple[str, int, list[Variant]]  # case, seed, what is run
+Entry = tuple[str, tuple[str, ...]]  # a tracker, and the sensors that it gets: (): all
+Task = tuple[str, int, list[Entry]]  # case, seed, what is run
 
 
-def job(task: Task) -> dict[Variant, list[float]]:
+def job(task: Task) -> dict[Entry, list[float]]:
     """What one scene gives each tracker: {(tracker, sensors): its columns and milliseconds a frame}."""
     case, seed, rows = task
     whole, out = scene_of(case, seed), {}
     for name, sensors in rows:
         scene = whole.only(*sensors) if sensors else whole
-        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else track(scene, **VARIANTS[name])
-        out[name, sensors] = [*measure(scene.truth, tracks), spent]
+        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else fuse(scene, VARIANTS[name])
+        out[name, sensors] = [*measure(scene.truth, [(one.ids, one.xy) for one in tracks]), spent]
     return out
 
 
+# --- a line a case ----------------------------------------------------------------------------------------------------
+
+
+def quick(task: tuple[str, int], variants: dict[str, Variant], root: Path | None) -> dict[str, list[Any]]:
+    """What one scene gives each variant; "ceiling" among their names is the filter that knows the associations."""
+    case, seed = task
+    scene, out = scene_of(case, seed, root), {}
+    for name, variant in variants.items():
+        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else fuse(scene, variant)
+        pairs = matched(scene.truth, tracks)
+        left, (said, true) = departures(scene.truth, tracks, pairs), existence(tracks, pairs)
+        whole, fine = hota(scene.truth, tracks, 2.0), hota(scene.truth, tracks, 0.5)
+        out[name] = [whole[0], fine[0], *whole[1:], left.ghosts, left.takeovers, said, true, spent]
+    return out
+
+
+def table(cases: list[str], seeds: range, variants: dict[str, Variant], root: Path | None, jobs: int) -> None:
+    """Print a line a case and variant, and their means over the cases."""
+    tasks = [(case, seed) for case in cases for seed in seeds]
+    widest = max(len(Path(case).name) for case in cases) + 2
+    print(
+        f"{'case':{widest}s}{'variant':22s}{'HOTA':>7s}{'+-':>6s}{'d0=.5':>7s}{'DetA':>7s}{'AssA':>7s}{'ghost s':>9s}"
+        f"{'95 %':>6s}{'left':>6s}{'taken':>6s}{'Brier':>7s}{'ms':>7s}{'ratio':>7s}"
+    )
+    rows: dict[str, list[list[float]]] = {name: [] for name in variants}
+    with ProcessPoolExecutor(jobs) as pool:
+        results = list(pool.map(partial(quick, variants=variants, root=root), tasks))
+    for case in cases:
+        found = [result for task, result in zip(tasks, results, strict=True) if task[0] == case]
+        first = math.nan
+        for name in variants:
+            each = [one[name] for one in found]
+            scores = np.array([one[:4] for one in each])
+            ghosts = np.concatenate([one[4] for one in each])
+            spent = min(one[8] for one in each)
+            first = spent if math.isnan(first) else first
+            row = [
+                scores[:, 0].mean(),
+                scores[:, 0].std(ddof=1) / math.sqrt(len(each)) if len(each) > 1 else math.nan,
+                *scores[:, 1:].mean(0),
+                ghosts.mean() if len(ghosts) else math.nan,
+                np.percentile(ghosts, 95) if len(ghosts) else math.nan,
+                len(ghosts),
+                sum(one[5] for one in each),
+                brier(*(np.concatenate([one[k] for one in each]) for k in (6, 7))),
+                spent,
+                spent / first,
+            ]
+            rows[name].append(row)
+            print(f"{Path(case).name:{widest}s}{name:22s}{line(row)}", flush=True)
+    if len(cases) > 1:
+        for name, values in rows.items():
+            columns = [[v for v in column if not math.isnan(v)] for column in zip(*values, strict=True)]
+            means = [math.fsum(column) / len(column) if column else math.nan for column in columns]
+            print(f"{'mean':{widest}s}{name:22s}{line(means)}")
+
+
+def line(row: list[float]) -> str:
+    """The numbers of a row of the table."""
+    widths, digits = (7, 6, 7, 7, 7, 9, 6, 6, 6, 7, 7, 7), (2, 2, 2, 2, 2, 2, 1, 0, 0, 3, 2, 2)
+    return "".join(
+        f"{'-' if math.isnan(v) else format(v, f'.{d}f'):>{w}s}" for v, w, d in zip(row, widths, digits, strict=True)
+    )
+
+
+def judged(cases: Iterable[str], seeds: range) -> list[str]:
+    """Those of the cases that judge, and may not decide: the sets that say so, and synthetic seeds below 100."""
+    return [
+        case
+        for case in cases
+        if (not one.decides if (one := walks.dataset(case)) else seeds[0] < 100 and not Path(case).is_dir())
+    ]
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("bench-out"), help="directory of the figures")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, help="write the tables into this directory")
     parser.add_argument("--seeds", type=int, default=3, help="scenes of each case")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--no-more", action="store_true", help="no more seeds than these of any case")
-    parser.add_argument("--cases", nargs="*", default=[*EASY, *HARD], choices=[*EASY, *HARD])
-    parser.add_argument("--trackers", nargs="*", default=None, choices=list(VARIANTS))
+    parser.add_argument("--first", type=int, help="the first seed (100; with --out 0)")
+    parser.add_argument("--cases", nargs="*", help="names of cases, or directories of ready ones")
+    parser.add_argument("--ready", type=Path, help="a directory: all ready cases in it are added to --cases")
+    parser.add_argument("--walks", type=Path, help="a checkout of OpenTraj, for the cases of walks.py")
+    parser.add_argument("--judge", action="store_true", help="run the sets and seeds that may not decide")
+    parser.add_argument("--set", nargs="*", action="append", default=[], dest="variants", metavar="SETTING",
+        help="another variant: no-hidden, stay=20, lag=5, tracker=gnn, ceiling …")  # fmt: skip
+    parser.add_argument("--only", action="store_true", help="the variants of --set without the default one")
     parser.add_argument("--jobs", type=int, default=1, help="processes; more than one blurs the times")
+    parser.add_argument("--no-more", action="store_true", help="with --out: no more seeds than these of any case")
+    parser.add_argument("--trackers", nargs="*", choices=list(VARIANTS), help="with --out: these alone")
     options = parser.parse_args()
+    options.first = options.first if options.first is not None else (0 if options.out else 100)
+    if options.out:
+        options.cases = options.cases or [*EASY, *HARD]
+        report(options)
+        return
+    ready = [str(one) for one in sorted(options.ready.iterdir())] if options.ready else []
+    cases = [*(options.cases or []), *ready] or [*EASY, *HARD]
+    seeds = range(options.first, options.first + options.seeds)
+    forbidden = judged(cases, seeds)
+    if forbidden and not options.judge:
+        parser.error(f"these judge, and may not decide (--judge): {', '.join(forbidden)}")
+    variants = {} if options.only else {"default": Variant()}
+    for words in options.variants:
+        variants[" ".join(words)] = Variant() if words == ["ceiling"] else Variant.of(words)
+    table(cases, seeds, variants, options.walks, options.jobs)
+
+
+# --- the tables of the project ----------------------------------------------------------------------------------------
+
+
+def report(options: argparse.Namespace) -> None:
+    """Run all cases and write tracking.json, tracking.md and tracking.svg."""
     names = options.trackers
     if names is None:
         import importlib.util
 
         names = [n for n in VARIANTS if n != "jpda" or importlib.util.find_spec("stonesoup")]
     seeds = range(options.first, options.first + options.seeds)
-    all_rows: dict[str, list[Variant]] = {}
+    all_rows: dict[str, list[Entry]] = {}
     tasks: list[Task] = []
     for case in options.cases:
-        main_rows: list[Variant] = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
+        main_rows: list[Entry] = [(name, ()) for name in ("ms-glmb", "ceiling") if name in (*names, "ceiling")]
         if case in EASY and "ms-glmb" in names:
             main_rows += [("ms-glmb", (eye,)) for eye in ("audio", "video")]
-        others: list[Variant] = [
-            (name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())
-        ]
+        others: list[Entry] = [(name, ()) for name in names if name != "ms-glmb" and case not in TOO_MUCH.get(name, ())]
         all_rows[case] = main_rows[:1] + others + main_rows[1:]
         count = max(options.seeds, MORE[case]) if "ms-glmb" in names and not options.no_more else options.seeds
         tasks += [(case, options.first + k, all_rows[case] if k < len(seeds) else main_rows) for k in range(count)]
     with ProcessPoolExecutor(options.jobs) as pool:
         results = list(pool.map(job, tasks))
-    table: list[Row] = []
+    rows_found: list[Row] = []
     for case, rows in all_rows.items():
         found = [result for task, result in zip(tasks, results, strict=True) if task[0] == case]
         for row in dict.fromkeys(rows):
             every = np.array([result[row] for result in found if row in result])
             block = every[: len(seeds)]
-            table.append(
+            rows_found.append(
                 {
                     "case": case,
                     "tracker": row[0] + (f" ({row[1][0]} only)" if row[1] else ""),
@@ -195,12 +241,12 @@ def main() -> None:
                     "ms": float(every[:, -1].min()),
                 }
             )
-    show(table)
-    gains = against_best_sensor(table)
+    show(rows_found)
+    gains = against_best_sensor(rows_found)
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "tracking.json").write_text(json.dumps({"seeds": [*seeds], "rows": table, "gains": gains}))
-    (options.out / "tracking.md").write_text(markdown(table, seeds, gains))
-    plot(table, options.out / "tracking.svg")
+    (options.out / "tracking.json").write_text(json.dumps({"seeds": [*seeds], "rows": rows_found, "gains": gains}))
+    (options.out / "tracking.md").write_text(markdown(rows_found, seeds, gains))
+    plot(rows_found, options.out / "tracking.svg")
 
 
 def show(table: list[Row]) -> None:

@@ -6,10 +6,11 @@ detections a record, all in a room of 4.66 m x 4.66 m.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from avcli.formats.experiment import Config
 from avcli.formats.sensors import CAMERA, MICROPHONES
 
 KIND = {"video": CAMERA, "audio": MICROPHONES}
@@ -27,14 +28,26 @@ Rng = np.random.Generator
 
 @dataclass
 class Scene:
-    """People at each time, and what sensors found."""
+    """People at each time, and what sensors found.
+
+    Attributes:
+        truth: at each time of the output.
+        records: in order of time.
+        config: the room and its camera as avfuse is told them, None: the trackers' own default room.
+    """
 
     truth: Truth
     records: list[Record] = field(default_factory=list)
+    config: Config | None = None
 
     def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
-        return Scene(self.truth, [r for r in self.records if r[1] in sensors])
+        return replace(self, records=[r for r in self.records if r[1] in sensors])
+
+
+def room(width: float, depth: float) -> Config:
+    """The config of a room of a size in m."""
+    return Config({"room_config": {"room_dimensions_m": [width, depth, 3.0]}})
 
 
 def waypoints(
@@ -97,6 +110,7 @@ class Look:
     detection: float
     clutter: float
     rate: float = RATE
+    area: tuple[float, float] = (ROOM, ROOM)  # m, where false detections are
 
     def record(
         self,
@@ -108,7 +122,25 @@ class Look:
         detection: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> Record:
         """One record at `shown` (default: time) of what is there at `time`; nobody in `hidden` is found."""
-        ids, place, mouth, speaks = people.at(time)
+        shown = float(time if shown is None else shown)
+        return self.of(rng, shown, *people.at(time), hidden=hidden, detection=detection)
+
+    def of(
+        self,
+        rng: Rng,
+        time: float,
+        ids: np.ndarray,
+        place: np.ndarray,
+        mouth: np.ndarray,
+        speaks: np.ndarray,
+        hidden: Iterable[int] = (),
+        detection: Callable[[np.ndarray], np.ndarray] | None = None,
+        merge: float = 0.0,
+    ) -> Record:
+        """One record of n people: ids (n,), place and mouth (n, 2) m, speaks (n,).
+
+        Two who are nearer to one another than `merge` m are found as one, between them, half the time.
+        """
         if self.name == "audio":
             place, able = mouth, speaks
         else:
@@ -117,11 +149,29 @@ class Look:
         chance = np.full(len(ids), self.detection) if detection is None else detection(place)
         found = able & (rng.random(len(ids)) < chance)
         z = place[found] + self.sigma * rng.standard_normal((found.sum(), 2))
-        ghosts = rng.uniform(0, ROOM, (rng.poisson(self.clutter), 2))
-        owner = np.r_[ids[found], np.full(len(ghosts), -1)].astype(int)
+        owner = ids[found]
+        if merge:
+            z, owner = merged(rng, place[found], z, owner, merge)
+        ghosts = rng.uniform(0, self.area, (rng.poisson(self.clutter), 2))
+        owner = np.r_[owner, np.full(len(ghosts), -1)].astype(int)
         z = np.vstack([z, ghosts])
         order = rng.permutation(len(z))
-        return (float(time if shown is None else shown), self.name, z[order], self.sigma, owner[order])
+        return (time, self.name, z[order], self.sigma, owner[order])
+
+
+def merged(
+    rng: Rng, place: np.ndarray, z: np.ndarray, owner: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Detections z (n, 2) and owners (n,), of which pairs of people nearer than `reach` m are one half the time."""
+    gone: set[int] = set()
+    for a in range(len(z)):
+        for b in range(a + 1, len(z)):
+            near = np.linalg.norm(place[a] - place[b]) < reach
+            if near and not gone & {a, b} and rng.random() < 0.5:
+                z[a] = (z[a] + z[b]) / 2
+                gone.add(b)
+    keep = [k for k in range(len(z)) if k not in gone]
+    return z[keep], owner[keep]
 
 
 VIDEO = Look("video", 0.12, 0.9, 0.02)
