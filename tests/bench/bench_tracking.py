@@ -16,7 +16,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -29,9 +29,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import walks
-from tracking_measures import brier, departures, existence, hota, matched
+from tracking_measures import SUMMARY, Outcome, mean, outcome, summary
 from tracking_runs import Variant, ceiling, detections, fuse
 from tracking_scenes import EASY, HARD, Scene, Truth
+from tracking_worlds import WORLDS
 
 from avcli.metrics.metric import Case
 from avcli.metrics.registry import score_case
@@ -52,6 +53,7 @@ MORE = {  # seeds of the default tracker and the ceiling alone, where chance wei
     "long-pair": 30,
 }
 TOO_MUCH = {"jpda": ("clutter", "ten", "long-pair")}  # it enumerates all joint associations: hours, or minutes
+SYNTHETIC: dict[str, Callable[[np.random.Generator], Scene]] = {**EASY, **HARD, **WORLDS}
 COLUMNS = ("HOTA", "DetA", "AssA", "LocA", "OSPA2", "BirthDelay")
 VARIANTS = {
     "ms-glmb": Variant(),
@@ -73,8 +75,8 @@ def measure(truth: Truth, tracks: Tracks) -> list[float]:
 def scene_of(case: str, seed: int, root: Path | None = None) -> Scene:
     """The scene of a case: a name of tracking_scenes.py or of walks.py, or the path of a ready case."""
     rng = np.random.default_rng(seed)
-    if case in EASY or case in HARD:
-        return {**EASY, **HARD}[case](rng)
+    if case in SYNTHETIC:
+        return SYNTHETIC[case](rng)
     if root is not None and walks.dataset(case):
         return walks.scene(rng, case, root)
     return walks.ready(Path(case))
@@ -98,66 +100,37 @@ def job(task: Task) -> dict[Entry, list[float]]:
 # --- a line a case ----------------------------------------------------------------------------------------------------
 
 
-def quick(task: tuple[str, int], variants: dict[str, Variant], root: Path | None) -> dict[str, list[Any]]:
+def quick(task: tuple[str, int], variants: dict[str, Variant], root: Path | None) -> dict[str, Outcome]:
     """What one scene gives each variant; "ceiling" among their names is the filter that knows the associations."""
-    case, seed = task
-    scene, out = scene_of(case, seed, root), {}
-    for name, variant in variants.items():
-        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else fuse(scene, variant)
-        pairs = matched(scene.truth, tracks)
-        left, (said, true) = departures(scene.truth, tracks, pairs), existence(tracks, pairs)
-        whole, fine = hota(scene.truth, tracks, 2.0), hota(scene.truth, tracks, 0.5)
-        out[name] = [whole[0], fine[0], *whole[1:], left.ghosts, left.takeovers, said, true, spent]
-    return out
+    scene = scene_of(*task, root)
+    runs = {
+        name: (ceiling(scene), math.nan) if name == "ceiling" else fuse(scene, one) for name, one in variants.items()
+    }
+    return {name: outcome(scene, *run) for name, run in runs.items()}
 
 
 def table(cases: list[str], seeds: range, variants: dict[str, Variant], root: Path | None, jobs: int) -> None:
     """Print a line a case and variant, and their means over the cases."""
     tasks = [(case, seed) for case in cases for seed in seeds]
     widest = max(len(Path(case).name) for case in cases) + 2
-    print(
-        f"{'case':{widest}s}{'variant':22s}{'HOTA':>7s}{'+-':>6s}{'d0=.5':>7s}{'DetA':>7s}{'AssA':>7s}{'ghost s':>9s}"
-        f"{'95 %':>6s}{'left':>6s}{'taken':>6s}{'Brier':>7s}{'ms':>7s}{'ratio':>7s}"
-    )
-    rows: dict[str, list[list[float]]] = {name: [] for name in variants}
+    print(f"{'case':{widest}s}{'variant':22s}" + "".join(f"{name:>8s}" for name in (*SUMMARY, "ratio")))
+    rows: dict[str, list[dict[str, float]]] = {name: [] for name in variants}
     with ProcessPoolExecutor(jobs) as pool:
-        results = list(pool.map(partial(quick, variants=variants, root=root), tasks))
-    for case in cases:
-        found = [result for task, result in zip(tasks, results, strict=True) if task[0] == case]
-        first = math.nan
-        for name in variants:
-            each = [one[name] for one in found]
-            scores = np.array([one[:4] for one in each])
-            ghosts = np.concatenate([one[4] for one in each])
-            spent = min(one[8] for one in each)
-            first = spent if math.isnan(first) else first
-            row = [
-                scores[:, 0].mean(),
-                scores[:, 0].std(ddof=1) / math.sqrt(len(each)) if len(each) > 1 else math.nan,
-                *scores[:, 1:].mean(0),
-                ghosts.mean() if len(ghosts) else math.nan,
-                np.percentile(ghosts, 95) if len(ghosts) else math.nan,
-                len(ghosts),
-                sum(one[5] for one in each),
-                brier(*(np.concatenate([one[k] for one in each]) for k in (6, 7))),
-                spent,
-                spent / first,
-            ]
-            rows[name].append(row)
-            print(f"{Path(case).name:{widest}s}{name:22s}{line(row)}", flush=True)
-    if len(cases) > 1:
-        for name, values in rows.items():
-            columns = [[v for v in column if not math.isnan(v)] for column in zip(*values, strict=True)]
-            means = [math.fsum(column) / len(column) if column else math.nan for column in columns]
-            print(f"{'mean':{widest}s}{name:22s}{line(means)}")
+        results = pool.map(partial(quick, variants=variants, root=root), tasks)
+        for case in cases:
+            found = [next(results) for _ in seeds]
+            for name in variants:
+                row = summary([one[name] for one in found])
+                rows[name].append(row)
+                row["ratio"] = row["ms"] / rows[next(iter(variants))][-1]["ms"]
+                print(f"{Path(case).name:{widest}s}{name:22s}{line(row)}", flush=True)
+    for name, values in rows.items():
+        print(f"{'mean':{widest}s}{name:22s}{line({key: mean(row[key] for row in values) for key in values[0]})}")
 
 
-def line(row: list[float]) -> str:
+def line(row: dict[str, float]) -> str:
     """The numbers of a row of the table."""
-    widths, digits = (7, 6, 7, 7, 7, 9, 6, 6, 6, 7, 7, 7), (2, 2, 2, 2, 2, 2, 1, 0, 0, 3, 2, 2)
-    return "".join(
-        f"{'-' if math.isnan(v) else format(v, f'.{d}f'):>{w}s}" for v, w, d in zip(row, widths, digits, strict=True)
-    )
+    return "".join(f"{'-' if math.isnan(v) else format(v, f'.{SUMMARY.get(k, 2)}f'):>8s}" for k, v in row.items())
 
 
 def judged(cases: Iterable[str], seeds: range) -> list[str]:
@@ -191,7 +164,7 @@ def main() -> None:
         report(options)
         return
     ready = [str(one) for one in sorted(options.ready.iterdir())] if options.ready else []
-    cases = [*(options.cases or []), *ready] or [*EASY, *HARD]
+    cases = [*(options.cases or []), *ready] or [*SYNTHETIC]
     seeds = range(options.first, options.first + options.seeds)
     forbidden = judged(cases, seeds)
     if forbidden and not options.judge:

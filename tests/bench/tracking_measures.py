@@ -1,12 +1,14 @@
 """What the bench of trackers measures beside aveval's metrics: ghosts, takeovers, and whether existence is true."""
 
+import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from tracking_runs import Frame
-from tracking_scenes import Truth
+from tracking_scenes import Scene, Truth
 
 from avcli.metrics.hota import METRIC as HOTA
 from avcli.metrics.metric import Case
@@ -15,6 +17,8 @@ from avcli.metrics.settings import Settings
 
 NEAR = 1.0  # m; a track is true if it is matched, one to one, to somebody so near
 ALONE = 2.0  # m; a track with nobody so near is a ghost
+AWAY = 1.5  # s outside what is scored after which somebody is somebody else
+LATER = 10.0  # s; HOTA is given from then on, too: what a tracker learns it has begun to know
 LATE = 1.0  # s before a departure in which a track must have been matched to the person to be his
 
 
@@ -32,6 +36,52 @@ def matched(truth: Truth, tracks: list[Frame]) -> list[dict[int, int]]:
             }
         )
     return out
+
+
+def within(scene: Scene, tracks: list[Frame]) -> tuple[Truth, list[Frame]]:
+    """The truth and tracks of what is scored: people in `scene.seen`, and tracks that are of nobody outside it.
+
+    Who comes back into it after 1.5 s may be known again or be somebody new: each visit is a person of its own, and a
+    track of the same person in another visit gets a number of its own.
+    """
+    if scene.seen is None:
+        return scene.truth, tracks
+    low, high = np.array(scene.seen)
+    truth, kept = [], []
+    visits: dict[int, tuple[int, float]] = {}  # person -> number of the visit, last time in it
+    persons: list[int] = []  # of each visit
+    known: dict[int, tuple[int, int]] = {}  # track -> number of the visit it was matched to last, number of its own
+    numbers = itertools.count()
+    for (t, ids, xy), frame, pairs in zip(scene.truth, tracks, matched(scene.truth, tracks), strict=True):
+        inside = ((xy >= low) & (xy <= high)).all(1)
+        there = ids[inside].tolist()
+        for person in there:
+            if person not in visits or t - visits[person][1] > AWAY:
+                visits[person] = (len(persons), t)
+                persons.append(person)
+            visits[person] = (visits[person][0], t)
+        truth.append((t, np.array([visits[person][0] for person in there], int), xy[inside]))
+        here = ((frame.xy >= low) & (frame.xy <= high)).all(1).tolist()
+        keep = [k for k, one in enumerate(frame.ids) if (pairs[one] in there if one in pairs else here[k])]
+        for track in (frame.ids[k] for k in keep):
+            visit = visits[pairs[track]][0] if track in pairs else -1
+            last, own = known.get(track, (-1, -1))
+            again = -1 < last != visit > -1 and persons[last] == persons[visit]
+            known[track] = (visit if visit >= 0 else last, next(numbers) if own < 0 or again else own)
+        kept.append(Frame([known[frame.ids[k]][1] for k in keep], frame.xy[keep], frame.existence[keep]))
+    return truth, kept
+
+
+def invented(scene: Scene, tracks: list[Frame]) -> float:
+    """Tracks in a frame, on average, that are outside `scene.seen` and of nobody; NaN where all is seen."""
+    if scene.seen is None:
+        return math.nan
+    low, high = np.array(scene.seen)
+    false = 0
+    for frame, pairs in zip(tracks, matched(scene.truth, tracks), strict=True):
+        outside = ((frame.xy < low) | (frame.xy > high)).any(1).tolist()
+        false += sum(out and one not in pairs for one, out in zip(frame.ids, outside, strict=True))
+    return false / len(tracks)
 
 
 def hota(truth: Truth, tracks: list[Frame], d0: float) -> tuple[float, float, float]:
@@ -87,6 +137,77 @@ def existence(tracks: list[Frame], pairs: list[dict[int, int]]) -> tuple[np.ndar
     said = np.concatenate([np.zeros(0), *(one.existence for one in tracks)])
     true = np.array([track in found for one, found in zip(tracks, pairs, strict=True) for track in one.ids], bool)
     return said, true
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one scene gave a tracker.
+
+    Attributes:
+        hota, late, fine: HOTA in %, at d0 = 2 m; from 10 s on; at d0 = .5 m.
+        det, ass: DetA and AssA in %, at d0 = 2 m.
+        invented: tracks of nobody in a frame where nothing is seen, NaN where all is.
+        departures: what became of the tracks of people who left.
+        said, true: (n,) existence of each record, and whether it was so.
+        spent: processor time in ms a frame, NaN: not measured.
+    """
+
+    hota: float
+    late: float
+    fine: float
+    det: float
+    ass: float
+    invented: float
+    departures: Departures
+    said: np.ndarray
+    true: np.ndarray
+    spent: float
+
+
+def outcome(scene: Scene, tracks: list[Frame], spent: float) -> Outcome:
+    """Score the tracks of a scene."""
+    truth, inside = within(scene, tracks)
+    pairs = matched(truth, inside)
+    start = sum(t < LATER for t, *_ in truth)
+    late = hota(truth[start:], inside[start:], 2.0)[0] if start < len(truth) else math.nan
+    (whole, det, ass), (fine, *_) = hota(truth, inside, 2.0), hota(truth, inside, 0.5)
+    left, (said, true) = departures(truth, inside, pairs), existence(inside, pairs)
+    return Outcome(whole, late, fine, det, ass, invented(scene, tracks), left, said, true, spent)
+
+
+SUMMARY = {
+    "HOTA": 2, "+-": 2, ">10 s": 2, "d0=.5": 2, "DetA": 2, "AssA": 2, "invent": 2, "ghost s": 2, "95 %": 1, "left": 0,
+    "taken": 0, "Brier": 3, "ms": 2,
+}  # fmt: skip
+"""The numbers of `summary`, and how many decimals a table shows."""
+
+
+def summary(outcomes: list[Outcome]) -> dict[str, float]:
+    """Means over the scenes of a case, with the standard error of HOTA; ghosts over all departures; the least time."""
+    ghosts = np.concatenate([one.departures.ghosts for one in outcomes])
+    each = np.array([one.hota for one in outcomes])
+    n = len(outcomes)
+    return {
+        "HOTA": float(each.mean()),
+        "+-": float(each.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan,
+        ">10 s": mean([one.late for one in outcomes]),
+        "d0=.5": mean([one.fine for one in outcomes]),
+        "DetA": mean([one.det for one in outcomes]),
+        "AssA": mean([one.ass for one in outcomes]),
+        "invent": mean([one.invented for one in outcomes]),
+        "ghost s": float(ghosts.mean()) if len(ghosts) else math.nan,
+        "95 %": float(np.percentile(ghosts, 95)) if len(ghosts) else math.nan,
+        "left": len(ghosts),
+        "taken": sum(one.departures.takeovers for one in outcomes),
+        "Brier": brier(np.concatenate([one.said for one in outcomes]), np.concatenate([one.true for one in outcomes])),
+        "ms": min(one.spent for one in outcomes),
+    }
+
+
+def mean(values: Iterable[float]) -> float:
+    """Mean of those that are not NaN, NaN of none."""
+    known = [v for v in values if not math.isnan(v)]
+    return math.fsum(known) / len(known) if known else math.nan
 
 
 def brier(said: np.ndarray, true: np.ndarray) -> float:

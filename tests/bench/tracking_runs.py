@@ -1,5 +1,6 @@
 """Runs a scene of the bench through avfuse's trackers, or through the filter that knows the true associations."""
 
+import importlib
 import math
 import re
 import time
@@ -7,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from tracking_scenes import KIND, Scene
+from tracking_scenes import FEATURE_SD, KIND, Scene
 
 from avcli.formats.records import Detections
 from avcli.tracking import gaussian
@@ -71,13 +72,24 @@ class Variant:
 def detections(scene: Scene) -> list[Record]:
     """What the sensors of a scene found, as `Fusion.step` takes it."""
     records = []
-    for t, name, z, sigma, _ in scene.records:
-        n, floor = len(z), sensor(name, KIND[name]).floor
+    for k, (t, name, z, sigma, _) in enumerate(scene.records):
+        n, floor, told = len(z), sensor(name, KIND[name]).floor, scene.told.get(name, 1.0)
         covariances = np.full((n, 3, 3), np.nan)
-        covariances[:, :2, :2] = max(sigma**2 - floor**2, 1e-6) * np.eye(2)
+        covariances[:, :2, :2] = max(sigma**2 - floor**2, 1e-6) * told**2 * np.eye(2)
         positions = np.column_stack([z, np.full(n, np.nan)])
-        records.append((t, name, Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name])))
+        found = Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name])
+        records.append((t, name, with_features(found, scene.features[k]) if scene.features else found))
     return records
+
+
+def with_features(found: Detections, features: dict[str, np.ndarray]) -> Detections:
+    """The detections with features name -> (J, d); an avfuse that knows none gets none."""
+    if not any(one.name == "features" for one in fields(Detections)):
+        return found
+    feature = importlib.import_module("avcli.formats.features").Feature
+    told = {name: feature("bench", one, np.full(one.shape, FEATURE_SD)) for name, one in features.items()}
+    given: dict[str, Any] = {"features": told}
+    return replace(found, **given)
 
 
 def fuse(scene: Scene, variant: Variant) -> tuple[list[Frame], float]:

@@ -5,13 +5,16 @@ Video localizes the body's axis, audio the mouth of whoever speaks, 0.1 m in fro
 detections a record, all in a room of 4.66 m x 4.66 m.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from avcli.formats.experiment import Config
 from avcli.formats.sensors import CAMERA, MICROPHONES
+
+AHEAD = 0.1  # m, from the body's axis to the mouth
+COPY = 0.1  # m, standard deviation of the detections of a person who is found several times
 
 KIND = {"video": CAMERA, "audio": MICROPHONES}
 ROOM = 4.66
@@ -25,6 +28,10 @@ Truth = list[tuple[float, np.ndarray, np.ndarray]]
 
 Rng = np.random.Generator
 
+TALK, TURN = 0.4, 2.0  # share of people who talk; drawn anew each so many s
+HIDE, HIDDEN = 0.1, (0.2, 1.5)  # rate per second at which a person becomes hidden, for so many s
+FEATURE_SD = 0.5  # of each component of a feature as a measurement of a person; people differ by 1
+
 
 @dataclass
 class Scene:
@@ -34,15 +41,23 @@ class Scene:
         truth: at each time of the output.
         records: in order of time.
         config: the room and its camera as avfuse is told them, None: the trackers' own default room.
+        told: sensor -> by how much its detections state their sigma wrong, a factor; NaN: they do not state it.
+        features: for each record name -> (J, d) features of its detections, with standard deviation `FEATURE_SD`; none.
+        seen: two corners of the rectangle that is scored, m, None: everywhere.
     """
 
     truth: Truth
     records: list[Record] = field(default_factory=list)
     config: Config | None = None
+    told: Mapping[str, float] = field(default_factory=dict)
+    features: list[dict[str, np.ndarray]] = field(default_factory=list)
+    seen: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
-        return replace(self, records=[r for r in self.records if r[1] in sensors])
+        kept = [k for k, r in enumerate(self.records) if r[1] in sensors]
+        features = [self.features[k] for k in kept] if self.features else []
+        return replace(self, records=[self.records[k] for k in kept], features=features)
 
 
 def room(width: float, depth: float) -> Config:
@@ -110,7 +125,10 @@ class Look:
     detection: float
     clutter: float
     rate: float = RATE
-    area: tuple[float, float] = (ROOM, ROOM)  # m, where false detections are
+    area: tuple[float, float] = (ROOM, ROOM)  # m, where false detections are, from `corner` on
+    merge: float = 0.0  # m; two who are nearer to one another are found as one, between them, half the time
+    corner: tuple[float, float] = (0.0, 0.0)
+    copies: int = 1  # one person is found up to so many times, `COPY` m apart
 
     def record(
         self,
@@ -135,12 +153,8 @@ class Look:
         speaks: np.ndarray,
         hidden: Iterable[int] = (),
         detection: Callable[[np.ndarray], np.ndarray] | None = None,
-        merge: float = 0.0,
     ) -> Record:
-        """One record of n people: ids (n,), place and mouth (n, 2) m, speaks (n,).
-
-        Two who are nearer to one another than `merge` m are found as one, between them, half the time.
-        """
+        """One record of n people: ids (n,), place and mouth (n, 2) m, speaks (n,)."""
         if self.name == "audio":
             place, able = mouth, speaks
         else:
@@ -150,13 +164,23 @@ class Look:
         found = able & (rng.random(len(ids)) < chance)
         z = place[found] + self.sigma * rng.standard_normal((found.sum(), 2))
         owner = ids[found]
-        if merge:
-            z, owner = merged(rng, place[found], z, owner, merge)
-        ghosts = rng.uniform(0, self.area, (rng.poisson(self.clutter), 2))
+        if self.copies > 1:
+            again = np.repeat(np.arange(len(z)), rng.integers(1, self.copies + 1, len(z)))
+            z, owner = z[again] + COPY * rng.standard_normal((len(again), 2)), owner[again]
+        if self.merge:
+            z, owner = merged(rng, place[found], z, owner, self.merge)
+        ghosts = rng.uniform(self.corner, self.area, (rng.poisson(self.clutter), 2))
         owner = np.r_[owner, np.full(len(ghosts), -1)].astype(int)
         z = np.vstack([z, ghosts])
         order = rng.permutation(len(z))
         return (time, self.name, z[order], self.sigma, owner[order])
+
+    def features(self, rng: Rng, stays: "list[Stay]", owner: np.ndarray) -> dict[str, np.ndarray]:
+        """What a record measures of the features of those found, owner (J,); false detections have chance ones."""
+        name = "looks" if self.name == "video" else "voice"
+        own = [getattr(stays[i], name) if i >= 0 else rng.standard_normal(len(getattr(stays[0], name))) for i in owner]
+        size = len(getattr(stays[0], name))
+        return {name: np.reshape(own, (-1, size)) + FEATURE_SD * rng.standard_normal((len(own), size))} if size else {}
 
 
 def merged(
@@ -172,6 +196,84 @@ def merged(
                 gone.add(b)
     keep = [k for k in range(len(z)) if k not in gone]
     return z[keep], owner[keep]
+
+
+@dataclass
+class Stay:
+    """One person from coming to leaving, on the clock of a scene.
+
+    Attributes:
+        first: number of the first frame.
+        xy: (n, 2) m.
+        talks: (n,) whether the person talks.
+        unseen: (n,) whether the person is hidden from the camera.
+        looks: (d,) features of the person that the camera measures, voice: (d,) those of the microphones.
+    """
+
+    first: int
+    xy: np.ndarray
+    talks: np.ndarray
+    unseen: np.ndarray
+    looks: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    voice: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+def turns(rng: Rng, n: int, share: float = TALK, rate: float = RATE) -> np.ndarray:
+    """Whether somebody talks in each of n frames."""
+    length = max(round(TURN * rate), 1)
+    return np.repeat(rng.random(int(n / length) + 1) < share, length)[:n]
+
+
+def hidden(rng: Rng, n: int, rate: float = RATE) -> np.ndarray:
+    """Whether somebody who is hidden from the camera now and then is so in each of n frames."""
+    out, k = np.zeros(n, bool), rng.exponential(1 / HIDE) * rate
+    while k < n:
+        length = rng.uniform(*HIDDEN) * rate
+        out[int(k) : int(k + length)] = True
+        k += length + rng.exponential(1 / HIDE) * rate
+    return out
+
+
+def mouths(xy: np.ndarray) -> np.ndarray:
+    """Places (n, 2) m of the mouth of somebody who walks along xy (n, 2) m."""
+    velocity = np.gradient(xy, axis=0) if len(xy) > 1 else np.zeros_like(xy)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    return xy + AHEAD * np.where(speed > 1e-3, velocity / np.maximum(speed, 1e-9), [1.0, 0.0])
+
+
+def perceived(
+    rng: Rng,
+    stays: list[Stay],
+    times: np.ndarray,
+    looks: Iterable[Look],
+    config: Config | None = None,
+    deaf: Callable[[float], bool] = lambda t: False,
+    detection: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Scene:
+    """A scene of stays on a clock (s), every sensor at each time, in the order of the names of `looks`.
+
+    Args:
+        deaf: tells whether no sensor finds anybody at a time.
+        detection: the video's probability at places (n, 2) m, in place of the look's own.
+    """
+    frames: list[list[tuple[int, np.ndarray, np.ndarray, bool, bool]]] = [[] for _ in times]
+    for i, one in enumerate(stays):
+        for j, mouth in enumerate(mouths(one.xy)):
+            frames[one.first + j].append((i, one.xy[j], mouth, bool(one.talks[j]), bool(one.unseen[j])))
+    truth, records, features = [], list[Record](), list[dict[str, np.ndarray]]()
+    measured = any(len(one.looks) or len(one.voice) for one in stays)
+    for t, people in zip(times.tolist(), frames, strict=True):
+        ids = np.array([one[0] for one in people], int)
+        place, mouth = (np.array([one[c] for one in people]).reshape(-1, 2) for c in (1, 2))
+        talks, unseen = (np.array([one[c] for one in people], bool) for c in (3, 4))
+        truth.append((t, ids, place))
+        for look in looks:
+            away = ids if deaf(t) else ids[unseen] if look.name == "video" else ids[:0]
+            chance = detection if look.name == "video" else None
+            records.append(look.of(rng, t, ids, place, mouth, talks, away, chance))
+            if measured:
+                features.append(look.features(rng, stays, records[-1][4]))
+    return Scene(truth, records, config, features=features)
 
 
 VIDEO = Look("video", 0.12, 0.9, 0.02)
@@ -209,35 +311,35 @@ def straight(y: float, backwards: bool = False) -> tuple[np.ndarray, np.ndarray]
     return t, np.column_stack([x, np.full_like(t, y)])
 
 
-def s1(rng: Rng) -> Scene:
+def s1(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """One person who speaks."""
     people = People()
     people.add(*straight(2.33))
-    return assemble(rng, people, 4.0)
+    return assemble(rng, people, 4.0, looks)
 
 
-def s2(rng: Rng) -> Scene:
+def s2(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """One person who speaks, hidden from the camera for 1.2 s."""
     people = People()
     people.add(*straight(2.33))
-    return assemble(rng, people, 4.0, hidden=lambda name, t: (0,) if name == "video" and 1.4 <= t < 2.6 else ())
+    return assemble(rng, people, 4.0, looks, lambda name, t: (0,) if name == "video" and 1.4 <= t < 2.6 else ())
 
 
-def s3(rng: Rng) -> Scene:
+def s3(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """Three people; the one in the middle walks the other way and speaks."""
     people = People()
     for y, back in ((1.33, False), (2.33, True), (3.33, False)):
         people.add(*straight(y, back), speaks=back)
-    return assemble(rng, people, 4.0)
+    return assemble(rng, people, 4.0, looks)
 
 
-def s4(rng: Rng) -> Scene:
+def s4(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """As S3, speaking one after the other."""
     people = People()
     t = clock(4.0)
     for k, (y, back) in enumerate(((1.33, False), (2.33, True), (3.33, False))):
         people.add(*straight(y, back), speaks=(t >= k * 4 / 3) & (t < (k + 1) * 4 / 3))
-    return assemble(rng, people, 4.0)
+    return assemble(rng, people, 4.0, looks)
 
 
 def crossing(rng: Rng) -> Scene:
@@ -354,7 +456,7 @@ def long_pair(rng: Rng) -> Scene:
     return assemble(rng, strollers(rng, 2, 300.0), 300.0)
 
 
-EASY = {"s1": s1, "s2": s2, "s3": s3, "s4": s4}
+EASY: dict[str, Callable[..., Scene]] = {"s1": s1, "s2": s2, "s3": s3, "s4": s4}
 HARD = {
     "crossing": crossing,
     "turning-back": turning_back,

@@ -24,7 +24,7 @@ from scipy.interpolate import PchipInterpolator
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from tracking_scenes import KIND, RATE, Look, Record, Rng, Scene, room
+from tracking_scenes import KIND, RATE, Look, Record, Rng, Scene, Stay, hidden, perceived, room, turns
 
 from avcli.formats.experiment import read_config
 from avcli.tracking.settings import SENSORS
@@ -34,9 +34,6 @@ Walk = tuple[np.ndarray, np.ndarray]
 
 LOST = 1.5  # s without an annotation that end a walk
 LEAST = 5  # frames of a walk
-AHEAD = 0.1  # m, from the body's axis to the mouth
-TALK, TURN = 0.4, 2.0  # share of people who talk; drawn anew each so many s
-HIDE, HIDDEN = 0.1, (0.2, 1.5)  # occ: rate per second at which a person becomes hidden, for so many s
 MERGE = 0.35  # m, occ: people nearer than this are one detection half the time
 
 
@@ -282,41 +279,14 @@ def scene(rng: Rng, name: str, root: Path, sigma: float = 0.12) -> Scene:
     if where == "any":
         first, last = min(t[0] for t, _ in walks), max(t[-1] for t, _ in walks)
         begin = first + rng.uniform(0, max(last - first - seconds, 0))
-    first_tick, count = round(begin * RATE), round(seconds * RATE)
-    stays = list(inside(walks, size, first_tick, first_tick + count))
-    return perceived(rng, [(k - first_tick, xy) for k, xy in stays], count, size, sigma, hiding)
-
-
-def perceived(
-    rng: Rng, stays: list[tuple[int, np.ndarray]], count: int, size: tuple[float, float], sigma: float, hiding: bool
-) -> Scene:
-    """A scene of stays (first tick, places), with detections in `count` + 1 frames of both sensors."""
-    frames: list[list[tuple[int, np.ndarray, np.ndarray, bool, bool]]] = [[] for _ in range(count + 1)]
-    for i, (first, xy) in enumerate(stays):
-        velocity = np.gradient(xy, axis=0)
-        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-        mouth = xy + AHEAD * np.where(speed > 1e-3, velocity / np.maximum(speed, 1e-9), [1.0, 0.0])
-        talks = np.repeat(rng.random(int(len(xy) / (TURN * RATE)) + 1) < TALK, round(TURN * RATE))
-        unseen = np.zeros(len(xy), bool)
-        k = rng.exponential(1 / HIDE) * RATE if hiding else len(xy)
-        while k < len(xy):
-            length = rng.uniform(*HIDDEN) * RATE
-            unseen[int(k) : int(k + length)] = True
-            k += length + rng.exponential(1 / HIDE) * RATE
-        for j in range(len(xy)):
-            frames[first + j].append((i, xy[j], mouth[j], bool(talks[j]), bool(unseen[j])))
-    video, audio = Look("video", sigma, 0.9, 0.05, area=size), Look("audio", 0.25, 0.85, 0.05, area=size)
-    truth, records = [], list[Record]()
-    for k, people in enumerate(frames):
-        ids = np.array([one[0] for one in people], int)
-        place, mouth = (np.array([one[c] for one in people]).reshape(-1, 2) for c in (1, 2))
-        talks, unseen = (np.array([one[c] for one in people], bool) for c in (3, 4))
-        truth.append((k / RATE, ids, place))
-        for look in (audio, video):
-            away = ids[unseen] if look is video else ()
-            merge = MERGE if hiding and look is video else 0.0
-            records.append(look.of(rng, k / RATE, ids, place, mouth, talks, away, merge=merge))
-    return Scene(truth, records, room(*size))
+    first, count = round(begin * RATE), round(seconds * RATE)
+    stays = [
+        Stay(tick - first, xy, turns(rng, len(xy)), hidden(rng, len(xy)) if hiding else np.zeros(len(xy), bool))
+        for tick, xy in inside(walks, size, first, first + count)
+    ]
+    merge = MERGE if hiding else 0.0
+    looks = (Look("audio", 0.25, 0.85, 0.05, area=size), Look("video", sigma, 0.9, 0.05, area=size, merge=merge))
+    return perceived(rng, stays, np.arange(count + 1) / RATE, looks, room(*size))
 
 
 def ready(folder: Path) -> Scene:
