@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from bench_tracking import scene_of
+from tracking_cases import scene_of
 from tracking_measures import hota
 from tracking_peers import FITTED, TUNED, Parameters
 from tracking_runs import Variant, fuse

@@ -132,11 +132,34 @@ def departures(truth: Truth, tracks: list[Frame], pairs: list[dict[int, int]]) -
     return Departures(np.array(ghosts), takeovers)
 
 
-def existence(tracks: list[Frame], pairs: list[dict[int, int]]) -> tuple[np.ndarray, np.ndarray]:
-    """What each record of a track says of existence, and whether it is true (n,), (n,)."""
+def delays(truth: Truth, pairs: list[dict[int, int]]) -> np.ndarray:
+    """Seconds (n,) from each person's coming to the first match; of who is never matched, the whole stay."""
+    come: dict[int, float] = {}
+    gone: dict[int, float] = {}
+    met: dict[int, float] = {}
+    for (t, ids, _), found in zip(truth, pairs, strict=True):
+        for person in ids.tolist():
+            come.setdefault(person, t)
+            gone[person] = t
+        for person in found.values():
+            met.setdefault(person, t)
+    return np.array([met.get(person, gone[person]) - t for person, t in come.items()])
+
+
+BINS = 10
+
+
+def existence(tracks: list[Frame], pairs: list[dict[int, int]]) -> np.ndarray:
+    """How true the existence of tracks is, in ten bins of what is said: records, sum of what is said, true, squares.
+
+    Returns:
+        (10, 4); the squares are those of Brier's score.
+    """
     said = np.concatenate([np.zeros(0), *(one.existence for one in tracks)])
-    true = np.array([track in found for one, found in zip(tracks, pairs, strict=True) for track in one.ids], bool)
-    return said, true
+    true = np.array([track in found for one, found in zip(tracks, pairs, strict=True) for track in one.ids], float)
+    columns = np.column_stack([np.ones_like(said), said, true, (said - true) ** 2])
+    place = np.minimum((said * BINS).astype(int), BINS - 1) if np.isfinite(said).all() else np.zeros(len(said), int)
+    return np.array([columns[place == k].sum(0) for k in range(BINS)])
 
 
 @dataclass(frozen=True)
@@ -144,23 +167,27 @@ class Outcome:
     """What one scene gave a tracker.
 
     Attributes:
-        hota, late, fine: HOTA in %, at d0 = 2 m; from 10 s on; at d0 = .5 m.
+        hota, late: HOTA in % at d0 = 2 m, and from 10 s on; fine, finest: at d0 = .5 m and .25 m.
         det, ass: DetA and AssA in %, at d0 = 2 m.
         invented: tracks of nobody in a frame where nothing is seen, NaN where all is.
-        departures: what became of the tracks of people who left.
-        said, true: (n,) existence of each record, and whether it was so.
+        births: s until each person was found.
+        ghosts: s for which the track of each who left was reported with nobody near.
+        takeovers: tracks of people who left that were matched to somebody else.
+        bins: see `existence`.
         spent: processor time in ms a frame, NaN: not measured.
     """
 
     hota: float
     late: float
     fine: float
+    finest: float
     det: float
     ass: float
     invented: float
-    departures: Departures
-    said: np.ndarray
-    true: np.ndarray
+    births: list[float]
+    ghosts: list[float]
+    takeovers: int
+    bins: list[list[float]]
     spent: float
 
 
@@ -169,24 +196,37 @@ def outcome(scene: Scene, tracks: list[Frame], spent: float) -> Outcome:
     truth, inside = within(scene, tracks)
     pairs = matched(truth, inside)
     start = sum(t < LATER for t, *_ in truth)
-    late = hota(truth[start:], inside[start:], 2.0)[0] if start < len(truth) else math.nan
-    (whole, det, ass), (fine, *_) = hota(truth, inside, 2.0), hota(truth, inside, 0.5)
-    left, (said, true) = departures(truth, inside, pairs), existence(inside, pairs)
-    return Outcome(whole, late, fine, det, ass, invented(scene, tracks), left, said, true, spent)
+    late = hota(truth[start:], inside[start:], 2.0)[0] if 0 < start < len(truth) else math.nan
+    (whole, det, ass), (fine, *_), (finest, *_) = (hota(truth, inside, d0) for d0 in (2.0, 0.5, 0.25))
+    left = departures(truth, inside, pairs)
+    return Outcome(
+        whole,
+        late,
+        fine,
+        finest,
+        det,
+        ass,
+        invented(scene, tracks),
+        delays(truth, pairs).tolist(),
+        left.ghosts.tolist(),
+        left.takeovers,
+        existence(inside, pairs).tolist(),
+        spent,
+    )
 
 
 SUMMARY = {
-    "HOTA": 2, "+-": 2, ">10 s": 2, "d0=.5": 2, "DetA": 2, "AssA": 2, "invent": 2, "ghost s": 2, "95 %": 1, "left": 0,
-    "taken": 0, "Brier": 3, "ms": 2,
+    "HOTA": 2, "+-": 2, ">10 s": 2, "d0=.5": 2, "DetA": 2, "AssA": 2, "invent": 2, "birth s": 2, "ghost s": 2,
+    "95 %": 1, "left": 0, "taken": 0, "Brier": 3, "ms": 2,
 }  # fmt: skip
 """The numbers of `summary`, and how many decimals a table shows."""
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, float]:
-    """Means over the scenes of a case, with the standard error of HOTA; ghosts over all departures; the least time."""
-    ghosts = np.concatenate([one.departures.ghosts for one in outcomes])
+    """Means over the scenes of a case, with the standard error of HOTA; over all people or departures; least time."""
+    ghosts = np.array([ghost for one in outcomes for ghost in one.ghosts])
     each = np.array([one.hota for one in outcomes])
-    n = len(outcomes)
+    n, bins = len(outcomes), np.array([one.bins for one in outcomes]).sum((0, 1))
     return {
         "HOTA": float(each.mean()),
         "+-": float(each.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan,
@@ -195,11 +235,12 @@ def summary(outcomes: list[Outcome]) -> dict[str, float]:
         "DetA": mean([one.det for one in outcomes]),
         "AssA": mean([one.ass for one in outcomes]),
         "invent": mean([one.invented for one in outcomes]),
+        "birth s": mean([birth for one in outcomes for birth in one.births]),
         "ghost s": float(ghosts.mean()) if len(ghosts) else math.nan,
         "95 %": float(np.percentile(ghosts, 95)) if len(ghosts) else math.nan,
         "left": len(ghosts),
-        "taken": sum(one.departures.takeovers for one in outcomes),
-        "Brier": brier(np.concatenate([one.said for one in outcomes]), np.concatenate([one.true for one in outcomes])),
+        "taken": sum(one.takeovers for one in outcomes),
+        "Brier": bins[3] / bins[0] if bins[0] else math.nan,
         "ms": min(one.spent for one in outcomes),
     }
 
@@ -208,8 +249,3 @@ def mean(values: Iterable[float]) -> float:
     """Mean of those that are not NaN, NaN of none."""
     known = [v for v in values if not math.isnan(v)]
     return math.fsum(known) / len(known) if known else math.nan
-
-
-def brier(said: np.ndarray, true: np.ndarray) -> float:
-    """Mean squared difference of probabilities (n,) and what was true (n,); NaN of nothing (Brier 1950)."""
-    return float(np.mean((said - true) ** 2)) if len(said) else math.nan

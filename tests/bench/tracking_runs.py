@@ -1,6 +1,5 @@
 """Runs a scene of the bench through avfuse's trackers, or through the filter that knows the true associations."""
 
-import importlib
 import math
 import re
 import time
@@ -9,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from tracking_peers import register
-from tracking_scenes import FEATURE_SD, KIND, Scene
+from tracking_scenes import KIND, Scene
 
 from avcli.formats.records import Detections
 from avcli.tracking import gaussian
@@ -74,6 +73,8 @@ class Variant:
 
 def detections(scene: Scene) -> list[Record]:
     """What the sensors of a scene found, as `Fusion.step` takes it."""
+    if scene.ready is not None:
+        return scene.ready
     records = []
     for k, (t, name, z, sigma, _) in enumerate(scene.records):
         n, floor, told = len(z), sensor(name, KIND[name]).floor, scene.told.get(name, 1.0)
@@ -81,18 +82,9 @@ def detections(scene: Scene) -> list[Record]:
         covariances[:, :2, :2] = max(sigma**2 - floor**2, 1e-6) * told**2 * np.eye(2)
         positions = np.column_stack([z, np.full(n, np.nan)])
         found = Detections(t, name, positions, covariances, np.full(n, np.nan), KIND[name])
-        records.append((t, name, with_features(found, scene.features[k]) if scene.features else found))
+        given: dict[str, Any] = {"features": scene.features[k]} if scene.features else {}
+        records.append((t, name, replace(found, **given)))
     return records
-
-
-def with_features(found: Detections, features: dict[str, np.ndarray]) -> Detections:
-    """The detections with features name -> (J, d); an avfuse that knows none gets none."""
-    if not any(one.name == "features" for one in fields(Detections)):
-        return found
-    feature = importlib.import_module("avcli.formats.features").Feature
-    told = {name: feature("bench", one, np.full(one.shape, FEATURE_SD)) for name, one in features.items()}
-    given: dict[str, Any] = {"features": told}
-    return replace(found, **given)
 
 
 def fuse(scene: Scene, variant: Variant) -> tuple[list[Frame], float]:

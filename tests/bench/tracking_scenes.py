@@ -7,10 +7,12 @@ detections a record, all in a room of 4.66 m x 4.66 m.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from avcli.formats.experiment import Config
+from avcli.formats.records import Detections
 from avcli.formats.sensors import CAMERA, MICROPHONES
 
 AHEAD = 0.1  # m, from the body's axis to the mouth
@@ -30,7 +32,6 @@ Rng = np.random.Generator
 
 TALK, TURN = 0.4, 2.0  # share of people who talk; drawn anew each so many s
 HIDE, HIDDEN = 0.1, (0.2, 1.5)  # rate per second at which a person becomes hidden, for so many s
-FEATURE_SD = 0.5  # of each component of a feature as a measurement of a person; people differ by 1
 
 
 @dataclass
@@ -42,7 +43,8 @@ class Scene:
         records: in order of time.
         config: the room and its camera as avfuse is told them, None: the trackers' own default room.
         told: sensor -> by how much its detections state their sigma wrong, a factor; NaN: they do not state it.
-        features: for each record name -> (J, d) features of its detections, with standard deviation `FEATURE_SD`; none.
+        features: for each record name -> `Feature` of its detections; empty: none has any.
+        ready: the records as avfuse takes them, with what the sensors say of each detection; None: `records` say all.
         seen: two corners of the rectangle that is scored, m, None: everywhere.
     """
 
@@ -50,14 +52,16 @@ class Scene:
     records: list[Record] = field(default_factory=list)
     config: Config | None = None
     told: Mapping[str, float] = field(default_factory=dict)
-    features: list[dict[str, np.ndarray]] = field(default_factory=list)
+    features: list[dict[str, Any]] = field(default_factory=list)
+    ready: list[tuple[float, str, Detections]] | None = None
     seen: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
         kept = [k for k, r in enumerate(self.records) if r[1] in sensors]
         features = [self.features[k] for k in kept] if self.features else []
-        return replace(self, records=[self.records[k] for k in kept], features=features)
+        ready = None if self.ready is None else [r for r in self.ready if r[1] in sensors]
+        return replace(self, records=[self.records[k] for k in kept], features=features, ready=ready)
 
 
 def room(width: float, depth: float) -> Config:
@@ -175,13 +179,6 @@ class Look:
         order = rng.permutation(len(z))
         return (time, self.name, z[order], self.sigma, owner[order])
 
-    def features(self, rng: Rng, stays: "list[Stay]", owner: np.ndarray) -> dict[str, np.ndarray]:
-        """What a record measures of the features of those found, owner (J,); false detections have chance ones."""
-        name = "looks" if self.name == "video" else "voice"
-        own = [getattr(stays[i], name) if i >= 0 else rng.standard_normal(len(getattr(stays[0], name))) for i in owner]
-        size = len(getattr(stays[0], name))
-        return {name: np.reshape(own, (-1, size)) + FEATURE_SD * rng.standard_normal((len(own), size))} if size else {}
-
 
 def merged(
     rng: Rng, place: np.ndarray, z: np.ndarray, owner: np.ndarray, reach: float
@@ -207,15 +204,12 @@ class Stay:
         xy: (n, 2) m.
         talks: (n,) whether the person talks.
         unseen: (n,) whether the person is hidden from the camera.
-        looks: (d,) features of the person that the camera measures, voice: (d,) those of the microphones.
     """
 
     first: int
     xy: np.ndarray
     talks: np.ndarray
     unseen: np.ndarray
-    looks: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    voice: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def turns(rng: Rng, n: int, share: float = TALK, rate: float = RATE) -> np.ndarray:
@@ -260,8 +254,7 @@ def perceived(
     for i, one in enumerate(stays):
         for j, mouth in enumerate(mouths(one.xy)):
             frames[one.first + j].append((i, one.xy[j], mouth, bool(one.talks[j]), bool(one.unseen[j])))
-    truth, records, features = [], list[Record](), list[dict[str, np.ndarray]]()
-    measured = any(len(one.looks) or len(one.voice) for one in stays)
+    truth, records = [], list[Record]()
     for t, people in zip(times.tolist(), frames, strict=True):
         ids = np.array([one[0] for one in people], int)
         place, mouth = (np.array([one[c] for one in people]).reshape(-1, 2) for c in (1, 2))
@@ -271,9 +264,7 @@ def perceived(
             away = ids if deaf(t) else ids[unseen] if look.name == "video" else ids[:0]
             chance = detection if look.name == "video" else None
             records.append(look.of(rng, t, ids, place, mouth, talks, away, chance))
-            if measured:
-                features.append(look.features(rng, stays, records[-1][4]))
-    return Scene(truth, records, config, features=features)
+    return Scene(truth, records, config)
 
 
 VIDEO = Look("video", 0.12, 0.9, 0.02)

@@ -114,13 +114,9 @@ def rolled(rng: Rng, size: tuple[float, float], seconds: float) -> np.ndarray:
     return np.array(out)
 
 
-def whole(rng: Rng, paths: np.ndarray, rate: float = RATE, **features: np.ndarray) -> list[Stay]:
+def whole(rng: Rng, paths: np.ndarray, rate: float = RATE) -> list[Stay]:
     """People who are there all the time, of paths (n, frames, 2) m, and who talk now and then."""
-    named = {name: one for name, one in features.items() if len(one)}
-    return [
-        Stay(0, xy, turns(rng, len(xy), rate=rate), np.zeros(len(xy), bool), **{k: v[i] for k, v in named.items()})
-        for i, xy in enumerate(paths)
-    ]
+    return [Stay(0, xy, turns(rng, len(xy), rate=rate), np.zeros(len(xy), bool)) for xy in paths]
 
 
 def sensors(
@@ -279,11 +275,8 @@ def wheelchairs(rng: Rng) -> Scene:
     return perceived(rng, whole(rng, paths), clock(40.0), sensors(size), room(*size))
 
 
-def meeting(rng: Rng, features: str = "") -> Scene:
-    """Two people who meet within .2 m, stand there for .3 to 2 s and go apart again, either way.
-
-    features: "" none, "other": their looks and voices differ, "same": they do not.
-    """
+def meeting(rng: Rng) -> Scene:
+    """Two people who meet within .2 m, stand there for .3 to 2 s and go apart again, either way."""
     size, middle = (10.0, 10.0), np.full(2, 5.0)
     speed, stand, side = rng.uniform(0.6, 1.2), rng.uniform(0.3, 2.0), rng.uniform(0, 2 * math.pi)
     times, paths = clock(12.0), []
@@ -296,26 +289,13 @@ def meeting(rng: Rng, features: str = "") -> Scene:
         before = speed * eased(begin - times)[:, None] * np.array([math.cos(angle), math.sin(angle)])
         after = speed * eased(times - begin - stand)[:, None] * out
         paths.append(np.clip(there + before + after, 0.2, 9.8))
-    n = 0 if not features else 8
-    looks, voice = (
-        (rng.standard_normal((2, n)) if features == "other" else np.tile(rng.standard_normal(n), (2, 1)))
-        for _ in range(2)
-    )
-    stays = whole(rng, np.array(paths), looks=looks, voice=voice)
-    return perceived(rng, stays, times, sensors(size), room(*size))
+    return perceived(rng, whole(rng, np.array(paths)), times, sensors(size), room(*size))
 
 
 def eased(t: np.ndarray) -> np.ndarray:
     """Way at a wanted speed of 1 m/s after t s (n,), speeding up within about half a second; 0 before 0."""
     late = np.maximum(t, 0.0)
     return late - RELAX * (1 - np.exp(-late / RELAX))
-
-
-def known(rng: Rng, n: int, seconds: float) -> Scene:
-    """People between waypoints whose looks and voices differ."""
-    paths = np.array([waypoints(rng, clock(seconds)) for _ in range(n)])
-    stays = whole(rng, paths, looks=rng.standard_normal((n, 8)), voice=rng.standard_normal((n, 8)))
-    return perceived(rng, stays, clock(seconds), (AUDIO, VIDEO))
 
 
 def unseen(rng: Rng) -> Scene:
@@ -327,7 +307,7 @@ def unseen(rng: Rng) -> Scene:
     return perceived(rng, stays, clock(7.0), sensors(size), room(*size), deaf=lambda t: 2.5 <= t < 5.0)
 
 
-COARSE = (Look("video", 0.2, 0.9, 0.02), AUDIO)
+COARSE = {f"{name}-coarse": partial(make, looks=(replace(VIDEO, sigma=0.2), AUDIO)) for name, make in EASY.items()}
 
 WORLDS: dict[str, Callable[[Rng], Scene]] = {
     **{f"leave-{where}": partial(leavers, where=where) for where in ("wall", "door", "middle")},
@@ -352,9 +332,5 @@ WORLDS: dict[str, Callable[[Rng], Scene]] = {
     "groups": groups,
     "wheelchairs": wheelchairs,
     "meeting": meeting,
-    "meeting-known": partial(meeting, features="other"),
-    "meeting-alike": partial(meeting, features="same"),
-    "ten-known": partial(known, n=10, seconds=60.0),
-    "long-pair-known": partial(known, n=2, seconds=300.0),
-    **{f"{name}-coarse": partial(make, looks=COARSE) for name, make in EASY.items()},
+    **COARSE,
 }

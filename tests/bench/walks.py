@@ -15,7 +15,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,10 @@ from scipy.interpolate import PchipInterpolator
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from tracking_scenes import KIND, RATE, Look, Record, Rng, Scene, Stay, hidden, perceived, room, turns
+from tracking_scenes import KIND, RATE, Look, Rng, Scene, Stay, hidden, perceived, room, turns
 
+from avcli.formats import records
 from avcli.formats.experiment import read_config
-from avcli.tracking.settings import SENSORS
 
 Walk = tuple[np.ndarray, np.ndarray]
 """Times (n,) s, increasing, and places (n, 2) m of one person."""
@@ -290,26 +290,24 @@ def scene(rng: Rng, name: str, root: Path, sigma: float = 0.12) -> Scene:
 
 
 def ready(folder: Path) -> Scene:
-    """A case of a directory: config.json, NAME_localizations.jsonl and groundtruth_sources.jsonl, or these as .gz."""
+    """A case of a directory: config.json, ground truth, {audio,video}_localizations.jsonl, or these as .gz.
 
-    def lines(name: str) -> Iterator[dict[str, Any]]:
-        plain = folder / name
-        with plain.open() if plain.exists() else gzip.open(folder / (name + ".gz"), "rt") as file:
-            yield from map(json.loads, file)
+    The detections may lie in localization/, as those of an experiment do.
+    """
 
-    truth, records = [], list[Record]()
-    for one in lines("groundtruth_sources.jsonl"):
-        ids = np.array([person["object_id"] for person in one["objects"]], int)
-        xy = np.array([person["position"][:2] for person in one["objects"]]).reshape(-1, 2)
-        truth.append((float(one["timestamp"]), ids, xy))
-    for name in ("audio", "video"):
-        floor = SENSORS[KIND[name]].floor
-        for one in lines(f"{name}_localizations.jsonl"):
-            z = np.array([found["position"][:2] for found in one["objects"]]).reshape(-1, 2)
-            variance = one["objects"][0]["covariance"][0][0] if one["objects"] else 0.0
-            sigma = float(np.sqrt(variance + floor**2))
-            records.append((float(one["timestamp"]), name, z, sigma, np.full(len(z), -1)))
-    return Scene(truth, sorted(records, key=lambda r: (r[0], r[1])), read_config(folder / "config.json"))
+    def lines(name: str) -> Iterator[Any]:
+        plain = next((one for one in (folder / name, folder / "localization" / name) if one.exists()), None)
+        with plain.open("rb") if plain else gzip.open(folder / f"{name}.gz", "rb") as file:
+            yield from map(records.decode, file)
+
+    people = map(records.identified, lines("groundtruth_sources.jsonl"))
+    truth = [(round(one.timestamp, 6), one.ids, one.positions[:, :2]) for one in people]
+    found = [
+        (round(one.timestamp, 6), name, replace(one, sensor=name, kind=KIND[name]))
+        for name in ("audio", "video")
+        for one in map(records.detections, lines(f"{name}_localizations.jsonl"))
+    ]
+    return Scene(truth, config=read_config(folder / "config.json"), ready=sorted(found, key=lambda r: (r[0], r[1])))
 
 
 def main() -> None:
