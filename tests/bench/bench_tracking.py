@@ -69,14 +69,15 @@ def ran(task: Task, variants: dict[str, Variant], root: Path | None) -> list[Out
 
 def table(cases: list[str], seeds: range, variants: dict[str, Variant], root: Path | None, jobs: int) -> None:
     """Print a line a case and variant, and their means over the cases."""
-    tasks: list[Task] = [(case, seed, [(name, "") for name in variants]) for case in cases for seed in seeds]
-    widest, first = max(len(Path(case).name) for case in cases) + 2, next(iter(variants))
+    scenes = {case: seeds[:1] if Path(case).is_dir() else seeds for case in cases}  # a ready case is always the same
+    tasks: list[Task] = [(case, seed, [(name, "") for name in variants]) for case in cases for seed in scenes[case]]
+    widest, first = max(len(Path(case).name) for case in (*cases, "mean")) + 2, next(iter(variants))
     print(f"{'case':{widest}s}{'variant':22s}" + "".join(f"{name:>8s}" for name in (*SUMMARY, "ratio")))
     rows: dict[str, list[dict[str, float]]] = {name: [] for name in variants}
     with ProcessPoolExecutor(jobs) as pool:
         results = pool.map(partial(ran, variants=variants, root=root), tasks)
         for case in cases:
-            found = [next(results) for _ in seeds]
+            found = [next(results) for _ in scenes[case]]
             for k, (name, values) in enumerate(rows.items()):
                 values.append(summary([one[k] for one in found]))
                 values[-1]["ratio"] = values[-1]["ms"] / rows[first][-1]["ms"]
@@ -158,7 +159,7 @@ def arguments() -> argparse.Namespace:
 def main() -> None:
     options = arguments()
     seeds = range(options.first, options.first + options.seeds)
-    ready = [str(one) for one in sorted(options.ready.iterdir())] if options.ready else []
+    ready = sorted(str(one) for one in options.ready.iterdir() if one.is_dir()) if options.ready else []
     cases = [*(options.cases or []), *ready] or [*SYNTHETIC, *(REAL if options.walks else ())]
     forbidden = [case for case in judged(cases, seeds) if not (options.out and case in SYNTHETIC)]
     if forbidden and not options.judge:

@@ -4,7 +4,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -150,21 +150,31 @@ def real_table(runs: Sequence[Run]) -> list[str]:
     return rows(heads, lines)
 
 
-def sensors_table(runs: Sequence[Run]) -> list[str]:
+def sensors_table(runs: Sequence[Run], groups: Mapping[str, Sequence[str]]) -> list[str]:
     """Both sensors less the better one, at three scales: mean with its 95 % interval (Student's t), and the worst."""
     lines = []
-    for group, cases in (("", list(EASY)), ("", list(COARSE)), ("s1 to s4", [*EASY]), ("s1 to s4, coarse", [*COARSE])):
-        for name in [group] if group else cases:
-            line, cells = [name], []
-            for scale in ("hota", "fine", "finest"):
-                gains = np.array([gain for case in (cases if group else [name]) for gain in fused(runs, case, scale)])
-                if len(gains) > 1:
-                    half = float(stats.t.ppf(0.975, len(gains) - 1)) * gains.std(ddof=1) / math.sqrt(len(gains))
-                    cells += [f"{gains.mean():+.2f} ± {half:.2f}", f"{gains.min():+.1f}"]
-            if cells:
-                lines.append(line + cells)
+    for name, cases in {**{case: [case] for group in groups.values() for case in group}, **groups}.items():
+        cells = []
+        for scale in ("hota", "fine", "finest"):
+            gains = np.array([gain for case in cases for gain in fused(runs, case, scale)])
+            if len(gains) > 1:
+                half = float(stats.t.ppf(0.975, len(gains) - 1)) * gains.std(ddof=1) / math.sqrt(len(gains))
+                cells += [f"{gains.mean():+.2f} ± {half:.2f}", f"{gains.min():+.1f}"]
+        if cells:
+            lines.append([name, *cells])
     heads = [f"{what} {scale} m" for scale in ("2", ".5", ".25") for what in ("d0", "worst")]
     return rows(["case", *heads], lines)
+
+
+def single_table(runs: Sequence[Run]) -> list[str]:
+    """HOTA of each sensor alone and of both at three scales, the means over the scenes."""
+    lines = []
+    for case in cases_of(runs):
+        for sensors in ("audio", "video", ""):
+            found = [one.outcome for one in chosen(runs, "default", sensors, case)]
+            values = [mean(getattr(one, scale) for one in found) for scale in ("hota", "fine", "finest")]
+            lines.append([f"{case}, {sensors or 'both'}", str(len(found)), *map(shown, values)])
+    return rows(["scenario", "scenes", "d0 2 m", "d0 .5 m", "d0 .25 m"], lines)
 
 
 def fused(runs: Sequence[Run], case: str, scale: str) -> list[float]:
@@ -213,8 +223,8 @@ def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> 
     lines = [
         "# Trackers on the same detections",
         "",
-        f"Made by `tests/bench/bench_tracking.py` on seeds from {seeds[0]} on; seeds from 100 on decided settings. The load",
-        f"average was {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end.",
+        f"Made by `tests/bench/bench_tracking.py` on seeds from {seeds[0]} on; seeds from 100 on decided settings.",
+        f"The load average was {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end.",
         "",
         *LEGEND,
         "",
@@ -238,7 +248,7 @@ def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> 
         "",
         "Difference of HOTA for each seed: mean with its 95 % interval, and the worst. coarse: video of sigma .2 m.",
         "",
-        *sensors_table(runs),
+        *sensors_table(runs, {"s1 to s4": [*EASY], "s1 to s4, coarse": [*COARSE]}),
         "## Existence: said and true",
         "",
         f"A star: more than {CLOSE} apart, where there are {ENOUGH} records of {RUNS} runs.",

@@ -289,7 +289,7 @@ def scene(rng: Rng, name: str, root: Path, sigma: float = 0.12) -> Scene:
     return perceived(rng, stays, np.arange(count + 1) / RATE, looks, room(*size))
 
 
-def ready(folder: Path) -> Scene:
+def ready(folder: Path, sensors: tuple[str, ...] = ("audio", "video")) -> Scene:
     """A case of a directory: config.json, ground truth, {audio,video}_localizations.jsonl, or these as .gz.
 
     The detections may lie in localization/, as those of an experiment do.
@@ -304,7 +304,7 @@ def ready(folder: Path) -> Scene:
     truth = [(round(one.timestamp, 6), one.ids, one.positions[:, :2]) for one in people]
     found = [
         (round(one.timestamp, 6), name, replace(one, sensor=name, kind=KIND[name]))
-        for name in ("audio", "video")
+        for name in sensors
         for one in map(records.detections, lines(f"{name}_localizations.jsonl"))
     ]
     return Scene(truth, config=read_config(folder / "config.json"), ready=sorted(found, key=lambda r: (r[0], r[1])))
