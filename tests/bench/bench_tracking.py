@@ -28,7 +28,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tracking_report as report
-from tracking_cases import MORE, REAL, SYNTHETIC, TOO_MUCH, judged, scene_of
+from tracking_cases import MORE, ONCE, REAL, SYNTHETIC, TOO_MUCH, judged, scene_of
 from tracking_measures import SUMMARY, Outcome, mean, outcome, summary
 from tracking_report import Run
 from tracking_runs import Variant, ceiling, fuse
@@ -69,7 +69,7 @@ def ran(task: Task, variants: dict[str, Variant], root: Path | None) -> list[Out
 
 def table(cases: list[str], seeds: range, variants: dict[str, Variant], root: Path | None, jobs: int) -> None:
     """Print a line a case and variant, and their means over the cases."""
-    scenes = {case: seeds[:1] if Path(case).is_dir() else seeds for case in cases}  # a ready case is always the same
+    scenes = {case: seeds[:1] if case in ONCE or Path(case).is_dir() else seeds for case in cases}
     tasks: list[Task] = [(case, seed, [(name, "") for name in variants]) for case in cases for seed in scenes[case]]
     widest, first = max(len(Path(case).name) for case in (*cases, "mean")) + 2, next(iter(variants))
     print(f"{'case':{widest}s}{'variant':22s}" + "".join(f"{name:>8s}" for name in (*SUMMARY, "ratio")))
@@ -108,7 +108,7 @@ def tasks_of(cases: Sequence[str], names: Sequence[str], seeds: range, more: boo
             few += [(DEFAULT, "audio"), (DEFAULT, "video")]
             entries += few[-2:]
         count = max(len(seeds), MORE.get(case, 0)) if more and DEFAULT in names else len(seeds)
-        count = min(count, MORE.get(case, count)) if case == "sitting" else count
+        count = 1 if case in ONCE or Path(case).is_dir() else count
         tasks += [(case, seeds[0] + k, entries if k < len(seeds) else few) for k in range(count)]
     return tasks
 

@@ -22,11 +22,12 @@ MORE = {  # seeds of the default tracker and a few others, where chance weighs h
     "clutter": 6,
     "ten": 10,
     "long-pair": 30,
-    "sitting": 1,
 }
+ONCE = ("sitting", "flood")
 TOO_MUCH = {  # hours, or minutes
     "jpda": ("clutter", "ten", "long-pair", *(name for name in WORLDS if name not in COARSE)),
-    "stonesoup-gnn": ("clutter20", "crowd100", "sitting"),
+    "stonesoup-gnn": ("clutter20", "crowd100", "sitting", "flood"),
+    **dict.fromkeys(("no-hidden", "gnn", "sort", "bytetrack", "oc-sort"), ("flood",)),
 }
 
 

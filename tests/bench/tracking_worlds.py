@@ -212,6 +212,13 @@ def clutter(rng: Rng) -> Scene:
     return strollers(rng, 3, 20.0, (Look("audio", 0.25, 0.85, 10.0), Look("video", 0.12, 0.9, 20.0)))
 
 
+def flood(rng: Rng) -> Scene:
+    """One second of 1000 false detections a frame in 20 x 20 m, and three people among them."""
+    size = (20.0, 20.0)
+    looks = (Look("video", 0.12, 0.9, 1000.0, area=size),)
+    return perceived(rng, whole(rng, steered(rng, 3, size, 1.0)), clock(1.0), looks, room(*size))
+
+
 def found(rng: Rng, share: float) -> Scene:
     """Three people, found by each sensor in a share of the records, by microphones only while they talk."""
     return strollers(rng, 3, 20.0, (Look("audio", 0.25, share, 0.05), Look("video", 0.12, share, 0.02)))
@@ -317,6 +324,7 @@ WORLDS: dict[str, Callable[[Rng], Scene]] = {
     "occluded": occluded,
     "duplicates": duplicates,
     "clutter20": clutter,
+    "flood": flood,
     "found30": partial(found, share=0.3),
     "unseen": unseen,
     "noise-told": partial(noisy, worse=2.5, told=1.0),

@@ -199,15 +199,15 @@ DATASETS = {
     "zara02": Dataset(
         obsmat(_UCY + "zara02/obsmat.txt", 25.0), 240, 120, *UCY, (-8.4, -6.0), (14.8, 11.2), decides=True
     ),
-    "eth": Dataset(obsmat("datasets/ETH/seq_eth/obsmat.txt", 15.0), 100, 180, *ETH),
+    "eth": Dataset(obsmat("datasets/ETH/seq_eth/obsmat.txt", 15.0), 600, 180, *ETH),
     "zara03": Dataset(splines(_UCY + "zara03/annotation.vsp", _UCY + "zara03/H.txt"), 30, 120, *UCY),
     "students01": Dataset(columns(_UCY + "students01/students001.txt", 25.0), 30, 60, *UCY),
     "students03": Dataset(obsmat(_UCY + "students03/obsmat.txt", 25.0), 30, 60, *UCY),
     "uni_examples": Dataset(splines(_UCY + "uni_examples/annotation.vsp", _UCY + "students03/H.txt"), 10, 60, *UCY),
-    "arxiepiskopi": Dataset(splines(_UCY + "arxiepiskopi/annotation.vsp", None), 0, 60, *UCY),
+    "arxiepiskopi": Dataset(splines(_UCY + "arxiepiskopi/annotation.vsp", None), 0, 31, *UCY),
     "grand_central": Dataset(grand_central("datasets/GC"), 600, 60, *GRAND_CENTRAL),
-    "edinburgh01Aug": Dataset(edinburgh("datasets/Edinburgh/annotations/tracks.01Aug.txt"), 0, 180, *EDINBURGH),
-    "edinburgh01Jul": Dataset(edinburgh("datasets/Edinburgh/annotations/tracks.01Jul.txt"), 0, 180, *EDINBURGH),
+    "edinburgh01Aug": Dataset(edinburgh("datasets/Edinburgh/annotations/tracks.01Aug.txt"), 1140, 180, *EDINBURGH),
+    "edinburgh01Jul": Dataset(edinburgh("datasets/Edinburgh/annotations/tracks.01Jul.txt"), 16500, 180, *EDINBURGH),
     "wildtrack": Dataset(wildtrack("datasets/Wild-Track/annotations_positions"), 0, 180, *WILDTRACK),
     "corridor1d": Dataset(
         columns("datasets/HERMES/Corridor-1D/uo-100-180-180.txt", 16.0, 0.01, "person frame x y"), 5, 60, *HERMES
