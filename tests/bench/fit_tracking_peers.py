@@ -33,7 +33,7 @@ GRID: dict[str, tuple[float, ...]] = {
     "shown": (0.0, 0.15, 0.25, 0.35, 0.55, 1.05),
     "noise": (0.25, 0.5, 0.8, 1.2),
 }
-CASES = ("hotel@any", "zara01occ@any", "zara02@any", "s4", "crossing", "comings-goings")
+CASES = ("hotel@any+60", "zara01occ@any+60", "zara02@any+60", "s4", "crossing", "comings-goings")
 FIRST, SEEDS = 100, 2
 
 

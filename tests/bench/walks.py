@@ -6,7 +6,8 @@ results while something is decided.
 
 A track is interpolated to 10 Hz by monotone cubics (PCHIP), cut where nobody looked for 1.5 s, and cut where the person
 leaves the area: who comes back is somebody else. A case is named SET, SETocc (people hidden from the camera now and
-then, and people near each other found as one), either of them with @SECONDS (where it begins) or @any (the seed says).
+then, and people near each other found as one), either of them with @BEGIN or @any (where it begins, in s; the seed
+says) and +SECONDS (how long it is), as in zara02occ@any+60.
 """
 
 import argparse
@@ -271,10 +272,11 @@ def inside(walks: Iterable[Walk], size: tuple[float, float], begin: int, end: in
 def scene(rng: Rng, name: str, root: Path, sigma: float = 0.12) -> Scene:
     """Make a scene of a case by name, with video noise sigma m."""
     base, _, where = name.partition("@")
+    where, _, length = where.partition("+")
     hiding = base.endswith("occ")
     base = base.removesuffix("occ")
     walks, size = walks_of(base, root)
-    seconds = DATASETS[base].seconds
+    seconds = float(length or DATASETS[base].seconds)
     begin = float(where) if where and where != "any" else DATASETS[base].begin
     if where == "any":
         first, last = min(t[0] for t, _ in walks), max(t[-1] for t, _ in walks)
