@@ -30,24 +30,24 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import tracking_report as report
 from tracking_cases import MORE, ONCE, REAL, SYNTHETIC, TOO_MUCH, judged, scene_of
 from tracking_measures import SUMMARY, Outcome, mean, outcome, summary
-from tracking_report import Run
+from tracking_report import CEILING, DEFAULT, OWN, Run
 from tracking_runs import Variant, ceiling, fuse
 from tracking_scenes import EASY, HARD
 from tracking_worlds import COARSE
 
-DEFAULT = "default"
+from avcli.tracking.trackers import TRACKERS
+
 VARIANTS = {
     DEFAULT: Variant(),
     "no-hidden": Variant.of(["no-hidden"]),
-    **{name: Variant(name) for name in ("gnn", "jpda", "sort", "bytetrack", "oc-sort", "stonesoup-gnn")},
+    **{name: Variant(name) for name in TRACKERS if name not in ("ms-glmb", "lmb")},
     **{f"{n} hypotheses": Variant.of([f"hypotheses={n}"]) for n in (5, 20, 80)},
     "lag 5": Variant(lag=5),
     "lag inf": Variant(lag=math.inf),
     "lmb": Variant("lmb"),
-    "ceiling": Variant(),  # of its kind: see `ran`
+    CEILING: Variant(),  # of its kind: see `ran`
 }
-WITH_MORE = (DEFAULT, "ceiling")  # those that get the seeds of MORE
-OWN = ("5 hypotheses", "20 hypotheses", "80 hypotheses", "lag 5", "lag inf", "lmb")  # on the first cases alone
+WITH_MORE = (DEFAULT, CEILING)  # those that get the seeds of MORE
 NEEDS = {"jpda": "stonesoup", "stonesoup-gnn": "stonesoup"}
 
 Task = tuple[str, int, list[tuple[str, str]]]  # case, seed, what is run: (variant, sensor or "" for all)
@@ -59,7 +59,7 @@ def ran(task: Task, variants: dict[str, Variant], root: Path | None) -> list[Out
     whole, out = scene_of(case, seed, root), []
     for name, sensors in entries:
         scene = whole.only(sensors) if sensors else whole
-        tracks, spent = (ceiling(scene), math.nan) if name == "ceiling" else fuse(scene, variants[name])
+        tracks, spent = (ceiling(scene), math.nan) if name == CEILING else fuse(scene, variants[name])
         out.append(outcome(scene, tracks, spent))
     return out
 
@@ -170,7 +170,7 @@ def main() -> None:
         return
     variants = {} if options.only else {DEFAULT: Variant()}
     for words in options.settings:
-        variants[" ".join(words)] = Variant() if words == ["ceiling"] else Variant.of(words)
+        variants[" ".join(words)] = Variant() if words == [CEILING] else Variant.of(words)
     table(cases, seeds, variants, options.walks, options.jobs)
 
 

@@ -16,7 +16,8 @@ from tracking_scenes import EASY
 from tracking_worlds import COARSE
 
 ENOUGH, RUNS, CLOSE = 400, 20, 0.05  # records and runs in a bin of existence that count; said = true to this
-PEERS = ("no-hidden", "gnn", "jpda", "sort", "bytetrack", "oc-sort", "stonesoup-gnn")
+DEFAULT, CEILING = "default", "ceiling"
+OWN = ("5 hypotheses", "20 hypotheses", "80 hypotheses", "lag 5", "lag inf", "lmb")  # variants of the default tracker
 LEGEND = """\
 - HOTA, DetA, AssA: percent at d0 = 2 m; ±: standard error of the mean; > 10 s: from then on; d0=.5: HOTA at .5 m.
 - invent: tracks of nobody in a frame, where no camera sees anything.
@@ -51,7 +52,7 @@ def read(path: Path) -> list[Run]:
     return [Run(**{**one, "outcome": Outcome(**one["outcome"])}) for one in json.loads(path.read_text())]
 
 
-def chosen(runs: Iterable[Run], variant: str = "default", sensors: str = "", case: str = "") -> list[Run]:
+def chosen(runs: Iterable[Run], variant: str = DEFAULT, sensors: str = "", case: str = "") -> list[Run]:
     """The runs of one variant, of one case or of all."""
     return [one for one in runs if (one.variant, one.sensors) == (variant, sensors) and case in ("", one.case)]
 
@@ -59,6 +60,11 @@ def chosen(runs: Iterable[Run], variant: str = "default", sensors: str = "", cas
 def cases_of(runs: Iterable[Run]) -> list[str]:
     """The names of the cases, in their order."""
     return list(dict.fromkeys(run.case for run in runs))
+
+
+def peers_of(runs: Iterable[Run]) -> list[str]:
+    """The trackers that the default one is compared with, in their order."""
+    return [one for one in dict.fromkeys(run.variant for run in runs) if one not in (DEFAULT, CEILING, *OWN)]
 
 
 def shown(value: float, digits: int = 1, sign: str = "") -> str:
@@ -91,7 +97,7 @@ def cases_table(runs: Sequence[Run], before: Sequence[Run]) -> list[str]:
     heads = ["case", "scenes", *(["before", "gained"] if before else []), *SUMMARY, "ceiling"]
     lines = []
     for case in cases_of(chosen(runs)):
-        mine, best = chosen(runs, case=case), chosen(runs, "ceiling", case=case)
+        mine, best = chosen(runs, case=case), chosen(runs, CEILING, case=case)
         numbers = [shown(value, DIGITS[name]) for name, value in summary([one.outcome for one in mine]).items()]
         top = shown(mean(one.outcome.hota for one in best))
         lines.append([Path(case).name, str(len(mine)), *(against(runs, before, case) if before else []), *numbers, top])
@@ -116,10 +122,10 @@ def variants_table(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
         if len(shared) < 2 or not chosen(runs, case=case):
             continue
         seeds = set.intersection(*shared)
-        values = [hota_of(runs, name, case, seeds) for name in ("default", *names)]
+        values = [hota_of(runs, name, case, seeds) for name in (DEFAULT, *names)]
         ahead = max((value for value in values[1:] if not math.isnan(value)), default=math.nan) - values[0]
         lines.append([Path(case).name, *map(shown, values), shown(ahead, sign="+")])
-    return rows(["case", "default", *names, "best of these less default"], lines)
+    return rows(["case", DEFAULT, *names, "best of these less default"], lines)
 
 
 def real_table(runs: Sequence[Run]) -> list[str]:
@@ -127,12 +133,12 @@ def real_table(runs: Sequence[Run]) -> list[str]:
     heads = ["case", "tracker", "HOTA (d0 .5)", "DetA", "AssA", "birth s", "ghost s", "95 %", "taken of left", "Brier"]
     lines = []
     for case in [one for one in cases_of(runs) if not is_synthetic(one)]:
-        for name in ("default", *PEERS, "ceiling"):
+        for name in (DEFAULT, *peers_of(runs), CEILING):
             found = [one.outcome for one in chosen(runs, name, case=case)]
             if found:
                 n = summary(found)
                 taken = f"{n['taken']:.0f} of {n['left']:.0f}" if n["left"] else ""
-                brier = shown(n["Brier"], 3) if name in ("default", "no-hidden") else ""
+                brier = shown(n["Brier"], 3) if name in (DEFAULT, "no-hidden") else ""
                 lines.append(
                     [
                         Path(case).name,
@@ -171,7 +177,7 @@ def single_table(runs: Sequence[Run]) -> list[str]:
     lines = []
     for case in cases_of(runs):
         for sensors in ("audio", "video", ""):
-            found = [one.outcome for one in chosen(runs, "default", sensors, case)]
+            found = [one.outcome for one in chosen(runs, DEFAULT, sensors, case)]
             values = [mean(getattr(one, scale) for one in found) for scale in ("hota", "fine", "finest")]
             lines.append([f"{case}, {sensors or 'both'}", str(len(found)), *map(shown, values)])
     return rows(["scenario", "scenes", "d0 2 m", "d0 .5 m", "d0 .25 m"], lines)
@@ -180,7 +186,7 @@ def single_table(runs: Sequence[Run]) -> list[str]:
 def fused(runs: Sequence[Run], case: str, scale: str) -> list[float]:
     """HOTA with both sensors less that with the better one, for each seed."""
     found = [
-        {run.seed: getattr(run.outcome, scale) for run in chosen(runs, "default", sensors, case)}
+        {run.seed: getattr(run.outcome, scale) for run in chosen(runs, DEFAULT, sensors, case)}
         for sensors in ("", "audio", "video")
     ]
     return [found[0][seed] - max(found[1][seed], found[2][seed]) for seed in found[0] if seed in found[1]]
@@ -236,14 +242,14 @@ def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> 
         "SORT, ByteTrack and OC-SORT on points in metres (tests/bench/tracking_peers.py says how), Stone Soup's GNN",
         "and JPDA, avfuse's own gnn, and avfuse with --no-hidden.",
         "",
-        *variants_table(runs, PEERS),
+        *variants_table(runs, peers_of(runs)),
     ]
     if real:
         lines += ["## Tracks of real people", "", *real_table(real)]
     lines += [
         "## Hypotheses and delay, HOTA",
         "",
-        *variants_table(runs, ("5 hypotheses", "20 hypotheses", "80 hypotheses", "lag 5", "lag inf", "lmb")),
+        *variants_table(runs, OWN),
         "## Both sensors less the better one",
         "",
         "Difference of HOTA for each seed: mean with its 95 % interval, and the worst. coarse: video of sigma .2 m.",
@@ -283,7 +289,7 @@ def plots(runs: Sequence[Run], own: Sequence[Run], folder: Path) -> None:
     import matplotlib.pyplot as plt
     from matplotlib import ticker
 
-    names = [one for one in dict.fromkeys(run.variant for run in runs) if one != "ceiling"]
+    names = [one for one in dict.fromkeys(run.variant for run in runs) if one != CEILING]
     cases = [case for case in cases_of(runs) if len({run.variant for run in runs if run.case == case}) > 2]
     if cases:
         figure, axes = plt.subplots(
@@ -295,7 +301,7 @@ def plots(runs: Sequence[Run], own: Sequence[Run], folder: Path) -> None:
                 if found:
                     error, spent = 100 - mean(one.hota for one in found), min(one.spent for one in found)
                     axis.plot(spent, error, "os^vDP*"[k // 10], color=f"C{k % 10}", label=name)
-            best = [one.outcome.hota for one in chosen(runs, "ceiling", case=case)]
+            best = [one.outcome.hota for one in chosen(runs, CEILING, case=case)]
             if best:
                 axis.axhline(100 - mean(best), color="0.6", linestyle=":")
             axis.set(title=Path(case).name, xscale="log", xlabel="ms a frame", ylabel="100 - HOTA", ylim=(0, None))

@@ -133,9 +133,12 @@ def sensors(
 
 
 def leavers(rng: Rng, where: str, video_only: bool = False) -> Scene:
-    """People come in through a wall one after the other, cross 8 x 6 m, and leave: by a wall, a door, the middle."""
-    size, stays, begin = (8.0, 6.0), [], 0.0
-    while begin < 52.0:
+    """People come in through a wall one after the other, cross 8 x 6 m, and leave: by a wall, a door, the middle.
+
+    The next one comes about then, or after 8 to 20 s.
+    """
+    size, stays, begin, seconds = (8.0, 6.0), [], 0.0, 90.0
+    while begin < seconds - 8.0:
         sides = rng.permutation(4)[:2]
         places = [on_wall(rng, size, int(side)) for side in sides]
         end = {
@@ -145,11 +148,11 @@ def leavers(rng: Rng, where: str, video_only: bool = False) -> Scene:
         }[where]
         path = walk(places[0], [rng.uniform([2.0, 1.5], [6.0, 4.5]), end], rng.uniform(0.8, 1.5))
         first = round(begin * RATE)
-        path = path[: 601 - first]
+        path = path[: round(seconds * RATE) + 1 - first]
         stays.append(Stay(first, path, turns(rng, len(path)), np.zeros(len(path), bool)))
-        begin += len(path) / RATE + rng.uniform(-2.0, 6.0)
+        begin += len(path) / RATE + (rng.uniform(-2.0, 3.0) if rng.random() < 0.5 else rng.uniform(8.0, 20.0))
     looks = sensors(size)[1:] if video_only else sensors(size)
-    return perceived(rng, stays, clock(60.0), looks, room(*size))
+    return perceived(rng, stays, clock(seconds), looks, room(*size))
 
 
 def on_wall(rng: Rng, size: tuple[float, float], side: int) -> np.ndarray:
