@@ -3,42 +3,39 @@
 Every seed has its own audio: microphone noise 30 dB below a voice and pauses between sentences of its own length. Video
 is drawn for the first few seeds only, with a camera sensor's noise (it takes longest), and used in turn by the others.
 Detections are kept below --out and made only where they are missing. Tracks are online, with the defaults of avfuse.
-The less d0 is, the more centimetres count: at 0.25 m, HOTA is that of matches within 1 to 24 cm.
+bench_tracking.py adds what is found here about existence to its tables, where it has the same --out.
 """
 
 import argparse
-import json
-import math
 import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from avcli.formats import records
-from avcli.formats.experiment import Config, read_config
-from avcli.metrics.hota import METRIC as HOTA
-from avcli.metrics.metric import Case
-from avcli.metrics.sequence import Sequence
-from avcli.metrics.settings import Settings as Scoring
-from avcli.tracking.fusion import Fusion
-from avcli.tracking.merging import Record
-from avcli.tracking.settings import Settings
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import tracking_report as report
+import walks
+from tracking_measures import outcome
+from tracking_report import Run
+from tracking_runs import Variant, fuse
+from tracking_scenes import Scene
 
 SCENARIOS = ("s1", "s2", "s3", "s4")
-D0 = (2.0, 0.5, 0.25)  # m
 
 
 def run(command: str, *arguments: object) -> None:
     subprocess.run([Path(sys.executable).parent / command, *map(str, arguments)], check=True)
 
 
-def hear(folder: Path, scenario: str, seed: int) -> Path:
-    """Audio localizations of one seed."""
+def hear(folder: Path, scenario: str, seed: int) -> None:
+    """Make the audio localizations of one seed."""
     found = folder / "audio_localizations.jsonl"
     if not found.exists():
         scene, sound = folder / "scene.jsonl", folder / "audio.jsonl"
@@ -46,100 +43,64 @@ def hear(folder: Path, scenario: str, seed: int) -> Path:
         run("avsim-scene", scenario, "--no-video", "-C", folder, "-o", scene)
         run("avsim-audio", "-C", folder, "--noise", "sensor=30", "--pause", pause, "--seed", seed, scene, "-o", sound)
         run("avdetect-audio", "-C", folder, sound, "-o", found)
-    return found
 
 
-def see(folder: Path, scenario: str, seed: int) -> Path:
-    """Video localizations of one seed."""
+def see(folder: Path, scenario: str, seed: int) -> None:
+    """Make the video localizations of one seed."""
     found = folder / "video_localizations.jsonl"
     if not found.exists():
         scene, noise = folder / "scene.jsonl", ("--full-well", 10000, "--read-noise", 1)
         run("avsim-scene", scenario, "--frames", "npy", *noise, "--seed", seed, "-C", folder, "-o", scene)
         run("avdetect-video", "-C", folder, scene, "-o", found)
         shutil.rmtree(folder / "video")
-    return found
 
 
-def detections(path: Path) -> list[Record]:
-    """[(time s, sensor, Detections), ...] of a file."""
-    with open(path, "rb") as lines:
-        found = [records.detections(records.decode(line)) for line in lines]
-    return [(round(one.timestamp, 6), one.sensor or "sensor", one) for one in found]
-
-
-def truth_of(folder: Path) -> list[tuple[float, list[int], np.ndarray]]:
-    """[(time s, ids, xy (n, 2) m)] of an experiment directory."""
-    out = []
-    for line in (folder / "groundtruth_sources.jsonl").read_bytes().splitlines():
-        people = json.loads(line)
-        xy = [one["position"][:2] for one in people["objects"]]
-        out.append(
-            (
-                round(float(people["timestamp"]), 6),
-                [one["object_id"] for one in people["objects"]],
-                np.reshape(xy, (-1, 2)),
-            )
-        )
-    return out
-
-
-def hota(truth: list[tuple[float, list[int], np.ndarray]], found: list[Record], config: Config) -> list[float]:
-    """HOTA in percent of online tracks of some detections, at each d0."""
-    fusion, tracks = Fusion.of(config, Settings()), []
-    for now, *_ in truth:
-        (people,) = fusion.step(now, [one for one in found if one[0] == now])
-        tracks.append((people.ids.tolist(), people.positions[:, :2]))
-    sequence = Sequence.of([(ids, xy) for _, ids, xy in truth], tracks)
-    return [100 * float(np.mean(HOTA.score(Case(sequence, Scoring(d0=d0)))["HOTA"])) for d0 in D0]
-
-
-def scores(out: Path, scenario: str, seed: int, video_seed: int) -> np.ndarray:
-    """HOTA (3, len(D0)) in percent of audio, video and both, of one seed."""
-    ear, eye = out / f"{scenario}-audio-{seed}", out / f"{scenario}-video-{video_seed}"
-    for folder in (ear, eye):
-        folder.mkdir(parents=True, exist_ok=True)
-    heard, seen = detections(hear(ear, scenario, seed)), detections(see(eye, scenario, video_seed))
-    truth, config = truth_of(ear), read_config(ear / "config.json")
-    return np.array([hota(truth, found, config) for found in (heard, seen, heard + seen)])
+def scene_of(ear: Path, eye: Path) -> Scene:
+    """The truth and detections of two directories, one of which was heard and the other seen."""
+    heard, seen = walks.ready(ear, ("audio",)), walks.ready(eye, ("video",))
+    return replace(heard, ready=sorted([*(heard.ready or ()), *(seen.ready or ())], key=lambda r: (r[0], r[1])))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="directory of the figures and detections")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--seeds", type=int, default=10, help="audio simulations of each scenario")
     parser.add_argument("--video-seeds", type=int, default=3, help="video simulations of each scenario")
     parser.add_argument("--scenarios", nargs="*", default=SCENARIOS, choices=SCENARIOS)
     options = parser.parse_args()
-    arguments = f"--first {options.first} --seeds {options.seeds} --video-seeds {options.video_seeds}"
+    runs: list[Run] = []
+    for scenario in options.scenarios:
+        for seed in range(options.seeds):
+            ear = options.out / "tracking-real" / f"{scenario}-audio-{seed}"
+            eye = options.out / "tracking-real" / f"{scenario}-video-{seed % options.video_seeds}"
+            for folder in (ear, eye):
+                folder.mkdir(parents=True, exist_ok=True)
+            hear(ear, scenario, seed)
+            see(eye, scenario, seed % options.video_seeds)
+            scene = scene_of(ear, eye)
+            for sensors in ("", "audio", "video"):
+                some = scene.only(sensors) if sensors else scene
+                runs.append(Run(scenario, seed, "default", sensors, outcome(some, *fuse(some, Variant()))))
+            audio, video, both = (report.chosen(runs, "default", one, scenario) for one in ("audio", "video", ""))
+            shown = [f"{one[-1].outcome.hota:.1f} ({one[-1].outcome.fine:.1f})" for one in (audio, video, both)]
+            print(f"{scenario} {seed}: audio {shown[0]}, video {shown[1]}, both {shown[2]}", flush=True)
+    report.write(runs, options.out / "tracking-real.json")
     lines = [
         "# On the project's own detections, online",
         "",
-        f"Made by `tests/bench/bench_tracking_real.py {arguments}`:",
+        f"Made by `tests/bench/bench_tracking_real.py --seeds {options.seeds} --video-seeds {options.video_seeds}`:",
         "every seed has its own simulation of audio (noise and pauses differ); those of video (the camera's noise",
-        "differs) are used in turn, so their figures repeat. HOTA in percent, mean of the seeds; the gain is that of",
-        "both over the better sensor of each seed, with its 95 % interval.",
+        "differs) are used in turn, so their figures repeat. HOTA in percent at d0 = 2, .5 and .25 m, online.",
         "",
-        "| scenario | d0, m | audio | video | both | gain | least gain |",
-        "|---|---:|---:|---:|---:|---:|---:|",
+        *report.single_table(runs),
+        "Both sensors less the better one: mean with its 95 % interval, and the worst.",
+        "",
+        *report.sensors_table(runs, {"s1 to s4": options.scenarios}),
+        "Existence: said and true.",
+        "",
+        *report.reliability_table({"own detections": report.chosen(runs)}),
     ]
-    for scenario in options.scenarios:
-        found = []
-        for seed in range(options.first, options.first + options.seeds):
-            video_seed = options.first + (seed - options.first) % options.video_seeds
-            found.append(scores(options.out / "tracking-real", scenario, seed, video_seed))
-            print(scenario, seed, *found[-1].round(1).tolist(), flush=True)
-        each = np.array(found)
-        gains = each[:, 2] - each[:, :2].max(1)
-        error = 1.96 * gains.std(0, ddof=1) / math.sqrt(len(each)) if len(each) > 1 else np.full(len(D0), math.nan)
-        for k, d0 in enumerate(D0):
-            audio, video, both = each[..., k].mean(0)
-            lines.append(
-                f"| {scenario} | {d0:g} | {audio:.1f} | {video:.1f} | {both:.1f} "
-                f"| {gains[:, k].mean():+.2f} ± {error[k]:.2f} | {gains[:, k].min():+.2f} |"
-            )
-            print(lines[-1], flush=True)
-    (options.out / "tracking-real.md").write_text("\n".join(lines) + "\n")
+    (options.out / "tracking-real.md").write_text("\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -119,7 +119,9 @@ def fit(described: dict[str, Any], walks: np.ndarray, iterations: int) -> dict[s
 
 def hota(motion: Motion, seeds: int) -> np.ndarray:
     """HOTA in percent of the default tracker on each scene of the bench's hard cases."""
-    from bench_tracking import detections, measure, scene_of
+    from tracking_cases import scene_of
+    from tracking_measures import hota as hota_of
+    from tracking_runs import Frame, detections
 
     values = []
     for case in CASES:
@@ -129,8 +131,10 @@ def hota(motion: Motion, seeds: int) -> np.ndarray:
             for now, *_ in scene.truth:
                 due = [record for record in queue if record[0] <= now + 1e-9]
                 del queue[: len(due)]
-                tracks += [(one.ids.tolist(), one.positions[:, :2]) for one in fusion.step(now, due)]
-            values.append(measure(scene.truth, tracks)[0])
+                tracks += [
+                    Frame(one.ids.tolist(), one.positions[:, :2], one.existence) for one in fusion.step(now, due)
+                ]
+            values.append(hota_of(scene.truth, tracks, 2.0)[0])
     return np.array(values)
 
 

@@ -5,13 +5,18 @@ Video localizes the body's axis, audio the mouth of whoever speaks, 0.1 m in fro
 detections a record, all in a room of 4.66 m x 4.66 m.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from avcli.formats.features import Feature
+from avcli.formats.experiment import Config
+from avcli.formats.records import Detections
 from avcli.formats.sensors import CAMERA, MICROPHONES
+
+AHEAD = 0.1  # m, from the body's axis to the mouth
+COPY = 0.1  # m, standard deviation of the detections of a person who is found several times
 
 KIND = {"video": CAMERA, "audio": MICROPHONES}
 ROOM = 4.66
@@ -25,19 +30,43 @@ Truth = list[tuple[float, np.ndarray, np.ndarray]]
 
 Rng = np.random.Generator
 
+TALK, TURN = 0.4, 2.0  # share of people who talk; drawn anew each so many s
+HIDE, HIDDEN = 0.1, (0.2, 1.5)  # rate per second at which a person becomes hidden, for so many s
+
 
 @dataclass
 class Scene:
-    """People at each time, and what sensors found."""
+    """People at each time, and what sensors found.
+
+    Attributes:
+        truth: at each time of the output.
+        records: in order of time.
+        config: the room and its camera as avfuse is told them, None: the trackers' own default room.
+        told: sensor -> by how much its detections state their sigma wrong, a factor; NaN: they do not state it.
+        features: for each record name -> `Feature` of its detections; empty: none has any.
+        ready: the records as avfuse takes them, with what the sensors say of each detection; None: `records` say all.
+        seen: two corners of the rectangle that is scored, m, None: everywhere.
+    """
 
     truth: Truth
     records: list[Record] = field(default_factory=list)
-    features: list[dict[str, Feature]] = field(default_factory=list)  # of each record; empty: none has any
+    config: Config | None = None
+    told: Mapping[str, float] = field(default_factory=dict)
+    features: list[dict[str, Any]] = field(default_factory=list)
+    ready: list[tuple[float, str, Detections]] | None = None
+    seen: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
-        chosen = [k for k, record in enumerate(self.records) if record[1] in sensors]
-        return Scene(self.truth, [self.records[k] for k in chosen], [self.features[k] for k in chosen if self.features])
+        kept = [k for k, r in enumerate(self.records) if r[1] in sensors]
+        features = [self.features[k] for k in kept] if self.features else []
+        ready = None if self.ready is None else [r for r in self.ready if r[1] in sensors]
+        return replace(self, records=[self.records[k] for k in kept], features=features, ready=ready)
+
+
+def room(width: float, depth: float) -> Config:
+    """The config of a room of a size in m."""
+    return Config({"room_config": {"room_dimensions_m": [width, depth, 3.0]}})
 
 
 def waypoints(
@@ -100,6 +129,10 @@ class Look:
     detection: float
     clutter: float
     rate: float = RATE
+    area: tuple[float, float] = (ROOM, ROOM)  # m, where false detections are, from `corner` on
+    merge: float = 0.0  # m; two who are nearer to one another are found as one, between them, half the time
+    corner: tuple[float, float] = (0.0, 0.0)
+    copies: int = 1  # one person is found up to so many times, `COPY` m apart
 
     def record(
         self,
@@ -111,7 +144,21 @@ class Look:
         detection: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> Record:
         """One record at `shown` (default: time) of what is there at `time`; nobody in `hidden` is found."""
-        ids, place, mouth, speaks = people.at(time)
+        shown = float(time if shown is None else shown)
+        return self.of(rng, shown, *people.at(time), hidden=hidden, detection=detection)
+
+    def of(
+        self,
+        rng: Rng,
+        time: float,
+        ids: np.ndarray,
+        place: np.ndarray,
+        mouth: np.ndarray,
+        speaks: np.ndarray,
+        hidden: Iterable[int] = (),
+        detection: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> Record:
+        """One record of n people: ids (n,), place and mouth (n, 2) m, speaks (n,)."""
         if self.name == "audio":
             place, able = mouth, speaks
         else:
@@ -120,11 +167,104 @@ class Look:
         chance = np.full(len(ids), self.detection) if detection is None else detection(place)
         found = able & (rng.random(len(ids)) < chance)
         z = place[found] + self.sigma * rng.standard_normal((found.sum(), 2))
-        ghosts = rng.uniform(0, ROOM, (rng.poisson(self.clutter), 2))
-        owner = np.r_[ids[found], np.full(len(ghosts), -1)].astype(int)
+        owner = ids[found]
+        if self.copies > 1:
+            again = np.repeat(np.arange(len(z)), rng.integers(1, self.copies + 1, len(z)))
+            z, owner = z[again] + COPY * rng.standard_normal((len(again), 2)), owner[again]
+        if self.merge:
+            z, owner = merged(rng, place[found], z, owner, self.merge)
+        ghosts = rng.uniform(self.corner, self.area, (rng.poisson(self.clutter), 2))
+        owner = np.r_[owner, np.full(len(ghosts), -1)].astype(int)
         z = np.vstack([z, ghosts])
         order = rng.permutation(len(z))
-        return (float(time if shown is None else shown), self.name, z[order], self.sigma, owner[order])
+        return (time, self.name, z[order], self.sigma, owner[order])
+
+
+def merged(
+    rng: Rng, place: np.ndarray, z: np.ndarray, owner: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Detections z (n, 2) and owners (n,), of which pairs of people nearer than `reach` m are one half the time."""
+    gone: set[int] = set()
+    for a in range(len(z)):
+        for b in range(a + 1, len(z)):
+            near = np.linalg.norm(place[a] - place[b]) < reach
+            if near and not gone & {a, b} and rng.random() < 0.5:
+                z[a] = (z[a] + z[b]) / 2
+                gone.add(b)
+    keep = [k for k in range(len(z)) if k not in gone]
+    return z[keep], owner[keep]
+
+
+@dataclass
+class Stay:
+    """One person from coming to leaving, on the clock of a scene.
+
+    Attributes:
+        first: number of the first frame.
+        xy: (n, 2) m.
+        talks: (n,) whether the person talks.
+        unseen: (n,) whether the person is hidden from the camera.
+    """
+
+    first: int
+    xy: np.ndarray
+    talks: np.ndarray
+    unseen: np.ndarray
+
+
+def turns(rng: Rng, n: int, share: float = TALK, rate: float = RATE) -> np.ndarray:
+    """Whether somebody talks in each of n frames."""
+    length = max(round(TURN * rate), 1)
+    return np.repeat(rng.random(int(n / length) + 1) < share, length)[:n]
+
+
+def hidden(rng: Rng, n: int, rate: float = RATE) -> np.ndarray:
+    """Whether somebody who is hidden from the camera now and then is so in each of n frames."""
+    out, k = np.zeros(n, bool), rng.exponential(1 / HIDE) * rate
+    while k < n:
+        length = rng.uniform(*HIDDEN) * rate
+        out[int(k) : int(k + length)] = True
+        k += length + rng.exponential(1 / HIDE) * rate
+    return out
+
+
+def mouths(xy: np.ndarray) -> np.ndarray:
+    """Places (n, 2) m of the mouth of somebody who walks along xy (n, 2) m."""
+    velocity = np.gradient(xy, axis=0) if len(xy) > 1 else np.zeros_like(xy)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    return xy + AHEAD * np.where(speed > 1e-3, velocity / np.maximum(speed, 1e-9), [1.0, 0.0])
+
+
+def perceived(
+    rng: Rng,
+    stays: list[Stay],
+    times: np.ndarray,
+    looks: Iterable[Look],
+    config: Config | None = None,
+    deaf: Callable[[float], bool] = lambda t: False,
+    detection: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Scene:
+    """A scene of stays on a clock (s), every sensor at each time, in the order of the names of `looks`.
+
+    Args:
+        deaf: tells whether no sensor finds anybody at a time.
+        detection: the video's probability at places (n, 2) m, in place of the look's own.
+    """
+    frames: list[list[tuple[int, np.ndarray, np.ndarray, bool, bool]]] = [[] for _ in times]
+    for i, one in enumerate(stays):
+        for j, mouth in enumerate(mouths(one.xy)):
+            frames[one.first + j].append((i, one.xy[j], mouth, bool(one.talks[j]), bool(one.unseen[j])))
+    truth, records = [], list[Record]()
+    for t, people in zip(times.tolist(), frames, strict=True):
+        ids = np.array([one[0] for one in people], int)
+        place, mouth = (np.array([one[c] for one in people]).reshape(-1, 2) for c in (1, 2))
+        talks, unseen = (np.array([one[c] for one in people], bool) for c in (3, 4))
+        truth.append((t, ids, place))
+        for look in looks:
+            away = ids if deaf(t) else ids[unseen] if look.name == "video" else ids[:0]
+            chance = detection if look.name == "video" else None
+            records.append(look.of(rng, t, ids, place, mouth, talks, away, chance))
+    return Scene(truth, records, config)
 
 
 VIDEO = Look("video", 0.12, 0.9, 0.02)
@@ -162,35 +302,35 @@ def straight(y: float, backwards: bool = False) -> tuple[np.ndarray, np.ndarray]
     return t, np.column_stack([x, np.full_like(t, y)])
 
 
-def s1(rng: Rng) -> Scene:
+def s1(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """One person who speaks."""
     people = People()
     people.add(*straight(2.33))
-    return assemble(rng, people, 4.0)
+    return assemble(rng, people, 4.0, looks)
 
 
-def s2(rng: Rng) -> Scene:
+def s2(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """One person who speaks, hidden from the camera for 1.2 s."""
     people = People()
     people.add(*straight(2.33))
-    return assemble(rng, people, 4.0, hidden=lambda name, t: (0,) if name == "video" and 1.4 <= t < 2.6 else ())
+    return assemble(rng, people, 4.0, looks, lambda name, t: (0,) if name == "video" and 1.4 <= t < 2.6 else ())
 
 
-def s3(rng: Rng) -> Scene:
+def s3(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """Three people; the one in the middle walks the other way and speaks."""
     people = People()
     for y, back in ((1.33, False), (2.33, True), (3.33, False)):
         people.add(*straight(y, back), speaks=back)
-    return assemble(rng, people, 4.0)
+    return assemble(rng, people, 4.0, looks)
 
 
-def s4(rng: Rng) -> Scene:
+def s4(rng: Rng, looks: Iterable[Look] = (VIDEO, AUDIO)) -> Scene:
     """As S3, speaking one after the other."""
     people = People()
     t = clock(4.0)
     for k, (y, back) in enumerate(((1.33, False), (2.33, True), (3.33, False))):
         people.add(*straight(y, back), speaks=(t >= k * 4 / 3) & (t < (k + 1) * 4 / 3))
-    return assemble(rng, people, 4.0)
+    return assemble(rng, people, 4.0, looks)
 
 
 def crossing(rng: Rng) -> Scene:
@@ -307,7 +447,7 @@ def long_pair(rng: Rng) -> Scene:
     return assemble(rng, strollers(rng, 2, 300.0), 300.0)
 
 
-EASY = {"s1": s1, "s2": s2, "s3": s3, "s4": s4}
+EASY: dict[str, Callable[..., Scene]] = {"s1": s1, "s2": s2, "s3": s3, "s4": s4}
 HARD = {
     "crossing": crossing,
     "turning-back": turning_back,
