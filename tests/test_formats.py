@@ -240,6 +240,61 @@ def test_one_identity_twice_is_refused():
         records.identified(records.decode(line))
 
 
+LOOKS = {"kind": "clothes", "vector": [0.5, None, -2.0], "sd": [0.1, None, 1.0]}
+
+
+def with_features(*each):
+    return {"timestamp": 0.0, "sensor": "a", "objects": [{"position": [1.0, 2.0, 0.0], "features": f} for f in each]}
+
+
+def test_features_are_read_as_columns_and_written_again():
+    voice = {"kind": "pitch", "vector": [1.5]}
+    record = with_features({"looks": LOOKS}, None, {"looks": LOOKS, "voice": voice}, {})
+    found = records.detections(record)
+    assert {name: one.kind for name, one in found.features.items()} == {"looks": "clothes", "voice": "pitch"}
+    nan, looks = [np.nan] * 3, found.features["looks"]
+    np.testing.assert_array_equal(looks.vectors, [[0.5, np.nan, -2], nan, [0.5, np.nan, -2], nan])
+    np.testing.assert_array_equal(looks.sds, [[0.1, np.nan, 1], nan, [0.1, np.nan, 1], nan])
+    np.testing.assert_array_equal(found.features["voice"].vectors, [[np.nan], [np.nan], [1.5], [np.nan]])
+    assert np.isnan(found.features["voice"].sds).all()
+    again = orjson.loads(records.encode(records.as_record(found)))
+    assert [row.get("features") for row in again["objects"]] == [
+        {"looks": LOOKS},
+        None,
+        record["objects"][2]["features"],
+        None,
+    ]
+    jsonschema.validate(again, schema("localization"))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"looks": {"vector": [1]}}, '"features.looks.kind" is missing'),
+        (
+            {"looks": {**LOOKS, "vector": []}},
+            '"features.looks.vector" must be a list of 1 to 1024 numbers from -1e6 to',
+        ),
+        ({"looks": {**LOOKS, "vector": [1, "2", 3]}}, '"features.looks.vector" must be a list of 1 to 1024 numbers'),
+        ({"looks": {**LOOKS, "sd": [1, 1]}}, '"features.looks.sd" must be a list of 3, as "vector" is, found 2'),
+        ({"looks": {**LOOKS, "sd": [1, 0, 1]}}, '"features.looks.sd" must be a list of 1 to 1024 numbers above 0'),
+        (
+            {"looks": {**LOOKS, "kind": "hat"}},
+            '"features.looks" must have one kind and length in a record, found "hat"',
+        ),
+        ({str(k): LOOKS for k in range(9)}, '"features" must have at most 8 names, found 9'),
+        (3, '"features" must be a JSON object, found 3'),
+    ],
+)
+def test_invalid_features_are_named_or_dropped(wrong, words):
+    record = with_features({"looks": LOOKS}, wrong)
+    with pytest.raises(records.RecordError, match=r"^objects\[1\]: " + words):
+        records.detections(record)
+    reasons = []
+    found = records.detections(record, reasons.append)
+    assert (len(found), len(found.features["looks"].vectors), len(reasons)) == (1, 1, 1)
+
+
 @pytest.mark.parametrize("seconds", [0.0, -0.0, 0.1, 1e-11, 4.0, 1.7e9])
 def test_timestamps_have_ten_decimals_and_no_negative_zero(seconds):
     text = records.format_timestamp(seconds)

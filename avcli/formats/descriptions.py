@@ -8,6 +8,7 @@ avcli.formats.experiment, and scenarios are in avcli.scene.scenario.
 from dataclasses import dataclass
 
 from avcli.formats import bounds
+from avcli.formats.features import FEATURES
 from avcli.formats.schema import (
     Boolean,
     Choice,
@@ -105,6 +106,7 @@ DETECTION = Object(
         "score": Key(PROBABILITY, "probability that the detection is right"),
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
         "height": Key(bounds.COORDINATE, "height of the person, m"),
+        "features": Key(FEATURES, 'what tells this person from others, by name: "looks", "voice"; at most 8'),
     }
 )
 

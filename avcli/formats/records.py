@@ -23,8 +23,9 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 import orjson
 
-from avcli.formats import atomic, descriptions
+from avcli.formats import atomic, descriptions, features
 from avcli.formats.bounds import LATEST_S, LONGEST_RECORD, MOST_OBJECTS
+from avcli.formats.features import Feature
 from avcli.formats.schema import DEEPEST, IDENTITY, Invalid, Object, refuse_depth, shown
 
 
@@ -224,6 +225,7 @@ class Detections:
         kind: "camera" or "microphones", None where the record does not say it.
         boxes_px: (n, 4) x0, y0, x1, y1 in the full image; NaN where none was given.
         heights: (n,) m, of people; NaN where none was given.
+        features: name ("looks", "voice") -> what tells these people from others.
     """
 
     timestamp: float
@@ -234,6 +236,7 @@ class Detections:
     kind: str | None = None
     boxes_px: np.ndarray = field(default_factory=_unknown)
     heights: np.ndarray = field(default_factory=_unknown)
+    features: Mapping[str, Feature] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _fill_unknown(self, len(self.positions), covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
@@ -302,6 +305,8 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
     if record.get("sensor") is None and record.get("kind") is None and _some_object(record, has_identity=True):
         raise WrongKindError('has "object_id": these are ground truth or tracks, not detections')
     rows = _rows(record, descriptions.DETECTION, bad)
+    given = any(row["features"] for row in rows.values())
+    told = features.columns(rows, bad) if given else {}  # first, since it may drop rows
     return Detections(
         timestamp=record["timestamp"],
         sensor=head["sensor"],
@@ -311,6 +316,7 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
         scores=_column(rows, "score"),
         boxes_px=_column(rows, "bbox_px", 4),
         heights=_column(rows, "height"),
+        features=told,
     )
 
 
@@ -480,6 +486,10 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
                 row[key] = value[:2] if "object_id" in row else [*value[:2], None]
             elif key == "height" and "bbox_px" in row:
                 row[key] = None
+    if isinstance(item, Detections) and item.features:
+        for row, its_features in zip(objects, features.as_objects(item.features, len(item)), strict=True):
+            if its_features:
+                row["features"] = its_features
     said = {key: value for key, value in named.items() if value is not None}
     return {"timestamp": item.timestamp, **said, "objects": objects}
 
