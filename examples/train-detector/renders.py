@@ -89,7 +89,7 @@ def random_scenario(
 class Shot:
     """A frame of a random scene: picture, depth (m, radial), the empty room's depth, and its people.
 
-    places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px, parts (n, 3, 2) px,
+    numbers (n,) of the scene's people, places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px, parts (n, 3, 2) px,
     anchors (n, 2) px.
     """
 
@@ -97,6 +97,7 @@ class Shot:
     depth: np.ndarray
     background: np.ndarray
     view: View
+    numbers: np.ndarray
     places: np.ndarray
     tops: np.ndarray
     visible: np.ndarray
@@ -144,9 +145,10 @@ def shots(rng: np.random.Generator, width: int, height: int, count: int, context
                 parts = np.tile((box[:2] + box[2:]) / 2, (3, 1))
             whole = frame.shapes[index][0].sum() * render.Frame.pitch**2
             seen = min(len(v) / max(whole, 1), within)
-            rows.append((place, top, seen, box, parts, anchor(v, u, parts[0])))
+            rows.append((place, top, seen, box, parts, anchor(v, u, parts[0]), index))
         yield Shot(
             frame.rgb.copy(), frame.depth * np.float32(1e-4), background, view,
+            np.array([row[6] for row in rows], int),
             np.array([row[0] for row in rows]).reshape(-1, 2), np.array([row[1] for row in rows]),
             np.array([row[2] for row in rows]), np.array([row[3] for row in rows]).reshape(-1, 4),
             np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),
