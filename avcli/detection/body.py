@@ -52,6 +52,7 @@ class Person:
         method: "depth" or "monocular": what the position was measured by.
         visible: visible fraction of the body, None where it is not known.
         surface: where the picture shows the person, None where only the position and the height tell it.
+        looks: (2, d) what the person wears and its standard deviations, see avcli.detection.looks; None: not described.
     """
 
     position: np.ndarray
@@ -62,6 +63,7 @@ class Person:
     method: str
     visible: float | None = None
     surface: Surface | None = None
+    looks: np.ndarray | None = None
 
 
 def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
