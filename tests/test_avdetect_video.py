@@ -85,6 +85,21 @@ def test_people_before_the_empty_room(made):
         assert set(one) == {"position", "covariance", "score", "bbox_px", "height"}
 
 
+def test_what_people_wear_is_said_where_it_is_asked_for(made, tmp_path):
+    folder = shutil.copytree(made, tmp_path / "experiment")
+    picture = np.full((270, 480, 3), (90, 120, 100), np.uint8)
+    media.write_png(folder / experiment.Layout.rgb(0.2), picture)
+    line = (folder / "frames.jsonl").read_text().splitlines()[2]
+    plain = found(run(*DEPTH, "-C", folder, stdin=line))[0]["objects"]
+    told = found(run(*DEPTH, "--features", "-C", folder, stdin=line))[0]["objects"]
+    for one in told:
+        looks = one.pop("features")["looks"]
+        assert looks["kind"] == "clothes"
+        assert looks["vector"][1] == pytest.approx(np.log(0.5), abs=1e-3)  # as bright as the room
+        assert all((a is None) == (b is None) for a, b in zip(looks["vector"], looks["sd"], strict=True))
+    assert told == plain
+
+
 def test_ground_truth_that_passes_by_changes_nothing(made):
     lines = [json.loads(line) for line in (made / "frames.jsonl").read_text().splitlines()]
     bare = "".join(json.dumps({"timestamp": line["timestamp"], "frame": line["frame"]}) + "\n" for line in lines)

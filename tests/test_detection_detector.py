@@ -1,5 +1,6 @@
 """The detector as a Python program uses it: pictures in, people out."""
 
+import dataclasses
 import doctest
 
 import numpy as np
@@ -10,6 +11,7 @@ import avcli.detection.detector
 from avcli.detection.detector import Detector, detect, detections
 from avcli.detection.network import Boxes
 from avcli.detection.settings import Settings
+from avcli.formats import records
 from avcli.formats.experiment import Config
 from avcli.formats.media import MediaError, Shot
 
@@ -139,7 +141,30 @@ def test_a_step_is_timed_by_its_name(empty, full):
         return contextlib.nullcontext()
 
     with_network(full, empty, timing=timing).look(GREY, full)
-    assert names == ["wait for pictures", "network", "depth and positions"]
+    assert names == ["wait for pictures", "network", "depth and positions", "looks"]
+
+
+COLOURFUL = np.random.default_rng(4).integers(40, 200, (270, 480, 3)).astype(np.uint8)
+
+
+def test_looks_change_nothing_else(empty, full):
+    with_looks, without = (
+        detections(0.0, with_network(full, empty, settings=Settings(features=wanted)).look(COLOURFUL, full))
+        for wanted in (None, False)
+    )
+    assert without.features == {}
+    looks = with_looks.features["looks"]
+    assert (looks.kind, looks.vectors.shape, looks.sds.shape) == ("clothes", (1, 7), (1, 7))
+    plain = dataclasses.replace(with_looks, features={})
+    assert records.encode(records.as_record(plain)) == records.encode(records.as_record(without))
+
+
+def test_the_depth_detector_describes_where_it_is_asked_to(empty, full):
+    asked = Settings(detector="depth", features=True)
+    assert not np.isnan(Detector(config(), background=empty, settings=asked).look(COLOURFUL, full)[0].looks).all()
+    assert Detector(config(), background=empty, settings=DEPTH).look(COLOURFUL, full)[0].looks is None
+    with pytest.raises(MediaError, match="no colour picture"):
+        Detector(config(), background=empty, settings=asked).look(None, full)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from avcli.formats import footage, records
 
 
+PRESET = {"position": "centre", "iou": 0.7, "features": False}
+"""What the thesis did."""
+
+
 @click.command("avdetect-video", cls=filter.Filter, epilog="Example: avdetect-video -C out/s1 scene.jsonl -o v.jsonl")
 @click.argument("files", nargs=-1, metavar="[FILE]...")
 @from_settings(Settings)
@@ -46,7 +50,7 @@ if TYPE_CHECKING:
     help="When behind, take the newest picture and skip the older ones.  [default: with a camera]",
 )
 @click.option("--overlay", metavar="FILE.mp4|DIR", help="Draw the people into a video, or into PNG files in DIR.")
-@filter.common(skip_invalid=True, media=True, mark_end=True, presets={"thesis": {"position": "centre", "iou": 0.7}})
+@filter.common(skip_invalid=True, media=True, mark_end=True, presets={"thesis": PRESET})
 def main(
     session: filter.Session,
     files: tuple[str, ...],
@@ -72,7 +76,8 @@ def main(
     with session.output() as write, contextlib.ExitStack() as stack:
         shots = _shots(session, stack, files, rate, live=live, depth=not network)
         if files and all(Path(file).is_file() or Path(file).is_dir() for file in files):
-            ahead = footage.decoded_ahead(shots, rgb=network or bool(overlay), depth=not network)
+            colour = network or bool(overlay) or bool(settings.features)
+            ahead = footage.decoded_ahead(shots, rgb=colour, depth=not network)
             shots = stack.enter_context(contextlib.closing(ahead))
         for shot in session.progress(shots, _expected(session, files, rate)):
             if detector is None:

@@ -24,6 +24,22 @@ _DISCS = ((1.62, 0.09), (_SHOULDER_M, 0.19))  # heights and radii, m, of head an
 
 
 @dataclass(frozen=True)
+class Surface:
+    """What a picture shows of one person: n samples.
+
+    Attributes:
+        rows, columns: (n,) of the full picture, px.
+        heights: (n,) m above the floor.
+        areas: (n,) m² of the body's surface that each stands for.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    heights: np.ndarray
+    areas: np.ndarray
+
+
+@dataclass(frozen=True)
 class Person:
     """A person that was found.
 
@@ -35,6 +51,8 @@ class Person:
         height: m, None where the top of the head is not seen.
         method: "depth" or "monocular": what the position was measured by.
         visible: visible fraction of the body, None where it is not known.
+        surface: where the picture shows the person, None where only the position and the height tell it.
+        looks: (2, d) what the person wears and its standard deviations, see avcli.detection.looks; None: not described.
     """
 
     position: np.ndarray
@@ -44,6 +62,8 @@ class Person:
     height: float | None
     method: str
     visible: float | None = None
+    surface: Surface | None = None
+    looks: np.ndarray | None = None
 
 
 def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,6 +130,31 @@ def locate(
     return centre, axis_covariance(centre - view.origin[:2], fraction), fraction
 
 
+def standing(centre: np.ndarray, height: float, view: View) -> Surface:
+    """Where the picture shows a standing body of a given height, m, whose axis is at centre (2,), m on the floor.
+
+    Nothing else is taken to hide it; points outside the picture are left out.
+    """
+    body = _POINTS * [1.0, 1.0, height / _TOP_M] + np.append(centre, 0.0)
+    facing = _facing(body, centre, view)
+    pixels = view.project(body)
+    shown = (facing > 0) & view.inside(pixels)
+    columns, rows = np.rint(pixels[shown]).astype(int).T
+    return Surface(rows, columns, body[shown, 2], facing[shown])
+
+
+def _facing(body: np.ndarray, centre: np.ndarray, view: View) -> np.ndarray:
+    """Area (m,), m², of a standard body at `centre` that each of its points (m, 3) turns to the camera, 0 if hidden."""
+    rays = body - view.origin
+    distance = np.linalg.norm(rays, axis=1)
+    facing = np.maximum(-(rays * _NORMALS).sum(axis=1) / distance, 0) * _AREAS
+    for height, radius in _DISCS:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = view.origin[:2] + rays[:, :2] * ((view.origin[2] - height) / -rays[:, 2:])
+        facing[(_POINTS[:, 2] < height - 0.02) & (np.linalg.norm(crossing - centre, axis=1) < radius)] = 0.0
+    return facing
+
+
 def axis_covariance(away: np.ndarray, fraction: float, law: AxisLaw = AXIS) -> np.ndarray:
     """Covariance (2, 2), m², of the axis (x, y) of a body that a depth picture shows.
 
@@ -127,14 +172,8 @@ def axis_covariance(away: np.ndarray, fraction: float, law: AxisLaw = AXIS) -> n
 def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarray) -> tuple[np.ndarray, float]:
     """Mean offset (x, y), m, from the axis of the visible part of a standard body, and the visible fraction of it."""
     body = _POINTS + np.append(centre, 0.0)
-    rays = body - view.origin
-    distance = np.linalg.norm(rays, axis=1)
-    facing = np.maximum(-(rays * _NORMALS).sum(axis=1) / distance, 0) * _AREAS * _trust(_POINTS[:, 2])
-    for height, radius in _DISCS:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = view.origin[:2] + rays[:, :2] * ((view.origin[2] - height) / -rays[:, 2:])
-        hidden = (_POINTS[:, 2] < height - 0.02) & (np.linalg.norm(crossing - centre, axis=1) < radius)
-        facing[hidden] = 0.0
+    distance = np.linalg.norm(body - view.origin, axis=1)
+    facing = _facing(body, centre, view) * _trust(_POINTS[:, 2])
     total = facing.sum()  # of a whole adult: legs alone, at the picture's border, are a small fraction of one
     facing[_POINTS[:, 2] > max(top, 0.5) + 0.05] = 0.0
     pixels = view.project(body)

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, locate
+from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
 from avcli.detection.fitted import SCORE
 from avcli.detection.monocular import HEIGHT_M, locate_box
 from avcli.detection.network import Boxes
@@ -178,6 +178,9 @@ class DepthDetector:
             height=self._height(body, centre),
             method="depth",
             visible=fraction,
+            surface=Surface(
+                *self.view.sample_pixels(body.rows, body.columns), heights=body.points[:, 2], areas=body.surface
+            ),
         )
 
     def _height(self, body: _Body, centre: np.ndarray) -> float | None:

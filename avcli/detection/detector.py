@@ -3,6 +3,7 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from importlib import resources
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from avcli.detection.body import Person
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.gate import Gate
+from avcli.detection.looks import Looks, feature
 from avcli.detection.network import Boxes, ModelError, Network
 from avcli.detection.settings import Settings
 from avcli.detection.view import View
@@ -52,7 +54,8 @@ def detect(
         settings: fields of `avcli.detection.settings.Settings`: detector="depth", monocular=True and so on.
 
     Yields:
-        The detections of each shot: a point on each person's axis, its covariance, the score, the box, the height.
+        The detections of each shot: a point on each person's axis, its covariance, the score, the box, the height,
+        and what the person wears (`avcli.detection.looks`).
 
     Raises:
         MediaError: a shot lacks the picture that the detector needs, or it has another size than config.json says.
@@ -91,6 +94,7 @@ def detections(timestamp: float, people: list[Person]) -> Detections:
         kind=CAMERA,
         boxes_px=np.array([person.bbox_px for person in people]).reshape(-1, 4).round(2),
         heights=np.array([np.nan if person.height is None else person.height for person in people]),
+        features=feature(people),
     )
 
 
@@ -132,6 +136,8 @@ class Detector:
         if self.network is None and background is None:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
+        described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
+        self._looks = Looks(self.view) if described else None
         known = config.states("room_config", "room_dimensions_m")
         self._room = config.room.dimensions if known else None
 
@@ -142,6 +148,7 @@ class Detector:
             rgb: (height, width, 3) uint8, which the network needs; or a function that reads it.
             depth: (height, width) uint16 in steps of the camera's `depth_step_m`; or a function that reads it. The
                 depth detector needs it. The network can do without, and asks for it where it finds somebody.
+            With the setting `features` the depth detector needs the colour picture too.
 
         Raises:
             MediaError: the picture is missing, cannot be read, or has another size than config.json says.
@@ -150,8 +157,8 @@ class Detector:
             with self._timing("wait for pictures"):
                 picture = self._read(depth, "depth")
             with self._timing("depth and positions"):
-                people = self._before_room.detect(self._metres(picture))
-            return [person for person in people if self._in_room(person)]
+                people = [one for one in self._before_room.detect(self._metres(picture)) if self._in_room(one)]
+            return people if self._looks is None else self._described(self._read(rgb, "colour"), people)
         with self._timing("wait for pictures"):
             picture = self._read(rgb, "colour")
         regions = self._gate.changes(picture)
@@ -159,8 +166,16 @@ class Detector:
             with self._timing("network"):
                 found = self.network.detect(picture, regions)
             with self._timing("depth and positions"):
-                self._last = [person for person in self._place(found, depth) if self._in_room(person)]
+                people = [person for person in self._place(found, depth) if self._in_room(person)]
+            self._last = self._described(picture, people)
         return self._last
+
+    def _described(self, picture: np.ndarray, people: list[Person]) -> list[Person]:
+        if self._looks is None:
+            return people
+        with self._timing("looks"):
+            described = self._looks.describe(picture, people)
+            return [replace(person, looks=looks) for person, looks in zip(people, described, strict=True)]
 
     def _place(self, found: Boxes, depth: Picture | None) -> list[Person]:
         if not len(found):

@@ -62,5 +62,12 @@ class Settings:
         only="net",
     )
 
+    features: bool | None = setting(
+        None,
+        "Say what each person wears, from the colour picture, so that avfuse can tell people apart.",
+        flag="--features/--no-features",
+        default_text="features with --detector net",
+    )
+
     def __post_init__(self) -> None:
         check(self)

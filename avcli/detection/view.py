@@ -72,6 +72,11 @@ class View:
         last = [(width - 1 - first) // self.stride, (height - 1 - first) // self.stride]
         return np.clip(np.rint((pixels - first) / self.stride).astype(int), 0, last)
 
+    def sample_pixels(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows and columns (n,), px of the full picture, of samples in these rows and columns (n,)."""
+        first = self.stride // 2
+        return first + self.stride * rows, first + self.stride * columns
+
     @cached_property
     def rays(self) -> np.ndarray:
         """Unit rays (h, w, 3) float32 of every `stride`-th pixel, in the room's frame; NaN where a pixel has none."""

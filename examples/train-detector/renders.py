@@ -89,14 +89,16 @@ def random_scenario(
 class Shot:
     """A frame of a random scene: picture, depth (m, radial), the empty room's depth, and its people.
 
-    places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px, parts (n, 3, 2) px,
-    anchors (n, 2) px.
+    time, s; numbers (n,) of the scene's people, places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px,
+    parts (n, 3, 2) px, anchors (n, 2) px.
     """
 
     picture: np.ndarray
     depth: np.ndarray
     background: np.ndarray
     view: View
+    time: float
+    numbers: np.ndarray
     places: np.ndarray
     tops: np.ndarray
     visible: np.ndarray
@@ -105,11 +107,20 @@ class Shot:
     anchors: np.ndarray
 
 
-def shots(rng: np.random.Generator, width: int, height: int, count: int, context=None, people=None, pieces=None):
-    """Yield `count` frames at random times of one random scene."""
+def shots(
+    rng: np.random.Generator,
+    width: int,
+    height: int,
+    count: int,
+    context=None,
+    people=None,
+    pieces=None,
+    look=random_look,
+):
+    """Yield `count` frames at random times of one random scene, whose people `look(rng, height)` dresses."""
     scene = scenario.parse(random_scenario(rng, width, height, people, pieces))
     actors = [
-        dataclasses.replace(person, look=random_look(rng, person.height), gestures=bool(rng.random() < 0.8))
+        dataclasses.replace(person, look=look(rng, person.height), gestures=bool(rng.random() < 0.8))
         for person in scene.people
     ]
     camera = scene.config.camera
@@ -144,9 +155,10 @@ def shots(rng: np.random.Generator, width: int, height: int, count: int, context
                 parts = np.tile((box[:2] + box[2:]) / 2, (3, 1))
             whole = frame.shapes[index][0].sum() * render.Frame.pitch**2
             seen = min(len(v) / max(whole, 1), within)
-            rows.append((place, top, seen, box, parts, anchor(v, u, parts[0])))
+            rows.append((place, top, seen, box, parts, anchor(v, u, parts[0]), index))
         yield Shot(
-            frame.rgb.copy(), frame.depth * np.float32(1e-4), background, view,
+            frame.rgb.copy(), frame.depth * np.float32(1e-4), background, view, float(t),
+            np.array([row[6] for row in rows], int),
             np.array([row[0] for row in rows]).reshape(-1, 2), np.array([row[1] for row in rows]),
             np.array([row[2] for row in rows]), np.array([row[3] for row in rows]).reshape(-1, 4),
             np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),

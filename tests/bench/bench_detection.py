@@ -39,13 +39,13 @@ GATE_M = 1.0
 """m; a position farther from everybody is false."""
 
 
-def scenes(count: int, frames: int, seed: int) -> Iterator[tuple[list[Shot], View]]:
-    """Yield (shots, view at stride 4) of random scenes."""
+def scenes(count: int, frames: int, seed: int, **options: Any) -> Iterator[tuple[list[Shot], View]]:
+    """Yield (shots, view at stride 4) of random scenes; options as `shots` has them."""
     rng, context = np.random.default_rng(seed), render.open_context()
     context.gc_mode = "auto"  # a scene's textures go with it
     while count:
         try:
-            drawn = list(shots(rng, *SIZE, frames, context))
+            drawn = list(shots(rng, *SIZE, frames, context, **options))
         except scenario.ScenarioError:
             continue
         if drawn:

@@ -1,0 +1,197 @@
+"""What people wear: the colours of head, upper body and lower body, each with an honest standard deviation.
+
+Every component is a median over the samples of a part of the body, of logarithms of the picture's own values, relative
+to the empty room's. Exposure, gain and the colour of the light multiply the room and the clothes alike, and cancel
+(von Kries's model of adaptation, 1902). The axes of colour are the opponent ones of Finlayson, Hordley and Drew (2002):
+lightness, warm against cool, and green against magenta. Their errors are nearly independent of each other.
+
+The standard deviation follows from how much the part's own samples differ: a pattern, a border with the background or
+with bare skin, and a sleeve in the shade all show there.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from avcli.detection.body import Person, Surface, standing
+from avcli.detection.monocular import HEIGHT_M
+from avcli.detection.view import View
+from avcli.formats.features import Feature
+
+KIND, NAME = "clothes", "looks"
+
+PARTS = {"head": (0.88, 1.03), "upper": (0.58, 0.80), "lower": (0.12, 0.45)}
+"""Parts of the body: from and to which part of its height. Neck, waist and feet are left out."""
+
+COLOURS = ("light", "warm", "green")
+COMPONENTS = ("head_light", *(f"{part}_{colour}" for part in ("upper", "lower") for colour in COLOURS))
+"""What a vector holds. A head's colour changes with its turn, from hair to face: it told nothing of real people."""
+
+_KEPT = [3 * list(PARTS).index(part) + COLOURS.index(colour) for part, colour in (c.split("_") for c in COMPONENTS)]
+
+_AXES = np.array([[1 / 3, 1 / 3, 1 / 3], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]]).T
+_ROOM = 0.45
+"""Value, of 1, to which the room's median is brought; with it `_DARK` is a share of the room's light."""
+
+_DARK = 0.05
+"""Added before the logarithm, so that noise and glare in black cloth make no colour."""
+
+_USABLE = 12, 245
+"""Values of the room between which a sample tells about the light: neither black nor clipped."""
+
+_CLIPPED, _GREY = 252, 12
+"""A value from which a sample may be clipped; and the difference of red, green and blue that is noise."""
+
+_FEWEST, _MOST = 6, 300
+"""Samples of a part: with fewer it was not seen, and more tell nothing new."""
+
+_ROOM_ROWS, _LEAST_ROOM = 54, 200
+"""Rows of samples of the room, and the number of them that its light is measured by at least."""
+
+
+@dataclass(frozen=True)
+class LooksLaw:
+    """How far the components are off.
+
+    Attributes:
+        floor: (7,) standard deviation of a part of one colour: light, turn and place.
+        slope: the spread of a part's samples, times this, is added in squares.
+    """
+
+    floor: np.ndarray
+    slope: float
+
+    def deviations(self, spreads: np.ndarray) -> np.ndarray:
+        """Standard deviations (n, 7) of the medians of samples with these spreads (n, 7), standard deviations too."""
+        return np.hypot(self.floor, self.slope * spreads)
+
+
+def _read() -> LooksLaw:
+    fitted = json.loads((resources.files("avcli.detection") / "looks.json").read_text())
+    return LooksLaw(np.array(fitted["floor"]), fitted["slope"])
+
+
+LAW = _read()
+
+
+def feature(people: Sequence[Person]) -> dict[str, Feature]:
+    """Return the feature "looks" of the people that were described, by its name; empty where none was."""
+    unknown = np.full((2, len(COMPONENTS)), np.nan)
+    looks = np.array([unknown if person.looks is None else person.looks for person in people])
+    if not len(looks) or np.isnan(looks).all():
+        return {}
+    return {NAME: Feature(KIND, looks[:, 0].round(3), looks[:, 1].round(3))}
+
+
+class Looks:
+    """Describes the clothes of the people in a camera's pictures, which must come in order of time.
+
+    Args:
+        view: the camera.
+        law: the fitted errors.
+    """
+
+    def __init__(self, view: View, law: LooksLaw = LAW):
+        self.view, self.law = view, law
+        self._room: np.ndarray | None = None
+        self._median = np.zeros(3)
+
+    def describe(self, picture: np.ndarray, people: Sequence[Person]) -> np.ndarray:
+        """Measure the people found in a picture.
+
+        Args:
+            picture: (height, width, 3) uint8 RGB.
+            people: who were found in it, n.
+
+        Returns:
+            (n, 2, 7): the vector of each person in the order of COMPONENTS, and its standard deviations. NaN for a part
+            that is not seen, for whoever has no colour in a picture without colours (it may show heat), and for all
+            where the picture does not show enough of the room.
+        """
+        described = np.full((len(people), 2, len(COMPONENTS)), np.nan)
+        gain = self._gain(picture, people)
+        if gain is None:
+            return described
+        table = np.log(np.arange(256)[:, None] / 255 * gain + _DARK)
+        grey = _is_grey(self._of_room(picture), 0.002)
+        for index, person in enumerate(people):
+            surface = self._surface(person, people)
+            colours = picture[surface.rows, surface.columns]
+            if not (grey and _is_grey(colours, 0.05)):
+                share = surface.heights / (person.height or HEIGHT_M)
+                medians, spreads = _medians(colours, share, table)
+                described[index] = medians, self.law.deviations(spreads)
+        return described
+
+    def _surface(self, person: Person, people: Sequence[Person]) -> Surface:
+        """Where the picture shows a person; without depth, a standing body in the box and outside nearer ones'."""
+        if person.surface is not None:
+            return person.surface
+        surface = standing(person.position[:2], person.height or HEIGHT_M, self.view)
+        shown = _in_box(surface, person.bbox_px)
+        for other in people:
+            if other is not person and self._away(other) < self._away(person):
+                shown &= ~_in_box(surface, other.bbox_px)
+        return Surface(surface.rows[shown], surface.columns[shown], surface.heights[shown], surface.areas[shown])
+
+    def _away(self, person: Person) -> float:
+        return float(np.linalg.norm(person.position[:2] - self.view.origin[:2]))
+
+    def _of_room(self, picture: np.ndarray) -> np.ndarray:
+        step = max(picture.shape[0] // _ROOM_ROWS, 1)
+        return picture[step // 2 :: step, step // 2 :: step]
+
+    def _gain(self, picture: np.ndarray, people: Sequence[Person]) -> np.ndarray | None:
+        """Factors (3,) of red, green and blue that bring the room to `_ROOM`; None where the picture shows no room.
+
+        The light of a picture is compared with that of the first one sample by sample, so that it does not matter
+        which part of the room the people hide.
+        """
+        room = self._of_room(picture)
+        step = max(picture.shape[0] // _ROOM_ROWS, 1)
+        free = np.asarray(((room > _USABLE[0]) & (room < _USABLE[1])).all(axis=2))
+        for person in people:
+            x0, y0, x1, y1 = np.maximum(person.bbox_px / step, 0).astype(int)
+            free[y0 : y1 + 1, x0 : x1 + 1] = False
+        if free.sum() < _LEAST_ROOM:
+            return None
+        values = np.where(free[..., None], np.log(np.maximum(room, 1) / 255), np.nan)
+        ratios = values[free] - self._room[free] if self._room is not None and self._room.shape == room.shape else None
+        ratios = ratios[~np.isnan(ratios[:, 0])] if ratios is not None else np.empty((0, 3))
+        if len(ratios) < _LEAST_ROOM:
+            self._room, self._median, ratios = values, np.median(values[free], axis=0), np.zeros((1, 3))
+        return _ROOM / np.exp(self._median + np.median(ratios, axis=0))
+
+
+def _medians(colours: np.ndarray, share: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Medians (7,) of the components and their spreads (7,) over a part, as standard deviations; NaN: not seen.
+
+    Args:
+        colours: (n, 3) uint8.
+        share: (n,) of the body's height.
+        table: (256, 3) logarithms of the values.
+    """
+    medians, spreads = np.full((2, len(PARTS), len(COLOURS)), np.nan)
+    for index, (low, high) in enumerate(PARTS.values()):
+        own = colours[(share >= low) & (share < high)]
+        own = own[:: -(-len(own) // _MOST)] if len(own) else own
+        if len(own) < _FEWEST or (own >= _CLIPPED).any(axis=1).mean() > 0.5:
+            continue
+        values = np.sort(np.stack([table[own[:, k], k] for k in range(3)], axis=1) @ _AXES, axis=0)
+        lower, medians[index], upper = values[[len(own) // 4, len(own) // 2, (3 * len(own)) // 4]]
+        spreads[index] = (upper - lower) / 1.349
+    return medians.ravel()[_KEPT], spreads.ravel()[_KEPT]
+
+
+def _is_grey(colours: np.ndarray, few: float) -> bool:
+    """Whether at most a few of the samples (..., 3) have a colour."""
+    colours = colours.reshape(-1, 3).astype(int)
+    return bool((np.ptp(colours, axis=1) > _GREY).mean() <= few) if len(colours) else True
+
+
+def _in_box(surface: Surface, box: np.ndarray) -> np.ndarray:
+    x, y = surface.columns + 0.5, surface.rows + 0.5
+    return (x >= box[0]) & (x <= box[2]) & (y >= box[1]) & (y <= box[3])
