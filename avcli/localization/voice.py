@@ -59,8 +59,9 @@ class Law:
 @functools.cache
 def fitted_law() -> Law:
     """Return the law that voice.json holds."""
-    stated = json.loads(Path(__file__).with_name("voice.json").read_bytes())["law"]
-    return Law(**{key: np.array(value) if isinstance(value, list) else value for key, value in stated.items()})
+    law = json.loads(Path(__file__).with_name("voice.json").read_bytes())["law"]
+    mean, projection, spread = (np.array(law[name]) for name in ("mean", "projection", "spread"))
+    return Law(law["voiced"], law["voiced_beside"], mean, projection, spread)
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,8 @@ def terms(heard: Heard) -> np.ndarray:
 
 def _mel_bands(frequencies: np.ndarray) -> np.ndarray:
     """Return the weights (BANDS, bins) of triangular bands that are alike in mel (O'Shaughnessy 1987)."""
-    mel = np.linspace(*(2595.0 * np.log10(1.0 + np.array([LOWEST, HIGHEST]) / 700.0)), BANDS + 2)
+    lowest, highest = 2595.0 * np.log10(1.0 + np.array([LOWEST, HIGHEST]) / 700.0)
+    mel = np.linspace(lowest, highest, BANDS + 2)
     edges = 700.0 * (10.0 ** (mel / 2595.0) - 1.0)
     low, middle, high = edges[:-2, None], edges[1:-1, None], edges[2:, None]
     return np.maximum(np.minimum((frequencies - low) / (middle - low), (high - frequencies) / (high - middle)), 0.0)
@@ -218,5 +220,5 @@ def _combs(frequencies: np.ndarray) -> np.ndarray:
             part, left = places[inside] - below[inside], below[inside]
             np.add.at(comb, left, sign * weights[inside] * (1.0 - part))
             np.add.at(comb, left + 1, sign * weights[inside] * part)
-        comb /= weights.sum()
+        comb /= np.sqrt(weights.sum())  # the more harmonics, the more their mean counts: a third of a pitch is none
     return combs

@@ -10,15 +10,15 @@ own, which stands for the turn of the head and for microphones that are not flat
 sources. The file of the kind beside avcli/formats/features states how components vary over people and within one.
 
 The shipped numbers were fitted to LibriSpeech train-clean-100 (CC BY 4.0), as in the repository
-resemble-ai/Resemblyzer, audio_data, and judged on its test-other there, on VCTK (CC BY 4.0) as in auspicious3000/autovc,
-wavs, on CMU ARCTIC and on avsim-audio's own voices.
+resemble-ai/Resemblyzer, audio_data, and judged on its test-other there, on VCTK (CC BY 4.0) as in
+auspicious3000/autovc, wavs, on CMU ARCTIC and on avsim-audio's own voices.
 """
 
 import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -125,7 +125,7 @@ def measured(spoken: Mapping[str, list[np.ndarray]], seed: int) -> Looks:
 def in_a_room(together: list[np.ndarray], rng: np.random.Generator) -> Iterator[tuple[float, voice.Heard, float]]:
     """Yield each time in s at which the first of some voices sounds, what is heard of it, and its pitch's error."""
     room = np.array([rng.uniform(4.0, 8.0), rng.uniform(4.0, 6.5), rng.uniform(2.5, 3.2)])
-    microphones = ring(room[:2], 8, room[2] - rng.uniform(0.2, 0.5))
+    microphones = ring(room[:2].tolist(), 8, room[2] - rng.uniform(0.2, 0.5))
     microphones[7, :2] = room[:2] / 2.0
     rt60, noise_db = rng.uniform(0.2, 0.65), rng.uniform(12.0, 35.0)
     reflection = np.sqrt(1.0 - sabine_absorption(room, rt60))
@@ -274,10 +274,15 @@ def fit_spread(looks: Looks, values: np.ndarray) -> np.ndarray:
             logarithm = looks.terms @ weights
             return float(np.mean(logarithm + squared * np.exp(-logarithm)))
 
-        start = np.array([np.log(squared.mean()), 0.0, 0.0])
-        bounds = [(None, None), (None, 0.0), (0.0, None)]  # a clearer pitch, or fewer others, widens nothing
-        spread.append(minimize(cost, start, bounds=bounds).x)
+        start = [float(np.log(squared.mean())), 0.0, 0.0]
+        bounds = [(-np.inf, np.inf), (-np.inf, 0.0), (0.0, np.inf)]  # a clearer pitch, or fewer others, widens nothing
+        spread.append(least(cost, start, bounds))
     return np.array(spread).round(4)
+
+
+def least(cost: Callable[[np.ndarray], float], start: list[float], bounds: list[tuple[float, float]]) -> np.ndarray:
+    """Return the values within bounds at which a cost is least."""
+    return np.array(minimize(cost, np.array(start), bounds=bounds, method="L-BFGS-B").x)
 
 
 def fit_correlation(looks: Looks, errors: np.ndarray) -> dict[str, float]:
@@ -299,26 +304,26 @@ def fit_correlation(looks: Looks, errors: np.ndarray) -> dict[str, float]:
             counts[k] += near.sum()
     found = sums / counts
     sill = float(np.average(found[lags > 1.0], weights=counts[lags > 1.0]))
-    said, time = minimize(
-        lambda x: float(counts @ (1.0 - found / sill - x[0] * np.exp(-lags / x[1])) ** 2), [0.5, 0.2],
-        bounds=[(0.0, 1.0), (0.05, 1.0)], method="L-BFGS-B",
-    ).x  # fmt: skip
-    apart, expected = [], []
+    shared = 1.0 - found / sill
+    said, time = least(
+        lambda x: float(counts @ (shared - x[0] * np.exp(-lags / x[1])) ** 2), [0.5, 0.2], [(0.0, 1.0), (0.05, 1.0)]
+    )
+    scattered, expected = [], []
     for talker in np.unique(looks.talker):
         own = [(errors[c].mean(axis=0), looks.time[c]) for t, _, c in portions_of(looks) if t == talker and len(c) >= 5]
         if len(own) > 1:
-            apart.append(np.var([mean for mean, _ in own], axis=0, ddof=1).mean())
+            scattered.append(np.var([mean for mean, _ in own], axis=0, ddof=1).mean())
             expected.append(np.mean([sill * _variance_of_mean(at, said, time) for _, at in own]))
-    lasting = max(float(np.mean(apart) - np.mean(expected)), 0.0)
+    lasting = max(float(np.mean(scattered) - np.mean(expected)), 0.0)
     spans = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0])
     steps = [np.arange(0.0, span - 0.05, STEP_S) for span in spans]
-    wanted = np.array(
-        [(sill * _variance_of_mean(at, said, time) + lasting * _variance_of_mean(at, 1.0, LASTING_S)) for at in steps]
-    ) / (sill + lasting)
-    share, whole = minimize(
-        lambda x: float(np.sum(np.log([_variance_of_mean(at, *x) for at in steps] / wanted) ** 2)), [0.4, 1.5],
-        bounds=[(0.01, 0.99), (0.1, LASTING_S)], method="L-BFGS-B",
-    ).x  # fmt: skip
+    lasts = np.array([lasting * _variance_of_mean(at, 1.0, LASTING_S) for at in steps])
+    wanted = (np.array([sill * _variance_of_mean(at, said, time) for at in steps]) + lasts) / (sill + lasting)
+    share, whole = least(
+        lambda x: float(np.sum(np.log([_variance_of_mean(at, x[0], x[1]) for at in steps] / wanted) ** 2)),
+        [0.4, 1.5],
+        [(0.01, 0.99), (0.1, LASTING_S)],
+    )
     figures = {"correlation_s": whole, "correlated": share, "said_share": said, "said_s": time, "sill": sill}
     return {name: round(float(value), 3) for name, value in {**figures, "lasting": lasting}.items()}
 
@@ -337,8 +342,8 @@ def portions_of(looks: Looks) -> Iterator[tuple[int, int, np.ndarray]]:
         yield int(looks.talker[chosen[0]]), int(looks.portion[chosen[0]]), np.sort(chosen)
 
 
-def fitted(looks: Looks, law: voice.Law) -> tuple[voice.Law, dict[str, Any]]:
-    """Return the law that fits looks, with the thresholds of `law`, and what is known of its kind."""
+def fitted(looks: Looks, law: voice.Law) -> tuple[voice.Law, dict[str, Any], dict[str, float]]:
+    """Return the law that fits looks, with the thresholds of `law`; what is known of its kind; how errors last."""
     looks = looks.take(clear(looks, law))
     alone = looks.take(~looks.beside)
     found = moments(alone, alone.raw)
@@ -347,18 +352,23 @@ def fitted(looks: Looks, law: voice.Law) -> tuple[voice.Law, dict[str, Any]]:
     law = voice.Law(law.voiced, law.voiced_beside, law.mean, law.projection, fit_spread(looks, values))
     _, sds = vectors(looks, law)
     over = moments(alone, values[~looks.beside])
-    lasting = fit_correlation(looks, np.clip((values - own_means(looks, values)) / sds, -OUTLIER, OUTLIER))
+    correlation = fit_correlation(looks, np.clip((values - own_means(looks, values)) / sds, -OUTLIER, OUTLIER))
     mean = np.zeros(COMPONENTS)
     mean[0] = law.mean[0]
-    return law, {
-        "kind": voice.KIND,
-        "name": "voice",
-        "components": ["ln(pitch in Hz)", *(f"envelope {number}" for number in range(1, COMPONENTS))],
-        "mean": mean.tolist(),
-        "between": np.maximum(np.diag(over.between), 1e-4).round(4).tolist(),
-        "within": (sds**2).mean(axis=0).round(4).tolist(),
-        **lasting,
-    }
+    return (
+        law,
+        {
+            "kind": voice.KIND,
+            "name": "voice",
+            "components": ["ln(pitch in Hz)", *(f"envelope {number}" for number in range(1, COMPONENTS))],
+            "mean": mean.tolist(),
+            "between": np.maximum(np.diag(over.between), 1e-4).round(4).tolist(),
+            "within": (sds**2).mean(axis=0).round(4).tolist(),
+            "correlation_s": correlation.pop("correlation_s"),
+            "correlated": correlation.pop("correlated"),
+        },
+        correlation,
+    )
 
 
 # --- what it is worth -------------------------------------------------------------------------------------------------
@@ -413,7 +423,8 @@ def judged(looks: Looks, law: voice.Law, known: Mapping[str, Any], number: int, 
     ratio = np.logaddexp(np.log1p(-stray) + ratio, np.log(stray))
     own, others = ratio[same], ratio[~same]
     rank = np.sort(ratio)
-    misses, alarms = (np.searchsorted(np.sort(own), rank) / len(own), 1 - np.searchsorted(np.sort(others), rank) / len(others))
+    misses = np.searchsorted(np.sort(own), rank) / len(own)
+    alarms = 1.0 - np.searchsorted(np.sort(others), rank) / len(others)
     cross = int(np.abs(misses - alarms).argmin())
     return {
         "looks": number,
@@ -423,7 +434,7 @@ def judged(looks: Looks, law: voice.Law, known: Mapping[str, Any], number: int, 
         "auc": round(float((np.searchsorted(np.sort(others), own) / len(others)).mean()), 3),
         "eer": round(float(misses[cross] + alarms[cross]) / 2.0, 3),
         "cllr_bits": round(float(np.logaddexp(0.0, -own).mean() + np.logaddexp(0.0, others).mean()) / np.log(4.0), 3),
-        "wrong_by_100": [round(float((own < -np.log(100.0)).mean()), 4), round(float((others > np.log(100.0)).mean()), 4)],
+        "wrong_by_100": [round(float(part.mean()), 4) for part in (own < -np.log(100.0), others > np.log(100.0))],
     }
 
 
@@ -436,8 +447,11 @@ def judge(folder: Path | None, law: voice.Law, known: Mapping[str, Any]) -> list
     looks = measured(spoken, SEEDS["judge"])
     reported = clear(looks, law)
     alone, sure = ~looks.beside, np.abs(looks.pitch_error) < np.log(1.08)
-    share = {
-        name: {"reported": round(float(reported[part].mean()), 3), "pitch_right": round(float(sure[part & reported].mean()), 3)}
+    share: dict[str, dict[str, Any]] = {
+        name: {
+            "reported": float(reported[part].mean().round(3)),
+            "pitch_right": float(sure[part & reported].mean().round(3)),
+        }
         for name, part in (("alone", alone), ("beside", ~alone))
     }
     chosen = looks.take(reported)
@@ -463,8 +477,9 @@ def main() -> None:
             parser.error("--speech is needed to fit")
         spoken = talkers(options.speech)
         looks = measured(spoken, SEEDS["fit"])
-        law, known = fitted(looks, law)
-        known["fitted_on"] = f"{len(spoken)} talkers of {options.speech.name} in simulated rooms; tests/bench/fit_voice.py"
+        law, known, lasting = fitted(looks, law)
+        heard_in = f"{len(spoken)} talkers of {options.speech.name} in simulated rooms"
+        known["fitted_on"] = f"{heard_in}; tests/bench/fit_voice.py"
     worth = judge(options.other, law, known)
     for line in worth:
         print(json.dumps(line))
@@ -477,6 +492,7 @@ def main() -> None:
         "speech": options.speech.name,
         "talkers": len(spoken),
         "looks": int(clear(looks, law).sum()),
+        "errors": lasting,
         "judged": worth,
     }
     FITTED.write_text(json.dumps({"law": stated, "fitted_on": fitted_on}) + "\n")
