@@ -19,7 +19,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -342,33 +342,36 @@ def portions_of(looks: Looks) -> Iterator[tuple[int, int, np.ndarray]]:
         yield int(looks.talker[chosen[0]]), int(looks.portion[chosen[0]]), np.sort(chosen)
 
 
+def normalized_errors(looks: Looks, law: voice.Law) -> np.ndarray:
+    """Return the errors (n, COMPONENTS) of looks over their standard deviations, those of outliers cut off."""
+    values, sds = vectors(looks, law)
+    return np.clip((values - own_means(looks, values)) / sds, -OUTLIER, OUTLIER)
+
+
 def fitted(looks: Looks, law: voice.Law) -> tuple[voice.Law, dict[str, Any], dict[str, float]]:
     """Return the law that fits looks, with the thresholds of `law`; what is known of its kind; how errors last."""
     looks = looks.take(clear(looks, law))
     alone = looks.take(~looks.beside)
     found = moments(alone, alone.raw)
-    law = voice.Law(law.voiced, law.voiced_beside, found.mean.round(4), projection(found).round(4), law.spread)
+    law = replace(law, mean=found.mean.round(4), projection=projection(found).round(4))
     values, _ = vectors(looks, law)
-    law = voice.Law(law.voiced, law.voiced_beside, law.mean, law.projection, fit_spread(looks, values))
+    law = replace(law, spread=fit_spread(looks, values))
     _, sds = vectors(looks, law)
-    over = moments(alone, values[~looks.beside])
-    correlation = fit_correlation(looks, np.clip((values - own_means(looks, values)) / sds, -OUTLIER, OUTLIER))
+    over = moments(looks.take(~looks.beside), values[~looks.beside])
+    correlation = fit_correlation(looks, normalized_errors(looks, law))
     mean = np.zeros(COMPONENTS)
     mean[0] = law.mean[0]
-    return (
-        law,
-        {
-            "kind": voice.KIND,
-            "name": "voice",
-            "components": ["ln(pitch in Hz)", *(f"envelope {number}" for number in range(1, COMPONENTS))],
-            "mean": mean.tolist(),
-            "between": np.maximum(np.diag(over.between), 1e-4).round(4).tolist(),
-            "within": (sds**2).mean(axis=0).round(4).tolist(),
-            "correlation_s": correlation.pop("correlation_s"),
-            "correlated": correlation.pop("correlated"),
-        },
-        correlation,
-    )
+    known = {
+        "kind": voice.KIND,
+        "name": "voice",
+        "components": ["ln(pitch in Hz)", *(f"envelope {number}" for number in range(1, COMPONENTS))],
+        "mean": mean.tolist(),
+        "between": np.maximum(np.diag(over.between), 1e-4).round(4).tolist(),
+        "within": (sds**2).mean(axis=0).round(4).tolist(),
+        "correlation_s": correlation.pop("correlation_s"),
+        "correlated": correlation.pop("correlated"),
+    }
+    return law, known, correlation
 
 
 # --- what it is worth -------------------------------------------------------------------------------------------------
@@ -403,37 +406,40 @@ def judged(looks: Looks, law: voice.Law, known: Mapping[str, Any], number: int, 
         looks: at talkers that were not fitted to.
         law, known: fitted.
         number: looks at each portion.
-        beside: use the portions in which another talked too, else the others.
+        beside: whether another talked too in the one portion; in the other the talker is alone.
     """
-    looks = looks.take(clear(looks, law) & (looks.beside == beside))
+    looks = looks.take(clear(looks, law))
     values, sds = vectors(looks, law)
     values[:, 0] += law.mean[0]
-    sums, who = [], []
-    for talker in np.unique(looks.talker):
-        for index in np.unique(looks.portion[looks.talker == talker]):
-            chosen = np.flatnonzero((looks.talker == talker) & (looks.portion == index))
-            if len(chosen) >= number:
-                chosen = chosen[(len(chosen) - number) // 2 :][:number]
-                sums.append(summed(values[chosen], sds[chosen], looks.time[chosen], known))
-                who.append(talker)
-    told, names = np.array(sums).swapaxes(0, 1), np.array(who)
-    one, other = np.triu_indices(len(names), 1)
-    ratio, same = log_ratios(told[:, one], told[:, other], known), names[one] == names[other]
+    told, names, crowded = [], [], []
+    for talker, _, chosen in portions_of(looks):
+        if len(chosen) >= number:
+            chosen = chosen[(len(chosen) - number) // 2 :][:number]
+            told.append(summed(values[chosen], sds[chosen], looks.time[chosen], known))
+            names.append(talker)
+            crowded.append(bool(looks.beside[chosen[0]]))
+    pairs = [
+        (i, k)
+        for i in range(len(names))
+        for k in range(len(names))
+        if (crowded[i] and not crowded[k] if beside else i < k and not crowded[i] and not crowded[k])
+    ]
+    figures: dict[str, Any] = {"looks": number, "beside": beside, "pairs": len(pairs)}
+    if not pairs:
+        return figures
+    sums, (one, other) = np.array(told).swapaxes(0, 1), np.array(pairs).T
     stray = 1.0 - (1.0 - STRAY) ** (2 * number)
-    ratio = np.logaddexp(np.log1p(-stray) + ratio, np.log(stray))
-    own, others = ratio[same], ratio[~same]
-    rank = np.sort(ratio)
-    misses = np.searchsorted(np.sort(own), rank) / len(own)
-    alarms = 1.0 - np.searchsorted(np.sort(others), rank) / len(others)
+    ratio = np.logaddexp(np.log1p(-stray) + log_ratios(sums[:, one], sums[:, other], known), np.log(stray))
+    same = np.array(names)[one] == np.array(names)[other]
+    own, others, rank = np.sort(ratio[same]), np.sort(ratio[~same]), np.sort(ratio)
+    misses, alarms = np.searchsorted(own, rank) / len(own), 1.0 - np.searchsorted(others, rank) / len(others)
     cross = int(np.abs(misses - alarms).argmin())
-    return {
-        "looks": number,
-        "beside": beside,
-        "talkers": len(np.unique(names)),
-        "pairs_of_one_and_of_two": [len(own), len(others)],
-        "auc": round(float((np.searchsorted(np.sort(others), own) / len(others)).mean()), 3),
+    cost = np.logaddexp(0.0, -own).mean() + np.logaddexp(0.0, others).mean()
+    return figures | {
+        "of_one": len(own),
+        "auc": round(float((np.searchsorted(others, own) / len(others)).mean()), 3),
         "eer": round(float(misses[cross] + alarms[cross]) / 2.0, 3),
-        "cllr_bits": round(float(np.logaddexp(0.0, -own).mean() + np.logaddexp(0.0, others).mean()) / np.log(4.0), 3),
+        "cllr_bits": round(float(cost / np.log(4.0)), 3),
         "wrong_by_100": [round(float(part.mean()), 4) for part in (own < -np.log(100.0), others > np.log(100.0))],
     }
 
@@ -455,9 +461,7 @@ def judge(folder: Path | None, law: voice.Law, known: Mapping[str, Any]) -> list
         for name, part in (("alone", alone), ("beside", ~alone))
     }
     chosen = looks.take(reported)
-    values, sds = vectors(chosen, law)
-    errors = (values - own_means(chosen, values)) / sds
-    squared = np.clip(errors, -OUTLIER, OUTLIER) ** 2
+    squared = normalized_errors(chosen, law) ** 2
     for name, part in (("alone", ~chosen.beside), ("beside", chosen.beside)):
         share[name]["normalized_square_error"] = squared[part].mean(axis=0).round(2).tolist()
     worth = [judged(looks, law, known, number, beside=beside) for beside in (False, True) for number in NUMBERS]
