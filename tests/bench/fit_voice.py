@@ -424,19 +424,19 @@ def judged(looks: Looks, law: voice.Law, known: Mapping[str, Any], number: int, 
         for k in range(len(names))
         if (crowded[i] and not crowded[k] if beside else i < k and not crowded[i] and not crowded[k])
     ]
-    figures: dict[str, Any] = {"looks": number, "beside": beside, "pairs": len(pairs)}
-    if not pairs:
+    one, other = np.array(pairs, int).reshape(-1, 2).T
+    same = np.array(names, int)[one] == np.array(names, int)[other]
+    figures: dict[str, Any] = {"looks": number, "beside": beside, "pairs": len(pairs), "of_one": int(same.sum())}
+    if same.all() or not same.any():
         return figures
-    sums, (one, other) = np.array(told).swapaxes(0, 1), np.array(pairs).T
+    sums = np.array(told).swapaxes(0, 1)
     stray = 1.0 - (1.0 - STRAY) ** (2 * number)
     ratio = np.logaddexp(np.log1p(-stray) + log_ratios(sums[:, one], sums[:, other], known), np.log(stray))
-    same = np.array(names)[one] == np.array(names)[other]
     own, others, rank = np.sort(ratio[same]), np.sort(ratio[~same]), np.sort(ratio)
     misses, alarms = np.searchsorted(own, rank) / len(own), 1.0 - np.searchsorted(others, rank) / len(others)
     cross = int(np.abs(misses - alarms).argmin())
     cost = np.logaddexp(0.0, -own).mean() + np.logaddexp(0.0, others).mean()
     return figures | {
-        "of_one": len(own),
         "auc": round(float((np.searchsorted(others, own) / len(others)).mean()), 3),
         "eer": round(float(misses[cross] + alarms[cross]) / 2.0, 3),
         "cllr_bits": round(float(cost / np.log(4.0)), 3),
