@@ -31,6 +31,10 @@ NEAREST_M = 0.3
 """m; sound from nearer is no louder."""
 WHOLE = 0.9
 """the least part of a window that the stream must hold."""
+USUAL = 1.5
+"""mean square of an envelope's components, up to which a look is like people's; that of people is about 1.3."""
+ALIKE = 0.04
+"""difference of ln(pitch) of two talkers, up to which one may be heard in place of the other."""
 ALONE = 0.01
 """power of others over a talker's, up to which he counts as alone."""
 
@@ -125,12 +129,11 @@ class VoiceMeter:
         heard = self.hear(window.spectra[good], self.array.microphones[good], places)
         law = self.law
         clear = heard.prominence >= np.where(heard.others > ALONE, law.voiced_beside, law.voiced)
+        clear &= ~_leaked(heard)
         if not clear.any():
             return {}
-        vectors = (raw(heard) - law.mean) @ law.projection
-        vectors[:, 0] += law.mean[0]
-        sds = np.exp(0.5 * terms(heard) @ law.spread.T)[:, [0] + [1] * (vectors.shape[1] - 1)]
-        vectors, sds = (np.where(clear[:, None], numbers, np.nan).round(4) for numbers in (vectors, sds))
+        told = measured(raw(heard), terms(heard), law)
+        vectors, sds = (np.where(clear[:, None], numbers, np.nan).round(4) for numbers in told)
         return {"voice": Feature(KIND, vectors, sds)}
 
     def hear(self, spectra: np.ndarray, microphones: np.ndarray, places: np.ndarray) -> Heard:
@@ -195,6 +198,30 @@ def raw(heard: Heard) -> np.ndarray:
 def terms(heard: Heard) -> np.ndarray:
     """Return what the weights of a law's `spread` are multiplied by, (n, 3)."""
     return np.column_stack([np.ones(len(heard.pitch)), heard.prominence, np.log1p(heard.others)])
+
+
+def measured(raw: np.ndarray, terms: np.ndarray, law: Law) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vectors and the standard deviations (n, d) of looks.
+
+    A look whose envelope is farther from the mean than people's usually are is the less certain: of voices unlike those
+    that were fitted to, and of sounds that are no voices, little is known.
+
+    Args:
+        raw, terms: (n, 1 + BANDS), (n, 3), see the functions of these names.
+        law: the fitted one.
+    """
+    vectors = (raw - law.mean) @ law.projection
+    variances = np.exp(terms @ law.spread.T)[:, [0] + [1] * (vectors.shape[1] - 1)]
+    variances[:, 1:] *= np.maximum((vectors[:, 1:] ** 2).mean(axis=1, keepdims=True) / USUAL, 1.0)
+    vectors[:, 0] += law.mean[0]
+    return vectors, np.sqrt(variances)
+
+
+def _leaked(heard: Heard) -> np.ndarray:
+    """Tell which talkers (n,) have the pitch of a louder one: what is heard of them may be the louder one's echo."""
+    pitch, power = np.log(heard.pitch), heard.bands.sum(axis=1)
+    alike = np.abs(pitch[:, None] - pitch) < ALIKE
+    return (alike & (power[:, None] < power)).any(axis=1)
 
 
 def _mel_bands(frequencies: np.ndarray) -> np.ndarray:

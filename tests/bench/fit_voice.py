@@ -246,12 +246,6 @@ def clear(looks: Looks, law: voice.Law) -> np.ndarray:
     return prominence >= np.where(others > voice.ALONE, law.voiced_beside, law.voiced)
 
 
-def vectors(looks: Looks, law: voice.Law) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is reported of looks: vectors and standard deviations, (n, COMPONENTS) each."""
-    variances = np.exp(looks.terms @ law.spread.T)
-    return (looks.raw - law.mean) @ law.projection, np.sqrt(variances[:, [0] + [1] * (COMPONENTS - 1)])
-
-
 def own_means(looks: Looks, values: np.ndarray) -> np.ndarray:
     """Return for each look the mean (n, d) of its talker's portions."""
     means = np.empty_like(values)
@@ -344,7 +338,7 @@ def portions_of(looks: Looks) -> Iterator[tuple[int, int, np.ndarray]]:
 
 def normalized_errors(looks: Looks, law: voice.Law) -> np.ndarray:
     """Return the errors (n, COMPONENTS) of looks over their standard deviations, those of outliers cut off."""
-    values, sds = vectors(looks, law)
+    values, sds = voice.measured(looks.raw, looks.terms, law)
     return np.clip((values - own_means(looks, values)) / sds, -OUTLIER, OUTLIER)
 
 
@@ -354,9 +348,9 @@ def fitted(looks: Looks, law: voice.Law) -> tuple[voice.Law, dict[str, Any], dic
     alone = looks.take(~looks.beside)
     found = moments(alone, alone.raw)
     law = replace(law, mean=found.mean.round(4), projection=projection(found).round(4))
-    values, _ = vectors(looks, law)
+    values, _ = voice.measured(looks.raw, looks.terms, law)
     law = replace(law, spread=fit_spread(looks, values))
-    _, sds = vectors(looks, law)
+    _, sds = voice.measured(looks.raw, looks.terms, law)
     over = moments(looks.take(~looks.beside), values[~looks.beside])
     correlation = fit_correlation(looks, normalized_errors(looks, law))
     mean = np.zeros(COMPONENTS)
@@ -409,8 +403,7 @@ def judged(looks: Looks, law: voice.Law, known: Mapping[str, Any], number: int, 
         beside: whether another talked too in the one portion; in the other the talker is alone.
     """
     looks = looks.take(clear(looks, law))
-    values, sds = vectors(looks, law)
-    values[:, 0] += law.mean[0]
+    values, sds = voice.measured(looks.raw, looks.terms, law)
     told, names, crowded = [], [], []
     for talker, _, chosen in portions_of(looks):
         if len(chosen) >= number:
