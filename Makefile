@@ -10,7 +10,8 @@
 #: make bench-scene bench-audio bench-localization bench-detection bench-tracking bench-metrics bench-calibration
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make setup-bench   the peers that some benchmarks compare with
-#: make fit-localization fit-detection fit-looks fit-tracking   the coefficients of the stages, fitted again (minutes each)
+#: make fit-localization fit-voice fit-detection fit-looks fit-tracking     the coefficients of the stages, fitted again
+#:                    (minutes each; fit-voice needs recordings: FIT_FLAGS="--speech DIR")
 #: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
 #:
 #: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv
@@ -43,7 +44,7 @@ NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene audio localization detection tracking metrics calibration live long
-FITS := localization detection looks tracking
+FITS := localization voice detection looks tracking
 
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1

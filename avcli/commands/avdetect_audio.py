@@ -84,6 +84,7 @@ def main(
             first = next(blocks, None)
         if first is None:
             return
+        from avcli.formats.features import as_objects
         from avcli.localization import localizer
 
         settings = settings_from(METHODS[method], options)
@@ -97,9 +98,13 @@ def main(
             for notice in decision.notices:
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
             objects = [
-                {"position": position, "covariance": covariance, "score": score}
-                for position, covariance, score in zip(
-                    decision.positions, decision.covariances, decision.scores, strict=True
+                {"position": position, "covariance": covariance, "score": score, **({"features": told} if told else {})}
+                for position, covariance, score, told in zip(
+                    decision.positions,
+                    decision.covariances,
+                    decision.scores,
+                    as_objects(decision.features, len(decision.scores)),
+                    strict=True,
                 )
             ]
             write({"timestamp": decision.time, "sensor": "audio", "kind": "microphones", "objects": objects})

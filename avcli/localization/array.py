@@ -1,12 +1,13 @@
 """The microphone array in its room, and what a localizer says about one time step."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from avcli.formats.experiment import Config
+from avcli.formats.features import Feature
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
 from avcli.numeric import SPEED_OF_SOUND_M_S, speed_of_sound
@@ -100,6 +101,7 @@ class Decision:
         scores: (n,) probability that the detection is right.
         notices: what was noticed about the channels, one sentence each.
         skipped: how many time steps before it were skipped, since the localizer was behind a live stream.
+        features: name -> what tells these talkers from others.
     """
 
     time: float
@@ -108,9 +110,16 @@ class Decision:
     scores: np.ndarray
     notices: tuple[str, ...] = ()
     skipped: int = 0
+    features: Mapping[str, Feature] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, time: float, talkers: Sequence[Talker] = (), notices: Iterable[str] = ()) -> "Decision":
+    def of(
+        cls,
+        time: float,
+        talkers: Sequence[Talker] = (),
+        notices: Iterable[str] = (),
+        features: Mapping[str, Feature] | None = None,
+    ) -> "Decision":
         """Make a decision of the talkers that were found."""
         return cls(
             time,
@@ -118,11 +127,20 @@ class Decision:
             np.array([talker.covariance for talker in talkers], dtype=np.float64).reshape(-1, 3, 3),
             np.array([talker.score for talker in talkers], dtype=np.float64),
             tuple(notices),
+            features=features or {},
         )
 
     def detections(self, sensor: str = "audio") -> Detections:
         """Return it as what a sensor of this name found."""
-        return Detections(self.time, sensor, self.positions, self.covariances, self.scores, kind=MICROPHONES)
+        return Detections(
+            self.time,
+            sensor,
+            self.positions,
+            self.covariances,
+            self.scores,
+            kind=MICROPHONES,
+            features=self.features,
+        )
 
 
 def time_steps(begin: int, count: int, sample_rate: float, rate: float, tail: float) -> range:

@@ -60,7 +60,8 @@ def localize(
 
     Returns:
         The detections of the sensor "audio" for each time k / rate of the scene: mouths at the time at which the sound
-        left them. A time step in which nobody speaks has none.
+        left them. A time step in which nobody speaks has none. Where "srp" hears a clear pitch, the feature "voice"
+        describes the talker's voice (see avcli.localization.voice).
 
     Raises:
         ValueError: as for `localizer`, or the sound does not fit the microphones.

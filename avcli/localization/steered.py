@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from avcli.formats.features import Feature
 from avcli.localization import uncertainty
 from avcli.localization.array import Array, Decision, Talker, time_steps
 from avcli.localization.events import Gate
@@ -20,6 +21,7 @@ from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.talkers import Peak, TalkerSearch
+from avcli.localization.voice import VoiceMeter
 from avcli.localization.windows import Ballot, Band, Correlator, Heard, Window, together
 
 
@@ -69,6 +71,7 @@ class SteeredLocalizer:
             keep=settings.keep,
         )
         self.correlator = Correlator(array, self.band, self.response.half_lags, settings.beta)
+        self.voices = VoiceMeter(array, self.band)
         self.talkers = TalkerSearch(array, settings, self.correlator, self.response)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
         self.windows_a_step = max(1, int(np.ceil(1.0 / (settings.rate * max(settings.context, 1e-9)) - 1e-9)))
@@ -154,6 +157,7 @@ class SteeredLocalizer:
         around = [windows[middle + i].correlated for i in range(-self.reach, self.reach + 1)]
         time, notices = step / self.settings.rate, list(windows[middle].notices)
         talkers: list[Talker] = []
+        features: dict[str, Feature] = {}
         now = around[self.reach]
         if now is None:
             self.memory.keep([])
@@ -164,13 +168,14 @@ class SteeredLocalizer:
                 if window is not None
             ]
             talkers = self.decide(time, together(sounding, self.ballot))
+            features = self.voices.features(now, self.ballot.outvoted, talkers)
             if talkers and talkers[0].score > 0.9:
                 value = self.response.at(now.gcc, talkers[0].position)
                 if value.mean() >= 3.0 * self.noise(1).location:
                     notices += self.ballot.cast(value)
                 if self.on_the_edge(talkers[0].position)[:2].any():
                     notices.append("a source is on the edge of the room or outside it")
-        return Decision.of(time, talkers, notices)
+        return Decision.of(time, talkers, notices, features)
 
     def noise(self, windows: float) -> NoiseLaw:
         """Return what so many windows of white noise, independent in each channel, do to the response."""

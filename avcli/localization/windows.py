@@ -53,6 +53,7 @@ class Correlated:
 
     Attributes:
         gcc: (pairs, lags).
+        spectra: (m, bins) complex, the spectra of the tapered samples.
         whitened: (m, bins) complex64, the whitened spectra that it is of.
         good: (m,) bool, which channels can be believed.
         part: which part of a whole window the stream held of it, from 0 to 1.
@@ -63,6 +64,7 @@ class Correlated:
     """
 
     gcc: np.ndarray
+    spectra: np.ndarray
     whitened: np.ndarray
     good: np.ndarray
     part: float
@@ -147,6 +149,7 @@ class Correlator:
         size = self.band.size
         correlated = Correlated(
             gcc,
+            spectra,
             whitened,
             good,
             part=float(np.count_nonzero(taper)) / size,
