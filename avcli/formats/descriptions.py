@@ -213,7 +213,7 @@ _EXPLAINED_PERSON = _written(
     probability=(PROBABILITY, "probability of that"),
     object_id=_EXPLAINED_ID,
 )
-_ERRORS = _written(
+ERRORS = _written(
     noise_factor=(Number(above=0), "the covariances of its detections are multiplied by this"),
     floor_factor=(Number(above=0), "and so is the square of what is added to them"),
     detections=(
@@ -258,7 +258,7 @@ EXPLAIN = Format(
         people=(ListOf(_EXPLAINED_PERSON), "the known people"),
         clusters=(ListOf(_CLUSTER), "people whose detections are assigned together"),
         existence_before=(MapOf(PROBABILITY), "probabilities of existence before this record, by label"),
-        errors=(_ERRORS, "what is known of the errors of the sensor"),
+        errors=(ERRORS, "what is known of the errors of the sensor"),
         born=(ListOf(_BIRTH), "new tracks"),
         died=(ListOf(_DEATH), "tracks that ended"),
     ),

@@ -47,9 +47,6 @@ BELIEVED = 20.0  # detections that the stated noise is worth
 SOON, LATER, ENOUGH = 4, 32, 60.0  # detections that are learnt from at once, until so many were, and then
 KEEP = 0.998  # weight of what was learnt of the noise before, for each detection
 
-State = Mapping[str, Mapping[str, Any]]
-"""Sensor -> what `Errors.described` returns; "lasting_sd" follows from the others."""
-
 
 class Between(NamedTuple):
     """What lasting errors add where n densities meet detections of one sensor.
@@ -97,6 +94,7 @@ class Errors:
     """What is known of the errors of each sensor, in order of the tracker's columns.
 
     Attributes:
+        known: sensor name -> what `described` said of it in another run.
         factor: (S, 2) on the stated noise, and on the floor as noise.
         worth: (S,) detections on which the factors rest.
         bias: (S, 3) m along x, along y, and forward.
@@ -107,7 +105,7 @@ class Errors:
     def __init__(self, learn: bool = True) -> None:
         """Begin without sensors; learn: whether to learn, or to keep what is known beforehand."""
         self.learns = learn
-        self.known: State = {}
+        self.known: Mapping[str, Mapping[str, Any]] = {}
         self.sensors: list[Sensor] = []
         self.factor, self.worth = np.ones((0, 2)), np.zeros(0)
         self.prior, self.prior_sd = np.zeros(0), np.zeros(0)  # of all biases, (3 S,)
@@ -135,10 +133,6 @@ class Errors:
         self.rest = np.append(self.rest, max(sensor.floor**2 - np.square(usual).sum() / 2, 0.0))
         self._settle()
 
-    def state(self) -> dict[str, dict[str, Any]]:
-        """Return what is known of each sensor by its name, for `restore`."""
-        return {sensor.name: self.described(k) for k, sensor in enumerate(self.sensors)}
-
     def described(self, column: int) -> dict[str, Any]:
         """Return what is known of one sensor's errors, as plain numbers; lengths in m."""
         return {
@@ -149,19 +143,6 @@ class Errors:
             "bias_sd": self.bias_sd[column].tolist(),
             "lasting_sd": math.sqrt(self.lasting[column]),
         }
-
-    def restore(self, state: State) -> None:
-        """Begin with what `state` returned once; the sensors are added later.
-
-        Raises:
-            ValueError: there are sensors already, or a number is not finite.
-        """
-        if self.sensors:
-            raise ValueError("errors of sensors can be restored only before the first record")
-        for name, one in state.items():
-            if not np.isfinite(np.hstack(list(one.values()))).all():
-                raise ValueError(f"what was learnt of the errors of sensor {name!r} holds a number that is not finite")
-        self.known = state
 
     # --- what the filter asks -----------------------------------------------------------------------------------------
 

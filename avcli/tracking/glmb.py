@@ -141,7 +141,9 @@ class GLMB:
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it: numbers and lists of numbers."""
-        sensors = {name: self.rates[k].state() for name, k in self.column.items()}
+        sensors = {
+            name: {**self.rates[k].state(), "errors": self.errors.described(k)} for name, k in self.column.items()
+        }
         return {**self.habits.state(), "sensors": {**self.known, **sensors}}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -152,6 +154,7 @@ class GLMB:
         """
         self.habits.restore(state)
         self.known = dict(state["sensors"])
+        self.errors.known = {name: one["errors"] for name, one in self.known.items()}
 
     # --- predict ------------------------------------------------------------------------------------------------------
 

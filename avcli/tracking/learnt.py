@@ -9,7 +9,7 @@ from typing import Any
 import orjson
 
 from avcli.formats import atomic, bounds
-from avcli.formats.descriptions import Format
+from avcli.formats.descriptions import ERRORS, Format
 from avcli.formats.schema import Invalid, Key, Kind, ListOf, MapOf, Number, Numbers, Object, OrNull
 
 _AMOUNT, _SIGNED = Number(least=0), Number()
@@ -44,6 +44,7 @@ _SENSOR = _required(
         ),
         "how it loses everybody",
     ),
+    errors=(ERRORS, "how exact it is"),
 )
 LEARNT = Format(
     "learnt",

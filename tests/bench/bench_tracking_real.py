@@ -64,19 +64,21 @@ def scene_of(ear: Path, eye: Path) -> Scene:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="directory of the figures and detections")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--seeds", type=int, default=10, help="audio simulations of each scenario")
     parser.add_argument("--video-seeds", type=int, default=3, help="video simulations of each scenario")
     parser.add_argument("--scenarios", nargs="*", default=SCENARIOS, choices=SCENARIOS)
     options = parser.parse_args()
     runs: list[Run] = []
     for scenario in options.scenarios:
-        for seed in range(options.seeds):
+        for seed in range(options.first, options.first + options.seeds):
+            drawn = options.first + (seed - options.first) % options.video_seeds
             ear = options.out / "tracking-real" / f"{scenario}-audio-{seed}"
-            eye = options.out / "tracking-real" / f"{scenario}-video-{seed % options.video_seeds}"
+            eye = options.out / "tracking-real" / f"{scenario}-video-{drawn}"
             for folder in (ear, eye):
                 folder.mkdir(parents=True, exist_ok=True)
             hear(ear, scenario, seed)
-            see(eye, scenario, seed % options.video_seeds)
+            see(eye, scenario, drawn)
             scene = scene_of(ear, eye)
             for sensors in ("", "audio", "video"):
                 some = scene.only(sensors) if sensors else scene
@@ -88,7 +90,8 @@ def main() -> None:
     lines = [
         "# On the project's own detections, online",
         "",
-        f"Made by `tests/bench/bench_tracking_real.py --seeds {options.seeds} --video-seeds {options.video_seeds}`:",
+        f"Made by `tests/bench/bench_tracking_real.py --first {options.first} --seeds {options.seeds}",
+        f"--video-seeds {options.video_seeds}`:",
         "every seed has its own simulation of audio (noise and pauses differ); those of video (the camera's noise",
         "differs) are used in turn, so their figures repeat. HOTA in percent at d0 = 2, .5 and .25 m, online.",
         "",
