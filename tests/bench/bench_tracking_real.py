@@ -87,11 +87,11 @@ def main() -> None:
             shown = [f"{one[-1].outcome.hota:.1f} ({one[-1].outcome.fine:.1f})" for one in (audio, video, both)]
             print(f"{scenario} {seed}: audio {shown[0]}, video {shown[1]}, both {shown[2]}", flush=True)
     report.write(runs, options.out / "tracking-real.json")
+    arguments = f"--first {options.first} --seeds {options.seeds} --video-seeds {options.video_seeds}"
     lines = [
         "# On the project's own detections, online",
         "",
-        f"Made by `tests/bench/bench_tracking_real.py --first {options.first} --seeds {options.seeds}",
-        f"--video-seeds {options.video_seeds}`:",
+        f"Made by `tests/bench/bench_tracking_real.py {arguments}`:",
         "every seed has its own simulation of audio (noise and pauses differ); those of video (the camera's noise",
         "differs) are used in turn, so their figures repeat. HOTA in percent at d0 = 2, .5 and .25 m, online.",
         "",
