@@ -1,19 +1,23 @@
 """Looks and voice in the tracker: known answers, properties, and that a wrong vector decides nothing."""
 
+import json
 import math
 
+import jsonschema
 import numpy as np
 import pytest
+from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli.formats.features import Feature, Population
-from avcli.formats.records import Detections, as_record
+from avcli.formats.records import Detections, as_record, encode
 from avcli.tracking.densities import Densities
 from avcli.tracking.features import FOREIGN, UU, XX, Features, U, X
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.recognition import Gallery, Left, returned
 
+SCHEMA = ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json"
 PLAIN = Population(np.zeros(2), np.ones(2), np.full(2, 0.25), correlation_s=1.0, correlated=0.0)
 LASTING = PLAIN._replace(correlated=1.0)
 
@@ -210,6 +214,21 @@ def test_people_who_meet_and_turn_back_are_told_apart(seed):
     found = identities(fused(pair(seed)))
     assert found[5] == found[-1]
     assert len(found) > 90
+
+
+def test_an_account_says_what_the_features_mean():
+    fusion = Fusion(explain=True)
+    fusion.tracker.features = kinds()
+    for one in pair(1):
+        fusion.step(one.timestamp, [(one.timestamp, "ceiling", one)])
+    accounts = fusion.accounts()
+    validate = jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text())).validate
+    validate(json.loads(encode(accounts[-1])))
+    touching = [one for one in accounts if all(len(each.get("features", {})) == 2 for each in one["detections"])]
+    assert len(touching) > 5
+    fits = [max(each["features"].values()) for one in touching for each in one["detections"]]
+    assert np.mean(fits) > 0.5
+    assert min(min(each["features"].values()) for one in touching for each in one["detections"]) >= math.log(FOREIGN)
 
 
 def test_the_order_of_detections_does_not_matter():

@@ -231,6 +231,16 @@ _EXPLAINED_DETECTION = _written(
     clutter_density=(Number(least=0), "density of false detections here, 1/m²"),
     stranger_density=(Number(least=0), "density of people without a track, 1/m²"),
 )
+_EXPLAINED_DETECTION = Object(
+    {
+        **_EXPLAINED_DETECTION.keys,
+        "features": Key(
+            MapOf(Number()),
+            "for known people near it, by label: log ratio of the probabilities of its features, if it is that person "
+            "and if it is anybody; absent where it has no features",
+        ),
+    }
+)
 _HYPOTHESIS = _written(
     weight=(PROBABILITY, "probability of the joint hypothesis"),
     detections=(ListOf(OrNull(_COUNT)), "one for each label; null: missed or absent"),

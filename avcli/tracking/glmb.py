@@ -232,6 +232,7 @@ class GLMB:
             before = {str(one.label): one.existence for one in self.labelled()}
             errors = self.errors.described(scan.column)
             account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
+            journal.add_features(account, scan, self.people.label, self.likely_rows)
             self.journal.append({**account, "born": self.born, "died": self.died})
         self._rebuild(scan, groups, revealed)
         if self.gallery.fresh and scan.evidence:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
+
 from avcli.tracking.association import Group
 from avcli.tracking.rates import Rates
 from avcli.tracking.scan import Scan
@@ -66,6 +68,24 @@ def account(
         "existence_before": before,
         "errors": errors,
     }
+
+
+def add_features(account: dict[str, Any], scan: Scan, labels: Sequence[int], likely: Iterable[int]) -> None:
+    """Add to an account what the features of the detections say of the people in the likely rows.
+
+    Args:
+        account: as `account` made it.
+        scan: the record.
+        labels: n labels of the densities before it.
+        likely: rows of known people.
+    """
+    if scan.evidence is None:
+        return
+    ratio = scan.evidence.ratio
+    for j, detection in enumerate(account["detections"]):
+        near = [row for row in likely if scan.likelihoods[row][j] > 0]
+        if near and not np.isnan(scan.evidence.vectors[j]).all():
+            detection["features"] = {str(labels[row]): math.log(ratio[row, j]) for row in near}
 
 
 def _most_likely(group: Group, at: int, label: int) -> dict[str, Any]:

@@ -4,13 +4,13 @@ Features are drawn from the model that avcli.formats.features has of a kind: a p
 a share lasts. Where two people are nearer than 0.35 m, a vector may be a mixture of both.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tracking_scenes import ROOM, People, Rng, Scene, assemble, clock, waypoints
+from tracking_scenes import ROOM, People, Rng, Scene, assemble, clock, long_pair, ten, waypoints
 
-from avcli.formats.features import Feature, Population
+from avcli.formats.features import Feature, Population, known
 
 MIXED = 0.35  # m
 
@@ -34,7 +34,7 @@ class Drawn:
     given: float = 1.0
 
 
-def meeting(rng: Rng) -> Scene:
+def parting(rng: Rng) -> Scene:
     """Two people walk up to each other, stand within 0.2 m for 1 to 4 s, and walk on or turn back, at random."""
     t = clock(14.0)
     centre, meet = ROOM / 2 + rng.uniform(-0.4, 0.4, 2), 4.0
@@ -124,3 +124,35 @@ def _mixed(rng: Rng, i: int, own: dict[int, np.ndarray], ids: list[int], xy: np.
             share = rng.random()
             return share * own[i] + (1 - share) * own[ids[int(away.argmin())]]
     return own[i]
+
+
+def _drawn(sensor: str, kind: str, given: float = 1.0) -> Drawn:
+    population = known(kind)
+    assert population is not None
+    return Drawn(sensor, kind, population, given=given)
+
+
+LOOKS = {"looks": _drawn("video", "clothes")}
+VOICE = {"voice": _drawn("audio", "pitch-envelope", given=0.44)}  # of steps of speech that have a clear pitch
+
+
+def _case(scene: Callable[[Rng], Scene], drawn: Mapping[str, Drawn], alike: bool = False) -> Callable[[Rng], Scene]:
+    def drawn_scene(rng: Rng) -> Scene:
+        plain = scene(rng)
+        return with_features(rng.spawn(1)[0], plain, drawn, alike=alike)
+
+    return drawn_scene
+
+
+FEATURED: dict[str, Callable[[Rng], Scene]] = {
+    "parting": parting,
+    "parting-looks": _case(parting, LOOKS),
+    "parting-voice": _case(parting, VOICE),
+    "parting-both": _case(parting, {**LOOKS, **VOICE}),
+    "parting-alike": _case(parting, {**LOOKS, **VOICE}, alike=True),
+    "returning": returning,
+    "returning-looks": _case(returning, LOOKS),
+    "ten-looks": _case(ten, LOOKS),
+    "long-pair-looks": _case(long_pair, LOOKS),
+}
+"""Cases with and without features, and one in which all people look and sound the same."""

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import walks
+from features_scenes import FEATURED
 from tracking_scenes import EASY, HARD, Rng, Scene
 from tracking_worlds import COARSE, WORLDS
 
-SYNTHETIC: dict[str, Callable[[Rng], Scene]] = {**EASY, **HARD, **WORLDS}
+SYNTHETIC: dict[str, Callable[[Rng], Scene]] = {**EASY, **HARD, **WORLDS, **FEATURED}
 FIRST_DECIDING = 100  # seeds of synthetic cases from here on may decide
 REAL = ("hotel", "zara01", "zara01occ", "zara02")
 
@@ -18,6 +19,7 @@ MORE = {  # seeds of the default tracker and a few others, where chance weighs h
     **dict.fromkeys(("gaps", "dim-edge"), 100),
     **dict.fromkeys((name for name in WORLDS if name.startswith("leave")), 5),
     **dict.fromkeys(("meeting", "found30"), 20),
+    **dict.fromkeys((name for name in FEATURED if not name.startswith(("ten", "long"))), 20),
     "unseen": 10,
     "clutter": 6,
     "ten": 10,
