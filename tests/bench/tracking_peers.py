@@ -143,9 +143,9 @@ class Sort:
                 cov = np.zeros((4, 4))
                 cov[:2, :2], cov[2:, 2:] = noise[j], SPEED**2 * np.eye(2)
                 mean = np.array([*z[j], 0.0, 0.0])
-                self.lives.append(
-                    Life(mean, cov, self.time, observed=[(self.time, z[j])], anchor=(self.time, mean, cov))
-                )
+                label = next(self.labels) if self.parameters.hits < 2 else None
+                anchor = (self.time, mean, cov)
+                self.lives.append(Life(mean, cov, self.time, 1, label, [(self.time, z[j])], anchor))
 
     def patience(self, life: Life) -> float:
         """Seconds without a detection after which a track ends."""

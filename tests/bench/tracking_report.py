@@ -4,6 +4,7 @@ import json
 import math
 import os
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -72,8 +73,10 @@ def shown(value: float, digits: int = 1, sign: str = "") -> str:
     return "" if math.isnan(value) else f"{value:{sign}.{digits}f}"
 
 
-def rows(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
-    """A table of Markdown, its first column text and the others numbers."""
+def rows(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
+    """A table of Markdown, its first column text and the others numbers; empty without lines."""
+    if not lines:
+        return []
     table = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
     return [*table, *("| " + " | ".join(line) + " |" for line in lines), ""]
 
@@ -226,6 +229,15 @@ def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> 
     """All tables."""
     seeds = sorted({run.seed for run in runs})
     real = [run for run in runs if not is_synthetic(run.case)]
+    peers = (
+        "SORT, ByteTrack and OC-SORT on points in metres (tests/bench/tracking_peers.py says how), Stone Soup's GNN "
+        "and JPDA, avfuse's own gnn, and avfuse with --no-hidden."
+    )
+    sensors = "Difference of HOTA for each seed: mean with its 95 % interval, and the worst. coarse: video sigma .2 m."
+    star = f"A star: more than {CLOSE} apart, where there are {ENOUGH} records of {RUNS} runs."
+    old = {f"{name}, before": found for name, found in groups_of(before, ()).items()}
+    existence = {**groups_of(runs, own), **old}
+    groups = {"s1 to s4": [*EASY], "s1 to s4, coarse": [*COARSE]}
     lines = [
         "# Trackers on the same detections",
         "",
@@ -234,34 +246,21 @@ def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> 
         "",
         *LEGEND,
         "",
-        "## The default tracker on each case",
-        "",
-        *cases_table(runs, before),
-        "## Peers on the same detections, HOTA",
-        "",
-        "SORT, ByteTrack and OC-SORT on points in metres (tests/bench/tracking_peers.py says how), Stone Soup's GNN",
-        "and JPDA, avfuse's own gnn, and avfuse with --no-hidden.",
-        "",
-        *variants_table(runs, peers_of(runs)),
-    ]
-    if real:
-        lines += ["## Tracks of real people", "", *real_table(real)]
-    lines += [
-        "## Hypotheses and delay, HOTA",
-        "",
-        *variants_table(runs, OWN),
-        "## Both sensors less the better one",
-        "",
-        "Difference of HOTA for each seed: mean with its 95 % interval, and the worst. coarse: video of sigma .2 m.",
-        "",
-        *sensors_table(runs, {"s1 to s4": [*EASY], "s1 to s4, coarse": [*COARSE]}),
-        "## Existence: said and true",
-        "",
-        f"A star: more than {CLOSE} apart, where there are {ENOUGH} records of {RUNS} runs.",
-        "",
-        *reliability_table(groups_of(runs, own)),
+        *section("The default tracker on each case", "", cases_table(runs, before)),
+        *section("Peers on the same detections, HOTA", peers, variants_table(runs, peers_of(runs))),
+        *section("Tracks of real people", "", real_table(real)),
+        *section("Hypotheses and delay, HOTA", "", variants_table(runs, OWN)),
+        *section("Both sensors less the better one", sensors, sensors_table(runs, groups)),
+        *section("Existence: said and true", star, reliability_table(existence)),
     ]
     return "\n".join(lines)
+
+
+def section(title: str, text: str, table: list[str]) -> list[str]:
+    """A heading, a paragraph and a table; nothing where the table is empty."""
+    if not table:
+        return []
+    return [f"## {title}", "", *([*textwrap.wrap(text, 118), ""] if text else []), *table]
 
 
 def groups_of(runs: Sequence[Run], own: Sequence[Run]) -> dict[str, list[Run]]:
