@@ -23,8 +23,8 @@ from avcli.formats.features import Feature
 
 KIND, NAME = "clothes", "looks"
 
-PARTS = {"head": (0.88, 1.03), "upper": (0.58, 0.80), "lower": (0.12, 0.45)}
-"""Parts of the body: from and to which part of its height. Neck, waist and feet are left out."""
+PARTS = {"head": (0.88, 1.03), "upper": (0.58, 0.80), "lower": (0.12, 0.36)}
+"""Parts of the body: from and to which part of its height. Neck, waist, hands and feet are left out."""
 
 COLOURS = ("light", "warm", "green")
 COMPONENTS = ("head_light", *(f"{part}_{colour}" for part in ("upper", "lower") for colour in COLOURS))
