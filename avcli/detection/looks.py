@@ -23,8 +23,8 @@ from avcli.formats.features import Feature
 
 KIND, NAME = "clothes", "looks"
 
-PARTS = {"head": (0.88, 1.03), "upper": (0.58, 0.80), "lower": (0.12, 0.45)}
-"""Parts of the body: from and to which part of its height. Neck, waist and feet are left out."""
+PARTS = {"head": (0.88, 1.03), "upper": (0.58, 0.80), "lower": (0.12, 0.36)}
+"""Parts of the body: from and to which part of its height. Neck, waist, hands and feet are left out."""
 
 COLOURS = ("light", "warm", "green")
 COMPONENTS = ("head_light", *(f"{part}_{colour}" for part in ("upper", "lower") for colour in COLOURS))
@@ -50,6 +50,10 @@ _FEWEST, _MOST = 6, 300
 
 _ROOM_ROWS, _LEAST_ROOM = 54, 200
 """Rows of samples of the room, and the number of them that its light is measured by at least."""
+
+
+_SAME_COLOUR, _SHADOW, _LIT = 0.2, 0.4, 0.2
+"""Differences of logarithms up to which a sample is the room's: of its colour, and of a shadow and a brighter light."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ class Looks:
     def __init__(self, view: View, law: LooksLaw = LAW):
         self.view, self.law = view, law
         self._room: np.ndarray | None = None
-        self._median = np.zeros(3)
+        self._median = self._light = np.zeros(3)
 
     def describe(self, picture: np.ndarray, people: Sequence[Person]) -> np.ndarray:
         """Measure the people found in a picture.
@@ -118,7 +122,7 @@ class Looks:
         table = np.log(np.arange(256)[:, None] / 255 * gain + _DARK)
         grey = _is_grey(self._of_room(picture), 0.002)
         for index, person in enumerate(people):
-            surface = self._surface(person, people)
+            surface = self._surface(person, people, picture)
             colours = picture[surface.rows, surface.columns]
             if not (grey and _is_grey(colours, 0.05)):
                 share = surface.heights / (person.height or HEIGHT_M)
@@ -126,8 +130,11 @@ class Looks:
                 described[index] = medians, self.law.deviations(spreads)
         return described
 
-    def _surface(self, person: Person, people: Sequence[Person]) -> Surface:
-        """Where the picture shows a person; without depth, a standing body in the box and outside nearer ones'."""
+    def _surface(self, person: Person, people: Sequence[Person], picture: np.ndarray) -> Surface:
+        """Where the picture shows a person.
+
+        Without depth it is where a standing body is, in the box, outside nearer people's boxes, and unlike the room.
+        """
         if person.surface is not None:
             return person.surface
         surface = standing(person.position[:2], person.height or HEIGHT_M, self.view)
@@ -135,13 +142,25 @@ class Looks:
         for other in people:
             if other is not person and self._away(other) < self._away(person):
                 shown &= ~_in_box(surface, other.bbox_px)
-        return Surface(surface.rows[shown], surface.columns[shown], surface.heights[shown], surface.areas[shown])
+        rows, columns = surface.rows, surface.columns
+        shown &= ~self._like_room(picture[rows, columns], rows, columns, _step(picture))
+        return Surface(rows[shown], columns[shown], surface.heights[shown], surface.areas[shown])
+
+    def _like_room(self, colours: np.ndarray, rows: np.ndarray, columns: np.ndarray, step: int) -> np.ndarray:
+        """Whether colours (n, 3) are those of the room there, in the light or in a body's shadow; (n,) bool."""
+        if self._room is None:
+            return np.zeros(len(rows), bool)
+        height, width = self._room.shape[:2]
+        room = _filled(self._room)[np.minimum(rows // step, height - 1), np.minimum(columns // step, width - 1)]
+        change = (np.log(np.maximum(colours, 1) / 255) - room - self._light) @ _AXES
+        alike = (np.abs(change[:, 1:]) < _SAME_COLOUR).all(axis=1)
+        return np.asarray(alike & (change[:, 0] > -_SHADOW) & (change[:, 0] < _LIT))
 
     def _away(self, person: Person) -> float:
         return float(np.linalg.norm(person.position[:2] - self.view.origin[:2]))
 
     def _of_room(self, picture: np.ndarray) -> np.ndarray:
-        step = max(picture.shape[0] // _ROOM_ROWS, 1)
+        step = _step(picture)
         return picture[step // 2 :: step, step // 2 :: step]
 
     def _gain(self, picture: np.ndarray, people: Sequence[Person]) -> np.ndarray | None:
@@ -151,7 +170,7 @@ class Looks:
         which part of the room the people hide.
         """
         room = self._of_room(picture)
-        step = max(picture.shape[0] // _ROOM_ROWS, 1)
+        step = _step(picture)
         free = np.asarray(((room > _USABLE[0]) & (room < _USABLE[1])).all(axis=2))
         for person in people:
             x0, y0, x1, y1 = np.maximum(person.bbox_px / step, 0).astype(int)
@@ -163,7 +182,10 @@ class Looks:
         ratios = ratios[~np.isnan(ratios[:, 0])] if ratios is not None else np.empty((0, 3))
         if len(ratios) < _LEAST_ROOM:
             self._room, self._median, ratios = values, np.median(values[free], axis=0), np.zeros((1, 3))
-        return _ROOM / np.exp(self._median + np.median(ratios, axis=0))
+        self._light = np.median(ratios, axis=0)
+        room = values if self._room is None else self._room
+        self._room = np.where(np.isnan(room), values - self._light, room)
+        return _ROOM / np.exp(self._median + self._light)
 
 
 def _medians(colours: np.ndarray, share: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -184,6 +206,26 @@ def _medians(colours: np.ndarray, share: np.ndarray, table: np.ndarray) -> tuple
         lower, medians[index], upper = values[[len(own) // 4, len(own) // 2, (3 * len(own)) // 4]]
         spreads[index] = (upper - lower) / 1.349
     return medians.ravel()[_KEPT], spreads.ravel()[_KEPT]
+
+
+def _step(picture: np.ndarray) -> int:
+    """Distance of the samples of the room, px."""
+    return max(picture.shape[0] // _ROOM_ROWS, 1)
+
+
+def _filled(room: np.ndarray) -> np.ndarray:
+    """The samples of a room (h, w, 3); those that are NaN, where somebody has been all the time, as the nearest one."""
+    import cv2
+
+    known = ~np.isnan(room[..., 0])
+    if not known.any():
+        return room
+    labels = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )[1]
+    of_label = np.zeros((labels.max() + 1, 3))
+    of_label[labels[known]] = room[known]
+    return of_label[labels]
 
 
 def _is_grey(colours: np.ndarray, few: float) -> bool:
