@@ -27,6 +27,7 @@ from avcli.formats.schema import (
     Point,
     Text,
     Timestamp,
+    UnitVector,
     Written,
 )
 from avcli.formats.sensors import KINDS
@@ -101,15 +102,31 @@ DETECTION = Object(
     {
         "position": Key(
             Point(bounds.FARTHEST_M, height_may_be_null=True),
-            "position, m in the room frame; z is null or absent where it was not observed",
-            required=True,
+            "position, m in the room frame; z is null or absent where it was not observed; may be left out beside a "
+            "direction or a range",
         ),
         "covariance": Key(SPREAD, "covariance of the position, m²; a zero variance means: not observed"),
         "score": Key(PROBABILITY, "probability that the detection is right"),
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
         "height": Key(bounds.COORDINATE, "height of the person, m"),
         "features": Key(FEATURES, 'what tells this person from others, by name: "looks", "voice"; at most 8'),
-    }
+        "origin": Key(
+            Point(bounds.FARTHEST_M, height_may_be_null=True),
+            "where the sensor stands from which direction and range_m count, m in the room frame",
+        ),
+        "direction": Key(
+            UnitVector(),
+            "unit vector from the origin towards the person, in the room frame; without z only the direction on the "
+            "floor was observed; a position beside it is a guess, which avfuse does not use",
+        ),
+        "direction_sd_deg": Key(
+            Number(above=0, most=180), "standard deviation of the direction, across it to each side, degrees"
+        ),
+        "range_m": Key(bounds.DISTANCE, "distance from the origin, m; on the floor if the origin has no z"),
+        "range_sd_m": Key(bounds.LENGTH, "standard deviation of the distance, m"),
+    },
+    needed=(("position",), ("direction",), ("range_m",)),
+    beside={"direction": "origin", "range_m": "origin"},
 )
 
 
@@ -228,8 +245,11 @@ _EXPLAINED_DETECTION = _written(
     position=(Numbers(2), "position without the sensor's bias, m"),
     unclaimed=(PROBABILITY, "probability that no known person caused it"),
     person_if_unclaimed=(PROBABILITY, "probability of a new person if no known person caused it"),
-    clutter_density=(Number(least=0), "density of false detections here, 1/m²"),
-    stranger_density=(Number(least=0), "density of people without a track, 1/m²"),
+    clutter_density=(
+        Number(least=0),
+        "density of false detections here, 1/m² (of directions 1/rad or 1/rad², of distances 1/m)",
+    ),
+    stranger_density=(Number(least=0), "density of people without a track, in the same unit"),
 )
 _EXPLAINED_DETECTION = Object(
     {

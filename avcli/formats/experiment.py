@@ -46,6 +46,7 @@ DIRECTIVITIES = {"omni": 1.0, "subcardioid": 0.75, "cardioid": 0.5, "hypercardio
 _LENGTH = bounds.LENGTH
 _COORDINATE, _PLACE = bounds.COORDINATE, bounds.VECTOR
 _ANGLE = Number(0, most=360)
+_HEIGHT = Number(0, most=100)
 
 _LENS_KEYS = {
     "lens_model": Key(
@@ -137,7 +138,24 @@ _ROOM = Object(
         "speed_of_sound_m_s": Key(bounds.SPEED_OF_SOUND, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
     }
 )
-_SENSORS = MapOf(Object({"kind": Key(Choice(KINDS), "kind of the sensor", required=True)}))
+_COVERS = Object(
+    {
+        "polygon_m": Key(ListOf(Numbers(2, _COORDINATE), 3, 1000), "corners on the floor in order, lists [x, y], m"),
+        "disc_m": Key(Numbers(3, _COORDINATE), "a disc on the floor: [x, y] of its centre and its radius, m"),
+    },
+    needed=(("polygon_m",), ("disc_m",)),
+    exclusive=("polygon_m", "disc_m"),
+)
+_SENSOR = Object(
+    {
+        "kind": Key(Choice(KINDS), "kind of the sensor", required=True),
+        "camera_config": Key(_CAMERA, "the camera that it is, if it is not that of the file"),
+        "covers": Key(_COVERS, "where it detects people, if the camera does not say it; by default everywhere"),
+        "height_m": Key(_HEIGHT, "height above the floor of the point of a person that it localizes, m"),
+        "height_sd_m": Key(_HEIGHT, "standard deviation of this height over people, m"),
+    }
+)
+_SENSORS = MapOf(_SENSOR)
 CONFIG = Format(
     "config",
     "config.json of an experiment (Listing .1 of the thesis, with more keys)",
@@ -149,7 +167,7 @@ CONFIG = Format(
             "room_config": Key(_ROOM, "the room"),
             "sensors": Key(
                 _SENSORS,
-                'kind of each sensor, by its name: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
+                'what each sensor is, by its name: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
                 "if neither this nor a record gives the kind of a sensor, it is guessed from the name",
             ),
             "written_by": Key(
@@ -245,13 +263,15 @@ class Config:
     @functools.cached_property
     def camera(self) -> Camera:
         """The camera: its lens, its place and its pictures."""
-        values = self._section("camera_config", _CAMERA)
+        return self._camera(self._section("camera_config", _CAMERA), "camera_config")
+
+    def _camera(self, values: Mapping[str, Any], *where: str) -> Camera:
         if values["camera_position_m"] is None:
-            raise self._error(Invalid("is missing", ("camera_config", "camera_position_m")))
+            raise self._error(Invalid("is missing", (*where, "camera_position_m")))
         width, height = values["image_width_px"], values["image_height_px"]
         if width * height > bounds.MOST_PIXELS:
             reason = f"must have at most {bounds.MOST_PIXELS} pixels, found {width} × {height}"
-            raise self._error(Invalid(reason, ("camera_config",)))
+            raise self._error(Invalid(reason, where))
         optics = _lens(values, width, height)
         limits = [values[f"theta_max_{kind}_deg"] for kind in ("observed", "valid")]
         return Camera(
@@ -301,8 +321,17 @@ class Config:
     @functools.cached_property
     def sensors(self) -> dict[str, str]:
         """What each named sensor is: name -> "camera" or "microphones"; empty where the file does not say it."""
-        listed = self._section("sensors", _SENSORS, needed=False)
-        return {name: known["kind"] for name, known in listed.items()}
+        return {name: known["kind"] for name, known in self.known_sensors.items()}
+
+    @functools.cached_property
+    def known_sensors(self) -> dict[str, dict[str, Any]]:
+        """What the file says of each named sensor: name -> keys of "sensors"; None where it does not say one."""
+        return self._section("sensors", _SENSORS, needed=False)
+
+    def camera_of(self, sensor: str) -> Camera | None:
+        """Return the camera of its own that a named sensor has, None where the file states none."""
+        values = self.known_sensors.get(sensor, {}).get("camera_config")
+        return None if values is None else self._camera(values, "sensors", sensor, "camera_config")
 
     @functools.cached_property
     def room(self) -> Room:

@@ -17,7 +17,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
@@ -219,13 +219,20 @@ class Detections:
     Attributes:
         timestamp: s.
         sensor: the sensor's name, None where the record does not say it.
-        positions: (n, 3) m in the room frame; z is NaN where it was not given.
+        positions: (n, 3) m in the room frame; z is NaN where it was not given, all are where only a direction or a
+            range was.
         covariances: (n, 3, 3) m²; NaN where none was given; a zero variance means "not observed".
         scores: (n,) probability that the detection is right; NaN where none was given.
         kind: "camera" or "microphones", None where the record does not say it.
         boxes_px: (n, 4) x0, y0, x1, y1 in the full image; NaN where none was given.
         heights: (n,) m, of people; NaN where none was given.
         features: name ("looks", "voice") -> what tells these people from others.
+        origins: (n, 3) m, from which directions and ranges count; z is NaN where it was not given.
+        directions: (n, 3) unit vectors in the room frame; z is NaN where only the direction on the floor was given.
+        direction_sds: (n,) rad, across the direction to each side.
+        ranges: (n,) m, distances from the origins.
+        range_sds: (n,) m.
+    All from `origins` on are NaN where the record does not give them.
     """
 
     timestamp: float
@@ -237,12 +244,32 @@ class Detections:
     boxes_px: np.ndarray = field(default_factory=_unknown)
     heights: np.ndarray = field(default_factory=_unknown)
     features: Mapping[str, Feature] = field(default_factory=dict)
+    origins: np.ndarray = field(default_factory=_unknown)
+    directions: np.ndarray = field(default_factory=_unknown)
+    direction_sds: np.ndarray = field(default_factory=_unknown)
+    ranges: np.ndarray = field(default_factory=_unknown)
+    range_sds: np.ndarray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
-        _fill_unknown(self, len(self.positions), covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
+        count = len(self.positions)
+        _fill_unknown(self, count, covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
+        _fill_unknown(self, count, origins=(3,), directions=(3,), direction_sds=(), ranges=(), range_sds=())
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def shows_less(self) -> bool:
+        """Tell whether a detection has a direction or a range, in place of a position or beside a guess of it."""
+        return bool(np.isfinite(self.directions[:, 0]).any() or np.isfinite(self.ranges).any())
+
+    def located(self) -> "Detections":
+        """Return the detections that have a position."""
+        known = np.isfinite(self.positions[:, :2]).all(1)
+        if known.all():
+            return self
+        columns = {key: value[known] for key, value in vars(self).items() if isinstance(value, np.ndarray)}
+        told = {name: one.take(known) for name, one in self.features.items()}
+        return replace(self, **columns, features=told)
 
 
 @dataclass(frozen=True)
@@ -311,17 +338,27 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
     rows = _rows(record, descriptions.DETECTION, bad)
     given = any(row["features"] for row in rows.values())
     told = features.columns(rows, bad) if given else {}  # first, since it may drop rows
+    positions = _column(rows, "position", 3) if rows else np.empty((0, 3))
     return Detections(
         timestamp=record["timestamp"],
         sensor=head["sensor"],
         kind=head["kind"],
-        positions=_column(rows, "position", 3) if rows else np.empty((0, 3)),
+        positions=_nan((len(rows), 3)) if positions is _UNKNOWN else positions,
         covariances=_column(rows, "covariance", 3, 3),
         scores=_column(rows, "score"),
         boxes_px=_column(rows, "bbox_px", 4),
         heights=_column(rows, "height"),
         features=told,
+        origins=_column(rows, "origin", 3),
+        directions=_column(rows, "direction", 3),
+        direction_sds=_radians(_column(rows, "direction_sd_deg")),
+        ranges=_column(rows, "range_m"),
+        range_sds=_column(rows, "range_sd_m"),
     )
+
+
+def _radians(degrees: np.ndarray) -> np.ndarray:
+    return degrees if degrees is _UNKNOWN else np.radians(degrees)
 
 
 class Names:
@@ -455,7 +492,8 @@ def _column(rows: Mapping[int, Row], key: str, *shape: int) -> np.ndarray:
 def as_record(item: Detections | Identified) -> dict[str, Any]:
     """Turn detections or people into a record for `encode`.
 
-    Values that are NaN are left out, but the unknown height of a detection with a box is null. `speaking` is written as
+    Values that are NaN are left out, but the unknown height of a detection with a box is null, and so is the z of a
+    detection's position that is not known; a direction without z has two numbers. `speaking` is written as
     true or false where it is 0 or 1 and the person has no existence (ground truth), else as a probability (tracks).
     """
     if isinstance(item, Detections):
@@ -467,6 +505,11 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             "score": item.scores,
             "bbox_px": item.boxes_px,
             "height": item.heights,
+            "origin": item.origins,
+            "direction": item.directions,
+            "direction_sd_deg": np.degrees(item.direction_sds),
+            "range_m": item.ranges,
+            "range_sd_m": item.range_sds,
         }
     else:
         named, names = {}, item.names or {}
@@ -491,8 +534,10 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             elif given:
                 is_bool = key == "observed" or (key == "speaking" and value in (0, 1) and "existence" not in row)
                 row[key] = bool(value) if is_bool else value
-            elif key == "position":
+            elif key in ("position", "origin") and not math.isnan(value[0]):
                 row[key] = value[:2] if "object_id" in row else [*value[:2], None]
+            elif key == "direction" and not math.isnan(value[0]):
+                row[key] = value[:2]
             elif key == "height" and "bbox_px" in row:
                 row[key] = None
     if isinstance(item, Detections) and item.features:

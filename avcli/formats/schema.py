@@ -26,7 +26,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import isfinite, nan
+from math import hypot, isfinite, nan
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -396,6 +396,27 @@ class Point:
 
 
 @dataclass(eq=False)
+class UnitVector:
+    """A direction: two or three numbers, not all 0; read as a vector of length 1, z NaN where it is not given."""
+
+    component: ClassVar[Number] = Number(-1.001, most=1.001)  # as far as somebody else's rounding may go beyond 1
+
+    def read(self, value: Any) -> list[float]:
+        if isinstance(value, list | tuple) and len(value) in (2, 3) and _are_within(value, -1.001, 1.001):
+            length = hypot(*value)
+            if length > 0:
+                return [*(number / length for number in value), nan][:3]
+        raise _refuse(self, value)
+
+    def schema(self) -> dict[str, Any]:
+        some = {"contains": {"not": {"const": 0}}}
+        return {"type": "array", "items": self.component.schema(), "minItems": 2, "maxItems": 3, **some}
+
+    def words(self) -> str:
+        return f"a list of two or three numbers {self.component.bounds()} that are not all 0"
+
+
+@dataclass(eq=False)
 class Covariance:
     """A symmetric, positive semidefinite matrix, 3 × 3 or 2 × 2, as a list of rows.
 
@@ -506,12 +527,16 @@ class Object:
         keys: what it may hold.
         closed: whether another key is an error; otherwise it is ignored.
         exclusive: keys of which only one may be there.
+        needed: groups of keys; at least one group must be there as a whole.
+        beside: keys, each with another one that must be there where the key is.
         rules: further JSON Schema that `read` does not need.
     """
 
     keys: Mapping[str, Key]
     closed: bool = False
     exclusive: tuple[str, ...] = ()
+    needed: tuple[tuple[str, ...], ...] = ()
+    beside: Mapping[str, str] = field(default_factory=dict)
     rules: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
@@ -549,6 +574,12 @@ class Object:
                 raise Invalid(f"must be {self.keys[name].kind.words()}, found null", (name,))
         if self.exclusive and sum(value.get(name) is not None for name in self.exclusive) > 1:
             raise Invalid(f"has {' and '.join(self.exclusive)}; only one of them is possible")
+        if self.needed and not any(all(value.get(name) is not None for name in group) for group in self.needed):
+            first, *others = [" with ".join(group) for group in self.needed]
+            raise Invalid(f"is missing, and there is no {' or '.join(others)}", (first,))
+        for name, other in self.beside.items():
+            if value.get(name) is not None and value.get(other) is None:
+                raise Invalid(f"is missing beside {name}", (other,))
         return checked
 
     def schema(self) -> dict[str, Any]:
@@ -560,7 +591,11 @@ class Object:
             schema["additionalProperties"] = False
         if self.exclusive:
             unset = {"properties": {name: {"not": {"type": "null"}} for name in self.exclusive}}
-            schema["not"] = {"required": list(self.exclusive), **unset}
+            schema["not"] = {"type": "object", "required": list(self.exclusive), **unset}
+        some = [[_all_there(*group) for group in self.needed]] if self.needed else []
+        some += [[{"properties": {a: {"type": "null"}}}, _all_there(b)] for a, b in self.beside.items()]
+        if some:
+            schema["allOf"] = [{"anyOf": one} for one in some]
         schema["properties"] = {name: self._property(key) for name, key in self.keys.items()}
         return schema | dict(self.rules)
 
@@ -575,6 +610,11 @@ class Object:
 
     def words(self) -> str:
         return "a JSON object"
+
+
+def _all_there(*names: str) -> dict[str, Any]:
+    """Return the JSON Schema of an object that has these keys, none of them null."""
+    return {"required": list(names), "properties": {name: {"not": {"type": "null"}} for name in names}}
 
 
 def _or_null(schema: dict[str, Any]) -> dict[str, Any]:

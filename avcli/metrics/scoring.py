@@ -110,8 +110,9 @@ def score_sensor(
 
     Args:
         truth: people, one record for each time.
-        found: the sensor's detections, at least one record. Microphones hear mouths: their detections are compared with
-            mouths where the ground truth gives all of them, and otherwise, as a camera's, with bodies.
+        found: the sensor's detections, at least one record; those without a position are left out. Microphones hear
+            mouths: their detections are compared with mouths where the ground truth gives all of them, and otherwise,
+            as a camera's, with bodies.
         settings: how they are compared.
         sequence, sensor: their names, for the record.
         sensors: name -> kind, as config.json gives it.
@@ -123,7 +124,7 @@ def score_sensor(
     Raises:
         ValueError: as `score`.
     """
-    settings = settings or Settings()
+    settings, found = settings or Settings(), [each.located() for each in found]
     total = np.cumsum([0, *map(len, found)])
     numbered = [
         Identified(each.timestamp, np.arange(first, first + len(each)), each.positions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from avcli.tracking.model import Population
 from avcli.tracking.places import Places
 from avcli.tracking.scan import GATE, Scan
 from avcli.tracking.settings import Sensor
+
+if TYPE_CHECKING:
+    from avcli.tracking.unseen import UnseenMap
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density
@@ -27,12 +30,14 @@ class Birth(NamedTuple):
         source: row of the tentative density that was updated with it, -1: a person never detected before.
         number: expected number of people.
         existence: probability that the detection, if no known person's, is a person.
+        placed: whether it is known where the person is, see `partial`.
     """
 
     detection: int
     source: int
     number: float
     existence: float
+    placed: bool = True
 
 
 class Undetected:
@@ -66,14 +71,47 @@ class Undetected:
         anywhere, near_walls = (detection * self.detectable[column] * self.expected).tolist()
         return (self.population.density(z, anywhere, near_walls) * self.entries.at(z) / self.entries.overall).tolist()
 
-    def update(self, scan: Scan, p_detect: float) -> None:
-        """Take the detected ones away, after a record in which each was detected with a probability."""
+    def relax(self, rest: np.ndarray, mix: np.ndarray) -> None:
+        """Let them hide and show: (S,) probabilities in the long run, and shares (S,) of what is not forgotten."""
+        self.detectable = rest + (self.detectable - rest) * mix
+
+    def density(self, positions: np.ndarray) -> np.ndarray:
+        """Return the expected number (n,) of them per m² at positions (n, 2) m."""
+        return (
+            self.population.density(positions, *self.expected.tolist())
+            * self.entries.at(positions)
+            / self.entries.overall
+        )
+
+    def detected(self, scan: Scan, positions: np.ndarray, room: np.ndarray) -> np.ndarray:
+        """Return the densities (n,) per m² of detecting one of them at positions (n, 2) m with room (n,) for them."""
+        anywhere, near_walls = (self.p_detect(scan) * self.expected).tolist()
+        unseen = room * self.population.density(positions, anywhere, near_walls)
+        unseen *= self.entries.at(positions) / self.entries.overall
+        return unseen
+
+    def detectable_at(self, positions: np.ndarray) -> np.ndarray:
+        """Return the probabilities (n, S) that each sensor can detect one of them at positions (n, 2) m."""
+        return np.tile(self.detectable, (len(positions), 1))
+
+    def share_knowledge(self, one: int, others: list[int]) -> None:
+        """Let other sensors detect the same ones of them as one sensor does."""
+        self.detectable[others] = self.detectable[one]
+
+    def update(self, scan: Scan) -> None:
+        """Take those away whom a record's sensor has detected."""
+        p_detect = self.p_detect(scan)
         self.expected *= 1 - p_detect
         self.detectable[scan.column] *= (1 - scan.p_sensor) / max(1 - p_detect, 1e-12)
 
 
 def first_detections(
-    scan: Scan, people: Densities, tentative: Sequence[int], known: Sequence[int], undetected: Undetected, poisson: bool
+    scan: Scan,
+    people: Densities,
+    tentative: Sequence[int],
+    known: Sequence[int],
+    undetected: Undetected | UnseenMap,
+    poisson: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the densities, at the detections, of detecting a person without a label.
 
@@ -93,9 +131,7 @@ def first_detections(
     spread = np.concatenate([scan.noise, people.cov.take(rows, 0)[:, 0, :2, :2]])
     room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, undetected.population.body)
     number = room[len(z) :] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
-    anywhere, near_walls = (undetected.p_detect(scan) * undetected.expected).tolist()
-    unseen = room[: len(z)] * undetected.population.density(z, anywhere, near_walls)
-    unseen *= undetected.entries.at(z) / undetected.entries.overall
+    unseen = undetected.detected(scan, z, room[: len(z)])
     return number[:, None] * scan.gain.take(rows, 0), unseen if poisson else 0.0 * unseen
 
 
@@ -197,7 +233,7 @@ def newcomers(
         js: numbers of its detections.
         time: of the record, s.
         population: for the speed of new people.
-        detectable: (S,) probability that each sensor can detect one.
+        detectable: (n, S) probabilities that each sensor can detect one; changed.
         stationary: (M,) long-run probabilities of the motion models.
     """
     n, m = len(js), len(stationary)
@@ -205,7 +241,7 @@ def newcomers(
     mean[..., :2] = scan.z[js][:, None]
     cov[..., :2, :2] = scan.noise[js][:, None] + scan.ahead**2 / 2 * np.eye(2)
     cov[..., 2:, 2:] = population.speed**2 * np.eye(2)
-    able = np.tile(detectable, (n, 1))
+    able = detectable
     able[:, scan.column] = 1.0
     seen, lean = np.full(able.shape, NEVER), np.zeros(able.shape)
     seen[:, scan.column], lean[:, scan.column] = time, 1.0

@@ -5,21 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from avcli.formats import features
-from avcli.formats.experiment import Config, ConfigError
+from avcli.formats.bounds import FARTHEST_M
+from avcli.formats.experiment import Config
 from avcli.formats.records import Detections, Identified
-from avcli.formats.sensors import CAMERA, MICROPHONES, sensor_kind
-from avcli.tracking.coverage import Coverage, of_camera
+from avcli.formats.sensors import MICROPHONES, sensor_kind
+from avcli.tracking import partial
+from avcli.tracking.coverage import Coverage, of_config
 from avcli.tracking.live import LiveMerger
 from avcli.tracking.merging import Merger, Record, in_turn
 from avcli.tracking.model import Corners, Population, Track
 from avcli.tracking.settings import Sensor, Settings, sensor
 from avcli.tracking.smoothing import Delayed
-from avcli.tracking.trackers import TRACKERS, Explainable, Learning, Smoothable
+from avcli.tracking.trackers import TRACKERS, Explainable, Learning, Partly, Smoothable
 
 FLOOR, CEILING = 1e-6, 1e8  # m², of variances; a person's position is not defined to better than a millimetre
 HEIGHT_VARIANCE = 1e-4  # m², of tracks: people stand on the floor
@@ -106,7 +108,7 @@ class Fusion:
         population: Population | None = None,
         kinds: Mapping[str, str] | None = None,
         given: Given | None = None,
-        coverage: Coverage | None = None,
+        coverage: Mapping[str, Coverage] | None = None,
         margin: float | None = None,
         explain: bool = False,
         say: Callable[[str], None] = lambda text: None,
@@ -120,7 +122,7 @@ class Fusion:
             population: how people come, move, stay and leave; None: as the settings say, in a room of unknown size.
             kinds: sensor name -> kind, as config.json has them.
             given: what is known of some sensors.
-            coverage: where cameras detect people; None: everywhere.
+            coverage: name of a sensor, or a kind of sensors -> where it detects people; the name wins.
             margin: m beyond the area where detections are still used, None: everywhere.
             explain: keep an account of every record, see `accounts`.
             say: called once for each sensor whose kind is guessed, with a sentence for the user.
@@ -132,8 +134,9 @@ class Fusion:
             raise ValueError(f"the tracker {tracker!r} is not known; there are {', '.join(TRACKERS)}")
         self.settings, self.margin = settings or Settings(), margin
         self.population = population or Population.of(self.settings)
-        self.kinds, self.given, self.coverage, self.say = kinds or {}, given or {}, coverage, say
-        self.tracker = TRACKERS[tracker].make(self.settings, self.population, lag > 0, explain)
+        self.kinds, self.given, self.coverage, self.say = kinds or {}, given or {}, coverage or {}, say
+        self.entry = TRACKERS[tracker]
+        self.tracker = self.entry.make(self.settings, self.population, lag > 0, explain)
         if explain and not isinstance(self.tracker, Explainable):
             raise ValueError(f"the tracker {tracker} cannot explain its records")
         self.delayed = None
@@ -171,26 +174,21 @@ class Fusion:
             return cls(settings, tracker, lag, given=given, explain=explain, say=say)
         x, y, _ = config.room.dimensions.tolist()
         population = Population.of(settings, (x, y))
-        coverage, note = None, ""
-        if settings.hidden and "camera_config" in config.raw:
-            try:
-                coverage = of_camera(config.camera, population.area)
-            except ConfigError as error:
-                note = f"the camera's coverage of the room is not known: {error}"
+        coverage, notes = of_config(config, population.area) if settings.hidden else ({}, [])
         fusion = cls(
             settings,
             tracker,
             lag,
             population=population,
             kinds=config.sensors,
-            given=given,
+            given=_with_heights(config, given or {}),
             coverage=coverage,
             margin=settings.room_margin,
             explain=explain,
             say=say,
         )
         fusion.rate = settings.rate or config.frame_rate_hz
-        fusion._notes += [note] * bool(note)
+        fusion._notes += notes
         return fusion
 
     def merger(self, sources: Sequence[str], *, one_sensor: bool = False) -> Merger:
@@ -275,8 +273,8 @@ class Fusion:
             known: dict[str, Any] = {}
             if not self.settings.hidden:
                 known["hide"] = 0.0
-            elif kind == CAMERA:
-                known["coverage"] = self.coverage
+            else:
+                known["coverage"] = self.coverage.get(name, self.coverage.get(kind))
             self.tracker.add(sensor(name, kind, **known, **{**self.given.get(kind, {}), **self.given.get(name, {})}))
         return self.tracker.column[name]
 
@@ -290,14 +288,33 @@ class Fusion:
             scores = np.concatenate([part.scores for part in parts])
             told = features.joined([part.features for part in parts], [len(part) for part in parts])
         positions, covariances = positions[:, :2], covariances[:, :2, :2]
+        shown = None
+        if any(one.shows_less() for one in parts):
+            positions, covariances, shown = partial.read(parts, positions, covariances, model, self.population)
+        farthest = abs(positions).max(initial=0.0)
+        if not farthest <= FARTHEST_M:
+            raise ValueError(
+                f"sensor {model.name!r}: a position must be within {FARTHEST_M:g} m of 0, not {farthest:g} m"
+            )
         if self.margin is not None:
             low, high = self.population.corners
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
+            if shown is not None:
+                inside |= shown.what != partial.WHOLE
+                shown = shown.take(inside)
             self.outside += int((~inside).sum())
             positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
             told = {name: one.take(inside) for name, one in told.items()}
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
-        self.tracker.update(at, model.name, positions, noise, scores, told)
+        if shown is None:
+            self.tracker.update(at, model.name, positions, noise, scores, told)
+        elif not self.entry.partial:
+            names = " or ".join(name for name, entry in TRACKERS.items() if entry.partial)
+            raise ValueError(
+                f"sensor {model.name!r} has a direction or a range without a position: use --tracker {names}"
+            )
+        else:
+            cast(Partly, self.tracker).update(at, model.name, positions, noise, scores, told, shown)
 
     def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
         """Make the output of tracks at a time since the origin."""
@@ -328,6 +345,17 @@ class Fusion:
             observed=(last > before).astype(float),
             last_seen=np.where(np.isfinite(last), (self.origin or 0.0) + last, np.nan),
         )
+
+
+def _with_heights(config: Config, given: Given) -> Given:
+    """Add to what the user gave of sensors how high the points are that they localize, where config.json says it."""
+    keys = {"height_m": "height", "height_sd_m": "height_sd"}
+    stated = {
+        name: {field: known[key] for key, field in keys.items() if known[key] is not None}
+        for name, known in config.known_sensors.items()
+    }
+    names = {name for name, fields in stated.items() if fields} | given.keys()
+    return {name: {**stated.get(name, {}), **given.get(name, {})} for name in names}
 
 
 def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, area: Corners) -> np.ndarray:

@@ -24,10 +24,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from avcli.formats.features import Feature
-from avcli.tracking import association, gaussian, journal, prediction
+from avcli.tracking import association, gaussian, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
-from avcli.tracking.births import BORN, TENTATIVE, Birth, Undetected, births, first_detections, newcomers
-from avcli.tracking.births import other_detections as others
+from avcli.tracking.births import (
+    BORN,
+    TENTATIVE,
+    Birth,
+    Undetected,
+    births,
+    first_detections,
+    newcomers,
+    other_detections,
+)
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
 from avcli.tracking.features import Features
@@ -40,6 +48,7 @@ from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
+from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
@@ -104,7 +113,7 @@ class GLMB:
         self.labelled_rows: list[int] = []
         self.likely_rows: list[int] = []  # of those: rows of the best joint hypotheses
         self.habits = Habits(population, settings.learn)
-        self.undetected = Undetected(population, self.habits.entries)
+        self.undetected: Undetected | UnseenMap = Undetected(population, self.habits.entries)
         self.time: float | None = None
         self.sensors: list[Sensor] = []
         self.column: dict[str, int] = {}
@@ -114,6 +123,7 @@ class GLMB:
         self.last_record: list[float] = []  # s
         self.errors = Errors(settings.learn)
         self.next_label = 0
+        self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
         self.retired: dict[int, End] = {}
         self.journal: list[dict[str, Any]] | None = [] if explain else None
         self.born: list[dict[str, Any]] = []  # of the last record, as the journal has them
@@ -134,7 +144,10 @@ class GLMB:
         people.lean = np.column_stack([people.lean, np.zeros(len(people))])
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
-        self.undetected.add(sensor)
+        if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
+            self.undetected.add(sensor)
+        else:
+            self.undetected = UnseenMap(self.population, self.habits.entries, self.sensors)
         self.detectable, self.turnover = np.append(self.detectable, 0.0), np.append(self.turnover, 0.0)
         self._know_hiding(-1)
         self.last_record.append(self._now())
@@ -183,9 +196,8 @@ class GLMB:
                 people.node = Node.steps(people, before, step, survival, lasting, time)
             people.existence = people.existence * survival
         if self.sensors:
-            mix = np.exp(-dt * self.turnover)
-            undetected, rest = self.undetected, self.detectable
-            undetected.detectable = rest + (undetected.detectable - rest) * mix
+            mix, rest = np.exp(-dt * self.turnover), self.detectable
+            self.undetected.relax(rest, mix)
             people.detectable = rest + (people.detectable - rest) * mix
 
     # --- update -------------------------------------------------------------------------------------------------------
@@ -198,23 +210,33 @@ class GLMB:
         noise: np.ndarray,
         score: np.ndarray | None = None,
         features: Mapping[str, Feature] | None = None,
+        shown: partial.Partial | None = None,
     ) -> None:
-        """Update with one record of one sensor, see `trackers.Tracker.update`."""
+        """Update with one record of one sensor, see `trackers.Tracker.update` and `trackers.Partly`."""
         self.predict(time)
-        scan = self._scan(name, z, noise, score, features or {})
+        cells: dict[int, int] = {}
+        if shown is not None:
+            order = partial.in_order(shown, z, noise)
+            shown, z, noise = shown.take(order), z[order], noise[order]
+            score = None if score is None else score[order]
+            features = {kind: one.take(order) for kind, one in (features or {}).items()}
+            cells = self._seek(name, shown)
+        scan = self._scan(name, z, noise, score, features or {}, shown, cells)
+        tentative = [*self.tentative, *cells]
         settings, rates = self.settings, self.rates[scan.column]
         poisson = settings.birth == "poisson"
-        p_undetected = self.undetected.p_detect(scan)
         from_tentative, from_undetected = first_detections(
-            scan, self.people, self.tentative, self.likely_rows, self.undetected, poisson
+            scan, self.people, tentative, self.likely_rows, self.undetected, poisson
         )
+        if shown is not None:
+            from_undetected[shown.columns()] = 0.0  # they are in the cells
         birth = (from_tentative.sum(0) + from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
         self.errors.learn(self._now(), scan, groups, self.people)
-        room, twice = others(
-            scan, unclaimed, [b / whole for b, whole in zip(birth, background, strict=True)], self.population.body
-        )
+        real = [b / whole for b, whole in zip(birth, background, strict=True)]
+        others = other_detections if shown is None else partial.other_detections
+        room, twice = others(scan, unclaimed, real, self.population.body)
         birth = [b * left for b, left in zip(birth, room, strict=True)]
         background = [c + b + t for c, b, t in zip(scan.clutter, birth, twice, strict=True)]
         existence = [b / whole for b, whole in zip(birth, background, strict=True)]
@@ -226,7 +248,10 @@ class GLMB:
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)
         newborn = None if poisson else settings.newborn
-        revealed = births(unclaimed, existence, self.tentative, from_tentative, from_undetected, newborn)
+        whole = unclaimed if shown is None else shown.whole_only(unclaimed)
+        revealed = births(whole, existence, tentative, from_tentative, from_undetected, newborn)
+        if shown is not None:
+            revealed += partial.revealed(shown, unclaimed, existence, tentative, from_tentative)
         self.born, self.died = [], []
         if self.journal is not None:
             before = {str(one.label): one.existence for one in self.labelled()}
@@ -237,7 +262,9 @@ class GLMB:
         self._rebuild(scan, groups, revealed)
         if self.gallery.fresh and scan.evidence:
             self._recognise()
-        self.undetected.update(scan, p_undetected)
+        self.undetected.update(scan)
+        if self.looked:
+            self._share(scan)
 
     def _scan(
         self,
@@ -246,14 +273,22 @@ class GLMB:
         noise: np.ndarray,
         score: np.ndarray | None,
         features: Mapping[str, Feature],
+        shown: partial.Partial | None,
+        cells: Mapping[int, int],
     ) -> Scan:
         """Weigh a record against each density."""
-        z, noise, score, order = distinct(z, noise, score)
+        order = list(range(len(z)))
+        if shown is None:
+            z, noise, score, order = distinct(z, noise, score)
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
         z, noise, floor = self.errors.corrected(column, z, noise)
         ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
         gain, gain_by_model = likelihoods(people, z, noise, ahead, between.unshared)
+        seen = None
+        if shown is not None:
+            seen = self._view(column, shown, cells)
+            gain, gain_by_model = partial.with_likelihoods(gain_by_model, seen, people, cells)
         evidence = None
         if features:
             features = {kind: one.take(order) for kind, one in features.items()}
@@ -262,13 +297,18 @@ class GLMB:
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         likely = gain.tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
-        clutter = max(rates.clutter, 1e-9) / self.population.surface
+        surface = sensor.field(self.population.surface)
+        clutter = max(rates.clutter, 1e-9) / surface
         clutters = [clutter * factor for factor in rates.clutter_factors(odds)]
-        reach = detectable
-        if sensor.coverage:
-            covered = sensor.coverage.at(people.mean[:, 0, :2])
-            reach = [able * share for able, share in zip(detectable, covered, strict=True)]
+        reach, covered = detectable, None
+        if sensor.coverage and not sensor.coverage.whole:
+            covered = sensor.coverage.at(people.mean[..., :2].reshape(-1, 2)).reshape(people.mode.shape)
+            reach = (people.detectable[:, column] * (people.mode * covered).sum(1)).tolist()
         new = self.undetected.arriving(z, rates.detection, column)
+        if shown is not None:
+            new = shown.whole_only(new)
+            for j in shown.columns():
+                clutters[j] *= surface / shown.volume(j, self.population)
         ratio = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
         existence = self._see(column, ratio, existence)
         blind = rates.blindness.probability * (1 - rates.blindness.left)
@@ -292,7 +332,36 @@ class GLMB:
             p_sensor,
             p_detect,
             evidence,
+            covered,
+            shown,
+            seen,
         )
+
+    def _share(self, scan: Scan) -> None:
+        """Let the other sensors that miss people for the same reason know what this one told of it."""
+        one, reason = scan.column, scan.sensor.unheard
+        others = [k for k, sensor in enumerate(self.sensors) if reason and sensor.unheard == reason and k != one]
+        self.people.detectable[:, others] = self.people.detectable[:, [one]]
+        self.undetected.share_knowledge(one, others)
+
+    def _seek(self, name: str, shown: partial.Partial) -> dict[int, int]:
+        """Add people never detected before along rays and rings; returns row -> the detection that it is for."""
+        undetected, sensor = self.undetected, self.sensors[self.column[name]]
+        found, owners = partial.cells(
+            shown, self.population, sensor, undetected.density, undetected.detectable_at, self.stationary
+        )
+        self.features.fill(found)
+        first = len(self.people)
+        self.people = Densities.join([self.people, found])
+        return {first + k: j for k, j in enumerate(owners)}
+
+    def _view(self, column: int, shown: partial.Partial, cells: Iterable[int]) -> partial.View:
+        """Linearise what a record shows beside positions."""
+        since = self._now() - self.looked.get(column, -math.inf)
+        self.looked[column] = self._now()
+        hold = np.full(len(self.people), max(partial.HOLD / max(since, 1e-3), 1.0))
+        hold[[*cells]] = 1.0
+        return partial.view(shown, self.people, self.sensors[column], hold)
 
     def _see(self, column: int, ratio: float, existence: list[float]) -> list[float]:
         """Weigh whether a sensor is blind, or everybody left; returns the n probabilities of existence after that.
@@ -361,7 +430,8 @@ class GLMB:
         now = self._now()
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
-            new = newcomers(scan, want.fresh, now, self.population, self.undetected.detectable, self.stationary)
+            able = self.undetected.detectable_at(scan.z[want.fresh])
+            new = newcomers(scan, want.fresh, now, self.population, able, self.stationary)
             self.features.fill(new)
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)
@@ -371,6 +441,8 @@ class GLMB:
         self.people = people
         self.tentative = list(range(len(want.missed), len(want.missed) + len(want.staying)))
         row_of = want.rows()
+        if scan.partial is not None:
+            revealed = partial.gathered(scan.partial, people, revealed, row_of)
         self._bear(revealed, groups, row_of, want.fresh_rows())
         self._recluster(groups, row_of)
         self.habits.confirm(self.people, self.likely_rows)
@@ -384,12 +456,14 @@ class GLMB:
             j = birth.detection
             row = row_of[birth.source, j] if birth.source >= 0 else fresh_rows[j]
             self.people.existence[row] = birth.existence
-            if birth.number >= PROMOTE:
+            if birth.number >= PROMOTE and birth.placed:
                 self._promote(row, j, groups, taken)
                 row_of[row, BORN] = row
             else:
                 self.people.existence[row] = birth.number
                 self.tentative.append(row)
+        if self.looked:
+            self.tentative = partial.merged(self.people, self.tentative)
 
     def _promote(self, row: int, j: int, groups: list[Group], taken: set[int]) -> None:
         """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise."""

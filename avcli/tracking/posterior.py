@@ -6,7 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from avcli.tracking import gaussian
+import numpy as np
+
+from avcli.tracking import gaussian, partial
 from avcli.tracking.association import MISSED, Group, Pair
 from avcli.tracking.births import TENTATIVE, Birth, uncertainty
 from avcli.tracking.densities import Densities
@@ -85,11 +87,16 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
     new.detectable[:old, column] = [
         (detectable[i] - p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
     ]
+    if scan.covered is not None:  # who was missed is rather where the sensor does not see
+        able = np.array([scan.p_sensor * detectable[i] for i in parents])
+        new.mode[:old] *= 1 - able[:, None] * scan.covered[parents]
+        new.mode[:old] /= new.mode[:old].sum(1, keepdims=True)
     if pairs:
         js = [j for _, j in pairs]
         rows = [row for row, _ in pairs]
         noise, between = scan.noise.take(js, 0), scan.between.take(rows)
         variance = (new.cov[old:, :, 0, 0] + new.cov[old:, :, 1, 1]) / 2
+        before = None if scan.view is None else new.take(range(old, len(new)))
         new.mean[old:], new.cov[old:], new.mode[old:] = gaussian.update(
             new.mean[old:],
             new.cov[old:],
@@ -101,6 +108,13 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
             *between,
         )
         new.lean[old:] = leaning(new.lean[old:], column, variance, new.mode[old:], noise, between)
+        if before is not None and scan.view is not None:
+            some = [k for k, j in enumerate(js) if j in scan.view.number]
+            at = [old + k for k in some]
+            new.mean[at], new.cov[at], new.mode[at] = partial.update(
+                before.take(some), scan.view, [pairs[k] for k in some], scan.gain_by_model[rows, :, js][some]
+            )
+            new.lean[at] = before.lean[some]
         new.existence[old:], new.detectable[old:, column], new.seen[old:, column] = 1.0, 1.0, time
         centre, spread = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])
         new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from avcli.tracking.densities import Densities
 from avcli.tracking.errors import Between
 from avcli.tracking.features import Evidence
 from avcli.tracking.settings import Sensor
+
+if TYPE_CHECKING:
+    from avcli.tracking.partial import Partial, View
 
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
 
@@ -40,6 +44,9 @@ class Scan:
         clutter: J densities per m² of false detections.
         p_sensor: probability that it detects a detectable person.
         p_detect: n probabilities that it detects the person, if that person exists.
+        covered: (n, M) shares of the detection probability at each person, by motion model; None: all of it.
+        partial: what its detections show, None: all show positions.
+        view: how the densities look in those that do not.
         evidence: what the features of the detections say; `gain` and `likelihoods` include it. None: there are none.
     """
 
@@ -60,6 +67,9 @@ class Scan:
     p_sensor: float
     p_detect: list[float]
     evidence: Evidence | None = None
+    covered: np.ndarray | None = None
+    partial: Partial | None = None
+    view: View | None = None
 
 
 def likelihoods(

@@ -122,10 +122,15 @@ class Sensor:
         hide, show: rates per second at which people become undetectable (occluded, silent) and detectable again;
             hide 0: people are always detectable.
         memory: s, for which an error lasts that does not average away.
+        unheard: why people are undetectable, if that holds for all sensors with the same reason at once: who is silent
+            is heard by no microphones. Empty: each sensor on its own.
         mouth_offset: m, how far in front of the body's axis the point lies that it localizes (a mouth).
         offset_sd, bias_sd: m, standard deviations of that, and of a bias along x and along y.
         score_nats: how much a low score speaks against a detection at most, in nats. More than one record can tell if
             false detections come again in the same place, as echoes do.
+        direction_sd: rad, noise of directions that carry none.
+        range_sd: m, the same of distances.
+        height, height_sd: m, mean and standard deviation over people of how high the point is that it localizes.
         coverage: where it detects people at all; None: everywhere alike.
     """
 
@@ -138,11 +143,20 @@ class Sensor:
     hide: float = 0.2
     show: float = 1.0
     memory: float = 3.0
+    unheard: str = ""
     mouth_offset: float = 0.0
     offset_sd: float = 0.03
     bias_sd: float = 0.02
     score_nats: float = 4.0
+    direction_sd: float = math.radians(3.0)
+    range_sd: float = 0.3
+    height: float = 1.0
+    height_sd: float = 0.3
     coverage: Coverage | None = field(default=None, compare=False)
+
+    def field(self, surface: float) -> float:
+        """Return the size in m² of what it covers of an area of that size in m²: where its false detections lie."""
+        return surface if self.coverage is None or self.coverage.whole else self.coverage.surface
 
     def detectable(self) -> float:
         """Return the long-run probability that a person in the room is detectable."""
@@ -159,11 +173,15 @@ SENSORS = {
         sigma=(0.25, 0.25),
         floor=0.1,
         hide=1.0,
+        unheard="silent",
         mouth_offset=0.1,
         offset_sd=0.05,
         memory=10.0,
         bias_sd=0.05,
         score_nats=6.0,
+        direction_sd=math.radians(5.0),
+        height=1.45,
+        height_sd=0.25,
     ),
 }
 """The usual sensor of each kind. The values were chosen on generated scenes (`make bench-tracking`, seeds from 100)."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from avcli.formats.features import Feature
     from avcli.tracking.model import Population, Track
+    from avcli.tracking.partial import Partial
     from avcli.tracking.settings import Sensor, Settings
     from avcli.tracking.smoothing import End
 
@@ -77,6 +78,22 @@ class Smoothable(Protocol):
         """Drop all history before a time in s."""
 
 
+class Partly(Protocol):
+    """A tracker that takes detections of which some show a direction or a distance alone (`Entry.partial`)."""
+
+    def update(
+        self,
+        time: float,
+        name: str,
+        z: np.ndarray,
+        noise: np.ndarray,
+        score: np.ndarray | None = None,
+        features: Mapping[str, Feature] | None = None,
+        shown: Partial | None = None,
+    ) -> None:
+        """Update with one record of one sensor, as `Tracker.update`; shown: what its detections show."""
+
+
 @runtime_checkable
 class Explainable(Protocol):
     """A tracker that can say what each record meant to it."""
@@ -109,11 +126,13 @@ class Entry:
         make: function of (settings, population, record, explain); record: keep what smoothing needs; explain: keep
             accounts.
         unused: parameters of avfuse that have no effect with this tracker.
+        partial: whether its `update` takes what detections show that have no position, see `partial.Partial`.
     """
 
     text: str
     make: Callable[[Settings, Population, bool, bool], Tracker]
     unused: frozenset[str] = frozenset()
+    partial: bool = False
 
 
 def _ms_glmb(settings: Settings, population: Population, record: bool, explain: bool) -> Tracker:
@@ -143,8 +162,8 @@ def _jpda(settings: Settings, population: Population, record: bool, explain: boo
 _NO_HYPOTHESES = frozenset({"lag", "explain", "birth", "stay", "doors", "learn", "no_learn", "show"})
 
 TRACKERS = {
-    "ms-glmb": Entry("joint hypotheses", _ms_glmb),
-    "lmb": Entry("marginals of them", _lmb),
+    "ms-glmb": Entry("joint hypotheses", _ms_glmb, partial=True),
+    "lmb": Entry("marginals of them", _lmb, partial=True),
     "gnn": Entry("the best assignment", _gnn, _NO_HYPOTHESES | {"hidden", "detection", "clutter"}),
     "jpda": Entry("Stone Soup's", _jpda, _NO_HYPOTHESES | {"motion", "process_noise"}),
 }

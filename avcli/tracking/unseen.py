@@ -1,0 +1,139 @@
+"""Where people are whom no sensor has detected yet, on a grid: few in the fields of sensors, more outside.
+
+They walk about, so that they come into a field at its border, and those whom a sensor would have detected are soon few
+inside. Each cell holds an expected number, and for each sensor the expected number of those whom it can detect (who are
+not occluded, not silent). All of it moves by diffusion, which the people of a room approach who walk here and there.
+
+Source:
+    J. L. Williams, "Marginal multi-Bernoulli filters", IEEE TAES 51(3), 2015 (undetected people).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from avcli.tracking.coverage import covered
+from avcli.tracking.model import Population
+from avcli.tracking.places import Places
+from avcli.tracking.scan import Scan
+from avcli.tracking.settings import Sensor
+
+CELL, CELLS = 0.5, 40  # m, wider where a side would have more cells than that
+WANDER = 1.0  # m²/s, of the diffusion: velocities of 0.7 m/s along each axis, forgotten in 2 s
+PARTS = 4  # points along each side of a cell at which its walls and its coverage are looked up
+
+
+class UnseenMap:
+    """The uniform part of the Poisson process where sensors cover the area in part; in place of `births.Undetected`.
+
+    Attributes:
+        number: (nx, ny) expected people in each cell.
+        able: (S, nx, ny) expected number of those whom each sensor can detect.
+        share: (S, nx, ny) of its detection probability that each sensor has there.
+    """
+
+    def __init__(self, population: Population, entries: Places, sensors: Sequence[Sensor]) -> None:
+        """Begin with the people expected in the room before the first record, anywhere alike.
+
+        Args:
+            population: how many come, and how long they stay.
+            entries: factors of the rate at which they come, as far as learnt.
+            sensors: those that may report.
+        """
+        self.population, self.entries = population, entries
+        low, high = population.corners
+        self.low, self.step = low, max(CELL, float((high - low).max()) / CELLS)
+        nx, ny = (max(math.ceil(side / self.step - 1e-9), 1) for side in (high - low).tolist())
+        offsets = (np.arange(max(nx, ny) * PARTS) + 0.5) * self.step / PARTS
+        fine = np.stack(np.meshgrid(low[0] + offsets[: nx * PARTS], low[1] + offsets[: ny * PARTS], indexing="ij"), -1)
+        self.points = fine.reshape(nx, PARTS, ny, PARTS, 2).swapaxes(1, 2).reshape(-1, 2)
+        self.shape = nx, ny
+        self.centres = self.points.reshape(nx * ny, PARTS**2, 2).mean(1)
+        inside = self._of_cells((self.points <= high).all(1).astype(float))
+        walls = self._of_cells(population.density(self.points, 0.0, population.strip) * (self.points <= high).all(1))
+        self.area = inside * self.step**2
+        self.arrivals = sum(
+            rate * part / part.sum() for rate, part in zip(population.birth_rate, (inside, walls), strict=True)
+        )
+        self.number = population.present * inside / inside.sum()
+        self.able, self.share = np.zeros((0, nx, ny)), np.zeros((0, nx, ny))
+        self.bases = [_modes(n) for n in (nx, ny)]
+        for one in sensors:
+            self.add(one)
+
+    def _of_cells(self, values: np.ndarray) -> np.ndarray:
+        """Average values at the points to the cells."""
+        return values.reshape(*self.shape, PARTS**2).mean(2)
+
+    def add(self, sensor: Sensor) -> None:
+        """Let another sensor report from now on."""
+        share = self._of_cells(covered(self.points, [sensor])[:, 0])
+        self.share = np.concatenate([self.share, share[None]])
+        self.able = np.concatenate([self.able, (self.number * sensor.detectable())[None]])
+
+    def predict(self, dt: float) -> None:
+        """Let people come, go and walk for dt seconds."""
+        mix = math.exp(-dt / self.population.stay)
+        arrivals = self.arrivals * self.entries.at(self.centres).reshape(self.shape)
+        self.number = self._moved(self.number * mix, dt) + arrivals * dt
+        self.able = self._moved(self.able * mix, dt)
+
+    def relax(self, rest: np.ndarray, mix: np.ndarray) -> None:
+        """Let them hide and show: (S,) probabilities in the long run, and shares (S,) of what is not forgotten."""
+        able = rest[:, None, None] * self.number
+        self.able = able + (np.minimum(self.able, self.number) - able) * mix[:, None, None]
+
+    def _moved(self, numbers: np.ndarray, dt: float) -> np.ndarray:
+        """Return numbers (..., nx, ny) after a walk of dt seconds; nobody walks through a wall."""
+        kernels = []
+        for vectors, rates in self.bases:
+            decay = np.exp(-rates * (WANDER * dt / self.step**2))
+            kernels.append((vectors * decay) @ vectors.T)
+        return np.maximum(kernels[0] @ numbers @ kernels[1], 0.0)
+
+    def _cells(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        cells = (positions - self.low) / self.step
+        last = np.array(self.shape) - 1
+        at = np.minimum(np.maximum(cells, 0), last).astype(int)
+        return at[:, 0], at[:, 1]
+
+    def density(self, positions: np.ndarray) -> np.ndarray:
+        """Return the expected number (n,) of them per m² at positions (n, 2) m."""
+        at = self._cells(positions)
+        return self.number[at] / np.maximum(self.area[at], 1e-9)
+
+    def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
+        """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
+        at = self._cells(z)
+        return (detection * self.share[column][at] * self.able[column][at] / np.maximum(self.area[at], 1e-9)).tolist()
+
+    def detected(self, scan: Scan, positions: np.ndarray, room: np.ndarray) -> np.ndarray:
+        """Return the densities (n,) per m² of detecting one of them at positions (n, 2) m with room (n,) for them."""
+        return room * self.arriving(positions, scan.p_sensor, scan.column)
+
+    def detectable_at(self, positions: np.ndarray) -> np.ndarray:
+        """Return the probabilities (n, S) that each sensor can detect one of them at positions (n, 2) m."""
+        rows, columns = self._cells(positions)
+        return np.minimum(self.able[:, rows, columns] / np.maximum(self.number[rows, columns], 1e-300), 1.0).T
+
+    def update(self, scan: Scan) -> None:
+        """Take those away whom a record's sensor has detected."""
+        share = scan.p_sensor * self.share[scan.column]
+        able = self.able[scan.column]
+        missed = 1 - share * np.minimum(able / np.maximum(self.number, 1e-300), 1.0)
+        self.number, self.able = self.number * missed, self.able * missed
+        self.able[scan.column] = able * (1 - share)
+
+    def share_knowledge(self, one: int, others: list[int]) -> None:
+        """Let other sensors detect the same ones of them as one sensor does."""
+        self.able[others] = self.able[one]
+
+
+def _modes(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the modes (count, count) and their rates (count,) of diffusion along a row of cells between two walls."""
+    k = np.arange(count)
+    vectors = np.cos(np.pi * k * (k[:, None] + 0.5) / count) * np.sqrt(np.where(k, 2.0, 1.0) / count)
+    return vectors, 2 - 2 * np.cos(np.pi * k / count)
