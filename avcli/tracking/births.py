@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avcli.tracking import gaussian
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.model import Population
 from avcli.tracking.places import Places
@@ -187,24 +188,18 @@ def births(
     return revealed
 
 
-def newcomers(
-    scan: Scan, js: Sequence[int], time: float, population: Population, detectable: np.ndarray, stationary: np.ndarray
-) -> Densities:
+def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population, detectable: np.ndarray) -> Densities:
     """Return densities of people detected for the first time.
 
     Args:
         scan: the record.
         js: numbers of its detections.
         time: of the record, s.
-        population: for the speed of new people.
+        population: for how new people move.
         detectable: (S,) probability that each sensor can detect one.
-        stationary: (M,) long-run probabilities of the motion models.
     """
-    n, m = len(js), len(stationary)
-    mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
-    mean[..., :2] = scan.z[js][:, None]
-    cov[..., :2, :2] = scan.noise[js][:, None] + scan.ahead**2 / 2 * np.eye(2)
-    cov[..., 2:, 2:] = population.speed**2 * np.eye(2)
+    n = len(js)
+    mean, cov, mode = gaussian.begin(scan.z[js], scan.noise[js] + scan.ahead**2 / 2 * np.eye(2), population.motion)
     able = np.tile(detectable, (n, 1))
     able[:, scan.column] = 1.0
     seen, lean = np.full(able.shape, NEVER), np.zeros(able.shape)
@@ -212,7 +207,7 @@ def newcomers(
     return Densities(
         mean=mean,
         cov=cov,
-        mode=np.tile(stationary, (n, 1)),
+        mode=mode,
         existence=np.ones(n),
         detectable=able,
         lean=lean,

@@ -118,7 +118,6 @@ class GLMB:
         self.journal: list[dict[str, Any]] | None = [] if explain else None
         self.born: list[dict[str, Any]] = []  # of the last record, as the journal has them
         self.died: list[dict[str, Any]] = []
-        self.stationary = population.motion.stationary()
         for one in sensors:
             self.add(one)
 
@@ -172,8 +171,6 @@ class GLMB:
             before = people.mean, people.cov, people.mode
             step = gaussian.predict(*before, population.motion, dt)
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
-            if population.walls:
-                prediction.meet_walls(people, before[0], population, dt)
             lasting = self.errors.variance(people.lean)
             self.errors.predict(people, dt)
             if self.record:
@@ -357,7 +354,7 @@ class GLMB:
         now = self._now()
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
-            new = newcomers(scan, want.fresh, now, self.population, self.undetected.detectable, self.stationary)
+            new = newcomers(scan, want.fresh, now, self.population, self.undetected.detectable)
             self.features.fill(new)
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)
