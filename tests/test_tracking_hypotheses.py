@@ -165,30 +165,6 @@ def test_one_person_found_twice_a_few_centimetres_apart_is_one_track(n, share):
         assert len(tracker.tracks(k / 10)) == n
 
 
-def test_predictions_stop_at_the_walls_and_only_from_inside():
-    tracker, noise = GLMB(Settings(), Population(), [sensor("video")]), 0.0144 * np.eye(2)[None]
-    for k in range(12):
-        tracker.update(k / 10, "video", np.array([[3.0 + 0.1 * k, 2.3]]), noise)
-    tracker.predict(5.0)
-    assert tracker.people.mean[..., 0].max() <= 4.66
-    for k in range(12):
-        tracker.update(6 + k / 10, "video", np.array([[5.0 + 0.1 * k, 2.3]]), noise)
-    assert tracker.tracks(7.1)[-1].state[0] > 5.9
-
-
-def test_who_comes_to_a_wall_unseen_is_expected_to_turn_inwards():
-    tracker, noise = GLMB(Settings(), Population(), [sensor("video")]), 0.0144 * np.eye(2)[None]
-    for k in range(15):
-        tracker.update(k / 10, "video", np.array([[2.5 + 0.1 * k, 2.33]]), noise)
-    (walking,) = tracker.tracks(1.4)
-    ahead = [tracker.predict(1.4 + k / 10) or tracker.people.centres(tracker.likely_rows)[0] for k in range(1, 31)]
-    x, vx = np.array(ahead)[:, [0, 2]].T
-    assert walking.state[2] > 0.8
-    assert 4.0 < x.max() <= 4.66
-    assert -0.8 < vx[-1] < 0
-    assert x[-1] < x.max() - 0.05
-
-
 def test_names_that_nothing_can_tell_apart_any_more_are_decided():
     here, there, near = [1, 1, 0.5, 0], [3, 3, 0, 0.5], [1.02, 1.01, 0.45, 0]
     crowd = people([here, there, there, near, [2, 2, 0, 0]], [0, 0, 1, 1, 1])

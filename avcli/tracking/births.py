@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from avcli.tracking import gaussian
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.model import Population
 from avcli.tracking.places import Places
@@ -223,32 +224,25 @@ def births(
     return revealed
 
 
-def newcomers(
-    scan: Scan, js: Sequence[int], time: float, population: Population, detectable: np.ndarray, stationary: np.ndarray
-) -> Densities:
+def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population, detectable: np.ndarray) -> Densities:
     """Return densities of people detected for the first time.
 
     Args:
         scan: the record.
         js: numbers of its detections.
         time: of the record, s.
-        population: for the speed of new people.
+        population: for how new people move.
         detectable: (n, S) probabilities that each sensor can detect one; changed.
-        stationary: (M,) long-run probabilities of the motion models.
     """
-    n, m = len(js), len(stationary)
-    mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
-    mean[..., :2] = scan.z[js][:, None]
-    cov[..., :2, :2] = scan.noise[js][:, None] + scan.ahead**2 / 2 * np.eye(2)
-    cov[..., 2:, 2:] = population.speed**2 * np.eye(2)
-    able = detectable
+    n, able = len(js), detectable
+    mean, cov, mode = gaussian.begin(scan.z[js], scan.noise[js] + scan.ahead**2 / 2 * np.eye(2), population.motion)
     able[:, scan.column] = 1.0
     seen, lean = np.full(able.shape, NEVER), np.zeros(able.shape)
     seen[:, scan.column], lean[:, scan.column] = time, 1.0
     return Densities(
         mean=mean,
         cov=cov,
-        mode=np.tile(stationary, (n, 1)),
+        mode=mode,
         existence=np.ones(n),
         detectable=able,
         lean=lean,

@@ -31,6 +31,24 @@ class Prediction(NamedTuple):
     mixed: np.ndarray
 
 
+def begin(z: np.ndarray, noise: np.ndarray, motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return densities of people of whom nothing but one detection is known.
+
+    Args:
+        z: (n, 2) m.
+        noise: (n, 2, 2) m².
+        motion: M models.
+
+    Returns:
+        mean (n, M, 4), cov (n, M, 4, 4) and mode (n, M).
+    """
+    models, velocities = motion.start
+    n, m = len(z), len(models)
+    mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
+    mean[..., :2], cov[..., :2, :2], cov[..., 2:, 2:] = z[:, None], noise[:, None], velocities
+    return mean, cov, np.tile(models, (n, 1))
+
+
 def predict(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, motion: Motion, dt: float) -> Prediction:
     """Mix the models and predict each, as the interacting multiple model filter does.
 

@@ -128,7 +128,6 @@ class GLMB:
         self.journal: list[dict[str, Any]] | None = [] if explain else None
         self.born: list[dict[str, Any]] = []  # of the last record, as the journal has them
         self.died: list[dict[str, Any]] = []
-        self.stationary = population.motion.stationary()
         for one in sensors:
             self.add(one)
 
@@ -188,8 +187,6 @@ class GLMB:
             before = people.mean, people.cov, people.mode
             step = gaussian.predict(*before, population.motion, dt)
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
-            if population.walls:
-                prediction.meet_walls(people, before[0], population, dt)
             lasting = self.errors.variance(people.lean)
             self.errors.predict(people, dt)
             if self.record:
@@ -347,9 +344,8 @@ class GLMB:
     def _seek(self, name: str, shown: partial.Partial) -> dict[int, int]:
         """Add people never detected before along rays and rings; returns row -> the detection that it is for."""
         undetected, sensor = self.undetected, self.sensors[self.column[name]]
-        found, owners = partial.cells(
-            shown, self.population, sensor, undetected.density, undetected.detectable_at, self.stationary
-        )
+        density, able_at = undetected.density, undetected.detectable_at
+        found, owners = partial.cells(shown, self.population, sensor, density, able_at)
         self.features.fill(found)
         first = len(self.people)
         self.people = Densities.join([self.people, found])
@@ -431,7 +427,7 @@ class GLMB:
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
             able = self.undetected.detectable_at(scan.z[want.fresh])
-            new = newcomers(scan, want.fresh, now, self.population, able, self.stationary)
+            new = newcomers(scan, want.fresh, now, self.population, able)
             self.features.fill(new)
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)

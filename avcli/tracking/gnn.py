@@ -130,13 +130,9 @@ class GNN:
 
     def _begin(self, js: Sequence[int], z: np.ndarray, noise: np.ndarray, name: str) -> None:
         """Begin a track with each of the detections js."""
-        n, m = len(js), len(self.population.motion.models)
-        mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
-        mean[..., :2] = z[js, None]
-        cov[..., :2, :2] = noise[js, None]
-        cov[..., 2:, 2:] = self.population.speed**2 * np.eye(2)
+        mean, cov, mode = gaussian.begin(z[js], noise[js], self.population.motion)
         self.mean, self.cov = np.concatenate([self.mean, mean]), np.concatenate([self.cov, cov])
-        self.mode = np.concatenate([self.mode, np.tile(self.population.motion.stationary(), (n, 1))])
+        self.mode = np.concatenate([self.mode, mode])
         self.lives += [Life(self.time, {name}) for _ in js]
 
     def tracks(self, time: float) -> list[Track]:

@@ -138,7 +138,7 @@ class JPDA:
         from stonesoup.types.state import GaussianState
         from stonesoup.types.track import Track as History
 
-        speed = self.population.speed**2
+        speed = self.population.motion.models[0].speed() ** 2
         for one, cov in zip(detections, noise, strict=True):
             x, y = np.asarray(one.state_vector, float).ravel()
             spread = np.zeros((4, 4))

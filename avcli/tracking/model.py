@@ -28,7 +28,6 @@ class Population:
 
     Attributes:
         area: two corners in m, between which people can be.
-        walls: whether a person inside cannot walk out undetected.
         motion: how people move.
         stay: s, mean time that a person stays while away from the walls.
         pass_by: s, the same of a person who walks within `edge` of a wall, where the doors are; a person who hardly
@@ -37,13 +36,11 @@ class Population:
         arrivals: people that come per second, through the walls but for a share `appear`, which may appear anywhere.
         appear: share from 0 to 1.
         present: people expected in the room before the first record.
-        speed: m/s, standard deviation of each velocity component of a new person.
         body: m; no new person is expected as near as this to a known one or to another new one.
         evade: rate per second at which people who are about to walk into each other face to face stop.
     """
 
     area: Corners = AREA
-    walls: bool = True
     motion: Motion = WALKING
     stay: float = 100.0
     pass_by: float = 2.0
@@ -51,7 +48,6 @@ class Population:
     arrivals: float = 0.05
     appear: float = 0.1
     present: float = 2.0
-    speed: float = 0.7
     body: float = 0.2
     evade: float = 2.0
 
@@ -59,10 +55,10 @@ class Population:
     def of(settings: Settings, room: tuple[float, float] | None = None) -> Population:
         """Make the model that settings describe, in a room of a size (x, y) in m; None: of unknown size."""
         motion = WALKING if settings.motion == "imm" else Motion((Model(0.0, pulse=settings.process_noise),))
-        walls, area = room is not None, AREA if room is None else ((0.0, 0.0), room)
+        area = AREA if room is None else ((0.0, 0.0), room)
         if settings.doors == "anywhere":
-            return Population(area, walls, motion, settings.stay, pass_by=settings.stay, appear=1.0)
-        return Population(area, walls, motion, settings.stay, pass_by=settings.stay / 50)
+            return Population(area, motion, settings.stay, pass_by=settings.stay, appear=1.0)
+        return Population(area, motion, settings.stay, pass_by=settings.stay / 50)
 
     @cached_property
     def corners(self) -> np.ndarray:

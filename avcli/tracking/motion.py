@@ -4,6 +4,7 @@ A state is [x, y, vx, vy] in metres and metres per second. Height is not part of
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +26,7 @@ class Model:
         noise: square root of the acceleration's power spectral density, m / s^1.5.
         memory: seconds over which a velocity is forgotten; FOREVER is the nearly-constant-velocity model.
         pulse: m / s², of an acceleration that is constant within a time step instead of white (the thesis's sigma_v).
+        start: m/s, standard deviation of each component of a new person's velocity, None: as in the long run.
 
     Source:
         Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
@@ -34,6 +36,15 @@ class Model:
     noise: float
     memory: float = FOREVER
     pulse: float = 0.0
+    start: float | None = 0.7
+
+    def speed(self) -> float:
+        """Return the standard deviation, m/s, of each component of a new person's velocity.
+
+        >>> Model(2.0, memory=0.5, start=None).speed()
+        1.0
+        """
+        return self.noise * math.sqrt(self.memory / 2) if self.start is None else self.start
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the transition (4, 4) and the process noise (4, 4) of dt seconds, exact for any dt.
@@ -67,21 +78,21 @@ class Motion:
     Attributes:
         models: M of them.
         rates: M x M, rates[i][j] switches per second from i to j (the diagonal is ignored).
-        turn: number of the model of a person who is turning, -1: none.
         stand: number of the model of a person who stands, -1: none.
     """
 
     models: tuple[Model, ...]
     rates: tuple[tuple[float, ...], ...] = ((0.0,),)
-    turn: int = -1
     stand: int = -1
 
     @staticmethod
     def of(described: Mapping[str, Any]) -> "Motion":
-        """Make a motion of what fitted.json says: "models" (noise, memory), "rates", "turn", "stand"."""
-        models = tuple(Model(one["noise"], one.get("memory", FOREVER)) for one in described["models"])
+        """Make a motion of what fitted.json says: "models" (noise, memory, start), "rates", "stand"."""
+        models = tuple(
+            Model(one["noise"], one.get("memory", FOREVER), start=one.get("start")) for one in described["models"]
+        )
         rates = tuple(tuple(map(float, row)) for row in described["rates"])
-        return Motion(models, rates, described["turn"], described["stand"])
+        return Motion(models, rates, described["stand"])
 
     def _generator(self) -> np.ndarray:
         q = np.array(self.rates, float)
@@ -94,6 +105,11 @@ class Motion:
         q = self._generator()
         a = np.vstack([q.T, np.ones(len(q))])
         return np.linalg.lstsq(a, np.r_[np.zeros(len(q)), 1.0], rcond=None)[0].clip(1e-12)
+
+    @cached_property
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """A new person's models, (M,) probabilities, and velocities, (M, 2, 2) m² / s² covariances about 0."""
+        return self.stationary(), np.array([model.speed() ** 2 * np.eye(2) for model in self.models])
 
     def step(self, dt: float) -> Step:
         """Return transitions (M, 4, 4), process noises (M, 4, 4) and switching probabilities (M, M) of dt seconds."""
@@ -118,7 +134,8 @@ class Motion:
         return np.array([f for f, _ in steps]), np.array([q for _, q in steps]), switch
 
 
-# Straight on for long; just turned; turned a while ago; turning, to anywhere at any speed; standing. "Just turned" is a
-# model of its own because the velocity is not known yet: mixed with that of "straight on", it would blur both.
+# On the way a person goes straight for long; who strolls has turned lately, and soon turns again. Both move alike until
+# then. "Just turned" is a model of its own because the velocity is not known yet: mixed with that of "strolling", it
+# would blur both.
 FITTED = Path(__file__).with_name("fitted.json")
 WALKING = Motion.of(json.loads(FITTED.read_text())["motion"])

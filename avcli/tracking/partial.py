@@ -355,7 +355,6 @@ def cells(
     sensor: Sensor,
     number_at: Callable[[np.ndarray], np.ndarray],
     detectable_at: Callable[[np.ndarray], np.ndarray],
-    stationary: np.ndarray,
 ) -> tuple[Densities, list[int]]:
     """Return densities of people never detected before, where partial detections may have found them.
 
@@ -365,7 +364,6 @@ def cells(
         sensor: which sensor.
         number_at: function of positions (k, 2) m to the expected number (k,) of such people per m².
         detectable_at: function of positions to the probabilities (k, S) that each sensor can detect one.
-        stationary: (M,) long-run probabilities of the motion models.
 
     Returns:
         The densities, whose existence is the expected number of people in each, and the detection that each is for.
@@ -385,19 +383,16 @@ def cells(
     low, high = population.corners
     inside = ((at[:, :2] >= low) & (at[:, :2] <= high)).all(1)
     at, owners = at[inside], [j for j, kept in zip(owners, inside.tolist(), strict=True) if kept]
-    n, m = len(at), len(stationary)
+    n = len(at)
     along, sds = at[:, 2:4], at[:, 4:]
     axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], 2) * sds[:, None]
-    mean, cov = np.zeros((n, m, 4)), np.zeros((n, m, 4, 4))
-    mean[..., :2] = at[:, None, :2]
-    cov[..., :2, :2] = (axes @ axes.swapaxes(1, 2))[:, None]
-    cov[..., 2:, 2:] = population.speed**2 * EYE2
+    mean, cov, mode = gaussian.begin(at[:, :2], axes @ axes.swapaxes(1, 2), population.motion)
     number = number_at(at[:, :2]) * 2 * math.pi * sds[:, 0] * sds[:, 1]
     able = detectable_at(at[:, :2])
     found_people = Densities(
         mean=mean,
         cov=cov,
-        mode=np.tile(stationary, (n, 1)),
+        mode=mode,
         existence=number,
         detectable=able,
         lean=np.zeros(able.shape),

@@ -1,4 +1,4 @@
-"""How people differ from free motion between two records: they turn at walls, and stop where they would bump."""
+"""How people differ from free motion between two records: they stop where they would bump into each other."""
 
 from __future__ import annotations
 
@@ -11,44 +11,12 @@ from avcli.tracking.births import as_complex
 from avcli.tracking.densities import Densities
 from avcli.tracking.model import Population
 
-# These were chosen by hand on generated scenes (`make bench-tracking`, seeds from 100); no command fits them.
+# These were chosen by hand on generated scenes (`make bench-tracking`, seeds from 100); no command fits them. Without
+# the rule, HOTA of two who meet face to face and turn back (turning-back) falls from 95 to 57; on tracks of real people
+# (ETH hotel, UCY zara01 and zara02) the rule changes less than 1.
 BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
 SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
 FACING = -0.9  # cosine of the angle between the courses of people who walk face to face
-BODY = 0.2  # m; no body's axis is nearer to a wall
-INWARD = 0.8  # m/s, mean velocity away from a wall after a turn at it; in proportion less towards the room's middle
-AHEAD = 0.5  # s; a person who would be at a wall so soon turns with rate TURN, a person at the wall with HALT
-TURN, HALT = 1.0, 10.0  # per second
-
-
-def meet_walls(people: Densities, before: np.ndarray, population: Population, dt: float) -> None:
-    """Hold predictions inside the room that were inside it before, and turn people inwards who come to a wall.
-
-    Args:
-        people: predicted densities, changed in place.
-        before: (n, M, 4) mean states dt seconds ago.
-        population: whose room it is.
-        dt: s.
-    """
-    centre, inner, motion = population.centre, population.half - BODY, population.motion
-    position, velocity, mode = people.mean[..., :2], people.mean[..., 2:], people.mode
-    away = position - centre
-    if motion.turn >= 0:
-        drawn = -INWARD * math.expm1(-dt / motion.models[motion.turn].memory)
-        velocity[:, motion.turn] -= away[:, motion.turn] * (drawn / population.half)
-    near = abs(away + velocity * AHEAD) > inner
-    if not np.count_nonzero(near):
-        return
-    inside = abs(before[..., :2] - centre) <= inner
-    near &= inside
-    over = inside & (abs(away) > inner)
-    if np.count_nonzero(over):
-        velocity[over] = 0.0
-        position[over] = np.clip(position, centre - inner, centre + inner)[over]
-    if motion.turn >= 0:
-        share = mode * -np.expm1(-dt * (TURN * near.any(2) + HALT * over.any(2)))
-        mode -= share
-        mode[:, motion.turn] += share.sum(1)
 
 
 def evade(people: Densities, rows: Sequence[int], known: Sequence[int], population: Population, dt: float) -> None:

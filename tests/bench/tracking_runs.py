@@ -110,8 +110,6 @@ def ceiling(scene: Scene) -> list[Frame]:
     """Tracks of the filter that knows the truth's associations."""
     states: dict[int, tuple[float, np.ndarray, np.ndarray, np.ndarray]] = {}
     out, queue = [], list(scene.records)
-    start = WALKING.stationary()
-    m = len(start)
 
     def moved(
         state: tuple[float, np.ndarray, np.ndarray, np.ndarray], t: float
@@ -131,10 +129,7 @@ def ceiling(scene: Scene) -> list[Frame]:
                     offset = sensor(name, KIND[name]).mouth_offset
                     states[owner] = (last, *gaussian.update(mean, cov, mode, position[None], noise, offset))
                 elif owner >= 0:
-                    mean, cov = np.zeros((1, m, 4)), np.zeros((1, m, 4, 4))
-                    mean[..., :2], cov[..., :2, :2] = position, noise
-                    cov[..., 2:, 2:] = Population().speed ** 2 * np.eye(2)
-                    states[owner] = (t, mean, cov, start[None])
+                    states[owner] = (t, *gaussian.begin(position[None], noise, WALKING))
         known = [i for i in present.tolist() if i in states]
         positions = [gaussian.moments(*moved(states[i], now)[1:])[0][0, :2] for i in known]
         out.append(Frame(known, np.reshape(positions, (-1, 2)), np.full(len(known), math.nan)))
