@@ -101,6 +101,7 @@ class Looks:
     def __init__(self, view: View, law: LooksLaw = LAW):
         self.view, self.law = view, law
         self._room: np.ndarray | None = None
+        self._whole = np.full((1, 1, 3), np.nan)
         self._median = self._light = np.zeros(3)
 
     def describe(self, picture: np.ndarray, people: Sequence[Person]) -> np.ndarray:
@@ -148,10 +149,8 @@ class Looks:
 
     def _like_room(self, colours: np.ndarray, rows: np.ndarray, columns: np.ndarray, step: int) -> np.ndarray:
         """Whether colours (n, 3) are those of the room there, in the light or in a body's shadow; (n,) bool."""
-        if self._room is None:
-            return np.zeros(len(rows), bool)
-        height, width = self._room.shape[:2]
-        room = _filled(self._room)[np.minimum(rows // step, height - 1), np.minimum(columns // step, width - 1)]
+        height, width = self._whole.shape[:2]
+        room = self._whole[np.minimum(rows // step, height - 1), np.minimum(columns // step, width - 1)]
         change = (np.log(np.maximum(colours, 1) / 255) - room - self._light) @ _AXES
         alike = (np.abs(change[:, 1:]) < _SAME_COLOUR).all(axis=1)
         return np.asarray(alike & (change[:, 0] > -_SHADOW) & (change[:, 0] < _LIT))
@@ -178,13 +177,20 @@ class Looks:
         if free.sum() < _LEAST_ROOM:
             return None
         values = np.where(free[..., None], np.log(np.maximum(room, 1) / 255), np.nan)
-        ratios = values[free] - self._room[free] if self._room is not None and self._room.shape == room.shape else None
-        ratios = ratios[~np.isnan(ratios[:, 0])] if ratios is not None else np.empty((0, 3))
-        if len(ratios) < _LEAST_ROOM:
-            self._room, self._median, ratios = values, np.median(values[free], axis=0), np.zeros((1, 3))
+        known = self._room
+        ratios = values[free] - known[free] if known is not None and known.shape == room.shape else np.empty((0, 3))
+        ratios = ratios[~np.isnan(ratios[:, 0])]
+        if known is None or len(ratios) < _LEAST_ROOM:
+            known, self._median, ratios = (
+                np.full_like(values, np.nan),
+                np.median(values[free], axis=0),
+                np.zeros((1, 3)),
+            )
         self._light = np.median(ratios, axis=0)
-        room = values if self._room is None else self._room
-        self._room = np.where(np.isnan(room), values - self._light, room)
+        new = free & np.isnan(known[..., 0])
+        if new.any():
+            known[new] = values[new] - self._light
+            self._room, self._whole = known, _filled(known)
         return _ROOM / np.exp(self._median + self._light)
 
 
