@@ -9,10 +9,10 @@ import pytest
 from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_tracking_hypotheses import people as standing
 
 from avcli.formats.features import Feature, Population
 from avcli.formats.records import Detections, as_record, encode
-from avcli.tracking.densities import Densities
 from avcli.tracking.features import FOREIGN, UU, XX, Features, U, X
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.recognition import Gallery, Left, returned
@@ -32,12 +32,7 @@ def clothes(vectors, sd=0.5):
 
 
 def people(count, apart=0.1):
-    mean = np.zeros((count, 1, 4))
-    mean[:, 0, 0] = apart * np.arange(count)
-    cov = np.tile(0.01 * np.eye(4), (count, 1, 1, 1))
-    one, each = np.ones((count, 1)), np.ones(count)
-    seen, place, hits = np.zeros((count, 1)), mean[:, 0, :2], np.full(count, 5)
-    return Densities(mean, cov, one, each, one, seen, place, hits, 0.1 * each, list(range(count)), [None] * count)
+    return standing([[apart * k, 0, 0, 0] for k in range(count)], range(count))
 
 
 def seen(features, crowd, vectors, time=0.0, sd=0.5):
