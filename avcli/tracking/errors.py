@@ -187,7 +187,7 @@ class Errors:
 
     def variance(self, lean: np.ndarray) -> np.ndarray:
         """Return the variance (n,) m² per axis of positions by lasting errors that they follow by shares (n, S)."""
-        return (lean * lean) @ self.lasting
+        return (lean * lean * self.lasting).sum(-1)
 
     def between(self, lean: np.ndarray, column: int) -> Between:
         """Compute what lasting errors add where densities with shares lean (n, S) meet one sensor's detections."""
@@ -288,12 +288,14 @@ class Errors:
             self._settle()
 
     def _settle(self) -> None:
-        """Estimate the biases from prior and detections, a Bayesian linear regression, and what is left to consider."""
+        """Estimate the biases from prior and detections, a Bayesian linear regression, and what is left to consider.
+
+        The last digits, which depend on the order of the sensors, are rounded away, so that names have no influence.
+        """
         cov = np.linalg.inv(self.information + np.diag(self.prior_sd**-2))
-        self.bias = (self.prior + cov @ self.evidence).reshape(-1, 3)
-        variance = cov.diagonal().reshape(-1, 3)
-        self.bias_sd = np.sqrt(variance)
-        self.lasting = self.rest + variance.sum(1) / 2
+        self.bias = (self.prior + cov @ self.evidence).reshape(-1, 3).round(9)
+        self.bias_sd = np.sqrt(cov.diagonal().reshape(-1, 3)).round(9)
+        self.lasting = self.rest + np.square(self.bias_sd).sum(1) / 2
 
 
 def _certain(groups: Iterable[Group], scan: Scan) -> tuple[list[float], list[int], list[int]]:
