@@ -182,7 +182,8 @@ def test_two_who_sit_beside_each_other_for_an_hour_stay_who_they_are():
     order = np.array([track.state[0] for track in tracks]).argsort()
     errors = np.array([track.state[:2] for track in tracks])[order] - seats
     assert abs(errors).max() < 0.25
-    assert all(0.01 < math.sqrt(track.cov[0, 0]) < 0.2 for track in tracks)
+    spread = [math.sqrt(track.cov[0, 0]) for track in tracks]
+    assert 0.03 < min(spread) <= max(spread) < 0.5  # the last record may have missed one
 
 
 def test_innovations_are_as_large_as_the_filter_says():
