@@ -118,17 +118,19 @@ def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
 
 
 def test_the_longer_a_sensor_finds_nobody_the_likelier_it_is_that_everybody_left():
-    blindness, there = Blindness(ever=True), [1.0]
+    blindness, left = Blindness(ever=True), []
     for _ in range(200):
         blindness.update(0.1, 0.01)
-        there.append(there[-1] * blindness.empty(0.1, 0.01))
-    assert all(b <= a for a, b in pairwise(there))
-    assert there[20] > 0.8
-    assert there[200] < 0.05
+        blindness.empty(0.1, 0.01)
+        left.append(blindness.left)
+    assert all(a <= b for a, b in pairwise(left))
+    assert left[20] < 0.2
+    assert left[199] > 0.95
     doors = Blindness(ever=True)
     while doors.probability < 0.5:
         doors.update(0.1, 0.01)
-    assert doors.empty(0.1, 5.0) < 0.1  # where people leave within 0.2 s
+    doors.empty(0.1, 5.0)
+    assert doors.left > 0.9  # where people leave within 0.2 s
 
 
 def test_when_nobody_is_found_for_two_seconds_nobody_is_given_up():

@@ -65,7 +65,7 @@ class Undetected:
 
     def p_detect(self, scan: Scan) -> float:
         """Return the probability that the record's sensor detects one of them."""
-        return float(scan.p_sensor * self.detectable[scan.column])
+        return float(scan.p_newcomer * self.detectable[scan.column])
 
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
@@ -103,7 +103,7 @@ class Undetected:
         """Take those away whom a record's sensor has detected."""
         p_detect = self.p_detect(scan)
         self.expected *= 1 - p_detect
-        self.detectable[scan.column] *= (1 - scan.p_sensor) / max(1 - p_detect, 1e-12)
+        self.detectable[scan.column] *= (1 - scan.p_newcomer) / max(1 - p_detect, 1e-12)
 
 
 def first_detections(

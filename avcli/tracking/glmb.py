@@ -256,6 +256,7 @@ class GLMB:
             account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
             journal.add_features(account, scan, self.people.label, self.likely_rows)
             self.journal.append({**account, "born": self.born, "died": self.died})
+        self.last_record[scan.column] = self._now()
         self._rebuild(scan, groups, revealed)
         if self.gallery.fresh and scan.evidence:
             self._recognise()
@@ -308,8 +309,9 @@ class GLMB:
                 clutters[j] *= surface / shown.volume(j, self.population)
         ratio = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
         existence = self._see(column, ratio, existence)
-        blind = rates.blindness.probability * (1 - rates.blindness.left)
-        p_sensor = rates.detection * (1 - blind)
+        blindness = rates.blindness
+        p_sensor = rates.detection * (1 - blindness.probability)
+        p_newcomer = rates.detection * (1 - blindness.probability * (1 - blindness.left))
         p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
@@ -327,6 +329,7 @@ class GLMB:
             detectable,
             clutters,
             p_sensor,
+            p_newcomer,
             p_detect,
             evidence,
             covered,
@@ -373,9 +376,12 @@ class GLMB:
         if blindness.probability >= 0.5 and not blindness.left:
             rows = [row for row in self.likely_rows if existence[row] > 0.5]
             leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
-        stay = blindness.empty(dt, leaving)
-        if stay == 1.0:
+        before = max(one.blindness.left for one in self.rates)
+        blindness.empty(dt, leaving)
+        left = max(one.blindness.left for one in self.rates)
+        if left <= before:
             return existence
+        stay = (1 - left) / (1 - before)
         unseen = people.seen.max(1) < now - UNSEEN
         people.existence = np.where(unseen, people.existence * stay, people.existence)
         return people.existence.tolist()
@@ -392,7 +398,7 @@ class GLMB:
     def _learn(self, groups: Iterable[Group], scan: Scan) -> None:
         """Learn from the known people whom a record detected: they were there since they were detected last."""
         people, column, now = self.people, scan.column, self._now()
-        dt, self.last_record[column] = now - self.last_record[column], now
+        dt = now - self.last_record[column]
         detected = [
             (row, math.exp(group.hypotheses[0].weight))
             for group in groups

@@ -157,8 +157,8 @@ class Blindness:
         self.probability = blind / whole
         self._sees_again = before * (1 - rest) * (1 - stay) * ratio / whole
 
-    def empty(self, dt: float, leaving: float) -> float:
-        """Return the probability that people whom nobody detected for dt s are still there, if they were before.
+    def empty(self, dt: float, leaving: float) -> None:
+        """Weigh whether everybody left, after `update`.
 
         Args:
             dt: s since the sensor's last record.
@@ -166,13 +166,12 @@ class Blindness:
         """
         if self.probability < 0.5:
             self.left = 0.0
-            return 1.0
+            return
         if self.left:
             self._odds = min(self._odds * math.exp(SIGHTED * min(dt, 100.0)), 1e9)
         else:
             self._odds = max(EMPTIED, TOGETHER * leaving * self.watched / max(self.events, 1e-9))
-        before, self.left = self.left, self._odds / (1 + self._odds)
-        return (1 - self.left) / (1 - before)
+        self.left = self._odds / (1 + self._odds)
 
     def learn(self, gaps: np.ndarray, sure: np.ndarray, dt: float) -> None:
         """Learn from people whom the sensor has detected again, see `Hiding.learn`."""

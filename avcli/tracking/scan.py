@@ -42,7 +42,8 @@ class Scan:
         existence: n probabilities.
         detectable: n probabilities that the sensor can detect the person.
         clutter: J densities per m² of false detections.
-        p_sensor: probability that it detects a detectable person.
+        p_sensor: probability that it detects a detectable person who was known before the sensor may have gone blind.
+        p_newcomer: the same of a person who came since.
         p_detect: n probabilities that it detects the person, if that person exists.
         covered: (n, M) shares of the detection probability at each person, by motion model; None: all of it.
         partial: what its detections show, None: all show positions.
@@ -65,6 +66,7 @@ class Scan:
     detectable: list[float]
     clutter: list[float]
     p_sensor: float
+    p_newcomer: float
     p_detect: list[float]
     evidence: Evidence | None = None
     covered: np.ndarray | None = None

@@ -112,7 +112,7 @@ class UnseenMap:
 
     def detected(self, scan: Scan, positions: np.ndarray, room: np.ndarray) -> np.ndarray:
         """Return the densities (n,) per m² of detecting one of them at positions (n, 2) m with room (n,) for them."""
-        return room * self.arriving(positions, scan.p_sensor, scan.column)
+        return room * self.arriving(positions, scan.p_newcomer, scan.column)
 
     def detectable_at(self, positions: np.ndarray) -> np.ndarray:
         """Return the probabilities (n, S) that each sensor can detect one of them at positions (n, 2) m."""
@@ -121,7 +121,7 @@ class UnseenMap:
 
     def update(self, scan: Scan) -> None:
         """Take those away whom a record's sensor has detected."""
-        share = scan.p_sensor * self.share[scan.column]
+        share = scan.p_newcomer * self.share[scan.column]
         able = self.able[scan.column]
         missed = 1 - share * np.minimum(able / np.maximum(self.number, 1e-300), 1.0)
         self.number, self.able = self.number * missed, self.able * missed
