@@ -43,7 +43,7 @@ from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
-from avcli.tracking.rates import Rates, logit
+from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
 from avcli.tracking.settings import Sensor, Settings
@@ -53,9 +53,6 @@ from avcli.tracking.unseen import UnseenMap
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
-
-
-UNSEEN = 0.5  # s, since which no sensor has detected a person of whom a blind sensor tells nothing
 
 
 class Labelled(NamedTuple):
@@ -373,7 +370,7 @@ class GLMB:
         blindness, people, now = self.rates[column].blindness, self.people, self._now()
         dt, leaving = now - self.last_record[column], 0.0
         blindness.update(dt, ratio)
-        if blindness.probability >= 0.5 and not blindness.left:
+        if blindness.probability >= ONSET and not blindness.left:
             rows = [row for row in self.likely_rows if existence[row] > 0.5]
             leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
         before = max(one.blindness.left for one in self.rates)
@@ -382,8 +379,9 @@ class GLMB:
         if left <= before:
             return existence
         stay = (1 - left) / (1 - before)
-        unseen = people.seen.max(1) < now - UNSEEN
-        people.existence = np.where(unseen, people.existence * stay, people.existence)
+        seen = people.seen[:, column]
+        lost = (people.seen.max(1) == seen) & (seen < now)  # no other sensor has detected them since
+        people.existence = np.where(lost, people.existence * stay, people.existence)
         return people.existence.tolist()
 
     def _associate(self, scan: Scan, background: Sequence[float]) -> tuple[list[Group], list[float]]:
@@ -414,7 +412,7 @@ class GLMB:
         if scan.sensor.hide and known.any():
             gaps, sure, rates = now - seen[known, column], sure[known], self.rates[column]
             rates.hiding.learn(people.detectable.take(rows, 0)[known, column], gaps, sure, dt)
-            rates.blindness.learn(gaps, sure, dt)
+            rates.blindness.learn(gaps, dt)
             self._know_hiding(column)
 
     def _know_hiding(self, column: int) -> None:

@@ -39,8 +39,8 @@ _SENSOR = _required(
     ),
     blindness=(
         _required(
-            events=(_AMOUNT, "how often the sensor lost everybody and found them again"),
-            watched=(_AMOUNT, "time in which that was counted, s"),
+            returned=(_AMOUNT, "how often the sensor lost everybody and found somebody again"),
+            emptied=(_AMOUNT, "how often it found nobody again"),
         ),
         "how it loses everybody",
     ),

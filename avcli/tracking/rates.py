@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from avcli.formats.sensors import CAMERA
 from avcli.tracking.settings import Sensor
 
-# What the stated values are worth, in records, detectable people, events, and s. These and the rates of blindness were
+# What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS, PRIOR_WATCH = 3.0, 60.0, 4.0, 20.0
+PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 60.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
-EMPTIED = 0.02  # least odds that a sensor that suddenly sees nobody is not blind, but everybody left
+EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.15  # probability that, where one of several people leaves, the others leave at the same time
+ONSET = 0.9  # probability of blindness from which it may be that everybody left
 LOST = 5.0  # records, after which a person who was not detected is lost
 
 
@@ -35,7 +37,8 @@ class Rates:
         self.typical: float | None = None  # log odds of the scores of people
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_PEOPLE * sensor.detection, PRIOR_PEOPLE
-        self.hiding, self.blindness = Hiding(sensor), Blindness(sensor.hide > 0)
+        self.hiding = Hiding(sensor)
+        self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
 
     def learn(self, clutter: float, hits: float, misses: float) -> None:
         """Learn from one record: its expected false detections, people detected, detectable people missed."""
@@ -131,31 +134,35 @@ class Hiding:
 
 
 class Blindness:
-    """Whether a sensor sees nobody and reports clutter alone: a hidden state of its own, with a learnt rate.
+    """Whether a sensor sees nobody and reports clutter alone, or everybody has left: a hidden state of its own.
 
     A sensor that suddenly detects none of several people is blind, or everybody has left at the same time. The longer
-    it detects nobody, the likelier it is that they left.
+    it detects nobody, the likelier it is that they left. Which of the two it was earlier tells, too.
 
     Attributes:
         probability: that it is blind, or that everybody left.
         left: probability of the latter in that case.
-        events, watched: how often it was blind and then saw the same people again, and in how many s.
+        returned, emptied: how often somebody was detected again after that, and nobody, with the prior's worth.
     """
 
-    def __init__(self, ever: bool) -> None:
-        self.ever, self.probability, self.left, self._odds = ever, 0.0, 0.0, EMPTIED
-        self.events, self.watched, self._sees_again = BLIND * PRIOR_WATCH, PRIOR_WATCH, 0.0
+    def __init__(self, ever: bool, tells: bool = True) -> None:
+        """Begin with a sensor that is not blind.
+
+        Args:
+            ever: whether it ever is.
+            tells: whether people who are not detected may have left (silence does not tell that).
+        """
+        self.ever, self.tells, self.probability, self.left, self._odds = ever, tells, 0.0, 0.0, EMPTIED
+        self.returned, self.emptied = 1.0, EMPTIED
+        self._records = 0  # since it sees again, with 1 where it does not; 0: that is long ago
 
     def update(self, dt: float, ratio: float) -> None:
         """Take in that a record, dt s after the last one, is so much likelier if the sensor is not blind."""
         if not self.ever:
             return
-        goes, ratio, before = self.events / self.watched, max(ratio, 1e-300), self.probability
-        rest, stay = goes / (goes + SIGHTED), math.exp(-(goes + SIGHTED) * dt)
-        blind = rest + (before - rest) * stay
-        whole = blind + (1 - blind) * ratio
-        self.probability = blind / whole
-        self._sees_again = before * (1 - rest) * (1 - stay) * ratio / whole
+        rest, stay = BLIND / (BLIND + SIGHTED), math.exp(-(BLIND + SIGHTED) * dt)
+        blind = rest + (self.probability - rest) * stay
+        self.probability = blind / (blind + (1 - blind) * max(ratio, 1e-300))
 
     def empty(self, dt: float, leaving: float) -> None:
         """Weigh whether everybody left, after `update`.
@@ -164,25 +171,32 @@ class Blindness:
             dt: s since the sensor's last record.
             leaving: the least of the rates, per second, at which they leave where they were seen last.
         """
+        if not self.tells:
+            return
         if self.probability < 0.5:
             self.left = 0.0
+            self._records += self._records > 0
+            if self._records > LOST:
+                self.emptied, self._records = self.emptied + 1, 0
             return
         if self.left:
             self._odds = min(self._odds * math.exp(SIGHTED * min(dt, 100.0)), 1e9)
+        elif self.probability < ONSET:
+            return
         else:
-            self._odds = max(EMPTIED, TOGETHER * leaving * self.watched / max(self.events, 1e-9))
+            self._odds, self._records = max(self.emptied / self.returned, TOGETHER * leaving / BLIND), 1
         self.left = self._odds / (1 + self._odds)
 
-    def learn(self, gaps: np.ndarray, sure: np.ndarray, dt: float) -> None:
-        """Learn from people whom the sensor has detected again, see `Hiding.learn`."""
-        self.watched += dt
-        self.events += self._sees_again * float(sure[gaps > LOST * dt].max(initial=0.0))
+    def learn(self, gaps: np.ndarray, dt: float) -> None:
+        """Learn from people whom the sensor has detected again, (n,) s after it did so last; dt: of its records."""
+        if self._records and (gaps > LOST * dt).any():
+            self.returned, self._records = self.returned + 1, 0
 
 
 _LEARNT: dict[type, tuple[str, ...]] = {
     Rates: ("typical", "clutter_sum", "clutter_count", "hit_sum", "hit_count"),
     Hiding: ("events", "in_sight", "hidden"),
-    Blindness: ("events", "watched"),
+    Blindness: ("returned", "emptied"),
 }
 
 
