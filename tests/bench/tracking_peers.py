@@ -123,8 +123,8 @@ class Sort:
             for life in self.lives:
                 life.mean, life.cov = moved(life.mean, life.cov, dt, self.parameters.noise)
 
-    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
-        """Update with one record of one sensor, see avcli's `trackers.Tracker.update`; scores are not used."""
+    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, *unused: Any) -> None:
+        """Update with one record of one sensor, see avcli's `trackers.Tracker.update`; only positions are used."""
         self.predict(time)
         sharp = self.sensors[self.column[name]].sigma <= min(one.sigma for one in self.sensors)
         pairs = self.associate(z, sharp) if len(z) and self.lives else []
@@ -295,9 +295,9 @@ class StoneSoupGnn(Sort):
         at = {id(one): j for j, one in enumerate(found)}
         return [(row, at[id(chosen[one].measurement)]) for row, one in enumerate(histories) if chosen[one]]
 
-    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, score: np.ndarray | None = None) -> None:
+    def update(self, time: float, name: str, z: np.ndarray, noise: np.ndarray, *unused: Any) -> None:
         self.noise = noise
-        super().update(time, name, z, noise, score)
+        super().update(time, name, z, noise)
 
 
 PEERS: dict[str, tuple[str, type[Sort]]] = {
