@@ -140,7 +140,7 @@ class Sensor:
     clutter: float = 0.05
     sigma: tuple[float, float] = (0.15, 0.15)
     floor: float = 0.05
-    hide: float = 0.2
+    hide: float = 0.1
     show: float = 1.0
     memory: float = 3.0
     unheard: str = ""
