@@ -231,15 +231,15 @@ _EXPLAINED_PERSON = _written(
     object_id=_EXPLAINED_ID,
 )
 ERRORS = _written(
-    noise_factor=(Number(above=0), "the covariances of its detections are multiplied by this"),
-    floor_factor=(Number(above=0), "and so is the square of what is added to them"),
+    noise_factor=(Number(above=0, most=1e6), "the covariances of its detections are multiplied by this"),
+    floor_factor=(Number(above=0, most=1e6), "and so is the square of what is added to them"),
     detections=(
-        Number(least=0),
+        Number(0, most=1e12),
         "number of detections on which the factors rest; what is known beforehand counts, too",
     ),
-    bias=(Numbers(3), "systematic error along x, along y, and forward in the direction of walking, m"),
-    bias_sd=(Numbers(3), "standard deviations of these, m"),
-    lasting_sd=(Number(least=0), "standard deviation of the error that does not average away, m"),
+    bias=(bounds.VECTOR, "systematic error along x, along y, and forward in the direction of walking, m"),
+    bias_sd=(Numbers(3, bounds.DISTANCE), "standard deviations of these, m"),
+    lasting_sd=(bounds.DISTANCE, "standard deviation of the error that does not average away, m"),
 )
 _EXPLAINED_DETECTION = _written(
     position=(Numbers(2), "position without the sensor's bias, m"),

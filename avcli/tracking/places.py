@@ -47,10 +47,10 @@ class Places:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another map of the same area has noted."""
-        happened, expected = (np.array(state[key], float) for key in ("happened", "expected"))
-        if not happened.shape == expected.shape == self.shape:
+        maps = [state["happened"], state["expected"]]
+        if any([len(row) for row in one] != [self.shape[1]] * self.shape[0] for one in maps):
             raise ValueError("it was learnt in a room of another size")
-        self.happened, self.expected = happened, expected
+        self.happened, self.expected = np.array(maps, float)
         self.refresh()
 
     def centres(self) -> np.ndarray:

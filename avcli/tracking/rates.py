@@ -19,6 +19,7 @@ BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.15  # probability that, where one of several people leaves, the others leave at the same time
 ONSET = 0.9  # probability of blindness from which it may be that everybody left
+HIDE = 0.2  # rate per second of hiding that a later run begins with, where this one knows none
 LOST = 5.0  # records, after which a person who was not detected is lost
 
 
@@ -98,7 +99,7 @@ class Hiding:
 
     def __init__(self, sensor: Sensor) -> None:
         self.ever, self.events = sensor.hide > 0, PRIOR_EVENTS
-        self.in_sight = PRIOR_EVENTS / sensor.hide if self.ever else math.inf
+        self.in_sight = PRIOR_EVENTS / (sensor.hide or HIDE)
         self.hidden = PRIOR_EVENTS / sensor.show
 
     @property
