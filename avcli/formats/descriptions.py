@@ -228,6 +228,8 @@ _EXPLAINED_PERSON = _written(
         "number of the detection that the person most probably caused, or why there is none",
     ),
     probability=(PROBABILITY, "probability of that"),
+    leave_rate=(Number(least=0), "rate at which the person leaves where he or she was before this record, 1/s"),
+    last_seen=(OrNull(bounds.TIME), "when a sensor detected the person last before this record, s"),
     object_id=_EXPLAINED_ID,
 )
 ERRORS = _written(
@@ -281,6 +283,10 @@ EXPLAIN = Format(
         sensor=(Text(), "name of the sensor"),
         expected_clutter=(Number(least=0), "expected number of false detections in one record"),
         detection_probability=(PROBABILITY, "probability that the sensor detects a person"),
+        hide_rate=(Number(least=0), "rate at which a person becomes hidden from the sensor, 1/s"),
+        show_rate=(Number(least=0), "rate at which a hidden person becomes visible or audible again, 1/s"),
+        blind_rate=(Number(least=0), "rate at which the sensor loses everybody, 1/s"),
+        blind=(PROBABILITY, "probability that the sensor sees nobody at the moment"),
         detections=(
             ListOf(_EXPLAINED_DETECTION),
             "detections in order of x, then y, without exact repetitions; other keys give their number in this list",

@@ -256,6 +256,8 @@ class Fusion:
         accounts = self.tracker.accounts()
         for account in accounts:
             account["timestamp"] += self.origin
+            for person in account["people"]:
+                person["last_seen"] = None if person["last_seen"] is None else person["last_seen"] + self.origin
             for entry in (*account["people"], *account["born"], *account["died"]):
                 entry["object_id"] = self.numbers.get(entry["label"])
         return accounts

@@ -248,10 +248,14 @@ class GLMB:
             revealed += partial.revealed(shown, unclaimed, existence, tentative, from_tentative)
         self.born, self.died = [], []
         if self.journal is not None:
-            before = {str(one.label): one.existence for one in self.labelled()}
+            known = self.labelled()
+            before = {str(one.label): one.existence for one in known}
             errors = self.errors.described(scan.column)
             account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
             journal.add_features(account, scan, self.people.label, self.likely_rows)
+            rows = [one.row for one in known]
+            leaving = self.habits.leaving(self.people.mean.take(rows, 0)[:, 0])
+            journal.add_beliefs(account, rates, leaving, self.people.seen.take(rows, 0).max(1, initial=NEVER))
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = self._now()
         self._rebuild(scan, groups, revealed)

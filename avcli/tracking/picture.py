@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 WIDTH, LEFT, TOP, BOX = 1480, 90, 100, (500, 620)  # px, of the picture, to the first map, into which a map fits
 LINE = 28  # px between the lines of the legend and the table
+KNOWN = 0.1  # share of what was learnt in a place's own factor, below which it is hatched
 SEEN = 0.5  # share of the detection probability in full view, where an outline runs
 INK, GREY, WHITE = (30, 30, 30), (110, 110, 110), (255, 255, 255)
 OUTLINES = ((255, 255, 255), (120, 120, 255), (255, 200, 120), (200, 120, 255))  # BGR, of what sensors cover
@@ -57,7 +58,7 @@ def picture(state: Mapping[str, Any], population: Population, coverage: Mapping[
     scale = float((np.array(BOX) / (population.corners[1] - population.corners[0])).min())
     sides = np.maximum(np.round(scale * (population.corners[1] - population.corners[0])), 1).astype(int)
     legend = TOP + int(sides[1]) + 80
-    table = legend + LINE * (len(partly) + 1) + 40
+    table = legend + LINE * (len(partly) + 2) + 30
     canvas = np.full((table + LINE * (len(state["sensors"]) + 2) + 20, WIDTH, 3), WHITE, np.uint8)
     titles = (
         ("Where people come", "people per hour and m²"),
@@ -119,10 +120,14 @@ def _paint(
     x = low[0] + size[0] * (np.arange(columns) + 0.5) / columns
     y = low[1] + size[1] * (np.arange(rows)[::-1] + 0.5) / rows
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    shade = np.round(255 * shares[places.cells(points)].clip(0, 1)).astype(np.uint8).reshape(rows, columns)
+    cells = places.cells(points)
+    shade = np.round(255 * shares[cells].clip(0, 1)).astype(np.uint8).reshape(rows, columns)
     frame[:] = cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS)
+    unknown = (places.learnt()[cells] < KNOWN).reshape(rows, columns) & _hatching(rows, columns)
+    frame[unknown] = frame[unknown] * 0.7 + 0.3 * 255
     for colour, area in zip(_outline_colours(len(partly)), partly.values(), strict=True):
-        inside = (area.at(points) >= SEEN).astype(np.uint8).reshape(rows, columns)
+        share = cv2.GaussianBlur(area.at(points).reshape(rows, columns), (0, 0), area.step / size[0] * columns)
+        inside = (share >= SEEN).astype(np.uint8)
         cv2.drawContours(frame, cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0], -1, colour, 2)
     for (at_x, at_y), number in zip(places.centres().reshape(-1, 2), places.happened.ravel(), strict=True):
         if number > 0.5:
@@ -137,6 +142,10 @@ def _ring(image: np.ndarray, where: tuple[int, int], number: float) -> None:
     radius = min(round(4 * math.sqrt(number)), 40)
     cv2.circle(image, where, radius, INK, 3, cv2.LINE_AA)
     cv2.circle(image, where, radius, WHITE, 1, cv2.LINE_AA)
+
+
+def _hatching(rows: int, columns: int) -> np.ndarray:
+    return np.add.outer(np.arange(rows), np.arange(columns)) % 8 == 0
 
 
 def _outline_colours(count: int) -> list[tuple[int, int, int]]:
@@ -183,7 +192,12 @@ def _legend(canvas: np.ndarray, partly: Sequence[str], top: int) -> None:
     _ring(canvas, (LEFT + 12, top - 5), 1.0)
     _ring(canvas, (LEFT + 34, top - 5), 4.0)
     _write(canvas, "one person, four people who came, or left, by the tracks", (LEFT + 56, top), 15)
-    for k, (name, colour) in enumerate(zip(partly, _outline_colours(len(partly)), strict=True), start=1):
+    box = canvas[top + LINE - 14 : top + LINE + 2, LEFT : LEFT + 42]
+    box[:] = cv2.applyColorMap(np.full(box.shape[:2], 80, np.uint8), cv2.COLORMAP_VIRIDIS)
+    box[_hatching(*box.shape[:2])] = WHITE
+    text = "little was learnt here: the prior rate, times one factor for the whole room"
+    _write(canvas, text, (LEFT + 56, top + LINE), 15)
+    for k, (name, colour) in enumerate(zip(partly, _outline_colours(len(partly)), strict=True), start=2):
         at = top + k * LINE
         cv2.line(canvas, (LEFT, at - 5), (LEFT + 42, at - 5), INK, 5, cv2.LINE_AA)
         cv2.line(canvas, (LEFT + 1, at - 5), (LEFT + 41, at - 5), colour, 2, cv2.LINE_AA)
@@ -214,7 +228,8 @@ def _cells(name: str, known: Mapping[str, Any]) -> Iterator[str]:
     yield f"{blindness['watched'] / max(blindness['events'], 1e-9):.3g}"
     yield f"{math.sqrt(errors['noise_factor']):.2g}"
     yield "   ".join(
-        f"{100 * one:+.1f} ± {100 * sd:.1f}" for one, sd in zip(errors["bias"], errors["bias_sd"], strict=True)
+        f"{round(100 * one, 1) + 0.0:+.1f} ± {100 * sd:.1f}"
+        for one, sd in zip(errors["bias"], errors["bias_sd"], strict=True)
     )
     yield f"{100 * errors['lasting_sd']:.1f}"
 

@@ -82,6 +82,11 @@ class Places:
         )
         self.factor = self.overall * (self.worth_here + here) / (self.worth_here + self.overall * due)
 
+    def learnt(self) -> np.ndarray:
+        """Return how much of each place's own factor is learnt, (nx, ny) from 0, the prior, to 1."""
+        here, due = (self._kernels[0] @ one @ self._kernels[1] for one in (self.happened, self.overall * self.expected))
+        return 1 - self.worth_here / (self.worth_here + np.maximum(np.maximum(here, due), 0.0))
+
     def fade(self, keep: float) -> None:
         """Forget all but a share of what was noted."""
         self.happened *= keep
