@@ -127,7 +127,7 @@ class Hiding:
         """
         rest, stay = self.detectable(), math.exp(-(self.hide + self.show) * dt)
         before = ((detectable - rest) / max(stay, 1e-300) + rest).clip(0.0, 1.0)
-        shown = sure * (1 - before) * rest * (1 - stay) / np.maximum(detectable, 1e-12)
+        shown = sure * np.minimum((1 - before) * rest * (1 - stay) / np.maximum(detectable, 1e-12), 1.0)
         keep = KEEP if self.events > 10 * PRIOR_EVENTS else 1.0
         self.events = self.events * keep + float(shown.sum())
         self.hidden = self.hidden * keep + float((shown * gaps).sum())
