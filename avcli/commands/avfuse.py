@@ -222,7 +222,7 @@ def main(
         from avcli.formats.atomic import write_bytes
         from avcli.tracking.picture import picture
 
-        write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage))
+        write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
     for note in fusion.notes():

@@ -285,8 +285,11 @@ EXPLAIN = Format(
         detection_probability=(PROBABILITY, "probability that the sensor detects a person"),
         hide_rate=(Number(least=0), "rate at which a person becomes hidden from the sensor, 1/s"),
         show_rate=(Number(least=0), "rate at which a hidden person becomes visible or audible again, 1/s"),
-        blind_rate=(Number(least=0), "rate at which the sensor loses everybody, 1/s"),
-        blind=(PROBABILITY, "probability that the sensor sees nobody at the moment"),
+        all_left=(
+            PROBABILITY,
+            "when the sensor suddenly detects nobody: probability that everybody left, as far as earlier cases tell",
+        ),
+        blind=(PROBABILITY, "probability that the sensor can detect nobody at the moment"),
         detections=(
             ListOf(_EXPLAINED_DETECTION),
             "detections in order of x, then y, without exact repetitions; other keys give their number in this list",

@@ -101,7 +101,7 @@ def add_beliefs(account: dict[str, Any], rates: Rates, leaving: np.ndarray, last
     account |= {
         "hide_rate": hiding.hide,
         "show_rate": hiding.show,
-        "blind_rate": blindness.events / blindness.watched if blindness.ever else 0.0,
+        "all_left": blindness.emptied / (blindness.emptied + blindness.returned),
         "blind": blindness.probability * (1 - blindness.left),
     }
     for person, rate, last in zip(account["people"], leaving.tolist(), last_seen.tolist(), strict=True):

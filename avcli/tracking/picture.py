@@ -28,20 +28,23 @@ COLUMNS = {
     "detects whom|it can, %": 340,
     "hides a person|after, s": 470,
     "for, s": 610,
-    "loses everybody|after, s": 690,
+    "nobody detected:|all left, %": 690,
     "noise,|times stated": 840,
     "bias along x, along y, forward|and standard deviations, cm": 960,
     "lasting|error, cm": 1320,
 }
 
 
-def picture(state: Mapping[str, Any], population: Population, coverage: Mapping[str, Coverage]) -> bytes:
+def picture(
+    state: Mapping[str, Any], population: Population, coverage: Mapping[str, Coverage], hidden: bool = True
+) -> bytes:
     """Draw where people come and where they leave, and what is known of each sensor.
 
     Args:
         state: what was learnt, see `trackers.Learning.state`.
         population: how people come and leave before anything was learnt.
         coverage: name of a sensor or a kind of sensors -> where it detects people.
+        hidden: whether people can be hidden from sensors.
 
     Returns:
         A PNG file; the same arguments give the same bytes.
@@ -77,7 +80,7 @@ def picture(state: Mapping[str, Any], population: Population, coverage: Mapping[
         _axes(canvas, population.corners, left, sides)
         _bar(canvas, left + int(sides[0]) + 24, int(sides[1]), low, high)
     _legend(canvas, list(partly), legend)
-    _table(canvas, state["sensors"], table)
+    _table(canvas, state["sensors"], table, hidden)
     return cv2.imencode(".png", canvas)[1].tobytes()
 
 
@@ -204,7 +207,7 @@ def _legend(canvas: np.ndarray, partly: Sequence[str], top: int) -> None:
         _write(canvas, f"what is seen by {name}", (LEFT + 56, at), 15)
 
 
-def _table(canvas: np.ndarray, sensors: Mapping[str, Mapping[str, Any]], top: int) -> None:
+def _table(canvas: np.ndarray, sensors: Mapping[str, Mapping[str, Any]], top: int, hidden: bool) -> None:
     """Write what is known of each sensor."""
     import cv2
 
@@ -213,19 +216,22 @@ def _table(canvas: np.ndarray, sensors: Mapping[str, Mapping[str, Any]], top: in
             _write(canvas, part, (left, top + 18 * k - 6), 14, GREY)
     cv2.line(canvas, (30, top + 20), (WIDTH - 30, top + 20), INK)
     for row, (name, known) in enumerate(sensors.items()):
-        for text, left in zip(_cells(name, known), COLUMNS.values(), strict=True):
+        for text, left in zip(_cells(name, known, hidden), COLUMNS.values(), strict=True):
             _write(canvas, text, (left, top + 20 + LINE * (row + 1) - 4), 15)
 
 
-def _cells(name: str, known: Mapping[str, Any]) -> Iterator[str]:
+def _cells(name: str, known: Mapping[str, Any], hidden: bool) -> Iterator[str]:
     """Yield what the columns of the table say of one sensor."""
     hiding, blindness, errors = known["hiding"], known["blindness"], known["errors"]
     yield name if len(name) <= 18 else name[:17] + "…"
     yield f"{known['clutter_sum'] / known['clutter_count']:.2g}"
     yield f"{100 * known['hit_sum'] / known['hit_count']:.0f}"
-    yield f"{hiding['in_sight'] / hiding['events']:.3g}"
-    yield f"{hiding['hidden'] / hiding['events']:.2g}"
-    yield f"{blindness['watched'] / max(blindness['events'], 1e-9):.3g}"
+    if hidden:
+        yield f"{hiding['in_sight'] / hiding['events']:.3g}"
+        yield f"{hiding['hidden'] / hiding['events']:.2g}"
+        yield f"{100 * blindness['emptied'] / (blindness['emptied'] + blindness['returned']):.0f}"
+    else:
+        yield from ("never", "", "")
     yield f"{math.sqrt(errors['noise_factor']):.2g}"
     yield "   ".join(
         f"{round(100 * one, 1) + 0.0:+.1f} ± {100 * sd:.1f}"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from avcli.formats.sensors import CAMERA
-from avcli.tracking.settings import Sensor
+from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
@@ -19,7 +19,6 @@ BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.15  # probability that, where one of several people leaves, the others leave at the same time
 ONSET = 0.9  # probability of blindness from which it may be that everybody left
-HIDE = 0.2  # rate per second of hiding that a later run begins with, where this one knows none
 LOST = 5.0  # records, after which a person who was not detected is lost
 
 
@@ -99,7 +98,7 @@ class Hiding:
 
     def __init__(self, sensor: Sensor) -> None:
         self.ever, self.events = sensor.hide > 0, PRIOR_EVENTS
-        self.in_sight = PRIOR_EVENTS / (sensor.hide or HIDE)
+        self.in_sight = PRIOR_EVENTS / (sensor.hide or SENSORS[sensor.kind].hide)
         self.hidden = PRIOR_EVENTS / sensor.show
 
     @property
