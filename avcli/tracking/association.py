@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
+from functools import reduce
+from operator import itemgetter, or_
 
 from avcli.tracking.hypotheses import ABSENT, Cluster, Joint
 from avcli.tracking.scan import Scan
@@ -21,6 +22,7 @@ FIRST = itemgetter(0)
 Option = tuple[float, int]  # log weight, detection or MISSED
 Options = Mapping[int, Sequence[Option]]  # by row, best first
 Pair = tuple[int, int]  # row, detection or MISSED
+Chain = tuple["Chain", Pair] | None  # the pairs of a partial association, last one first
 Association = tuple[float, tuple[Pair, ...], int]  # log weight, a pair for each label, bit set of used detections
 
 
@@ -47,6 +49,10 @@ class Group:
     labels: list[int]
     hypotheses: list[Hypothesis]
 
+    def used(self) -> list[int]:
+        """Return the detections that some hypothesis uses."""
+        return _bits(reduce(or_, [hypothesis.used for hypothesis in self.hypotheses]))
+
 
 def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dict[int, list[Option]]:
     """Find what each labelled row may have caused.
@@ -65,25 +71,39 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
         present = existence[row] * p_detect[row]
         missed = max(1 - present, 1e-12)
         least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
-        hits = enumerate(zip(likelihoods[row], background, strict=True))
-        caused = [(math.log(present * g / b), j) for j, (g, b) in hits if present * g > least * b]
+        caused = [
+            (math.log(present * g / background[j]), j)
+            for j, g in likelihoods[row]
+            if present * g > least * background[j]
+        ]
         caused_by[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
     return caused_by
 
 
 def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluster]]:
     """Return the clusters in lists, together those that compete for a detection."""
-    groups: list[tuple[list[Cluster], set[int]]] = []
-    for cluster in clusters:
+    groups: dict[int, list[Cluster]] = {}
+    joined: list[int] = []  # number of a group -> itself, or another group that it has become part of
+    wants: dict[int, int] = {}  # detection -> number of a group that may have caused it
+    for number, cluster in enumerate(clusters):
         rows = {row for hypothesis in cluster.hypotheses for row in hypothesis if row >= 0}
         wanted = {j for row in rows for _, j in options[row] if j >= 0}
+        joined.append(number)
         members = [cluster]
-        for group in [g for g in groups if not wanted.isdisjoint(g[1])]:
-            groups.remove(group)
-            members = group[0] + members
-            wanted |= group[1]
-        groups.append((members, wanted))
-    return [members for members, _ in groups]
+        for other in sorted({_last(joined, wants[j]) for j in wanted if j in wants}):
+            joined[other] = number
+            members = groups.pop(other) + members
+        wants.update(dict.fromkeys(wanted, number))
+        groups[number] = members
+    return list(groups.values())
+
+
+def _last(joined: list[int], number: int) -> int:
+    """Return the group that a group has become part of."""
+    while joined[number] != number:
+        joined[number] = joined[joined[number]]
+        number = joined[number]
+    return number
 
 
 def associate(members: Sequence[Cluster], options: Options, unclaimed: list[float], most: int) -> Group:
@@ -111,12 +131,20 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
     total = top + math.log(math.fsum(math.exp(h.weight - top) for h in kept))
     for hypothesis in kept:
         hypothesis.weight -= total
-        share, used = math.exp(hypothesis.weight), hypothesis.used
-        while used:
-            low = used & -used
-            unclaimed[low.bit_length() - 1] -= share
-            used ^= low
+        share = math.exp(hypothesis.weight)
+        for j in _bits(hypothesis.used):
+            unclaimed[j] -= share
     return Group([label for cluster in members for label in cluster.labels], kept)
+
+
+def _bits(used: int) -> list[int]:
+    """Return the numbers of the bits that are set."""
+    bits = []
+    while used:
+        low = used & -used
+        bits.append(low.bit_length() - 1)
+        used ^= low
+    return bits
 
 
 def ranked(
@@ -144,30 +172,38 @@ def ranked(
     """
     if len(priors[0][1]) == 1:
         return _ranked_alone(priors, options, span)
-    beam: list[tuple[float, int, tuple[Pair, ...], int]] = []
+    beam: list[tuple[float, int, Chain, int]] = []
     greedy: Association = (-math.inf, (), 0)
     for number, (weight, hypothesis) in enumerate(priors):
         bound = weight + math.fsum(options[row][0][0] for row in hypothesis if row >= 0)
-        beam.append((bound, number, (), 0))
+        beam.append((bound, number, None, 0))
         if bound > greedy[0]:
             greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
         grown, steps = [], _steps(priors, depth, options)
-        for bound, number, pairs, used in beam:
+        for bound, number, chain, used in beam:
             least = floor - bound
-            for loss, step, bit in steps[number]:
+            for loss, pair, bit in steps[number]:
                 if loss < least:
                     break
                 if not used & bit:
-                    grown.append((bound + loss, number, pairs + step, used | bit))
+                    grown.append((bound + loss, number, (chain, pair), used | bit))
         if len(grown) > budget:
             grown.sort(key=FIRST, reverse=True)
             del grown[budget:]
         beam = grown
     beam.sort(key=FIRST, reverse=True)
     # all that the budget kept may have ended in conflicts
-    return [(weight, pairs, used) for weight, _, pairs, used in beam] or [greedy]
+    return [(weight, _pairs(chain), used) for weight, _, chain, used in beam] or [greedy]
+
+
+def _pairs(chain: Chain) -> tuple[Pair, ...]:
+    pairs = []
+    while chain is not None:
+        chain, pair = chain
+        pairs.append(pair)
+    return tuple(reversed(pairs))
 
 
 def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span: float) -> list[Association]:
@@ -184,15 +220,15 @@ def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span:
 
 def _steps(
     priors: Sequence[tuple[float, Joint]], depth: int, options: Options
-) -> list[list[tuple[float, tuple[Pair], int]]]:
+) -> list[list[tuple[float, Pair, int]]]:
     """For each prior: what its label number `depth` may do, and what each choice loses to the best one."""
-    moves: dict[int, list[tuple[float, tuple[Pair], int]]] = {ABSENT: [(0.0, ((ABSENT, MISSED),), 0)]}
+    moves: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}
     steps = []
     for _, hypothesis in priors:
         row = hypothesis[depth]
         if row not in moves:
             best = options[row][0][0]
-            moves[row] = [(gain - best, ((row, j),), 0 if j < 0 else 1 << j) for gain, j in options[row]]
+            moves[row] = [(gain - best, (row, j), 0 if j < 0 else 1 << j) for gain, j in options[row]]
         steps.append(moves[row])
     return steps
 
