@@ -15,6 +15,7 @@ MISSED = -1  # in the place of a detection: the person was not detected
 PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
 LOG_PRUNE = math.log(PRUNE)
 BUDGET = 3  # partial associations kept while searching, for each hypothesis that is kept in the end
+LARGE = 50  # labels of a cluster, beyond which it keeps fewer hypotheses in proportion, so that time is bounded
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
@@ -113,11 +114,13 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
         members: the clusters.
         options: what each row may have caused.
         unclaimed: J probabilities that no labelled person caused the detection; lowered here by those who may have.
-        most: hypotheses to keep.
+        most: hypotheses to keep, of at most LARGE labels.
 
     Returns:
         The hypotheses, normalised, best first.
     """
+    labels = [label for cluster in members for label in cluster.labels]
+    most = max(most * LARGE // max(len(labels), LARGE), 1)
     priors = list(zip(members[0].weights, members[0].hypotheses, strict=True))
     for cluster in members[1:]:
         pairs = list(zip(cluster.weights, cluster.hypotheses, strict=True))
@@ -134,7 +137,7 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
         share = math.exp(hypothesis.weight)
         for j in _bits(hypothesis.used):
             unclaimed[j] -= share
-    return Group([label for cluster in members for label in cluster.labels], kept)
+    return Group(labels, kept)
 
 
 def _bits(used: int) -> list[int]:
@@ -218,9 +221,7 @@ def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span:
     return [one for one in alone if one[0] >= floor]
 
 
-def _steps(
-    priors: Sequence[tuple[float, Joint]], depth: int, options: Options
-) -> list[list[tuple[float, Pair, int]]]:
+def _steps(priors: Sequence[tuple[float, Joint]], depth: int, options: Options) -> list[list[tuple[float, Pair, int]]]:
     """For each prior: what its label number `depth` may do, and what each choice loses to the best one."""
     moves: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}
     steps = []

@@ -170,22 +170,21 @@ def other_detections(
     room, twice = [1.0] * len(z), [0.0] * len(z)
     if len(z) < 2:
         return room, twice
-    positions, spread, body = z.tolist(), (noise[:, 0, 0] + noise[:, 1, 1]).tolist(), 2 * body**2
-    reach = GATE * (body + 2 * max(spread))  # m²
-    for k, (x, y) in enumerate(positions):
-        for j in range(k - 1, -1, -1):
-            if (x - positions[j][0]) ** 2 > reach:
-                break
-            apart = (x - positions[j][0]) ** 2 + (y - positions[j][1]) ** 2
-            width = spread[j] + spread[k]
-            again = AGAIN / math.pi * math.exp(-apart / width) / width
-            for one, other in ((j, k), (k, j)):
-                claimed = min((1 - unclaimed[other]) / max(unclaimed[one], 1e-9), 1.0)  # by somebody, if `one` is not
-                if one == k:
-                    claimed = max(claimed, unclaimed[j] * real[j])  # the first of two new people counts
-                room[one] *= 1 - claimed * math.exp(-apart / (body + spread[one]))
-                twice[one] += again * claimed
-    return room, twice
+    place, spread, body = as_complex(z)[:, 0], noise[:, 0, 0] + noise[:, 1, 1], 2 * body**2
+    reach = math.sqrt(GATE * (body + 2 * float(spread.max())))  # m
+    near = abs(place[:, None] - place) < reach
+    np.fill_diagonal(near, False)
+    one, other = near.nonzero()
+    if not len(one):
+        return room, twice
+    apart, width = np.square(abs(place[one] - place[other])), spread[one] + spread[other]
+    free, shown = np.array(unclaimed), np.array(unclaimed) * real
+    claimed = np.minimum((1 - free[other]) / np.maximum(free[one], 1e-9), 1.0)  # by somebody, if `one` is not
+    claimed = np.where(one > other, np.maximum(claimed, shown[other]), claimed)  # the first of two new people counts
+    beside, again = np.ones(len(z)), np.zeros(len(z))
+    np.multiply.at(beside, one, 1 - claimed * np.exp(-apart / (body + spread[one])))
+    np.add.at(again, one, AGAIN / math.pi * np.exp(-apart / width) / width * claimed)
+    return beside.tolist(), again.tolist()
 
 
 def births(

@@ -466,9 +466,7 @@ class GLMB:
         if self.looked:
             self.tentative = partial.merged(self.people, self.tentative)
 
-    def _promote(
-        self, row: int, j: int, groups: list[Group], users: Mapping[int, Group], taken: set[int]
-    ) -> None:
+    def _promote(self, row: int, j: int, groups: list[Group], users: Mapping[int, Group], taken: set[int]) -> None:
         """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise.
 
         users: by detection, the group that has hypotheses that use it.

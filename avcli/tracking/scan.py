@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from avcli.tracking.partial import Partial, View
 
 DENSE = 300  # pairs of a density and a detection, up to which it costs less not to ask which are near
+MOST_PLAUSIBLE = 1e300  # a ratio; hundreds of detections would exceed what a number can hold
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
 
 
@@ -168,4 +169,4 @@ def plausibility(
         ratio *= min(1 - present + present * more, 1e3)
     for c, b in zip(clutter, new, strict=True):
         ratio *= min(1 + b / c, 1e3)
-    return ratio
+    return min(ratio, MOST_PLAUSIBLE)
