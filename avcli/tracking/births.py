@@ -69,6 +69,8 @@ class Undetected:
 
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
+        if not len(z):
+            return []
         anywhere, near_walls = (detection * self.detectable[column] * self.expected).tolist()
         return (self.population.density(z, anywhere, near_walls) * self.entries.at(z) / self.entries.overall).tolist()
 
@@ -128,6 +130,8 @@ def first_detections(
         (T, J) per m² of each tentative person, and (J,) per m² of people never detected before.
     """
     rows, z = np.array(tentative, int), scan.z
+    if not len(z):
+        return np.zeros((len(rows), 0)), np.zeros(0)
     positions = np.concatenate([z, people.mean.take(rows, 0)[:, 0, :2]])
     spread = np.concatenate([scan.noise, people.cov.take(rows, 0)[:, 0, :2, :2]])
     room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, undetected.population.body)

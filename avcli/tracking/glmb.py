@@ -405,13 +405,14 @@ class GLMB:
         ]
         if not detected:
             return
-        rows, sure = [row for row, _ in detected], np.array([share for _, share in detected])
-        seen = people.seen.take(rows, 0)
-        self.habits.stayed(people.mean.take(rows, 0)[:, 0], (now - seen.max(1)) * sure)
-        known = np.isfinite(seen[:, column])
-        if scan.sensor.hide and known.any():
-            gaps, sure, rates = now - seen[known, column], sure[known], self.rates[column]
-            rates.hiding.learn(people.detectable.take(rows, 0)[known, column], gaps, sure, dt)
+        rows, sure = [row for row, _ in detected], [share for _, share in detected]
+        seen = people.seen.take(rows, 0).tolist()
+        gone = [(now - max(one)) * share for one, share in zip(seen, sure, strict=True)]
+        self.habits.stayed(people.mean[:, 0].take(rows, 0), gone)
+        known = [k for k, one in enumerate(seen) if one[column] > NEVER]
+        if scan.sensor.hide and known:
+            gaps, sure, rates = [now - seen[k][column] for k in known], [sure[k] for k in known], self.rates[column]
+            rates.hiding.learn([scan.detectable[rows[k]] for k in known], gaps, sure, dt)
             rates.blindness.learn(gaps, dt)
             self._know_hiding(column)
 

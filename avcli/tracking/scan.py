@@ -91,6 +91,8 @@ def likelihoods(
         ahead: m, the mouth offset of `gaussian.expected_detection`.
         unshared: (n,) m², see `gaussian.loglikelihood`.
     """
+    if not len(z):
+        return np.zeros((len(people), 0)), np.zeros((*people.mode.shape, 0))
     if len(people) * len(z) <= DENSE:
         log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, ahead, unshared)
         gain = np.where(distance < GATE, np.exp(log), 0.0)
