@@ -111,8 +111,10 @@ def likelihoods(
 
 def possible(gain: np.ndarray) -> Likelihoods:
     """Return for each density the detections with a likelihood (n, J) that is not 0, and these."""
+    found: Likelihoods = [[] for _ in range(len(gain))]
+    if not gain.size:
+        return found
     row, j = gain.nonzero()
-    found: Likelihoods = [[] for _ in gain]
     for i, one in zip(row.tolist(), zip(j.tolist(), gain[row, j].tolist(), strict=True), strict=True):
         found[i].append(one)
     return found
