@@ -184,7 +184,8 @@ def ranked(
             greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
-        grown, steps = [], _steps(priors, depth, options)
+        grown: list[tuple[float, int, Chain, int]] = []
+        steps = _steps(priors, depth, options)
         for bound, number, chain, used in beam:
             least = floor - bound
             for loss, pair, bit in steps[number]:

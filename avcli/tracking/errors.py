@@ -182,7 +182,7 @@ class Errors:
     def predict(self, people: Densities, dt: float) -> None:
         """Let lasting errors change for dt s: as far as they do, what they were is noise of the positions."""
         keep = np.exp(-dt / self.memory)
-        gone = ((people.lean * people.lean) @ (self.lasting * (1 - keep * keep)))[:, None]
+        gone = self.variance(people.lean * np.sqrt(1 - keep * keep))[:, None]
         people.cov[..., 0, 0] += gone
         people.cov[..., 1, 1] += gone
         people.lean = people.lean * keep
