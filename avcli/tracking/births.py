@@ -150,8 +150,8 @@ def _elbow_room(
     if not known or not len(positions):
         return np.ones(len(positions))
     bodies = as_complex(people.centres(known))[:, 0]
-    apart, width = abs(as_complex(positions) - bodies), 2 * body**2 + spread
-    taken = np.exp(-apart * apart / width[:, None]) * people.existence.take(known)
+    apart, width = as_complex(positions) - bodies, 2 * body**2 + spread
+    taken = np.exp(-(apart * apart.conj()).real / width[:, None]) * people.existence.take(known)
     return (1 - taken).prod(1)
 
 
@@ -175,13 +175,13 @@ def other_detections(
     if len(z) < 2:
         return room, twice
     place, spread, body = as_complex(z)[:, 0], noise[:, 0, 0] + noise[:, 1, 1], 2 * body**2
-    reach = math.sqrt(GATE * (body + 2 * float(spread.max())))  # m
-    near = abs(place[:, None] - place) < reach
+    apart = place[:, None] - place
+    near = (apart * apart.conj()).real < GATE * (body + 2 * float(spread.max()))
     np.fill_diagonal(near, False)
     one, other = near.nonzero()
     if not len(one):
         return room, twice
-    apart, width = np.square(abs(place[one] - place[other])), spread[one] + spread[other]
+    apart, width = np.square(abs(apart[one, other])), spread[one] + spread[other]
     free, shown = np.array(unclaimed), np.array(unclaimed) * real
     claimed = np.minimum((1 - free[other]) / np.maximum(free[one], 1e-9), 1.0)  # by somebody, if `one` is not
     claimed = np.where(one > other, np.maximum(claimed, shown[other]), claimed)  # the first of two new people counts

@@ -129,8 +129,13 @@ def _overlapping(
     """
     reach, around = np.sqrt(GATE * variance), np.sqrt(GATE * noise.reshape(-1, 4)[:, ::3])
     low, high = (position - reach).min(1), (position + reach).max(1)
-    near = (z - around < high[:, None]) & (z + around > low[:, None])
-    return (near[..., 0] & near[..., 1]).nonzero()
+    near = np.ones((len(low), len(z)), bool)
+    for first, last, least, most in zip(
+        (z - around).T, (z + around).T, low.T[..., None], high.T[..., None], strict=True
+    ):
+        near &= (first < most) & (last > least)
+    row, j = near.nonzero()
+    return row, j
 
 
 def distinct(
