@@ -23,7 +23,6 @@ FIRST = itemgetter(0)
 Option = tuple[float, int]  # log weight, detection or MISSED
 Options = Mapping[int, Sequence[Option]]  # by row, best first
 Pair = tuple[int, int]  # row, detection or MISSED
-Chain = tuple["Chain", Pair] | None  # the pairs of a partial association, last one first
 Association = tuple[float, tuple[Pair, ...], int]  # log weight, a pair for each label, bit set of used detections
 
 
@@ -91,7 +90,8 @@ def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluste
         wanted = {j for row in rows for _, j in options[row] if j >= 0}
         joined.append(number)
         members = [cluster]
-        for other in sorted({_last(joined, wants[j]) for j in wanted if j in wants}):
+        rivals = {wants[j] for j in wanted if j in wants}
+        for other in sorted({_last(joined, rival) for rival in rivals}):
             joined[other] = number
             members = groups.pop(other) + members
         wants.update(dict.fromkeys(wanted, number))
@@ -175,39 +175,30 @@ def ranked(
     """
     if len(priors[0][1]) == 1:
         return _ranked_alone(priors, options, span)
-    beam: list[tuple[float, int, Chain, int]] = []
+    beam: list[tuple[float, int, tuple[Pair, ...], int]] = []
     greedy: Association = (-math.inf, (), 0)
     for number, (weight, hypothesis) in enumerate(priors):
         bound = weight + math.fsum(options[row][0][0] for row in hypothesis if row >= 0)
-        beam.append((bound, number, None, 0))
+        beam.append((bound, number, (), 0))
         if bound > greedy[0]:
             greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
     for depth in range(len(priors[0][1])):
-        grown: list[tuple[float, int, Chain, int]] = []
-        steps = _steps(priors, depth, options)
-        for bound, number, chain, used in beam:
+        grown, steps = [], _steps(priors, depth, options)
+        for bound, number, pairs, used in beam:
             least = floor - bound
-            for loss, pair, bit in steps[number]:
+            for loss, step, bit in steps[number]:
                 if loss < least:
                     break
                 if not used & bit:
-                    grown.append((bound + loss, number, (chain, pair), used | bit))
+                    grown.append((bound + loss, number, pairs, step, used | bit))
         if len(grown) > budget:
             grown.sort(key=FIRST, reverse=True)
             del grown[budget:]
-        beam = grown
+        beam = [(bound, number, pairs + step, used) for bound, number, pairs, step, used in grown]
     beam.sort(key=FIRST, reverse=True)
     # all that the budget kept may have ended in conflicts
-    return [(weight, _pairs(chain), used) for weight, _, chain, used in beam] or [greedy]
-
-
-def _pairs(chain: Chain) -> tuple[Pair, ...]:
-    pairs = []
-    while chain is not None:
-        chain, pair = chain
-        pairs.append(pair)
-    return tuple(reversed(pairs))
+    return [(weight, pairs, used) for weight, _, pairs, used in beam] or [greedy]
 
 
 def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span: float) -> list[Association]:
@@ -222,15 +213,17 @@ def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span:
     return [one for one in alone if one[0] >= floor]
 
 
-def _steps(priors: Sequence[tuple[float, Joint]], depth: int, options: Options) -> list[list[tuple[float, Pair, int]]]:
+def _steps(
+    priors: Sequence[tuple[float, Joint]], depth: int, options: Options
+) -> list[list[tuple[float, tuple[Pair], int]]]:
     """For each prior: what its label number `depth` may do, and what each choice loses to the best one."""
-    moves: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}
+    moves: dict[int, list[tuple[float, tuple[Pair], int]]] = {ABSENT: [(0.0, ((ABSENT, MISSED),), 0)]}
     steps = []
     for _, hypothesis in priors:
         row = hypothesis[depth]
         if row not in moves:
             best = options[row][0][0]
-            moves[row] = [(gain - best, (row, j), 0 if j < 0 else 1 << j) for gain, j in options[row]]
+            moves[row] = [(gain - best, ((row, j),), 0 if j < 0 else 1 << j) for gain, j in options[row]]
         steps.append(moves[row])
     return steps
 
