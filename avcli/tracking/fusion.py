@@ -303,10 +303,11 @@ class Fusion:
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
             if shown is not None:
                 inside |= shown.what != partial.WHOLE
-                shown = shown.take(inside)
-            self.outside += int((~inside).sum())
-            positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
-            told = {name: one.take(inside) for name, one in told.items()}
+            if not inside.all():
+                shown = None if shown is None else shown.take(inside)
+                self.outside += int((~inside).sum())
+                positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
+                told = {name: one.take(inside) for name, one in told.items()}
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
             self.tracker.update(at, model.name, positions, noise, scores, told)

@@ -45,7 +45,7 @@ from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
-from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
+from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
 from avcli.tracking.unseen import UnseenMap
@@ -294,7 +294,7 @@ class GLMB:
             evidence = self.features.weigh(people, self.likely_rows, self._now(), z, gain, features)
             gain = gain if evidence is None else gain * evidence.ratio
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
-        likely = gain.tolist()
+        likely = possible(gain)
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
@@ -409,13 +409,14 @@ class GLMB:
         ]
         if not detected:
             return
-        rows, sure = [row for row, _ in detected], np.array([share for _, share in detected])
-        seen = people.seen.take(rows, 0)
-        self.habits.stayed(people.mean.take(rows, 0)[:, 0], (now - seen.max(1)) * sure)
-        known = np.isfinite(seen[:, column])
-        if scan.sensor.hide and known.any():
-            gaps, sure, rates = now - seen[known, column], sure[known], self.rates[column]
-            rates.hiding.learn(people.detectable.take(rows, 0)[known, column], gaps, sure, dt)
+        rows, sure = [row for row, _ in detected], [share for _, share in detected]
+        seen = people.seen.take(rows, 0).tolist()
+        gone = [(now - max(one)) * share for one, share in zip(seen, sure, strict=True)]
+        self.habits.stayed(people.mean[:, 0].take(rows, 0), gone)
+        known = [k for k, one in enumerate(seen) if one[column] > NEVER]
+        if scan.sensor.hide and known:
+            gaps, sure, rates = [now - seen[k][column] for k in known], [sure[k] for k in known], self.rates[column]
+            rates.hiding.learn([scan.detectable[rows[k]] for k in known], gaps, sure, dt)
             rates.blindness.learn(gaps, dt)
             self._know_hiding(column)
 
@@ -456,12 +457,13 @@ class GLMB:
     ) -> None:
         """Make the people whom a record revealed tentative or, where it is sure enough, labelled."""
         taken = {label for group in groups for label in group.labels}
+        users = {j: group for group in groups for j in group.used()} if revealed else {}
         for birth in revealed:
             j = birth.detection
             row = row_of[birth.source, j] if birth.source >= 0 else fresh_rows[j]
             self.people.existence[row] = birth.existence
             if birth.number >= PROMOTE and birth.placed:
-                self._promote(row, j, groups, taken)
+                self._promote(row, j, groups, users, taken)
                 row_of[row, BORN] = row
             else:
                 self.people.existence[row] = birth.number
@@ -469,8 +471,11 @@ class GLMB:
         if self.looked:
             self.tentative = partial.merged(self.people, self.tentative)
 
-    def _promote(self, row: int, j: int, groups: list[Group], taken: set[int]) -> None:
-        """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise."""
+    def _promote(self, row: int, j: int, groups: list[Group], users: Mapping[int, Group], taken: set[int]) -> None:
+        """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise.
+
+        users: by detection, the group that has hypotheses that use it.
+        """
         people = self.people
         label = people.label[row]
         if label < 0 or label in taken:
@@ -487,13 +492,12 @@ class GLMB:
         self.retired.pop(label, None)
         if self.features.width:
             self.gallery.come(label, self._now())
-        for group in groups:
-            if any(h.used >> j & 1 for h in group.hypotheses):
-                group.labels.append(label)
-                for h in group.hypotheses:
-                    h.pairs = (*h.pairs, (ABSENT, association.MISSED) if h.used >> j & 1 else (row, BORN))
-                return
-        groups.append(Group([label], [Hypothesis(0.0, ((row, BORN),), 0)]))
+        if j not in users:
+            groups.append(Group([label], [Hypothesis(0.0, ((row, BORN),), 0)]))
+            return
+        users[j].labels.append(label)
+        for h in users[j].hypotheses:
+            h.pairs = (*h.pairs, (ABSENT, association.MISSED) if h.used >> j & 1 else (row, BORN))
 
     def _recluster(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> None:
         """Make clusters of the hypotheses after a record; row_of: (row before, detection) -> row after."""

@@ -83,7 +83,7 @@ def add_features(account: dict[str, Any], scan: Scan, labels: Sequence[int], lik
         return
     ratio = scan.evidence.ratio
     for j, detection in enumerate(account["detections"]):
-        near = [row for row in likely if scan.likelihoods[row][j] > 0]
+        near = [row for row in likely if scan.gain[row, j] > 0]
         if near and not np.isnan(scan.evidence.vectors[j]).all():
             detection["features"] = {str(labels[row]): math.log(ratio[row, j]) for row in near}
 

@@ -108,7 +108,11 @@ class Population:
     def density(self, positions: np.ndarray, anywhere: float, near_walls: float) -> np.ndarray:
         """Return the density (n,) per m² at positions (n, 2) m of so many people anywhere and so many near walls."""
         spread = anywhere / self.surface
-        return np.where(self._near_walls(positions), spread + near_walls / self.strip, spread)
+        near = spread + near_walls / self.strip
+        (cx, cy), (mx, my) = self.centre.tolist(), self.middle.tolist()
+        return np.array(
+            [near if abs(x - cx) > mx or abs(y - cy) > my else spread for x, y in positions.tolist()], float
+        )
 
     def _near_walls(self, positions: np.ndarray) -> np.ndarray:
         away = abs(positions[:, :2] - self.centre) > self.middle

@@ -35,6 +35,7 @@ class Places:
         low, high = np.array(area, float)
         self.low, self.step = low, max(STEP, float((high - low).max()) / CELLS)
         self.shape = tuple(np.maximum(np.ceil((high - low) / self.step - 1e-9), 1).astype(int).tolist())
+        self._last = np.array(self.shape) - 1
         self.worth, self.worth_here = worth, worth_here
         self.happened, self.expected = np.zeros(self.shape), np.zeros(self.shape)
         self.factor = np.ones(self.shape)
@@ -60,9 +61,8 @@ class Places:
 
     def cells(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the cells (n,), (n,) of positions (n, 2) m; outside the area those of its border."""
-        last = np.array(self.shape) - 1
-        at = np.minimum(np.maximum((positions - self.low) / self.step, 0), last).astype(int)
-        return at[:, 0], at[:, 1]
+        x, y = np.minimum(np.maximum((positions - self.low) / self.step, 0), self._last).astype(int).T
+        return x, y
 
     def expect(self, positions: np.ndarray, numbers: np.ndarray) -> None:
         """Note that so many events (n,) were expected at positions (n, 2) m."""

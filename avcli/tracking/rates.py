@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from avcli.formats.sensors import CAMERA
 from avcli.tracking.settings import SENSORS, Sensor
 
@@ -115,22 +113,26 @@ class Hiding:
         """Return the long-run probability that a person in the room is detectable."""
         return self.show / (self.hide + self.show)
 
-    def learn(self, detectable: np.ndarray, gaps: np.ndarray, sure: np.ndarray, dt: float) -> None:
+    def learn(self, detectable: Sequence[float], gaps: Sequence[float], sure: Sequence[float], dt: float) -> None:
         """Learn from people whom the sensor has detected again.
 
         Args:
-            detectable: (n,) probabilities, predicted, that it could.
-            gaps: (n,) s since it detected them last.
-            sure: (n,) probabilities that it was they.
+            detectable: n probabilities, predicted, that it could.
+            gaps: n s since it detected them last.
+            sure: n probabilities that it was they.
             dt: s since its last record.
         """
         rest, stay = self.detectable(), math.exp(-(self.hide + self.show) * dt)
-        before = ((detectable - rest) / max(stay, 1e-300) + rest).clip(0.0, 1.0)
-        shown = sure * np.minimum((1 - before) * rest * (1 - stay) / np.maximum(detectable, 1e-12), 1.0)
+        before = [min(max((one - rest) / max(stay, 1e-300) + rest, 0.0), 1.0) for one in detectable]
+        shown = [
+            share * min((1 - hid) * rest * (1 - stay) / max(one, 1e-12), 1.0)
+            for share, hid, one in zip(sure, before, detectable, strict=True)
+        ]
         keep = KEEP if self.events > 10 * PRIOR_EVENTS else 1.0
-        self.events = self.events * keep + float(shown.sum())
-        self.hidden = self.hidden * keep + float((shown * gaps).sum())
-        self.in_sight = self.in_sight * keep + float(((sure - shown) * gaps).sum())
+        self.events = self.events * keep + math.fsum(shown)
+        self.hidden = self.hidden * keep + math.fsum([s * gap for s, gap in zip(shown, gaps, strict=True)])
+        in_sight = [(share - s) * gap for share, s, gap in zip(sure, shown, gaps, strict=True)]
+        self.in_sight = self.in_sight * keep + math.fsum(in_sight)
 
 
 class Blindness:
@@ -187,9 +189,9 @@ class Blindness:
             self._odds, self._records = max(self.emptied / self.returned, TOGETHER * leaving / BLIND), 1
         self.left = self._odds / (1 + self._odds)
 
-    def learn(self, gaps: np.ndarray, dt: float) -> None:
-        """Learn from people whom the sensor has detected again, (n,) s after it did so last; dt: of its records."""
-        if self._records and (gaps > LOST * dt).any():
+    def learn(self, gaps: Sequence[float], dt: float) -> None:
+        """Learn from people whom the sensor has detected again, n s after it did so last; dt: of its records."""
+        if self._records and any(gap > LOST * dt for gap in gaps):
             self.returned, self._records = self.returned + 1, 0
 
 
