@@ -42,7 +42,7 @@ class Population:
 
     area: Corners = AREA
     motion: Motion = WALKING
-    stay: float = 100.0
+    stay: float = 40.0
     pass_by: float = 2.0
     edge: float = 0.7
     arrivals: float = 0.05
@@ -58,7 +58,7 @@ class Population:
         area = AREA if room is None else ((0.0, 0.0), room)
         if settings.doors == "anywhere":
             return Population(area, motion, settings.stay, pass_by=settings.stay, appear=1.0)
-        return Population(area, motion, settings.stay, pass_by=settings.stay / 50)
+        return Population(area, motion, settings.stay, pass_by=settings.stay / 20)
 
     @cached_property
     def corners(self) -> np.ndarray:

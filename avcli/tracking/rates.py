@@ -15,7 +15,7 @@ PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 60.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
-TOGETHER = 0.15  # probability that, where one of several people leaves, the others leave at the same time
+TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
 ONSET = 0.9  # probability of blindness from which it may be that everybody left
 LOST = 5.0  # records, after which a person who was not detected is lost
 

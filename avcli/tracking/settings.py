@@ -58,8 +58,8 @@ class Settings:
         choices=("poisson", "adaptive"),
     )
     stay: float = setting(
-        100.0,
-        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 50 times sooner.",
+        40.0,
+        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 20 times sooner.",
         unit="S",
         above=0.0,
         most=math.inf,
