@@ -122,6 +122,7 @@ class GLMB:
         self.next_label = 0
         self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
         self.retired: dict[int, End] = {}
+        self.lost: set[int] = set()  # rows after a record, see `unseen.UnseenMap.lost`
         self.journal: list[dict[str, Any]] | None = [] if explain else None
         self.born: list[dict[str, Any]] = []  # of the last record, as the journal has them
         self.died: list[dict[str, Any]] = []
@@ -143,7 +144,7 @@ class GLMB:
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
         else:
-            self.undetected = UnseenMap(self.population, self.habits.entries, self.sensors)
+            self.undetected = UnseenMap(self.population, self.habits, self.sensors)
         self.detectable, self.turnover = np.append(self.detectable, 0.0), np.append(self.turnover, 0.0)
         self._know_hiding(-1)
         self.last_record.append(self._now())
@@ -502,6 +503,7 @@ class GLMB:
     def _recluster(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> None:
         """Make clusters of the hypotheses after a record; row_of: (row before, detection) -> row after."""
         people, self.clusters = self.people, []
+        self.lost = self._lost(groups, row_of)
         for group in groups:
             joint = [tuple([row_of[pair] for pair in h.pairs]) for h in group.hypotheses]
             cluster = Cluster(group.labels, joint, [h.weight for h in group.hypotheses])
@@ -520,8 +522,9 @@ class GLMB:
         at = 0
         while at < len(cluster.labels):
             shares, existence = cluster.marginals(at, self.people.existence)
-            if existence < RECYCLE:
-                self._recycle(cluster.labels[at], shares, existence)
+            lost = cluster.hypotheses[0][at] in self.lost
+            if existence < RECYCLE or lost:
+                self._recycle(cluster.labels[at], shares, existence, lost)
                 cluster = cluster.only([k for k in range(len(cluster.labels)) if k != at])
             else:
                 at += 1
@@ -531,25 +534,37 @@ class GLMB:
         parts = [[at] for at in range(len(cluster.labels))] if self.factorise else cluster.parts()
         self.clusters += [cluster.only(part) for part in parts] if len(parts) > 1 else [cluster]
 
-    def _recycle(self, label: int, shares: dict[int, float], existence: float) -> None:
+    def _lost(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> set[int]:
+        """Return the rows of people whom nobody could tell from others any more, where nobody looks everywhere."""
+        if not isinstance(self.undetected, UnseenMap):
+            return set()
+        rows = [row_of[pair] for group in groups for pair in group.hypotheses[0].pairs]
+        return set(self.undetected.lost(self.people, [row for row in rows if row >= 0], self._now()))
+
+    def _recycle(self, label: int, shares: dict[int, float], existence: float, lost: bool) -> None:
         """Make a label that hardly exists tentative again: its best density, the number of people its existence."""
         people = self.people
         rows = [row for row in shares if row >= 0]
         meant = math.fsum(shares[row] for row in rows)
         because = "its detections belong to others" if meant < 0.5 else "no sensor detects it any more"
+        because = "it cannot be told from others who are out of sight" if lost and meant >= 0.5 else because
         self.died.append({"label": label, "existence": existence, "because": because})
         if not rows:
             return
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
         if meant >= 0.5:
-            self.habits.ended(label, people, best)
+            if not lost:
+                self.habits.ended(label, people, best)
             if self.features.width:
                 self.gallery.leave(label, self._person(best), self.features)
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
             self.retired[label] = End(label, meant, node, mean[0], cov[0], min(existence / meant, 1.0))
-        if existence > TENTATIVE:
+        if lost and isinstance(self.undetected, UnseenMap):
+            mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
+            self.undetected.receive(mean[0, :2], cov[0, :2, :2], existence, people.detectable[best])
+        elif existence > TENTATIVE:
             people.existence[best] = existence
             self.tentative.append(best)
 

@@ -25,7 +25,8 @@ class Habits:
 
     Attributes:
         exits: of the rate at which people leave.
-        entries: of the rate at which they come.
+        entries: of the rate at which they come; of that at which they are found, if `in_part`.
+        in_part: whether sensors cover the area in part: who comes is found later, elsewhere, see `unseen`.
     """
 
     def __init__(self, population: Population, learn: bool) -> None:
@@ -37,9 +38,11 @@ class Habits:
         cells = self.entries.centres().reshape(-1, 2)
         self._arrivals = population.density(cells, *population.birth_rate).reshape(self.entries.shape)
         self._arrivals *= self.entries.step**2
+        self.in_part = False
         self._begin: float | None = None
         self._waited = 0.0  # s, and below: states, and gaps in s; not yet in the maps
         self._stays: list[tuple[np.ndarray, list[float]]] = []
+        self._now = 0.0
         self._refreshed = 0.0
 
     def state(self) -> dict[str, Any]:
@@ -70,9 +73,11 @@ class Habits:
         """Note that dt s have passed up to a time in s."""
         if self._begin is None:
             self._begin = self._refreshed = time - dt
+        self._now = time
         if not self.learn:
             return
-        self._waited += dt
+        if not self.in_part:
+            self._waited += dt
         past = time - self._refreshed
         if past >= REFRESH:
             self._enter()
@@ -80,6 +85,11 @@ class Habits:
                 places.fade(math.exp(-past / MEMORY))
                 places.refresh()
             self._refreshed = time
+
+    def reveal(self, positions: np.ndarray, numbers: np.ndarray) -> None:
+        """Note that a record should show so many people (n,) at positions (n, 2) m who were not detected before."""
+        if self.learn and self._begin is not None and self._now > self._begin + AT_START:
+            self.entries.expect(positions, numbers)
 
     def stayed(self, states: np.ndarray, gaps: list[float]) -> None:
         """Note that people in states (n, 4) m and m/s were there all the time since n gaps of s ago."""
