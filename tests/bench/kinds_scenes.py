@@ -21,6 +21,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from tracking_measures import visits_of
+from tracking_runs import Frame
 from tracking_scenes import People, clock, waypoints
 
 from avcli import lens, pose
@@ -248,17 +250,15 @@ def run(scene: str, seed: int, told: bool, hidden: bool = True, **options: Any) 
         begin = time.process_time()
         out += fusion.step(t, records)
         spent += time.process_time() - begin
-    truth = [(ids[keep], xy[keep]) for ids, xy, *_ in map(world.people.at, times) for keep in [world.seen(xy)]]
-    places = [one.positions[:, :2] for one in out]
-    kept = [world.seen(xy) for xy in places]
-    tracks = [(one.ids[keep], xy[keep]) for one, xy, keep in zip(out, places, kept, strict=True)]
-    summary = score_case(Case(Scored.of([(i.tolist(), p) for i, p in truth], [(i.tolist(), p) for i, p in tracks])))[
-        "summary"
-    ]
+    truth = [(t, *world.people.at(t)[:2]) for t in times]
+    frames = [Frame(one.ids.tolist(), one.positions[:, :2], one.existence) for one in out]
+    people, tracks = visits_of(truth, frames, world.seen)
+    case = Case(Scored.of([(ids.tolist(), xy) for _, ids, xy in people], [(one.ids, one.xy) for one in tracks]))
+    summary = score_case(case)["summary"]
     values = {key: 100 * (summary[key] or 0.0) for key in ("HOTA", "DetA", "AssA", "LocA")}
     values["people"] = float(np.mean([len(one) for one in out]))
-    values["outside"] = float(np.mean([(~keep).sum() for keep in kept]))
-    values["NEES"] = nees(truth, out)
+    values["outside"] = float(np.mean([(~world.seen(one.xy)).sum() for one in frames]))
+    values["NEES"] = nees([(ids[keep], xy[keep]) for _, ids, xy in truth for keep in [world.seen(xy)]], out)
     return values, 1e3 * spent / len(times)
 
 

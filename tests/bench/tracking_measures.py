@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,29 +39,34 @@ def matched(truth: Truth, tracks: list[Frame]) -> list[dict[int, int]]:
 
 
 def within(scene: Scene, tracks: list[Frame]) -> tuple[Truth, list[Frame]]:
-    """The truth and tracks of what is scored: people in `scene.seen`, and tracks that are of nobody outside it.
+    """The truth and tracks of what is scored: people in `scene.seen`, and tracks that are of nobody outside it."""
+    if scene.seen is None:
+        return scene.truth, tracks
+    low, high = np.array(scene.seen)
+    return visits_of(scene.truth, tracks, lambda xy: ((xy >= low) & (xy <= high)).all(1))
+
+
+def visits_of(truth: Truth, tracks: list[Frame], seen: Callable[[np.ndarray], np.ndarray]) -> tuple[Truth, list[Frame]]:
+    """The truth and tracks of what is scored: people at places (n, 2) m that are seen.
 
     Who comes back into it after 1.5 s may be known again or be somebody new: each visit is a person of its own, and a
     track of the same person in another visit gets a number of its own.
     """
-    if scene.seen is None:
-        return scene.truth, tracks
-    low, high = np.array(scene.seen)
-    truth, kept = [], []
+    scored, kept = [], []
     visits: dict[int, tuple[int, float]] = {}  # person -> number of the visit, last time in it
     persons: list[int] = []  # of each visit
     known: dict[int, tuple[int, int]] = {}  # track -> number of the visit it was matched to last, number of its own
     numbers = itertools.count()
-    for (t, ids, xy), frame, pairs in zip(scene.truth, tracks, matched(scene.truth, tracks), strict=True):
-        inside = ((xy >= low) & (xy <= high)).all(1)
+    for (t, ids, xy), frame, pairs in zip(truth, tracks, matched(truth, tracks), strict=True):
+        inside = seen(xy)
         there = ids[inside].tolist()
         for person in there:
             if person not in visits or t - visits[person][1] > AWAY:
                 visits[person] = (len(persons), t)
                 persons.append(person)
             visits[person] = (visits[person][0], t)
-        truth.append((t, np.array([visits[person][0] for person in there], int), xy[inside]))
-        here = ((frame.xy >= low) & (frame.xy <= high)).all(1).tolist()
+        scored.append((t, np.array([visits[person][0] for person in there], int), xy[inside]))
+        here = seen(frame.xy).tolist()
         keep = [k for k, one in enumerate(frame.ids) if (pairs[one] in there if one in pairs else here[k])]
         for track in (frame.ids[k] for k in keep):
             visit = visits[pairs[track]][0] if track in pairs else -1
@@ -69,7 +74,7 @@ def within(scene: Scene, tracks: list[Frame]) -> tuple[Truth, list[Frame]]:
             again = -1 < last != visit > -1 and persons[last] == persons[visit]
             known[track] = (visit if visit >= 0 else last, next(numbers) if own < 0 or again else own)
         kept.append(Frame([known[frame.ids[k]][1] for k in keep], frame.xy[keep], frame.existence[keep]))
-    return truth, kept
+    return scored, kept
 
 
 def invented(scene: Scene, tracks: list[Frame]) -> float:

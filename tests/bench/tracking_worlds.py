@@ -222,6 +222,19 @@ def flood(rng: Rng) -> Scene:
     return perceived(rng, whole(rng, steered(rng, 3, size, 1.0)), clock(1.0), looks, room(*size))
 
 
+def false_place(rng: Rng) -> Scene:
+    """Two people who walk for 60 s, and a place where the video finds somebody falsely in 30 % of its records."""
+    size = (8.0, 6.0)
+    scene = perceived(rng, whole(rng, steered(rng, 2, size, 60.0)), clock(60.0), sensors(size), room(*size))
+    place, records = rng.uniform([1.0, 1.0], [7.0, 5.0]), list(scene.records)
+    for k, (t, name, z, sigma, owners) in enumerate(records):
+        if name == "video" and rng.random() < 0.3:
+            angle, away = rng.uniform(0, 2 * math.pi), 0.1 * math.sqrt(rng.random())
+            false = place + away * np.array([math.cos(angle), math.sin(angle)])
+            records[k] = (t, name, np.vstack([z, false]), sigma, np.append(owners, -1))
+    return replace(scene, records=records)
+
+
 def found(rng: Rng, share: float) -> Scene:
     """Three people, found by each sensor in a share of the records, by microphones only while they talk."""
     return strollers(rng, 3, 20.0, (Look("audio", 0.25, share, 0.05), Look("video", 0.12, share, 0.02)))
@@ -328,6 +341,7 @@ WORLDS: dict[str, Callable[[Rng], Scene]] = {
     "duplicates": duplicates,
     "clutter20": clutter,
     "flood": flood,
+    "false-place": false_place,
     "found30": partial(found, share=0.3),
     "unseen": unseen,
     "noise-told": partial(noisy, worse=2.5, told=1.0),
