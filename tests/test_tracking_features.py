@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import jsonschema
 import numpy as np
@@ -278,3 +279,35 @@ def test_the_order_of_detections_does_not_matter():
 
 def test_an_unknown_kind_changes_nothing():
     assert fused(pair(1, kind="hat")) == fused(pair(1, features=False))
+
+
+@pytest.mark.parametrize("like_nobody", [False, True])
+def test_a_few_wrong_vectors_begin_no_person(like_nobody):
+    records = []
+    for k, one in enumerate(pair(2)):
+        looks = one.features["looks"]
+        vectors = looks.vectors.copy()
+        if 15 <= k < 18:  # nearer than that, the other one touches
+            vectors[0] = [9.0, -9.0] if like_nobody else [-2.0, 2.0]
+        told = {"looks": Feature(looks.kind, vectors, looks.sds)}
+        records.append(replace(one, features=told))
+    tracks = fused(records)
+    assert max(len(row["objects"]) for row in tracks) == 2
+    assert len({one["object_id"] for row in tracks for one in row["objects"]}) == 2
+
+
+def test_one_at_a_time_in_the_same_clothes_each_is_somebody_else():
+    rng, records = np.random.default_rng(0), []
+    for k in range(300):
+        there = k % 150 < 80
+        z = np.array([[0.4 + 0.05 * (k % 150), 2.0, np.nan]])[:there]
+        z[:, :2] += 0.1 * rng.standard_normal((len(z), 2))
+        told = clothes([[2.0, -2.0]] * len(z) + 0.2 * rng.standard_normal((len(z), 2))) if there else {}
+        cov = np.tile(0.01 * np.eye(3), (len(z), 1, 1))
+        records.append(Detections(k / 10, "ceiling", z, cov, np.full(len(z), np.nan), "camera", features=told))
+    tracks = fused(records)
+    first, second = (
+        {one["object_id"] for row in part for one in row["objects"]} for part in (tracks[:90], tracks[150:])
+    )
+    assert first and second
+    assert not first & second
