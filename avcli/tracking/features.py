@@ -180,7 +180,7 @@ class Features:
         own_share, alone = np.zeros((*gain.shape, len(self.kinds))), np.zeros(gain.shape, bool)
         evidence = Evidence(vectors, sds, np.ones(gain.shape), own_share, alone)
         evidence.ratio[row, j] = ratio.prod(1)
-        evidence.ratio[:] *= _nobody_new(people, likely, time, gain, evidence.ratio)
+        evidence.ratio[:] = _nobody_new(people, likely, time, gain, evidence.ratio)
         evidence.own[row, j] = own / ratio
         evidence.alone[row, j] = touching == 0
         return evidence
@@ -304,10 +304,10 @@ class Features:
 def _nobody_new(
     people: Densities, likely: Sequence[int], time: float, gain: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Return factors (n, J) on the ratios, which make up for vectors that fit none of the people who stand there.
+    """Return the ratios (n, J) without what vectors say against all people who stand there, for somebody new.
 
     Wrong vectors last, and nobody appears in the place of somebody who was detected a moment ago. So a vector tells
-    such people apart, but it is no evidence against all of them at once.
+    such people apart, but it is no evidence against all of them at once, nor for a person without a label.
 
     Args:
         people: n densities.
@@ -319,8 +319,10 @@ def _nobody_new(
     by_place = gain[seen].sum(0)
     by_both = (gain[seen] * ratio[seen]).sum(0)
     more = np.where(by_both < by_place, by_place / np.maximum(by_both, 1e-300), 1.0)
-    labels = {people.label[row] for row in seen}
-    return np.where(np.array([one in labels for one in people.label], bool)[:, None], more, 1.0)
+    labels, label = {people.label[row] for row in seen}, people.label
+    there, new = np.array([one in labels for one in label], bool), np.array([one < 0 for one in label], bool)
+    most = np.where((by_place > 0) & new[:, None], 1.0, np.inf)
+    return np.minimum(np.where(there[:, None], more, 1.0) * ratio, most)
 
 
 def _touching(people: Densities, likely: Sequence[int], z: np.ndarray, rows: np.ndarray, js: np.ndarray) -> np.ndarray:
