@@ -312,6 +312,7 @@ GIVEN = {
     "doors": ("--doors", "anywhere"),
     "learn": ("--learn", "x"),
     "no_learn": ("--no-learn",),
+    "map": ("--map", "x.png"),
     "show": ("--show", "all"),
     "hidden": ("--no-hidden",),
     "detection": ("--detection", "video=0.5"),

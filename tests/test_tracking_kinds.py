@@ -14,8 +14,9 @@ from avcli.tracking import coverage, partial
 from avcli.tracking.densities import Densities
 from avcli.tracking.errors import Between
 from avcli.tracking.fusion import Fusion
+from avcli.tracking.glmb import GLMB
+from avcli.tracking.learning import Habits
 from avcli.tracking.model import Population
-from avcli.tracking.places import Places
 from avcli.tracking.scan import Scan
 from avcli.tracking.settings import Settings, sensor
 from avcli.tracking.unseen import UnseenMap
@@ -293,15 +294,20 @@ def look(model, column=0):
     nothing = np.zeros((0, 2))
     none, between = np.zeros(0), Between(np.zeros(0), np.zeros(0))
     noise = np.zeros((0, 2, 2))
-    return Scan(model, column, nothing, noise, none, 0.0, between, [], nothing, nothing, [], [], [], [], 0.9, [])
+    return Scan(model, column, nothing, noise, none, 0.0, between, [], nothing, nothing, [], [], [], [], 0.9, 0.9, [])
+
+
+def half_seen():
+    """A camera that sees the western half of an area of 20 x 10 m."""
+    share = np.full((200, 100), coverage.LEAST)
+    share[:100] = 1.0
+    return sensor("v", coverage=coverage.Coverage(np.zeros(2), 0.1, share))
 
 
 def test_few_people_are_left_undetected_where_a_sensor_looks_and_they_come_in_at_the_border():
     area = ((0.0, 0.0), (20.0, 10.0))
-    share = np.full((200, 100), coverage.LEAST)
-    share[:100] = 1.0  # it sees the western half
-    model = sensor("v", coverage=coverage.Coverage(np.zeros(2), 0.1, share))
-    unseen = UnseenMap(Population(area, appear=0.0), Places(area, 1.0, 1.0), [model])
+    model, population = half_seen(), Population(area, appear=0.0)
+    unseen = UnseenMap(population, Habits(population, False), [model])
     before = unseen.number.sum()
     unseen.predict(0.1)
     assert unseen.number.sum() == pytest.approx(before * math.exp(-0.001) + 0.05 * 0.1)
@@ -316,3 +322,35 @@ def test_few_people_are_left_undetected_where_a_sensor_looks_and_they_come_in_at
         assert np.isfinite(unseen.density(places)).all()
         able = unseen.detectable_at(places)
         assert ((able >= 0) & (able <= 1)).all()
+    assert unseen.number[unseen.centres.reshape(*unseen.shape, 2)[..., 0] > 10].sum() > 0.75  # they have not left
+
+
+def test_who_is_out_of_sight_for_long_cannot_be_told_from_others_and_is_counted_among_them():
+    tracker = GLMB(Settings(), Population(((0.0, 0.0), (20.0, 10.0))), [half_seen()])
+    for k in range(20):  # a person walks out of the picture
+        tracker.update(k / 10, "v", np.array([[8.05 + k / 10, 5.0]]), 0.01 * np.eye(2)[None])
+    for k in range(20, 25):
+        tracker.update(k / 10, "v", np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    assert [one.label for one in tracker.tracks(2.4)] == [0]
+    while tracker.labelled():
+        k, before = k + 1, tracker.undetected.number.sum()
+        tracker.update(k / 10, "v", np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    assert k < 150
+    assert tracker.undetected.number.sum() > before + 0.1
+    assert tracker.habits.exits.happened.sum() == 0
+    for k in range(200, 205):
+        tracker.update(k / 10, "v", np.array([[10.0 - (k - 200) / 10, 5.0]]), 0.01 * np.eye(2)[None])
+    assert [one.label for one in tracker.tracks(20.4)] == [1]
+
+
+def test_how_many_are_out_of_sight_is_learnt_from_those_who_come_into_the_picture():
+    tracker = GLMB(Settings(), Population(((0.0, 0.0), (20.0, 10.0))), [half_seen()])
+    for k in range(600):  # every 5 s somebody walks in, and out again
+        step = k % 50
+        at = 10.0 - (min(step, 40 - step) + 1) / 10
+        z = np.array([[at, 2.0 + (k // 50) % 6]]) if step < 40 else np.zeros((0, 2))
+        tracker.update(k / 10, "v", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+    happened, expected = tracker.habits.entries.happened.sum(), tracker.habits.entries.expected.sum()
+    assert 8 <= happened <= 12
+    assert expected < happened
+    assert tracker.habits.entries.at(np.array([[9.8, 5.0]])) > 1.5

@@ -151,6 +151,12 @@ def _usual(field: str) -> str:
 )
 @click.option("--no-learn", is_flag=True, help="Learn nothing from the run: all rates stay as they were given.")
 @click.option(
+    "--map",
+    type=click.Path(dir_okay=False, writable=True),
+    metavar="FILE.png",
+    help="Also draw to FILE what was learnt: where people come, where they leave, and what is known of each sensor.",
+)
+@click.option(
     "--explain",
     type=click.Path(dir_okay=False, writable=True),
     metavar="FILE",
@@ -166,6 +172,7 @@ def main(
     lag: float,
     learn: str | None,
     no_learn: bool,
+    map: str | None,
     explain: str | None,
     **options: Any,
 ) -> None:
@@ -185,8 +192,7 @@ def main(
     from avcli.tracking.fusion import Fusion
 
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
-    if explain and any(os.path.realpath(path) == os.path.realpath(explain) for _, path in sources):
-        session.usage(f"--explain {explain}: this file is an input; name another one")
+    _check_outputs(session, [path for _, path in sources], {"--explain": explain, "--learn": learn, "--map": map})
     inputs = _Inputs(session, sources, live)
     with session.output() as write, _accounts(explain) as account:
         first = inputs.until_first_record()  # then config.json is complete
@@ -212,6 +218,11 @@ def main(
         from avcli.tracking.learnt import write_learnt
 
         write_learnt(learn, fusion.state())
+    if map:
+        from avcli.formats.atomic import write_bytes
+        from avcli.tracking.picture import picture
+
+        write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
     for note in fusion.notes():
@@ -225,6 +236,16 @@ def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> N
     refuse_without_effect(foreign, f"with --motion {settings.motion}")
     if not has_config:
         refuse_without_effect(["room_margin"], "without a config.json (-C or -c), which gives the room's size")
+
+
+def _check_outputs(session: Session, inputs: list[str], outputs: dict[str, str | None]) -> None:
+    """End with a usage error where a file that is to be written is an input, or has no directory."""
+    read = {os.path.realpath(path) for path in inputs}
+    for option, path in outputs.items():
+        if path and os.path.realpath(path) in read:
+            session.usage(f"{option} {path}: this file is an input; name another one")
+        if path and not os.path.isdir(os.path.dirname(path) or "."):
+            session.usage(f"{option} {path}: there is no such directory")
 
 
 def _recall(session: Session, fusion: Fusion, path: str) -> None:

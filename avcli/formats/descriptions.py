@@ -228,18 +228,20 @@ _EXPLAINED_PERSON = _written(
         "number of the detection that the person most probably caused, or why there is none",
     ),
     probability=(PROBABILITY, "probability of that"),
+    leave_rate=(Number(least=0), "rate at which the person leaves where he or she was before this record, 1/s"),
+    last_seen=(OrNull(bounds.TIME), "when a sensor detected the person last before this record, s"),
     object_id=_EXPLAINED_ID,
 )
 ERRORS = _written(
-    noise_factor=(Number(above=0), "the covariances of its detections are multiplied by this"),
-    floor_factor=(Number(above=0), "and so is the square of what is added to them"),
+    noise_factor=(Number(above=0, most=1e6), "the covariances of its detections are multiplied by this"),
+    floor_factor=(Number(above=0, most=1e6), "and so is the square of what is added to them"),
     detections=(
-        Number(least=0),
+        Number(0, most=1e12),
         "number of detections on which the factors rest; what is known beforehand counts, too",
     ),
-    bias=(Numbers(3), "systematic error along x, along y, and forward in the direction of walking, m"),
-    bias_sd=(Numbers(3), "standard deviations of these, m"),
-    lasting_sd=(Number(least=0), "standard deviation of the error that does not average away, m"),
+    bias=(bounds.VECTOR, "systematic error along x, along y, and forward in the direction of walking, m"),
+    bias_sd=(Numbers(3, bounds.DISTANCE), "standard deviations of these, m"),
+    lasting_sd=(bounds.DISTANCE, "standard deviation of the error that does not average away, m"),
 )
 _EXPLAINED_DETECTION = _written(
     position=(Numbers(2), "position without the sensor's bias, m"),
@@ -281,6 +283,13 @@ EXPLAIN = Format(
         sensor=(Text(), "name of the sensor"),
         expected_clutter=(Number(least=0), "expected number of false detections in one record"),
         detection_probability=(PROBABILITY, "probability that the sensor detects a person"),
+        hide_rate=(Number(least=0), "rate at which a person becomes hidden from the sensor, 1/s"),
+        show_rate=(Number(least=0), "rate at which a hidden person becomes visible or audible again, 1/s"),
+        all_left=(
+            PROBABILITY,
+            "when the sensor suddenly detects nobody: probability that everybody left, as far as earlier cases tell",
+        ),
+        blind=(PROBABILITY, "probability that the sensor can detect nobody at the moment"),
         detections=(
             ListOf(_EXPLAINED_DETECTION),
             "detections in order of x, then y, without exact repetitions; other keys give their number in this list",

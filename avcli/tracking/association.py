@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
+from functools import reduce
+from operator import itemgetter, or_
 
 from avcli.tracking.hypotheses import ABSENT, Cluster, Joint
 from avcli.tracking.scan import Scan
@@ -14,6 +15,7 @@ MISSED = -1  # in the place of a detection: the person was not detected
 PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
 LOG_PRUNE = math.log(PRUNE)
 BUDGET = 3  # partial associations kept while searching, for each hypothesis that is kept in the end
+LARGE = 50  # labels of a cluster, beyond which it keeps fewer hypotheses in proportion, so that time is bounded
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
@@ -47,6 +49,10 @@ class Group:
     labels: list[int]
     hypotheses: list[Hypothesis]
 
+    def used(self) -> list[int]:
+        """Return the detections that some hypothesis uses."""
+        return _bits(reduce(or_, [hypothesis.used for hypothesis in self.hypotheses]))
+
 
 def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dict[int, list[Option]]:
     """Find what each labelled row may have caused.
@@ -65,25 +71,40 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
         present = existence[row] * p_detect[row]
         missed = max(1 - present, 1e-12)
         least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
-        hits = enumerate(zip(likelihoods[row], background, strict=True))
-        caused = [(math.log(present * g / b), j) for j, (g, b) in hits if present * g > least * b]
+        caused = [
+            (math.log(present * g / background[j]), j)
+            for j, g in likelihoods[row]
+            if present * g > least * background[j]
+        ]
         caused_by[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
     return caused_by
 
 
 def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluster]]:
     """Return the clusters in lists, together those that compete for a detection."""
-    groups: list[tuple[list[Cluster], set[int]]] = []
-    for cluster in clusters:
+    groups: dict[int, list[Cluster]] = {}
+    joined: list[int] = []  # number of a group -> itself, or another group that it has become part of
+    wants: dict[int, int] = {}  # detection -> number of a group that may have caused it
+    for number, cluster in enumerate(clusters):
         rows = {row for hypothesis in cluster.hypotheses for row in hypothesis if row >= 0}
         wanted = {j for row in rows for _, j in options[row] if j >= 0}
+        joined.append(number)
         members = [cluster]
-        for group in [g for g in groups if not wanted.isdisjoint(g[1])]:
-            groups.remove(group)
-            members = group[0] + members
-            wanted |= group[1]
-        groups.append((members, wanted))
-    return [members for members, _ in groups]
+        rivals = {wants[j] for j in wanted if j in wants}
+        for other in sorted({_last(joined, rival) for rival in rivals}):
+            joined[other] = number
+            members = groups.pop(other) + members
+        wants.update(dict.fromkeys(wanted, number))
+        groups[number] = members
+    return list(groups.values())
+
+
+def _last(joined: list[int], number: int) -> int:
+    """Return the group that a group has become part of."""
+    while joined[number] != number:
+        joined[number] = joined[joined[number]]
+        number = joined[number]
+    return number
 
 
 def associate(members: Sequence[Cluster], options: Options, unclaimed: list[float], most: int) -> Group:
@@ -93,11 +114,13 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
         members: the clusters.
         options: what each row may have caused.
         unclaimed: J probabilities that no labelled person caused the detection; lowered here by those who may have.
-        most: hypotheses to keep.
+        most: hypotheses to keep, of at most LARGE labels.
 
     Returns:
         The hypotheses, normalised, best first.
     """
+    labels = [label for cluster in members for label in cluster.labels]
+    most = max(most * LARGE // max(len(labels), LARGE), 1)
     priors = list(zip(members[0].weights, members[0].hypotheses, strict=True))
     for cluster in members[1:]:
         pairs = list(zip(cluster.weights, cluster.hypotheses, strict=True))
@@ -111,12 +134,20 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
     total = top + math.log(math.fsum(math.exp(h.weight - top) for h in kept))
     for hypothesis in kept:
         hypothesis.weight -= total
-        share, used = math.exp(hypothesis.weight), hypothesis.used
-        while used:
-            low = used & -used
-            unclaimed[low.bit_length() - 1] -= share
-            used ^= low
-    return Group([label for cluster in members for label in cluster.labels], kept)
+        share = math.exp(hypothesis.weight)
+        for j in _bits(hypothesis.used):
+            unclaimed[j] -= share
+    return Group(labels, kept)
+
+
+def _bits(used: int) -> list[int]:
+    """Return the numbers of the bits that are set."""
+    bits = []
+    while used:
+        low = used & -used
+        bits.append(low.bit_length() - 1)
+        used ^= low
+    return bits
 
 
 def ranked(
@@ -160,11 +191,11 @@ def ranked(
                 if loss < least:
                     break
                 if not used & bit:
-                    grown.append((bound + loss, number, pairs + step, used | bit))
+                    grown.append((bound + loss, number, pairs, step, used | bit))
         if len(grown) > budget:
             grown.sort(key=FIRST, reverse=True)
             del grown[budget:]
-        beam = grown
+        beam = [(bound, number, pairs + step, used) for bound, number, pairs, step, used in grown]
     beam.sort(key=FIRST, reverse=True)
     # all that the budget kept may have ended in conflicts
     return [(weight, pairs, used) for weight, _, pairs, used in beam] or [greedy]

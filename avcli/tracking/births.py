@@ -69,6 +69,8 @@ class Undetected:
 
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
+        if not len(z):
+            return []
         anywhere, near_walls = (detection * self.detectable[column] * self.expected).tolist()
         return (self.population.density(z, anywhere, near_walls) * self.entries.at(z) / self.entries.overall).tolist()
 
@@ -128,6 +130,8 @@ def first_detections(
         (T, J) per m² of each tentative person, and (J,) per m² of people never detected before.
     """
     rows, z = np.array(tentative, int), scan.z
+    if not len(z):
+        return np.zeros((len(rows), 0)), np.zeros(0)
     positions = np.concatenate([z, people.mean.take(rows, 0)[:, 0, :2]])
     spread = np.concatenate([scan.noise, people.cov.take(rows, 0)[:, 0, :2, :2]])
     room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, undetected.population.body)
@@ -146,8 +150,8 @@ def _elbow_room(
     if not known or not len(positions):
         return np.ones(len(positions))
     bodies = as_complex(people.centres(known))[:, 0]
-    apart, width = abs(as_complex(positions) - bodies), 2 * body**2 + spread
-    taken = np.exp(-apart * apart / width[:, None]) * people.existence.take(known)
+    apart, width = as_complex(positions) - bodies, 2 * body**2 + spread
+    taken = np.exp(-(apart * apart.conj()).real / width[:, None]) * people.existence.take(known)
     return (1 - taken).prod(1)
 
 
@@ -170,22 +174,21 @@ def other_detections(
     room, twice = [1.0] * len(z), [0.0] * len(z)
     if len(z) < 2:
         return room, twice
-    positions, spread, body = z.tolist(), (noise[:, 0, 0] + noise[:, 1, 1]).tolist(), 2 * body**2
-    reach = GATE * (body + 2 * max(spread))  # m²
-    for k, (x, y) in enumerate(positions):
-        for j in range(k - 1, -1, -1):
-            if (x - positions[j][0]) ** 2 > reach:
-                break
-            apart = (x - positions[j][0]) ** 2 + (y - positions[j][1]) ** 2
-            width = spread[j] + spread[k]
-            again = AGAIN / math.pi * math.exp(-apart / width) / width
-            for one, other in ((j, k), (k, j)):
-                claimed = min((1 - unclaimed[other]) / max(unclaimed[one], 1e-9), 1.0)  # by somebody, if `one` is not
-                if one == k:
-                    claimed = max(claimed, unclaimed[j] * real[j])  # the first of two new people counts
-                room[one] *= 1 - claimed * math.exp(-apart / (body + spread[one]))
-                twice[one] += again * claimed
-    return room, twice
+    place, spread, body = as_complex(z)[:, 0], noise[:, 0, 0] + noise[:, 1, 1], 2 * body**2
+    apart = place[:, None] - place
+    near = (apart * apart.conj()).real < GATE * (body + 2 * float(spread.max()))
+    np.fill_diagonal(near, False)
+    one, other = near.nonzero()
+    if not len(one):
+        return room, twice
+    apart, width = np.square(abs(apart[one, other])), spread[one] + spread[other]
+    free, shown = np.array(unclaimed), np.array(unclaimed) * real
+    claimed = np.minimum((1 - free[other]) / np.maximum(free[one], 1e-9), 1.0)  # by somebody, if `one` is not
+    claimed = np.where(one > other, np.maximum(claimed, shown[other]), claimed)  # the first of two new people counts
+    beside, again = np.ones(len(z)), np.zeros(len(z))
+    np.multiply.at(beside, one, 1 - claimed * np.exp(-apart / (body + spread[one])))
+    np.add.at(again, one, AGAIN / math.pi * np.exp(-apart / width) / width * claimed)
+    return beside.tolist(), again.tolist()
 
 
 def births(

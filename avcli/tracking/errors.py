@@ -113,6 +113,7 @@ class Errors:
         self.memory, self.rest = np.zeros(0), np.zeros(0)  # s and m² of the lasting errors without the biases
         self.last: list[float] = []  # s, of each sensor's last record
         self.waiting: list[list[Pairs]] = []  # of each sensor: what it has not learnt from yet
+        self.count: list[int] = []  # of pairs in them
         self.learnt = self.settled = -math.inf  # s
         self._settle()
 
@@ -122,6 +123,7 @@ class Errors:
         self.sensors.append(sensor)
         self.last.append(-math.inf)
         self.waiting.append([])
+        self.count.append(0)
         factors = np.array([known.get("noise_factor", 1.0), known.get("floor_factor", 1.0)])
         self.factor = np.vstack([self.factor, factors.clip(LEAST, MOST)])
         self.worth = np.append(self.worth, min(known.get("detections", BELIEVED), 1 / (1 - KEEP)))
@@ -211,6 +213,7 @@ class Errors:
         if not self.learns:
             return
         weight, rows, js = _certain(groups, scan)
+        waiting = self.waiting[column]
         if rows:
             again = 1 + 2 * float(self.memory[column]) / max(dt, 1e-3)
             pairs = Pairs(
@@ -225,10 +228,10 @@ class Errors:
                 people.lean.take(rows, 0),
                 scan.between.unshared.take(rows),
             )
-            self.waiting[column].append(pairs)
-        waiting = self.waiting[column]
-        if sum(len(one.weight) for one in waiting) >= (SOON if self.worth[column] < ENOUGH else LATER):
-            self.waiting[column] = []
+            waiting.append(pairs)
+            self.count[column] += len(rows)
+        if waiting and self.count[column] >= (SOON if self.worth[column] < ENOUGH else LATER):
+            self.waiting[column], self.count[column] = [], 0
             self._learn(time, column, Pairs(*map(np.concatenate, zip(*waiting, strict=True))))
 
     def _learn(self, time: float, column: int, pairs: Pairs) -> None:

@@ -256,6 +256,8 @@ class Fusion:
         accounts = self.tracker.accounts()
         for account in accounts:
             account["timestamp"] += self.origin
+            for person in account["people"]:
+                person["last_seen"] = None if person["last_seen"] is None else person["last_seen"] + self.origin
             for entry in (*account["people"], *account["born"], *account["died"]):
                 entry["object_id"] = self.numbers.get(entry["label"])
         return accounts
@@ -301,10 +303,11 @@ class Fusion:
             inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
             if shown is not None:
                 inside |= shown.what != partial.WHOLE
-                shown = shown.take(inside)
-            self.outside += int((~inside).sum())
-            positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
-            told = {name: one.take(inside) for name, one in told.items()}
+            if not inside.all():
+                shown = None if shown is None else shown.take(inside)
+                self.outside += int((~inside).sum())
+                positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
+                told = {name: one.take(inside) for name, one in told.items()}
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
             self.tracker.update(at, model.name, positions, noise, scores, told)

@@ -124,16 +124,39 @@ def loglikelihood(
     Returns:
         The log likelihoods (n, M, J), and the squared Mahalanobis distances (n, M, J).
     """
-    position, s11, s12, s22 = mean, cov[..., 0, 0], cov[..., 0, 1, None], cov[..., 1, 1]
+    position, xx, xy, yy = innovation(mean, cov, mouth_offset, unshared)
+    dx, dy = z[:, 0] - position[..., 0, None], z[:, 1] - position[..., 1, None]
+    spread = xx[..., None] + noise[:, 0, 0], xy[..., None] + noise[:, 0, 1], yy[..., None] + noise[:, 1, 1]
+    return log_normal(dx, dy, *spread)
+
+
+def innovation(
+    mean: np.ndarray, cov: np.ndarray, mouth_offset: float, unshared: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Predict what a sensor should detect: `loglikelihood` has the arguments.
+
+    Returns:
+        Positions (n, M, 2) m, and the variance along x, the covariance, and the variance along y, (n, M) m² each,
+        without the noise.
+    """
+    position, xx, xy, yy = mean[..., :2], cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
     if mouth_offset:
         position, unknown = expected_detection(mean, cov, mouth_offset)
-        s11, s22 = s11 + unknown, s22 + unknown
+        xx, yy = xx + unknown, yy + unknown
     if unshared is not None:
-        s11, s22 = s11 + unshared[:, None], s22 + unshared[:, None]
-    dx, dy = z[:, 0] - position[..., 0, None], z[:, 1] - position[..., 1, None]
-    s11, s12, s22 = s11[..., None] + noise[:, 0, 0], s12 + noise[:, 0, 1], s22[..., None] + noise[:, 1, 1]
-    det = s11 * s22 - s12 * s12
-    distance = (s22 * dx * dx - 2 * s12 * dx * dy + s11 * dy * dy) / det
+        xx, yy = xx + unshared[:, None], yy + unshared[:, None]
+    return position, xx, xy, yy
+
+
+def log_normal(
+    dx: np.ndarray, dy: np.ndarray, xx: np.ndarray, xy: np.ndarray, yy: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return log density and squared Mahalanobis distance of differences from the mean; all arrays have one shape.
+
+    dx, dy: m; xx, xy, yy: m², of the covariance.
+    """
+    det = xx * yy - xy * xy
+    distance = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / det
     return -0.5 * (distance + np.log(det)) - LOG_2_PI, distance
 
 

@@ -45,7 +45,7 @@ from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
-from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility
+from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
 from avcli.tracking.unseen import UnseenMap
@@ -122,6 +122,7 @@ class GLMB:
         self.next_label = 0
         self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
         self.retired: dict[int, End] = {}
+        self.lost: set[int] = set()  # rows after a record, see `unseen.UnseenMap.lost`
         self.journal: list[dict[str, Any]] | None = [] if explain else None
         self.born: list[dict[str, Any]] = []  # of the last record, as the journal has them
         self.died: list[dict[str, Any]] = []
@@ -143,7 +144,7 @@ class GLMB:
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
         else:
-            self.undetected = UnseenMap(self.population, self.habits.entries, self.sensors)
+            self.undetected = UnseenMap(self.population, self.habits, self.sensors)
         self.detectable, self.turnover = np.append(self.detectable, 0.0), np.append(self.turnover, 0.0)
         self._know_hiding(-1)
         self.last_record.append(self._now())
@@ -248,10 +249,14 @@ class GLMB:
             revealed += partial.revealed(shown, unclaimed, existence, tentative, from_tentative)
         self.born, self.died = [], []
         if self.journal is not None:
-            before = {str(one.label): one.existence for one in self.labelled()}
+            known = self.labelled()
+            before = {str(one.label): one.existence for one in known}
             errors = self.errors.described(scan.column)
             account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
             journal.add_features(account, scan, self.people.label, self.likely_rows)
+            rows = [one.row for one in known]
+            leaving = self.habits.leaving(self.people.mean.take(rows, 0)[:, 0])
+            journal.add_beliefs(account, rates, leaving, self.people.seen.take(rows, 0).max(1, initial=NEVER))
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = self._now()
         self._rebuild(scan, groups, revealed)
@@ -290,7 +295,7 @@ class GLMB:
             evidence = self.features.weigh(people, self.likely_rows, self._now(), z, gain, features)
             gain = gain if evidence is None else gain * evidence.ratio
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
-        likely = gain.tolist()
+        likely = possible(gain)
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
@@ -405,13 +410,14 @@ class GLMB:
         ]
         if not detected:
             return
-        rows, sure = [row for row, _ in detected], np.array([share for _, share in detected])
-        seen = people.seen.take(rows, 0)
-        self.habits.stayed(people.mean.take(rows, 0)[:, 0], (now - seen.max(1)) * sure)
-        known = np.isfinite(seen[:, column])
-        if scan.sensor.hide and known.any():
-            gaps, sure, rates = now - seen[known, column], sure[known], self.rates[column]
-            rates.hiding.learn(people.detectable.take(rows, 0)[known, column], gaps, sure, dt)
+        rows, sure = [row for row, _ in detected], [share for _, share in detected]
+        seen = people.seen.take(rows, 0).tolist()
+        gone = [(now - max(one)) * share for one, share in zip(seen, sure, strict=True)]
+        self.habits.stayed(people.mean[:, 0].take(rows, 0), gone)
+        known = [k for k, one in enumerate(seen) if one[column] > NEVER]
+        if scan.sensor.hide and known:
+            gaps, sure, rates = [now - seen[k][column] for k in known], [sure[k] for k in known], self.rates[column]
+            rates.hiding.learn([scan.detectable[rows[k]] for k in known], gaps, sure, dt)
             rates.blindness.learn(gaps, dt)
             self._know_hiding(column)
 
@@ -452,12 +458,13 @@ class GLMB:
     ) -> None:
         """Make the people whom a record revealed tentative or, where it is sure enough, labelled."""
         taken = {label for group in groups for label in group.labels}
+        users = {j: group for group in groups for j in group.used()} if revealed else {}
         for birth in revealed:
             j = birth.detection
             row = row_of[birth.source, j] if birth.source >= 0 else fresh_rows[j]
             self.people.existence[row] = birth.existence
             if birth.number >= PROMOTE and birth.placed:
-                self._promote(row, j, groups, taken)
+                self._promote(row, j, groups, users, taken)
                 row_of[row, BORN] = row
             else:
                 self.people.existence[row] = birth.number
@@ -465,8 +472,11 @@ class GLMB:
         if self.looked:
             self.tentative = partial.merged(self.people, self.tentative)
 
-    def _promote(self, row: int, j: int, groups: list[Group], taken: set[int]) -> None:
-        """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise."""
+    def _promote(self, row: int, j: int, groups: list[Group], users: Mapping[int, Group], taken: set[int]) -> None:
+        """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise.
+
+        users: by detection, the group that has hypotheses that use it.
+        """
         people = self.people
         label = people.label[row]
         if label < 0 or label in taken:
@@ -483,17 +493,17 @@ class GLMB:
         self.retired.pop(label, None)
         if self.features.width:
             self.gallery.come(label, self._now())
-        for group in groups:
-            if any(h.used >> j & 1 for h in group.hypotheses):
-                group.labels.append(label)
-                for h in group.hypotheses:
-                    h.pairs = (*h.pairs, (ABSENT, association.MISSED) if h.used >> j & 1 else (row, BORN))
-                return
-        groups.append(Group([label], [Hypothesis(0.0, ((row, BORN),), 0)]))
+        if j not in users:
+            groups.append(Group([label], [Hypothesis(0.0, ((row, BORN),), 0)]))
+            return
+        users[j].labels.append(label)
+        for h in users[j].hypotheses:
+            h.pairs = (*h.pairs, (ABSENT, association.MISSED) if h.used >> j & 1 else (row, BORN))
 
     def _recluster(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> None:
         """Make clusters of the hypotheses after a record; row_of: (row before, detection) -> row after."""
         people, self.clusters = self.people, []
+        self.lost = self._lost(groups, row_of)
         for group in groups:
             joint = [tuple([row_of[pair] for pair in h.pairs]) for h in group.hypotheses]
             cluster = Cluster(group.labels, joint, [h.weight for h in group.hypotheses])
@@ -512,8 +522,9 @@ class GLMB:
         at = 0
         while at < len(cluster.labels):
             shares, existence = cluster.marginals(at, self.people.existence)
-            if existence < RECYCLE:
-                self._recycle(cluster.labels[at], shares, existence)
+            lost = cluster.hypotheses[0][at] in self.lost
+            if existence < RECYCLE or lost:
+                self._recycle(cluster.labels[at], shares, existence, lost)
                 cluster = cluster.only([k for k in range(len(cluster.labels)) if k != at])
             else:
                 at += 1
@@ -523,25 +534,37 @@ class GLMB:
         parts = [[at] for at in range(len(cluster.labels))] if self.factorise else cluster.parts()
         self.clusters += [cluster.only(part) for part in parts] if len(parts) > 1 else [cluster]
 
-    def _recycle(self, label: int, shares: dict[int, float], existence: float) -> None:
+    def _lost(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> set[int]:
+        """Return the rows of people whom nobody could tell from others any more, where nobody looks everywhere."""
+        if not isinstance(self.undetected, UnseenMap):
+            return set()
+        rows = [row_of[pair] for group in groups for pair in group.hypotheses[0].pairs]
+        return set(self.undetected.lost(self.people, [row for row in rows if row >= 0], self._now()))
+
+    def _recycle(self, label: int, shares: dict[int, float], existence: float, lost: bool) -> None:
         """Make a label that hardly exists tentative again: its best density, the number of people its existence."""
         people = self.people
         rows = [row for row in shares if row >= 0]
         meant = math.fsum(shares[row] for row in rows)
         because = "its detections belong to others" if meant < 0.5 else "no sensor detects it any more"
+        because = "it cannot be told from others who are out of sight" if lost and meant >= 0.5 else because
         self.died.append({"label": label, "existence": existence, "because": because})
         if not rows:
             return
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
         if meant >= 0.5:
-            self.habits.ended(label, people, best)
+            if not lost:
+                self.habits.ended(label, people, best)
             if self.features.width:
                 self.gallery.leave(label, self._person(best), self.features)
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
             self.retired[label] = End(label, meant, node, mean[0], cov[0], min(existence / meant, 1.0))
-        if existence > TENTATIVE:
+        if lost and isinstance(self.undetected, UnseenMap):
+            mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
+            self.undetected.receive(mean[0, :2], cov[0, :2, :2], existence, people.detectable[best])
+        elif existence > TENTATIVE:
             people.existence[best] = existence
             self.tentative.append(best)
 

@@ -70,7 +70,10 @@ class Cluster:
 
     def parts(self) -> list[list[int]]:
         """Return the indices of the labels in parts that are independent of each other, but for INDEPENDENT."""
-        count, shares = len(self.labels), np.array(self.shares)
+        count = len(self.labels)
+        if len(self.hypotheses) == 1:
+            return [[at] for at in range(count)]
+        shares = np.array(self.shares)
         indicators: list[list[bool]] = []
         owners: list[int] = []
         for at, rows in enumerate(zip(*self.hypotheses, strict=True)):
@@ -83,13 +86,13 @@ class Cluster:
             np.array(owners)[:, None] == np.arange(count),
         )
         alone = held @ shares
-        linked = owner.T @ abs(held * shares @ held.T - alone[:, None] * alone) @ owner > 2 * INDEPENDENT
+        linked = (owner.T @ abs(held * shares @ held.T - alone[:, None] * alone) @ owner > 2 * INDEPENDENT).tolist()
         parts, left = [], set(range(count))
         while left:
             part = reach = {min(left)}
             while reach:
                 left -= reach
-                reach = {b for a in reach for b in left if linked[a, b]}
+                reach = {b for a in reach for b in left if linked[a][b]}
                 part = part | reach
             parts.append(sorted(part))
         return parts

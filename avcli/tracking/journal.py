@@ -83,9 +83,30 @@ def add_features(account: dict[str, Any], scan: Scan, labels: Sequence[int], lik
         return
     ratio = scan.evidence.ratio
     for j, detection in enumerate(account["detections"]):
-        near = [row for row in likely if scan.likelihoods[row][j] > 0]
+        near = [row for row in likely if scan.gain[row, j] > 0]
         if near and not np.isnan(scan.evidence.vectors[j]).all():
             detection["features"] = {str(labels[row]): math.log(ratio[row, j]) for row in near}
+
+
+def add_beliefs(account: dict[str, Any], rates: Rates, leaving: np.ndarray, last_seen: np.ndarray) -> None:
+    """Add to an account what was believed before the record: how the sensor loses people, and who may have left.
+
+    Args:
+        account: as `account` made it.
+        rates: what is known of the sensor.
+        leaving: (n,) rates per second at which the n people of the account, by label, leave where they are.
+        last_seen: (n,) s, when a sensor detected them last; -inf: never.
+    """
+    hiding, blindness = rates.hiding, rates.blindness
+    account |= {
+        "hide_rate": hiding.hide,
+        "show_rate": hiding.show,
+        "all_left": blindness.emptied / (blindness.emptied + blindness.returned),
+        "blind": blindness.probability * (1 - blindness.left),
+    }
+    for person, rate, last in zip(account["people"], leaving.tolist(), last_seen.tolist(), strict=True):
+        person["leave_rate"] = min(rate, 1e9)
+        person["last_seen"] = None if last == -math.inf else last
 
 
 def _most_likely(group: Group, at: int, label: int) -> dict[str, Any]:

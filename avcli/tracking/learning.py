@@ -25,7 +25,8 @@ class Habits:
 
     Attributes:
         exits: of the rate at which people leave.
-        entries: of the rate at which they come.
+        entries: of the rate at which they come; of that at which they are found, if `in_part`.
+        in_part: whether sensors cover the area in part: who comes is found later, elsewhere, see `unseen`.
     """
 
     def __init__(self, population: Population, learn: bool) -> None:
@@ -37,11 +38,16 @@ class Habits:
         cells = self.entries.centres().reshape(-1, 2)
         self._arrivals = population.density(cells, *population.birth_rate).reshape(self.entries.shape)
         self._arrivals *= self.entries.step**2
+        self.in_part = False
         self._begin: float | None = None
+        self._waited = 0.0  # s, and below: states, and gaps in s; not yet in the maps
+        self._stays: list[tuple[np.ndarray, list[float]]] = []
+        self._now = 0.0
         self._refreshed = 0.0
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it."""
+        self._enter()
         return {
             "area": self.population.corners.ravel().tolist(),
             "exits": self.exits.state(),
@@ -67,20 +73,42 @@ class Habits:
         """Note that dt s have passed up to a time in s."""
         if self._begin is None:
             self._begin = self._refreshed = time - dt
+        self._now = time
         if not self.learn:
             return
-        self.entries.expected += self._arrivals * dt
+        if not self.in_part:
+            self._waited += dt
         past = time - self._refreshed
         if past >= REFRESH:
+            self._enter()
             for places in (self.exits, self.entries):
                 places.fade(math.exp(-past / MEMORY))
                 places.refresh()
             self._refreshed = time
 
-    def stayed(self, states: np.ndarray, gaps: np.ndarray) -> None:
-        """Note that people in states (n, 4) m and m/s were there all the time since gaps (n,) s ago."""
+    def reveal(self, positions: np.ndarray, numbers: np.ndarray) -> None:
+        """Note that a record should show so many people (n,) at positions (n, 2) m who were not detected before."""
+        if self.learn and self._begin is not None and self._now > self._begin + AT_START:
+            self.entries.expect(positions, numbers)
+
+    def stayed(self, states: np.ndarray, gaps: list[float]) -> None:
+        """Note that people in states (n, 4) m and m/s were there all the time since n gaps of s ago."""
         if self.learn:
+            self._stays.append((states, gaps))
+
+    def _enter(self) -> None:
+        """Enter into the maps what was expected since the last time, all at once: that costs less."""
+        self.entries.expected += self._arrivals * self._waited
+        self._waited = 0.0
+        if self._stays:
+            states = np.concatenate([states for states, _ in self._stays])
+            gaps = np.array([gap for _, gaps in self._stays for gap in gaps])
             self.exits.expect(states[:, :2], self.population.leaving(states) * gaps)
+            self._stays = []
+
+    def _happen(self, places: Places, place: np.ndarray, number: float = 1.0) -> None:
+        self._enter()
+        places.happen(place, number)
 
     def began(self, label: int, position: np.ndarray, time: float) -> None:
         """Note that a new track began at a position (2,) m and a time in s."""
@@ -93,19 +121,19 @@ class Habits:
             return
         for row in rows:
             if people.hits[row] >= SURE_HITS and (place := self._fresh.pop(people.label[row], None)) is not None:
-                self.entries.happen(place)
+                self._happen(self.entries, place)
 
     def ended(self, label: int, people: Densities, row: int) -> None:
         """Note that a label hardly exists any more, whose best density is a row."""
         self._fresh.pop(label, None)
         if self.learn and people.hits[row] >= SURE_HITS:
             self._gone[label] = people.place[row].copy()
-            self.exits.happen(self._gone[label])
+            self._happen(self.exits, self._gone[label])
 
     def came_back(self, label: int) -> None:
         """Note that somebody who was counted as having left was only hidden."""
         if (place := self._gone.pop(label, None)) is not None:
-            self.exits.happen(place, -1.0)
+            self._happen(self.exits, place, -1.0)
 
     def keep(self, labels: Sequence[int]) -> None:
         """Forget about labels other than these."""

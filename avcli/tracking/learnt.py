@@ -12,7 +12,9 @@ from avcli.formats import atomic, bounds
 from avcli.formats.descriptions import ERRORS, Format
 from avcli.formats.schema import Invalid, Key, Kind, ListOf, MapOf, Number, Numbers, Object, OrNull
 
-_AMOUNT, _SIGNED = Number(least=0), Number()
+_MOST = 1e12
+_AMOUNT, _DIVISOR, _SIGNED = Number(0, most=_MOST), Number(1e-6, most=_MOST), Number(-_MOST, most=_MOST)
+_LOG_ODDS = Number(-10, most=10)
 
 
 def _required(**keys: tuple[Kind, str]) -> Object:
@@ -24,22 +26,22 @@ _MAP = _required(
     expected=(ListOf(ListOf(_AMOUNT)), "how often it was expected there before anything was learnt"),
 )
 _SENSOR = _required(
-    typical=(OrNull(_SIGNED), "log odds of the scores of people"),
+    typical=(OrNull(_LOG_ODDS), "log odds of the scores of people"),
     clutter_sum=(_AMOUNT, "false detections"),
-    clutter_count=(_AMOUNT, "records in which they were counted"),
+    clutter_count=(_DIVISOR, "records in which they were counted"),
     hit_sum=(_AMOUNT, "people who were detected"),
-    hit_count=(_AMOUNT, "people who could be detected"),
+    hit_count=(_DIVISOR, "people who could be detected"),
     hiding=(
         _required(
-            events=(_AMOUNT, "how often a person was hidden and came back"),
-            in_sight=(_AMOUNT, "time that people could be detected, s"),
-            hidden=(_AMOUNT, "time that they could not, s"),
+            events=(_DIVISOR, "how often a person was hidden and came back"),
+            in_sight=(_DIVISOR, "time that people could be detected, s"),
+            hidden=(_DIVISOR, "time that they could not, s"),
         ),
         "how the sensor loses people",
     ),
     blindness=(
         _required(
-            returned=(_AMOUNT, "how often the sensor lost everybody and found somebody again"),
+            returned=(_DIVISOR, "how often the sensor lost everybody and found somebody again"),
             emptied=(_AMOUNT, "how often it found nobody again"),
         ),
         "how it loses everybody",
@@ -50,7 +52,7 @@ LEARNT = Format(
     "learnt",
     "What the tracker has learnt of a room and its sensors (avfuse --learn)",
     _required(
-        area=(Numbers(4), "the room: least x, least y, largest x, largest y, m"),
+        area=(Numbers(4, bounds.COORDINATE), "the room: least x, least y, largest x, largest y, m"),
         entries=(_MAP, "people who came"),
         exits=(_MAP, "people who left"),
         sensors=(MapOf(_SENSOR), "what was learnt of each sensor, by its name; all sums contain the prior"),

@@ -42,7 +42,7 @@ class Population:
 
     area: Corners = AREA
     motion: Motion = WALKING
-    stay: float = 100.0
+    stay: float = 40.0
     pass_by: float = 2.0
     edge: float = 0.7
     arrivals: float = 0.05
@@ -58,7 +58,7 @@ class Population:
         area = AREA if room is None else ((0.0, 0.0), room)
         if settings.doors == "anywhere":
             return Population(area, motion, settings.stay, pass_by=settings.stay, appear=1.0)
-        return Population(area, motion, settings.stay, pass_by=settings.stay / 50)
+        return Population(area, motion, settings.stay, pass_by=settings.stay / 20)
 
     @cached_property
     def corners(self) -> np.ndarray:
@@ -108,7 +108,11 @@ class Population:
     def density(self, positions: np.ndarray, anywhere: float, near_walls: float) -> np.ndarray:
         """Return the density (n,) per m² at positions (n, 2) m of so many people anywhere and so many near walls."""
         spread = anywhere / self.surface
-        return np.where(self._near_walls(positions), spread + near_walls / self.strip, spread)
+        near = spread + near_walls / self.strip
+        (cx, cy), (mx, my) = self.centre.tolist(), self.middle.tolist()
+        return np.array(
+            [near if abs(x - cx) > mx or abs(y - cy) > my else spread for x, y in positions.tolist()], float
+        )
 
     def _near_walls(self, positions: np.ndarray) -> np.ndarray:
         away = abs(positions[:, :2] - self.centre) > self.middle

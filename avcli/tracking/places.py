@@ -35,6 +35,7 @@ class Places:
         low, high = np.array(area, float)
         self.low, self.step = low, max(STEP, float((high - low).max()) / CELLS)
         self.shape = tuple(np.maximum(np.ceil((high - low) / self.step - 1e-9), 1).astype(int).tolist())
+        self._last = np.array(self.shape) - 1
         self.worth, self.worth_here = worth, worth_here
         self.happened, self.expected = np.zeros(self.shape), np.zeros(self.shape)
         self.factor = np.ones(self.shape)
@@ -47,10 +48,10 @@ class Places:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another map of the same area has noted."""
-        happened, expected = (np.array(state[key], float) for key in ("happened", "expected"))
-        if not happened.shape == expected.shape == self.shape:
+        maps = [state["happened"], state["expected"]]
+        if any([len(row) for row in one] != [self.shape[1]] * self.shape[0] for one in maps):
             raise ValueError("it was learnt in a room of another size")
-        self.happened, self.expected = happened, expected
+        self.happened, self.expected = np.array(maps, float)
         self.refresh()
 
     def centres(self) -> np.ndarray:
@@ -60,9 +61,8 @@ class Places:
 
     def cells(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the cells (n,), (n,) of positions (n, 2) m; outside the area those of its border."""
-        last = np.array(self.shape) - 1
-        at = np.minimum(np.maximum((positions - self.low) / self.step, 0), last).astype(int)
-        return at[:, 0], at[:, 1]
+        x, y = np.minimum(np.maximum((positions - self.low) / self.step, 0), self._last).astype(int).T
+        return x, y
 
     def expect(self, positions: np.ndarray, numbers: np.ndarray) -> None:
         """Note that so many events (n,) were expected at positions (n, 2) m."""
@@ -81,6 +81,11 @@ class Places:
             np.maximum(self._kernels[0] @ one @ self._kernels[1], 0.0) for one in (self.happened, self.expected)
         )
         self.factor = self.overall * (self.worth_here + here) / (self.worth_here + self.overall * due)
+
+    def learnt(self) -> np.ndarray:
+        """Return how much of each place's own factor is learnt, (nx, ny) from 0, the prior, to 1."""
+        here, due = (self._kernels[0] @ one @ self._kernels[1] for one in (self.happened, self.overall * self.expected))
+        return 1 - self.worth_here / (self.worth_here + np.maximum(np.maximum(here, due), 0.0))
 
     def fade(self, keep: float) -> None:
         """Forget all but a share of what was noted."""

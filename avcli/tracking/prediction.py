@@ -27,7 +27,7 @@ def evade(people: Densities, rows: Sequence[int], known: Sequence[int], populati
 
     Args:
         people: densities, changed in place.
-        rows: of all labelled people.
+        rows: of all labelled people, ascending.
         known: those of the likeliest joint hypotheses.
         population: for the rate of stopping and the motion models.
         dt: s.
@@ -36,7 +36,7 @@ def evade(people: Densities, rows: Sequence[int], known: Sequence[int], populati
     if len(known) < 2 or stand < 0 or not rate:
         return
     own = as_complex(people.centres(rows))
-    other = own.take([rows.index(row) for row in known], 0)
+    other = own.take(np.searchsorted(rows, known), 0)
     position, velocity = (own[:, None] - other).transpose(2, 0, 1)
     fastest = 2 * max(abs(own[:, 1]).tolist())
     if np.count_nonzero(abs(position) < BUMP + SOON * fastest) == len(other):  # each is near to itself alone

@@ -6,10 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from avcli.formats.sensors import CAMERA
-from avcli.tracking.settings import Sensor
+from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
@@ -17,7 +15,7 @@ PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 60.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
-TOGETHER = 0.15  # probability that, where one of several people leaves, the others leave at the same time
+TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
 ONSET = 0.9  # probability of blindness from which it may be that everybody left
 LOST = 5.0  # records, after which a person who was not detected is lost
 
@@ -98,7 +96,7 @@ class Hiding:
 
     def __init__(self, sensor: Sensor) -> None:
         self.ever, self.events = sensor.hide > 0, PRIOR_EVENTS
-        self.in_sight = PRIOR_EVENTS / sensor.hide if self.ever else math.inf
+        self.in_sight = PRIOR_EVENTS / (sensor.hide or SENSORS[sensor.kind].hide)
         self.hidden = PRIOR_EVENTS / sensor.show
 
     @property
@@ -115,22 +113,26 @@ class Hiding:
         """Return the long-run probability that a person in the room is detectable."""
         return self.show / (self.hide + self.show)
 
-    def learn(self, detectable: np.ndarray, gaps: np.ndarray, sure: np.ndarray, dt: float) -> None:
+    def learn(self, detectable: Sequence[float], gaps: Sequence[float], sure: Sequence[float], dt: float) -> None:
         """Learn from people whom the sensor has detected again.
 
         Args:
-            detectable: (n,) probabilities, predicted, that it could.
-            gaps: (n,) s since it detected them last.
-            sure: (n,) probabilities that it was they.
+            detectable: n probabilities, predicted, that it could.
+            gaps: n s since it detected them last.
+            sure: n probabilities that it was they.
             dt: s since its last record.
         """
         rest, stay = self.detectable(), math.exp(-(self.hide + self.show) * dt)
-        before = ((detectable - rest) / max(stay, 1e-300) + rest).clip(0.0, 1.0)
-        shown = sure * (1 - before) * rest * (1 - stay) / np.maximum(detectable, 1e-12)
+        before = [min(max((one - rest) / max(stay, 1e-300) + rest, 0.0), 1.0) for one in detectable]
+        shown = [
+            share * min((1 - hid) * rest * (1 - stay) / max(one, 1e-12), 1.0)
+            for share, hid, one in zip(sure, before, detectable, strict=True)
+        ]
         keep = KEEP if self.events > 10 * PRIOR_EVENTS else 1.0
-        self.events = self.events * keep + float(shown.sum())
-        self.hidden = self.hidden * keep + float((shown * gaps).sum())
-        self.in_sight = self.in_sight * keep + float(((sure - shown) * gaps).sum())
+        self.events = self.events * keep + math.fsum(shown)
+        self.hidden = self.hidden * keep + math.fsum([s * gap for s, gap in zip(shown, gaps, strict=True)])
+        in_sight = [(share - s) * gap for share, s, gap in zip(sure, shown, gaps, strict=True)]
+        self.in_sight = self.in_sight * keep + math.fsum(in_sight)
 
 
 class Blindness:
@@ -187,9 +189,9 @@ class Blindness:
             self._odds, self._records = max(self.emptied / self.returned, TOGETHER * leaving / BLIND), 1
         self.left = self._odds / (1 + self._odds)
 
-    def learn(self, gaps: np.ndarray, dt: float) -> None:
-        """Learn from people whom the sensor has detected again, (n,) s after it did so last; dt: of its records."""
-        if self._records and (gaps > LOST * dt).any():
+    def learn(self, gaps: Sequence[float], dt: float) -> None:
+        """Learn from people whom the sensor has detected again, n s after it did so last; dt: of its records."""
+        if self._records and any(gap > LOST * dt for gap in gaps):
             self.returned, self._records = self.returned + 1, 0
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import betaln
 
 if TYPE_CHECKING:
     from avcli.tracking.features import Features
@@ -160,9 +159,16 @@ class Gallery:
             for passes in (True, False)
         )
         counts = ALIKE + np.array([passing, differing])
-        log = betaln(*counts.T) - betaln(*ALIKE.T) + np.log([1 - UNIFORM, UNIFORM])
+        log = np.log([1 - UNIFORM, UNIFORM])
+        log += [
+            _betaln(*after) - _betaln(*before) for after, before in zip(counts.tolist(), ALIKE.tolist(), strict=True)
+        ]
         weight = np.exp(log - log.max())
         return float(weight @ (counts[:, 0] / counts.sum(1)) / weight.sum())
+
+
+def _betaln(a: float, b: float) -> float:
+    return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
 
 
 def returned(now: Left, since: float, left: list[Left], surface: float, features: Features, alike: float) -> np.ndarray:

@@ -18,7 +18,12 @@ from avcli.tracking.settings import Sensor
 if TYPE_CHECKING:
     from avcli.tracking.partial import Partial, View
 
+DENSE = 300  # pairs of a density and a detection, up to which it costs less not to ask which are near
+MOST_PLAUSIBLE = 1e300  # a ratio; hundreds of detections would exceed what a number can hold
 GATE = 30.0  # squared Mahalanobis distance: 3e-7 of a person's detections lie outside
+
+
+Likelihoods = list[list[tuple[int, float]]]
 
 
 @dataclass(slots=True)
@@ -38,7 +43,7 @@ class Scan:
         odds: J log odds of the scores, NaN: unknown.
         gain: (n, J) likelihood of each detection under each density, per m²; 0 outside the gate.
         gain_by_model: (n, M, J) the same under each model of each density.
-        likelihoods: `gain` as lists.
+        likelihoods: n lists of the detections that `gain` is not 0 for, and its values.
         existence: n probabilities.
         detectable: n probabilities that the sensor can detect the person.
         clutter: J densities per m² of false detections.
@@ -61,7 +66,7 @@ class Scan:
     odds: list[float]
     gain: np.ndarray
     gain_by_model: np.ndarray
-    likelihoods: list[list[float]]
+    likelihoods: Likelihoods
     existence: list[float]
     detectable: list[float]
     clutter: list[float]
@@ -86,9 +91,51 @@ def likelihoods(
         ahead: m, the mouth offset of `gaussian.expected_detection`.
         unshared: (n,) m², see `gaussian.loglikelihood`.
     """
-    log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, ahead, unshared)
-    gain = np.where(distance < GATE, np.exp(log), 0.0)
-    return (people.mode[:, None] @ gain)[:, 0], gain
+    if not len(z):
+        return np.zeros((len(people), 0)), np.zeros((*people.mode.shape, 0))
+    if len(people) * len(z) <= DENSE:
+        log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, ahead, unshared)
+        gain = np.where(distance < GATE, np.exp(log), 0.0)
+        return (people.mode[:, None] @ gain)[:, 0], gain
+    gain, gain_by_model = np.zeros((len(people), len(z))), np.zeros((*people.mode.shape, len(z)))
+    position, xx, xy, yy = gaussian.innovation(people.mean, people.cov, ahead, unshared)
+    row, j = _overlapping(position, np.stack([xx, yy], -1), z, noise)
+    if len(row):
+        dx, dy = (z.take(j, 0)[:, None] - position.take(row, 0)).transpose(2, 0, 1)
+        rxx, rxy, _, ryy = noise.reshape(-1, 4).take(j, 0).T[..., None]
+        log, distance = gaussian.log_normal(dx, dy, xx[row] + rxx, xy[row] + rxy, yy[row] + ryy)
+        close = np.where(distance < GATE, np.exp(log), 0.0)
+        gain[row, j], gain_by_model[row, :, j] = (people.mode[row] * close).sum(1), close
+    return gain, gain_by_model
+
+
+def possible(gain: np.ndarray) -> Likelihoods:
+    """Return for each density the detections with a likelihood (n, J) that is not 0, and these."""
+    found: Likelihoods = [[] for _ in range(len(gain))]
+    if not gain.size:
+        return found
+    row, j = gain.nonzero()
+    for i, one in zip(row.tolist(), zip(j.tolist(), gain[row, j].tolist(), strict=True), strict=True):
+        found[i].append(one)
+    return found
+
+
+def _overlapping(
+    position: np.ndarray, variance: np.ndarray, z: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows and detections of all pairs in the gate, and of some that are not: boxes around both overlap.
+
+    position, variance: (n, M, 2) m and m² along x and y.
+    """
+    reach, around = np.sqrt(GATE * variance), np.sqrt(GATE * noise.reshape(-1, 4)[:, ::3])
+    low, high = (position - reach).min(1), (position + reach).max(1)
+    near = np.ones((len(low), len(z)), bool)
+    for first, last, least, most in zip(
+        (z - around).T, (z + around).T, low.T[..., None], high.T[..., None], strict=True
+    ):
+        near &= (first < most) & (last > least)
+    row, j = near.nonzero()
+    return row, j
 
 
 def distinct(
@@ -109,7 +156,7 @@ def plausibility(
     rows: list[int],
     existence: list[float],
     reach: list[float],
-    likelihoods: list[list[float]],
+    likelihoods: Likelihoods,
     clutter: list[float],
     new: list[float],
     detection: float,
@@ -120,15 +167,15 @@ def plausibility(
         rows: the densities of the known people.
         existence: n probabilities.
         reach: n probabilities that the sensor can detect the person where that person is.
-        likelihoods: n lists of J, per m².
+        likelihoods: n lists of detections and their likelihoods, per m².
         clutter: J densities per m² of false detections.
         detection: probability that the sensor detects a detectable person.
     """
     ratio = 1.0
     for row in rows:
         present = existence[row] * reach[row] * detection
-        more = math.fsum(g / c for g, c in zip(likelihoods[row], clutter, strict=True) if g)
+        more = math.fsum([g / clutter[j] for j, g in likelihoods[row]])
         ratio *= min(1 - present + present * more, 1e3)
     for c, b in zip(clutter, new, strict=True):
         ratio *= min(1 + b / c, 1e3)
-    return ratio
+    return min(ratio, MOST_PLAUSIBLE)

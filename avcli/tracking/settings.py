@@ -58,8 +58,8 @@ class Settings:
         choices=("poisson", "adaptive"),
     )
     stay: float = setting(
-        100.0,
-        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 50 times sooner.",
+        40.0,
+        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 20 times sooner.",
         unit="S",
         above=0.0,
         most=math.inf,
@@ -140,7 +140,7 @@ class Sensor:
     clutter: float = 0.05
     sigma: tuple[float, float] = (0.15, 0.15)
     floor: float = 0.05
-    hide: float = 0.2
+    hide: float = 0.1
     show: float = 1.0
     memory: float = 3.0
     unheard: str = ""

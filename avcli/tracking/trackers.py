@@ -159,7 +159,7 @@ def _jpda(settings: Settings, population: Population, record: bool, explain: boo
     return JPDA(population)
 
 
-_NO_HYPOTHESES = frozenset({"lag", "explain", "birth", "stay", "doors", "learn", "no_learn", "show"})
+_NO_HYPOTHESES = frozenset({"lag", "explain", "birth", "stay", "doors", "learn", "no_learn", "map", "show"})
 
 TRACKERS = {
     "ms-glmb": Entry("joint hypotheses", _ms_glmb, partial=True),

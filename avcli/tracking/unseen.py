@@ -16,13 +16,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from avcli.tracking.coverage import covered
+from avcli.tracking.densities import Densities
+from avcli.tracking.learning import Habits
 from avcli.tracking.model import Population
-from avcli.tracking.places import Places
-from avcli.tracking.scan import Scan
+from avcli.tracking.scan import Scan, likelihoods
 from avcli.tracking.settings import Sensor
 
 CELL, CELLS = 0.5, 40  # m, wider where a side would have more cells than that
 WANDER = 1.0  # m²/s, of the diffusion: velocities of 0.7 m/s along each axis, forgotten in 2 s
+AWAY, BLUR = 1.0, 0.1  # s since the last detection of people who may be lost among others; m, noise of one that tells
 PARTS = 4  # points along each side of a cell at which its walls and its coverage are looked up
 
 
@@ -35,15 +37,16 @@ class UnseenMap:
         share: (S, nx, ny) of its detection probability that each sensor has there.
     """
 
-    def __init__(self, population: Population, entries: Places, sensors: Sequence[Sensor]) -> None:
+    def __init__(self, population: Population, habits: Habits, sensors: Sequence[Sensor]) -> None:
         """Begin with the people expected in the room before the first record, anywhere alike.
 
         Args:
             population: how many come, and how long they stay.
-            entries: factors of the rate at which they come, as far as learnt.
+            habits: how many are found at each place against how many it expects, as far as learnt.
             sensors: those that may report.
         """
-        self.population, self.entries = population, entries
+        self.population, self.habits, self.entries = population, habits, habits.entries
+        habits.in_part = True
         low, high = population.corners
         self.low, self.step = low, max(CELL, float((high - low).max()) / CELLS)
         nx, ny = (max(math.ceil(side / self.step - 1e-9), 1) for side in (high - low).tolist())
@@ -77,8 +80,7 @@ class UnseenMap:
     def predict(self, dt: float) -> None:
         """Let people come, go and walk for dt seconds."""
         mix = math.exp(-dt / self.population.stay)
-        arrivals = self.arrivals * self.entries.at(self.centres).reshape(self.shape)
-        self.number = self._moved(self.number * mix, dt) + arrivals * dt
+        self.number = self._moved(self.number * mix, dt) + self.arrivals * dt
         self.able = self._moved(self.able * mix, dt)
 
     def relax(self, rest: np.ndarray, mix: np.ndarray) -> None:
@@ -103,12 +105,13 @@ class UnseenMap:
     def density(self, positions: np.ndarray) -> np.ndarray:
         """Return the expected number (n,) of them per m² at positions (n, 2) m."""
         at = self._cells(positions)
-        return self.number[at] / np.maximum(self.area[at], 1e-9)
+        return self.entries.at(positions) * self.number[at] / np.maximum(self.area[at], 1e-9)
 
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
         at = self._cells(z)
-        return (detection * self.share[column][at] * self.able[column][at] / np.maximum(self.area[at], 1e-9)).tolist()
+        able = self.entries.at(z) * self.able[column][at] / np.maximum(self.area[at], 1e-9)
+        return (detection * self.share[column][at] * able).tolist()
 
     def detected(self, scan: Scan, positions: np.ndarray, room: np.ndarray) -> np.ndarray:
         """Return the densities (n,) per m² of detecting one of them at positions (n, 2) m with room (n,) for them."""
@@ -122,10 +125,51 @@ class UnseenMap:
     def update(self, scan: Scan) -> None:
         """Take those away whom a record's sensor has detected."""
         share = scan.p_newcomer * self.share[scan.column]
-        able = self.able[scan.column]
-        missed = 1 - share * np.minimum(able / np.maximum(self.number, 1e-300), 1.0)
+        able = np.minimum(self.able[scan.column], self.number)
+        found = share * able
+        missed = 1 - found / np.maximum(self.number, 1e-300)
         self.number, self.able = self.number * missed, self.able * missed
         self.able[scan.column] = able * (1 - share)
+        self.habits.reveal(self.centres, found.ravel())
+
+    def lost(self, people: Densities, rows: Sequence[int], now: float) -> list[int]:
+        """Return those of some rows whom nobody could tell from others any more.
+
+        Where such a person is expected most, a detection would rather be somebody else's: of one of those whom no
+        sensor has detected yet, or of another one of the rows.
+
+        Args:
+            people: all densities.
+            rows: of one joint hypothesis.
+            now: s.
+
+        Source:
+            J. L. Williams, "Hybrid Poisson and multi-Bernoulli filters", FUSION 2012 (recycling).
+        """
+        unseen = [row for row in rows if people.seen[row].max() < now - AWAY]
+        if not unseen:
+            return []
+        some = people.take(unseen)
+        centres = some.centres(range(len(some)))[:, :2]
+        blur = np.tile(BLUR**2 * np.eye(2), (len(some), 1, 1))
+        gain = likelihoods(some, centres, blur, 0.0, np.zeros(len(some)))[0] * some.existence[:, None]
+        own = gain.diagonal()
+        others = gain.sum(0) - own + self.density(centres)
+        return [row for row, gone in zip(unseen, own < others, strict=True) if gone]
+
+    def receive(self, mean: np.ndarray, cov: np.ndarray, number: float, detectable: np.ndarray) -> None:
+        """Take in people whom nobody can tell from others any more.
+
+        Args:
+            mean: (2,) m, of where they are.
+            cov: (2, 2) m².
+            number: expected number of them.
+            detectable: (S,) probabilities that each sensor can detect one.
+        """
+        away, inverse = self.centres - mean, np.linalg.inv(cov + self.step**2 * np.eye(2))
+        weight = self.area * np.exp(-0.5 * ((away @ inverse) * away).sum(1)).reshape(self.shape)
+        more = number * weight / max(weight.sum(), 1e-300)
+        self.number, self.able = self.number + more, self.able + detectable[:, None, None] * more
 
     def share_knowledge(self, one: int, others: list[int]) -> None:
         """Let other sensors detect the same ones of them as one sensor does."""
