@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import jsonschema
 import numpy as np
@@ -162,17 +163,63 @@ def test_who_comes_back_is_recognised_and_a_stranger_is_not():
     assert returned(Left(21.0, far, again), 20.0, left, 20.0, features, 0.02)[0] < 0.01  # nobody runs so fast
 
 
-def test_a_gallery_gives_a_label_back_once():
-    features, gallery = kinds(), Gallery()
-    crowd = people(2)
+def remembered(features, vectors, absent=20.0):
+    """A gallery of people who came one after another, each long ago, and what is known of each."""
+    crowd, gallery = people(len(vectors)), Gallery()
     for k in range(30):
-        seen(features, crowd, [[3.0, -3.0], [3.0, -3.0]], time=10.0 * k, sd=0.1)
-    gallery.leave(7, Left(300.0, np.ones(2), crowd.traits[0]), features)
-    gallery.come(8, 310.0)
-    now = {8: Left(314.9, np.ones(2), crowd.traits[1])}
-    assert gallery.recognise(now, 314.9, 20.0, features) == {8: 7}
-    assert not gallery.left
+        seen(features, crowd, vectors, time=10.0 * k, sd=0.1)
+    known = [Left(300.0 + absent * k, np.ones(2), traits) for k, traits in enumerate(crowd.traits)]
+    return gallery, known
+
+
+def visited(gallery, features, label, person):
+    """Let somebody come, be watched, and leave; returns the label of before, if any."""
+    gallery.come(label, person.time - 6.0)
+    found = gallery.recognise({label: person}, person.time - 0.9, 20.0, features)
+    gallery.leave(found.get(label, label), person, features)
+    return found.get(label)
+
+
+def test_a_gallery_gives_a_label_back_once_it_has_seen_that_people_differ():
+    features = kinds()
+    gallery, (anna, ben, again) = remembered(features, [[3.0, -3.0], [-3.0, 0.0], [3.0, -3.0]])
+    assert visited(gallery, features, 7, anna) is None
+    assert visited(gallery, features, 8, ben) is None
+    assert visited(gallery, features, 9, again) == 7
+    assert sorted(gallery.left) == [7, 8]
     assert not gallery.fresh
+
+
+def test_where_nobody_was_seen_to_differ_nobody_is_recognised():
+    features = kinds()
+    gallery, everybody = remembered(features, [[3.0, -3.0]] * 6)
+    assert {visited(gallery, features, k, one) for k, one in enumerate(everybody)} == {None}
+
+
+def test_who_was_taken_for_a_stranger_is_known_later():
+    features = kinds()
+    gallery, everybody = remembered(features, [[3.0, -3.0], [3.0, -3.0], [-3.0, 0.0], [3.0, -3.0]])
+    assert [visited(gallery, features, k, one) for k, one in enumerate(everybody)] == [None, None, None, 1]
+    assert sorted(gallery.left) == [1, 2]
+
+
+def test_how_many_pass_for_each_other_is_learnt_of_the_scene():
+    gallery = Gallery()
+    at_first = gallery.alike()
+    gallery._count((0, 1), -3.0, 1.0)
+    assert gallery.alike() < 0.3 * at_first
+    gallery._count((0, 1), 5.0, 1.0)
+    assert gallery.alike() > 2 * at_first
+    gallery._count((0, 1), 0.0, 1.0)  # not known yet
+    assert gallery.alike() == at_first
+
+
+def test_a_few_false_detections_are_not_a_person_to_remember():
+    features = kinds()
+    gallery, (anna, *_) = remembered(features, [[3.0, -3.0]])
+    gallery.come(7, anna.time - 0.3)
+    gallery.leave(7, anna, features)
+    assert not gallery.left
 
 
 # --- the whole tracker ------------------------------------------------------------------------------------------------
@@ -232,3 +279,36 @@ def test_the_order_of_detections_does_not_matter():
 
 def test_an_unknown_kind_changes_nothing():
     assert fused(pair(1, kind="hat")) == fused(pair(1, features=False))
+
+
+@pytest.mark.parametrize("like_nobody", [False, True])
+def test_wrong_vectors_that_last_begin_no_person(like_nobody):
+    records = []
+    for k, one in enumerate(pair(2)):
+        looks = one.features["looks"]
+        vectors = looks.vectors.copy()
+        if 5 <= k < 25:
+            vectors[0] = [9.0, -9.0] if like_nobody else [-2.0, 2.0]
+        told = {"looks": Feature(looks.kind, vectors, looks.sds)}
+        records.append(replace(one, features=told))
+    tracks = fused(records)
+    assert max(len(row["objects"]) for row in tracks) == 2
+    assert len({one["object_id"] for row in tracks for one in row["objects"]}) == 2
+
+
+def test_one_at_a_time_in_the_same_clothes_each_is_somebody_else():
+    rng, records = np.random.default_rng(0), []
+    for k in range(300):
+        there = k % 150 < 80
+        z = np.array([[0.4 + 0.05 * (k % 150), 2.0, np.nan]])[:there]
+        z[:, :2] += 0.1 * rng.standard_normal((len(z), 2))
+        told = clothes([[2.0, -2.0]] * len(z) + 0.2 * rng.standard_normal((len(z), 2))) if there else {}
+        cov = np.tile(0.01 * np.eye(3), (len(z), 1, 1))
+        records.append(Detections(k / 10, "ceiling", z, cov, np.full(len(z), np.nan), "camera", features=told))
+    tracks = fused(records)
+    first, second = (
+        {one["object_id"] for row in part for one in row["objects"]} for part in (tracks[:90], tracks[150:])
+    )
+    assert first
+    assert second
+    assert not first & second

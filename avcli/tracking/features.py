@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 FOREIGN = 0.03  # share of vectors that are somebody else's, or in part
 TOUCHING, NEAR = 0.3, 0.4  # share added where another person stands at the same place, in proportion less up to NEAR m
 GARBAGE, WIDE = 0.01, 5.0  # share of vectors that are nobody's, and their standard deviation in the population's
+SEEN = 0.5  # s since a person's last detection, up to which no vector says that somebody else took the place
 MEMORY = 1000.0  # s in which what is known of a person fades to 1/e
 SURE = math.log(0.9)  # log probability of an association from which noise is learnt
 FIRST_LOOKS, KEEP, FARTHEST = 30.0, 0.999, 9.0  # looks that the told noise is worth; weight of the past; square in sd
@@ -179,6 +180,7 @@ class Features:
         own_share, alone = np.zeros((*gain.shape, len(self.kinds))), np.zeros(gain.shape, bool)
         evidence = Evidence(vectors, sds, np.ones(gain.shape), own_share, alone)
         evidence.ratio[row, j] = ratio.prod(1)
+        evidence.ratio[:] = _nobody_new(people, likely, time, gain, evidence.ratio)
         evidence.own[row, j] = own / ratio
         evidence.alone[row, j] = touching == 0
         return evidence
@@ -297,6 +299,30 @@ class Features:
         log = np.log(a * b / (prior * both)) - x * x * a - y * y * b + np.square(x * a + y * b) / both
         by_kind = 0.5 * log @ self.member
         return np.logaddexp(math.log(1 - FOREIGN) + by_kind, math.log(FOREIGN)).sum(1)
+
+
+def _nobody_new(
+    people: Densities, likely: Sequence[int], time: float, gain: np.ndarray, ratio: np.ndarray
+) -> np.ndarray:
+    """Return the ratios (n, J) without what vectors say against all people who stand there, for somebody new.
+
+    Wrong vectors last, and nobody appears in the place of somebody who was detected a moment ago. So a vector tells
+    such people apart, but it is no evidence against all of them at once, nor for a person without a label.
+
+    Args:
+        people: n densities.
+        likely: rows of known people.
+        time: s.
+        gain, ratio: (n, J), see `Features.weigh`.
+    """
+    seen = [row for row in likely if people.seen[row].max() > time - SEEN]
+    by_place = gain[seen].sum(0)
+    by_both = (gain[seen] * ratio[seen]).sum(0)
+    more = np.where(by_both < by_place, by_place / np.maximum(by_both, 1e-300), 1.0)
+    labels, label = {people.label[row] for row in seen}, people.label
+    there, new = np.array([one in labels for one in label], bool), np.array([one < 0 for one in label], bool)
+    most = np.where((by_place > 0) & new[:, None], 1.0, np.inf)
+    return np.minimum(np.where(there[:, None], more, 1.0) * ratio, most)
 
 
 def _touching(people: Densities, likely: Sequence[int], z: np.ndarray, rows: np.ndarray, js: np.ndarray) -> np.ndarray:
