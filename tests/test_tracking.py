@@ -338,7 +338,7 @@ def test_silence_costs_no_existence_and_is_told():
 def test_who_is_hidden_amid_the_room_is_kept_and_who_left_is_not():
     tracker, rng = GLMB(Settings(), Population(), [sensor("video")]), np.random.default_rng(5)
     for k in range(130):
-        z, noise = look(rng, [[1.0 + 0.05 * k, 2.3]] if k < 20 or 35 <= k < 60 else [])
+        z, noise = look(rng, [[1.0 + 0.05 * k, 2.3]] if k < 20 or 32 <= k < 60 else [])
         tracker.update(k / 10, "video", z, noise)
         tracks = tracker.tracks(k / 10)
         if k < 60:
