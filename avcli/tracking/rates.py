@@ -11,7 +11,7 @@ from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 60.0, 4.0
+PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 20.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
