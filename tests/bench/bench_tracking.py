@@ -27,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import tracking_peers
 import tracking_report as report
 from tracking_cases import MORE, ONCE, REAL, SYNTHETIC, TOO_MUCH, judged, scene_of
 from tracking_measures import SUMMARY, Outcome, mean, outcome, summary
@@ -37,6 +38,7 @@ from tracking_worlds import COARSE
 
 from avcli.tracking.trackers import TRACKERS
 
+tracking_peers.register()
 VARIANTS = {
     DEFAULT: Variant(),
     "no-hidden": Variant.of(["no-hidden"]),

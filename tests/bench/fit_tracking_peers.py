@@ -20,10 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from tracking_cases import scene_of
 from tracking_measures import hota
-from tracking_peers import FITTED, TUNED, Parameters
+from tracking_peers import FITTED, TUNED, Parameters, register
 from tracking_runs import Variant, fuse
 from tracking_scenes import Scene
 
+register()
 GRID: dict[str, tuple[float, ...]] = {
     "reach": (0.4, 0.6, 0.8, 1.3),
     "ear": (0.5, 0.7, 1.3),

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from tracking_peers import register
 from tracking_scenes import KIND, Scene
 
 from avcli.formats.records import Detections
@@ -17,8 +16,6 @@ from avcli.tracking.merging import Record
 from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
 from avcli.tracking.settings import Settings, sensor
-
-register()
 
 
 @dataclass(frozen=True)
