@@ -1,12 +1,14 @@
 """Pictures of calibration boards through an exact lens, for the tests and benchmarks of avcalib."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from avcli.calibration import fit
-from avcli.calibration.target import Board, draw
+from avcli.calibration.drawing import draw, to_png
+from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt, Lens
 
 THESIS = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
@@ -41,7 +43,7 @@ def film(
     """Put boards at random before the camera, whole in the picture, aimed at random pixels (or within `aim`)."""
     width, height = size
     corners = fit.surface(board.points, shape, board.half_extent)
-    outer = (np.array(board.inner) + 1) / 2 * board.square_m
+    outer = board.printed_m / 2
     rim = np.array([[sx * outer[0], sy * outer[1], 0] for sx in (-1, 1) for sy in (-1, 1)])
     rotations: list[np.ndarray] = []
     translations: list[np.ndarray] = []
@@ -104,6 +106,17 @@ def texture(board: Board, per_square: int = 48) -> np.ndarray:
     return ink
 
 
+@functools.cache
+def printed(board: Board) -> tuple[np.ndarray, float]:
+    """The page with the board, as its PNG holds it: (height, width) float32 0 to 1, and its pixels per metre."""
+    import cv2
+
+    per_unit = 40 if board.kind == "charuco" else 80
+    dpi = per_unit / board.square_m * 0.0254
+    page = cv2.imdecode(np.frombuffer(to_png(draw(board), dpi), np.uint8), 0)
+    return page.astype(np.float32) / 255, round(dpi / 0.0254)
+
+
 def photograph(
     R: np.ndarray,
     t: np.ndarray,
@@ -125,7 +138,7 @@ def photograph(
     import cv2
 
     width, height = size
-    reach = (np.array(board.inner) + 3) / 2 * board.square_m
+    reach = board.printed_m / 2 + board.square_m
     s = np.linspace(-1, 1, 30)
     rim = np.concatenate([np.stack([a * reach[0], b * reach[1], 0 * s], -1) for a, b in
                           ((s, s * 0 - 1), (s, s * 0 + 1), (s * 0 - 1, s), (s * 0 + 1, s))])  # fmt: skip
@@ -151,12 +164,15 @@ def photograph(
     column = bx / board.square_m + board.columns / 2
     row = by / (1 + shape[2]) / board.square_m + board.rows / 2
     on = (column > -1) & (column < board.columns + 1) & (row > -1) & (row < board.rows + 1)
-    if board.markers:
-        ink = texture(board)
-        per_square = ink.shape[0] // (board.rows + 2)
-        place = [np.clip(np.nan_to_num((a + 1) * per_square - 0.5, nan=-1), -1, 9e3) for a in (column, row)]
+    if board.kind != "checkerboard":
+        ink, per_m = printed(board)
+        half = np.array(ink.shape[::-1]) / per_m / 2
+        on = (np.abs(bx) < half[0]) & (np.abs(by) < half[1])
+        place = [
+            np.clip(np.nan_to_num((a + b) * per_m - 0.5, nan=-1), -1, 3e4) for a, b in zip((bx, by), half, strict=True)
+        ]
         at = [a.reshape(high_px, wide).astype(np.float32) for a in place]
-        white = cv2.remap(ink, *at, cv2.INTER_NEAREST, borderValue=1.0).ravel()
+        white = cv2.remap(ink, *at, cv2.INTER_LINEAR, borderValue=1.0).ravel()
     else:
         white = _squares(column.reshape(high_px, wide), row.reshape(high_px, wide), board).ravel()
     patch = np.repeat(np.repeat(picture[low[1] : high[1], low[0] : high[0]], oversample, 0), oversample, 1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibration_boards import BOARD, exact, film, photograph
 
-from avcli.calibration import calibrate, corners, fit, gather, target
+from avcli.calibration import calibrate, corners, drawing, fit, gather, target
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
@@ -105,7 +105,7 @@ def test_a_large_picture_and_its_small_copy_agree():
 
 def test_half_a_charuco_board_is_enough():
     rng = np.random.default_rng(5)
-    board = Board(7, 10, 0.06, markers=True)
+    board = Board(7, 10, 0.06, kind="charuco")
     filmed = film(
         6, rng, lens=HALF, size=HALF_SIZE, board=board, whole=False, distance=(0.3, 0.5), tilt=0.4,
         aim=((480, 270), 250),
@@ -135,7 +135,7 @@ def test_a_duplicate_is_recognised(shots):
 
 def test_a_target_has_true_millimetres():
     board = Board(7, 10, 0.025)
-    svg = target.to_svg(target.draw(board, "A3"))
+    svg = drawing.to_svg(drawing.draw(board, "A3"))
     assert 'width="297mm" height="420mm" viewBox="0 0 297 420"' in svg
     path = re.search(r'<path d="([^"]*)"', svg)[1]
     squares = re.findall(r"M([\d.]+) ([\d.]+)h25v25h-25z", path)
@@ -146,7 +146,7 @@ def test_a_target_has_true_millimetres():
 
 
 def test_a_pdf_is_a_pdf_whose_offsets_hold():
-    pdf = target.to_pdf(target.draw(Board(5, 7, 0.03, markers=True)))
+    pdf = drawing.to_pdf(drawing.draw(Board(5, 7, 0.03, kind="charuco")))
     assert pdf.startswith(b"%PDF-1.4")
     table = int(re.search(rb"startxref\n(\d+)\n%%EOF\n$", pdf)[1])
     assert pdf[table : table + 4] == b"xref"
@@ -154,12 +154,12 @@ def test_a_pdf_is_a_pdf_whose_offsets_hold():
         assert pdf[int(offset) :].startswith(b"%d 0 obj" % number)
     length = int(re.search(rb"/Length (\d+)", pdf)[1])
     assert pdf.split(b"stream\n", 1)[1][length:].startswith(b"\nendstream")
-    assert target.to_pdf(target.draw(Board(5, 7, 0.03, markers=True))) == pdf
+    assert drawing.to_pdf(drawing.draw(Board(5, 7, 0.03, kind="charuco"))) == pdf
 
 
 def test_a_board_that_does_not_fit_says_what_does():
     with pytest.raises(ValueError, match="the largest squares that fit have 26 mm"):
-        target.draw(Board(7, 10, 0.05), "A4")
+        drawing.draw(Board(7, 10, 0.05), "A4")
     with pytest.raises(ValueError, match="too small"):
         Board(2, 8)
     with pytest.raises(ValueError, match="6x8"):
@@ -170,7 +170,7 @@ def test_what_is_drawn_is_what_opencv_knows():
     """The drawn ChArUco board has the markers where OpenCV's own picture has them."""
     from calibration_boards import texture
 
-    board = Board(5, 7, 0.03, markers=True)
+    board = Board(5, 7, 0.03, kind="charuco")
     ours = texture(board, 56)[56:-56, 56:-56] > 0.5
     theirs = board.charuco().generateImage((5 * 56, 7 * 56), marginSize=0) > 127
     assert (ours == theirs).mean() > 0.999

@@ -248,13 +248,14 @@ def polished(
 ) -> fit.Observations:
     """Refine all corners with the lens known (corners.polish) and weigh them by how well they could be placed."""
     poses = _all_poses(everything, solution, kept)
-    to_board = _board_offsets(everything, poses, board.square_m)
+    unit, near = board.clear
+    to_board = _board_offsets(everything, poses, unit)
     pixels, sd = corners.polish(
         np.concatenate([view.patches for view in views]),
         everything.pixels,
         np.concatenate([view.origins for view in views]),
         to_board,
-        clear=0.11 if board.markers else 1.0,
+        clear=near,
     )
     good = np.isfinite(sd)
     if good.mean() < 0.5:

@@ -171,11 +171,11 @@ def check_command(
 @common(experiment=False)
 def target_command(session: Session, paper: str | None, format: str | None, **values: Any) -> None:
     """Draw a board to print at true size, with rulers to check the print."""
-    from avcli.calibration import target
+    from avcli.calibration import drawing
 
     board = parse_board(session, values)
     with usage_errors(session):
-        drawing = target.draw(board, paper)
+        page = drawing.draw(board, paper)
     if board.is_ambiguous:
         session.warn(
             f"a checkerboard of {board} squares looks the same upside down: avcalib pose cannot find its direction; "
@@ -183,4 +183,4 @@ def target_command(session: Session, paper: str | None, format: str | None, **va
         )
     is_pdf = format == "pdf" or (format is None and session.output_path.lower().endswith(".pdf"))
     with session.output() as write:
-        write(target.to_pdf(drawing) if is_pdf else target.to_svg(drawing))
+        write(drawing.to_pdf(page) if is_pdf else drawing.to_svg(page))

@@ -37,7 +37,8 @@ def parse_board(session: Session, values: Mapping[str, Any]) -> Board:
 
     given = settings_from(BoardSettings, values)
     with usage_errors(session):
-        return target.Board(*target.parse_size(given.board), given.square_mm / 1000, given.charuco)
+        kind: target.Kind = "charuco" if given.charuco else "checkerboard"
+        return target.Board(*target.parse_size(given.board), given.square_mm / 1000, kind)
 
 
 def check_sources(session: Session, names: list[str]) -> list[Source]:
