@@ -10,7 +10,7 @@ from avcli.calibration.corners import View
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
-from avcli.lens import LENSES, Lens, lens_config
+from avcli.lens import Lens, lens_config, variants
 
 BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
@@ -149,8 +149,8 @@ def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEF
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
         ValueError: the lens model is unknown.
     """
-    if settings.lens_model not in LENSES:
-        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(LENSES)}")
+    if settings.lens_model not in variants():
+        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}")
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from avcli.lens import LENSES, KannalaBrandt, Lens
+from avcli.lens import KannalaBrandt, Lens, variants
 
 SHAPE = 3
 """Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
@@ -391,7 +391,7 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     sides = np.array([width, height], float)
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
 
-    kind = LENSES[model]
+    kind = variants()[model]
     coefficients = [*kind.start, *[0.0] * (len(kind.names()) - 4 - len(kind.start))]
 
     def centred(f: float) -> Lens:
@@ -473,7 +473,7 @@ def fit_robustly(
         observations: the corners.
         width, height: px, of the pictures.
         board_shape: fit the board's shape too.
-        model: a name in avcli.lens.LENSES.
+        model: a name in avcli.lens.variants().
 
     Returns:
         the Solution for the kept views, and `kept` (views,) bool.
