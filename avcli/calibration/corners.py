@@ -120,9 +120,9 @@ def shrunk(grey: np.ndarray) -> np.ndarray:
 
 def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
     """Distance of each corner (n,) to its nearest neighbour in the grid, (n,) px; infinite without one."""
-    grid = np.full((inner[1] * inner[0], 2), np.nan)
-    grid[ids] = pixels
-    grid = grid.reshape(inner[1], inner[0], 2)
+    places = np.full((inner[1] * inner[0], 2), np.nan)
+    places[ids] = pixels
+    grid = places.reshape(inner[1], inner[0], 2)
     nearest = np.full(grid.shape[:2], np.inf)
     along, across = np.linalg.norm(np.diff(grid, axis=1), axis=2), np.linalg.norm(np.diff(grid, axis=0), axis=2)
     nearest[:, 1:] = np.fmin(nearest[:, 1:], along)
@@ -163,7 +163,8 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     votes: dict[tuple[int, int], int] = {}
     for small in pictures:
         for inner in saddles.sizes(small)[:1]:
-            size = tuple(sorted((inner[0] + 1, inner[1] + 1), reverse=board.columns > board.rows))
+            few, many = sorted((inner[0] + 1, inner[1] + 1))
+            size = (many, few) if board.columns > board.rows else (few, many)
             votes[size] = votes.get(size, 0) + 1
     if not votes:
         return None

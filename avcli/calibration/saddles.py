@@ -277,7 +277,7 @@ def _confirmed(
     names, places, steps = [], [], []
     for cell, (guess, step) in guesses.items():
         reach = max(2, round(0.25 * step))
-        x, y = int(round(guess[0])), int(round(guess[1]))
+        x, y = round(float(guess[0])), round(float(guess[1]))
         x0, y0, x1, y1 = max(x - reach, 4), max(y - reach, 4), min(x + reach, width - 5), min(y + reach, height - 5)
         if x0 > x1 or y0 > y1:
             continue
