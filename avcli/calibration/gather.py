@@ -67,7 +67,7 @@ class Seen:
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
-                self.misses.append(corners.shrunk(grey)[0])
+                self.misses.append(corners.shrunk(grey))
         elif is_duplicate(view, self.views):
             why = "duplicate"
         else:
@@ -131,11 +131,15 @@ class Seen:
 def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool:
     """Tell whether a board stood where it stood in one of the others: its corners moved less than `motion_px` (RMS)."""
     for other in others:
-        if len(view.ids) != len(other.ids) or not np.array_equal(view.ids, other.ids):
-            continue
-        for pixels in (other.pixels, other.pixels[::-1]):  # a board may be read turned by 180 degrees
-            if np.mean(((view.pixels - pixels) ** 2).sum(1)) < motion_px**2:
+        common, mine, theirs = np.intersect1d(view.ids, other.ids, assume_unique=True, return_indices=True)
+        if 2 * len(common) > max(len(view.ids), len(other.ids)):
+            if np.mean(((view.pixels[mine] - other.pixels[theirs]) ** 2).sum(1)) < motion_px**2:
                 return True
+            if (
+                len(view.ids) == len(other.ids)
+                and np.mean(((view.pixels[::-1] - other.pixels) ** 2).sum(1)) < motion_px**2
+            ):
+                return True  # a board may be read turned by 180 degrees
     return False
 
 
@@ -263,7 +267,4 @@ class _Search:
 def look(image: np.ndarray, board: Board, thorough: bool) -> tuple[np.ndarray, View | None]:
     """Find the board in a picture as a camera gives it: the grey picture, and the view if there is one."""
     grey = corners.to_grey(image)
-    view = corners.find(grey, board, thorough=thorough)
-    if view is not None and not board.markers and not corners.is_whole(grey, view.pixels, board.inner):
-        view = None
-    return grey, view
+    return grey, corners.find(grey, board, thorough=thorough)
