@@ -1,7 +1,7 @@
 """Grids of circles: finding their centres, and what a lens makes of a circle's centre.
 
-A circle's outline is not centred on the image of its centre: perspective and the lens push the two apart, by a pixel and
-more near a fisheye's rim (Heikkilä and Silvén 1997 for perspective). What is measured is the centroid of the dark area;
+A circle's outline is not centred on the image of its centre: perspective and the lens push the two apart, the more the
+larger the circle (Heikkilä and Silvén 1997 for perspective). What is measured is the centroid of the dark area;
 `offsets` computes the difference once the lens is roughly known.
 """
 
@@ -66,7 +66,7 @@ def recognise(grey: np.ndarray) -> Board | None:
 def offsets(
     points: np.ndarray, rotations: np.ndarray, translations: np.ndarray, lens: Lens, radius_m: float
 ) -> np.ndarray:
-    """Centroid of each circle's image minus the image of its centre, (n, 2) px; 0 where the lens does not see all of it.
+    """Centroid of each circle's image minus the image of its centre, (n, 2) px; 0 where the lens does not see all.
 
     The outline is projected, and the centroid of the polygon is taken (Green's theorem).
 
@@ -139,7 +139,9 @@ def _spots(grey: np.ndarray) -> np.ndarray:
         dark = cv2.adaptiveThreshold(smooth, 1, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, 10)
         _, labels, stats, middles = cv2.connectedComponentsWithStats(dark, connectivity=4)
         area = stats[:, cv2.CC_STAT_AREA].astype(float)
-        possible = (area >= _LEAST_AREA) & (stats[:, cv2.CC_STAT_WIDTH] < block) & (stats[:, cv2.CC_STAT_HEIGHT] < block)
+        possible = (
+            (area >= _LEAST_AREA) & (stats[:, cv2.CC_STAT_WIDTH] < block) & (stats[:, cv2.CC_STAT_HEIGHT] < block)
+        )
         possible[0] = False
         flat = np.flatnonzero(possible[labels])
         which = labels.ravel()[flat]
@@ -166,6 +168,7 @@ def _grown(spots: np.ndarray, free: np.ndarray) -> dict[tuple[int, int], int]:
     members = np.flatnonzero(free)
     near = cKDTree(places[members])
     _, order = near.query(places[members], k=min(9, len(members)))
+    order = np.asarray(order)
     around = places[members][order[:, 1:]] - places[members][:, None]
     # In a lattice each neighbour has one on the other side.
     opposite = np.linalg.norm(around[:, :4, None] + around[:, None], axis=3).min(2)
@@ -238,7 +241,7 @@ _CHANGES = [
     for rows in itertools.product((-1, 0, 1), repeat=4)
     if rows[0] * rows[3] - rows[1] * rows[2] == 1
 ]
-"""Other bases of the same lattice, of the same handedness: a tilted grid's shortest steps may run along its diagonals."""
+"""Other bases of the lattice, of the same handedness: a tilted grid's shortest steps may run along its diagonals."""
 
 
 def _refined(grey: np.ndarray, spots: np.ndarray) -> np.ndarray:

@@ -4,15 +4,11 @@ A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from avcli.calibration import saddles
+from avcli.calibration import circles, markers, saddles
 from avcli.calibration.target import Board
-
-if TYPE_CHECKING:
-    import cv2
 
 _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
@@ -70,17 +66,20 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
 
     Args:
         grey: (height, width) uint8.
-        board: a checkerboard must be in the picture with its four sides, up to a fifth of its corners hidden; of a
-            ChArUco board six corners are enough.
+        board: a checkerboard must be in the picture with its four sides, up to a fifth of its corners hidden; a grid
+            of circles wholly; of a board with markers six corners are enough.
         thorough: see saddles.find_board.
     """
     if min(grey.shape) < 32:
         return None
-    found = _find_charuco(grey, board) if board.markers else _find_checkerboard(grey, board.inner, thorough)
-    if found is None:
-        return None
-    ids, pixels = found
-    return view_of(grey, ids, pixels)
+    if board.markers:
+        coarse = markers.find(grey, board)
+        found = coarse and (coarse[0], _subpixel(grey, *coarse[1:]))
+    elif board.has_circles:
+        found = circles.find(grey, board)
+    else:
+        found = _find_checkerboard(grey, board.inner, thorough)
+    return view_of(grey, *found) if found else None
 
 
 def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
@@ -173,39 +172,6 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     if count < min(len(pictures), max(2, len(pictures) / 3)) or sorted(size) == sorted((board.columns, board.rows)):
         return None
     return Board(*size, board.square_m)
-
-
-# --- ChArUco ----------------------------------------------------------------------------------------------------------
-
-
-def _find_charuco(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None:
-    detector = _charuco_detector(board)
-    corners, ids, _, _ = detector.detectBoard(grey)
-    if ids is None or len(ids) < 6:
-        return None
-    ids = ids.ravel().astype(int)
-    order = np.argsort(ids)
-    ids, pixels = ids[order], corners.reshape(-1, 2)[order].astype(np.float64)
-    columns, rows = ids % board.inner[0], ids // board.inner[0]
-    if len(np.unique(columns)) < 2 or len(np.unique(rows)) < 2 or not np.isfinite(pixels).all():
-        return None
-    between = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
-    steps = np.hypot(columns[:, None] - columns[None], rows[:, None] - rows[None])
-    spacing = np.where(steps > 0, between / np.maximum(steps, 1), np.inf).min(1)
-    if not (spacing > 6).all():
-        return None
-    # Around a corner only (1 - MARKER_RATIO) / 2 of a square is free of markers.
-    return ids, _subpixel(grey, pixels, 0.4 * spacing)
-
-
-def _charuco_detector(board: Board) -> "cv2.aruco.CharucoDetector":
-    import cv2
-
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshWinSizeMax = 53
-    charuco = cv2.aruco.CharucoParameters()
-    charuco.minMarkers = 1
-    return cv2.aruco.CharucoDetector(board.charuco(), charuco, parameters)
 
 
 # --- polish -----------------------------------------------------------------------------------------------------------

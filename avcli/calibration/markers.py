@@ -66,11 +66,16 @@ def find(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _find_charuco(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    corners, ids, _, _ = _charuco_detector(board).detectBoard(grey)
+    corners, ids, _, seen = _charuco_detector(board).detectBoard(grey)
     if ids is None or len(ids) < 6:
         return None
     ids = ids.ravel().astype(int)
     order = np.argsort(ids)
+    if not board.rows_known:  # OpenCV would extrapolate corners below the last row of markers
+        last = _places(np.arange(int(seen.max()) + 1), board.columns, board.kind, board.legacy)[-1, 1]
+        order = order[ids[order] // board.inner[0] < last]
+        if len(order) < 6:
+            return None
     ids, pixels = ids[order], corners.reshape(-1, 2)[order].astype(np.float64)
     columns, rows = ids % board.inner[0], ids // board.inner[0]
     if len(np.unique(columns)) < 2 or len(np.unique(rows)) < 2:
@@ -184,9 +189,7 @@ def _identified(grey: np.ndarray, quads: np.ndarray, dictionary: str, border_bit
             corners.append(np.roll(quad, -int(turn), axis=0))
     names, counts = np.unique(np.array(ids, int), return_counts=True)
     once = [ids.index(name) for name in names[counts == 1]]
-    return Markers(
-        dictionary, names[counts == 1], np.array([corners[i] for i in once]).reshape(-1, 4, 2), border_bits
-    )
+    return Markers(dictionary, names[counts == 1], np.array([corners[i] for i in once]).reshape(-1, 4, 2), border_bits)
 
 
 def _cells(grey: np.ndarray, quads: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
@@ -214,12 +217,25 @@ def _codes(name: str) -> tuple[np.ndarray, int]:
     """The bits of a dictionary's first markers, (n, size²) bool, true where white; and the size."""
     dictionary = dictionary_of(name)
     size = dictionary.markerSize
-    whole = dictionary.bytesList[:_MOST].reshape(-1, 4, (size * size + 7) // 8)[:, 0]
+    whole = np.asarray(dictionary.bytesList[:_MOST], np.uint8).reshape(-1, 4, (size * size + 7) // 8)[:, 0]
     bits = np.unpackbits(whole, axis=1)
     rest = size * size % 8  # the last byte holds the remaining bits at its low end
     if rest:
         bits = np.concatenate([bits[:, : size * size - rest], bits[:, -rest:]], 1)
     return bits.astype(bool), size
+
+
+def known_markers(dictionary: str) -> int:
+    """How many markers of a dictionary are considered."""
+    return len(_codes(dictionary)[0])
+
+
+def smallest_of(board: Board) -> str:
+    """The smallest dictionary that begins with the same markers and has enough for a board."""
+    need = board.columns * board.rows // (1 if board.kind == "aprilgrid" else 2)
+    family = board.dictionary.rpartition("_")[0]
+    sizes = dict(_FAMILIES).get(family, ())
+    return next((f"{family}_{size}" for size in sizes if need <= size), board.dictionary)
 
 
 # --- which board ------------------------------------------------------------------------------------------------------
@@ -274,7 +290,7 @@ def _layout(seen: Markers, kind: Kind) -> Board | None:
     offsets, pairs = _neighbours(seen.corners)
     if len(pairs) < _LEAST_PAIRS:
         return None
-    best: tuple[float, float, Board] | None = None
+    best: tuple[float, Board] | None = None
     first, second = seen.ids[pairs[:, 0]], seen.ids[pairs[:, 1]]
     for columns in range(2 if kind == "aprilgrid" else 3, min(int(seen.ids.max()) * 2 + 3, 40)):
         for legacy in (False, True) if kind == "charuco" else (False,):
@@ -286,19 +302,26 @@ def _layout(seen: Markers, kind: Kind) -> Board | None:
                 continue
             off = np.linalg.norm(offsets - unit * step, axis=1)
             agree = float((off < 0.3 * unit).mean())
-            rows = int(round(np.ptp(place[:, 1]))) + 1
+            rows = round(float(np.ptp(place[:, 1]))) + 1
             rows += rows % 2 if legacy else 0
             if agree < _AGREE or rows < (2 if kind == "aprilgrid" else 3):
                 continue
             ratio = unit - 1 if kind == "aprilgrid" else 1 / unit
-            # Of equals the one without the exception, then with fewer columns, is taken.
-            if best is None or (agree, -float(off.mean())) > (best[0] + 0.02, -np.inf):
-                board = Board(
-                    columns, rows, kind=kind, dictionary=seen.dictionary, ratio=round(float(np.clip(ratio, 0.02, 0.98)), 3),
-                    legacy=legacy, border_bits=seen.border_bits if kind == "aprilgrid" else 2, scaled=False,
-                )  # fmt: skip
-                best = agree, -float(off.mean()), board
-    return best[2] if best else None
+            if best is None or agree > best[0] + 0.02:  # of equals the plain layout with fewer columns
+                best = (
+                    agree,
+                    Board(
+                        columns,
+                        rows,
+                        kind=kind,
+                        dictionary=seen.dictionary,
+                        ratio=round(float(np.clip(ratio, 0.02, 0.98)), 3),
+                        legacy=legacy,
+                        border_bits=seen.border_bits if kind == "aprilgrid" else 2,
+                        scaled=False,
+                    ),
+                )
+    return best[1] if best else None
 
 
 def _places(ids: np.ndarray, columns: int, kind: Kind, legacy: bool) -> np.ndarray:
