@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import corners, fit, gather, opencv, quality
+from avcli.calibration import circles, corners, fit, gather, opencv, quality, spacing
 from avcli.calibration.corners import View
+from avcli.calibration.recognise import Wanted
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
@@ -63,6 +64,16 @@ class Calibration:
         """How far the board's middle stands out of the plane of its corners, m; 0 for a flat one."""
         return float(self.solution.shape[:2].sum())
 
+    def _board_config(self) -> dict:
+        """What is known of the board; a length only where the print was measured."""
+        board, shape = self.board, [float(v) for v in self.solution.shape]
+        known: dict = {"square_m": board.square_m, "board_shape_m": shape} if board.scaled else {"square_m": None}
+        if board.kind != "checkerboard":
+            known |= {"board_kind": board.kind, "board_ratio": board.ratio}
+        if board.markers:
+            known["board_dictionary"] = board.dictionary
+        return known
+
     @property
     def verdict(self) -> str:
         """One sentence on how far the calibration can be trusted."""
@@ -88,8 +99,7 @@ class Calibration:
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
                 "board": str(self.board),
-                "square_m": self.board.square_m,
-                "board_shape_m": [float(v) for v in self.solution.shape],
+                **self._board_config(),
             },
         }
 
@@ -101,8 +111,8 @@ def _finite(value: float) -> float | None:
 def calibrate(
     pictures: Iterable[Picture | np.ndarray],
     *,
-    board: Board | tuple[int, int] = (6, 8),
-    square_m: float = 0.095,
+    board: Board | Wanted | tuple[int, int] | None = None,
+    square_m: float | None = None,
     settings: FitSettings = DEFAULTS,
     say: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
@@ -118,8 +128,9 @@ def calibrate(
     Args:
         pictures: of one size; arrays (height, width[, 3 RGB or 4 RGBA]), or what `footage.pictures` reads. Pictures
             without the board are skipped.
-        board: squares as printed, along a row and along a column; or a Board, which may have markers.
-        square_m: side of a square, m, where `board` is a pair of counts.
+        board: a Board; a pair of counts, the squares of a checkerboard as printed along a row and along a column; or
+            what is known of it. The rest is recognised in the pictures.
+        square_m: side of a square, m, where `board` does not say it; None: not measured, so that no length is stated.
         settings: how the lens is fitted, and which model: FitSettings(lens_model="brown_conrady").
         say: gets sentences for the user, such as that the board has another size.
 
@@ -130,9 +141,9 @@ def calibrate(
         fit.NoFit: no picture shows the board, or the corners determine no lens.
         ValueError: the pictures differ in size.
     """
-    if not isinstance(board, Board):
-        board = Board(*board, square_m)
-    seen = gather.collect(pictures, board, say=say)
+    if isinstance(board, tuple):
+        board = Wanted(board, "checkerboard", square_m=square_m).board()
+    seen = gather.collect(pictures, board or Wanted(square_m=square_m), say=say)
     seen.require_views()
     return calibrate_views(seen.board, seen.views, settings)
 
@@ -151,6 +162,10 @@ def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEF
     """
     if settings.lens_model not in variants():
         raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}")
+    if not board.ratio_known:
+        some = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(12, len(views))).astype(int))]
+        size = views[0].width, views[0].height
+        board = spacing.measured(board, lambda board: observe(board, some), size, settings.lens_model)
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
@@ -244,8 +259,17 @@ def _posed(observations: fit.Observations, solution: fit.Solution) -> fit.Soluti
 def polished(
     everything: fit.Observations, solution: fit.Solution, kept: np.ndarray, board: Board, views: list[View]
 ) -> fit.Observations:
-    """Refine all corners with the lens known (corners.polish) and weigh them by how well they could be placed."""
+    """Refine all corners with the lens known (corners.polish) and weigh them by how well they could be placed.
+
+    Circles stay where they were measured; what the lens and the view add to their centres is taken out.
+    """
     poses = _all_poses(everything, solution, kept)
+    if board.has_circles:
+        places = fit.surface(everything.points, poses.shape, everything.half_extent)
+        R, t = poses.rotations[everything.view], poses.translations[everything.view]
+        measured = np.concatenate([view.pixels for view in views])
+        off = circles.offsets(places, R, t, poses.lens, board.diameter_m / 2)
+        return replace(everything, pixels=measured - off)
     unit, near = board.clear
     to_board = _board_offsets(everything, poses, unit)
     pixels, sd = corners.polish(
