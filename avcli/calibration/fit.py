@@ -52,15 +52,18 @@ class Observations:
         """The corners of some views only: `keep` (views,) bool, or indices."""
         chosen = np.zeros(self.views, bool)
         chosen[keep] = True
-        rows = chosen[self.view]
-        renumbered = np.cumsum(chosen) - 1
+        return self.of_corners(chosen[self.view])
+
+    def of_corners(self, keep: np.ndarray) -> "Observations":
+        """Some corners only, `keep` (n,) bool, and only the views that have one of them, renumbered."""
+        _, renumbered = np.unique(self.view[keep], return_inverse=True)
         return replace(
-            self,
-            view=renumbered[self.view[rows]],
-            points=self.points[rows],
-            pixels=self.pixels[rows],
-            sigma=self.sigma[rows],
+            self, view=renumbered, points=self.points[keep], pixels=self.pixels[keep], sigma=self.sigma[keep]
         )
+
+    def views_of(self, keep: np.ndarray) -> np.ndarray:
+        """Which views have one of the corners `keep` (n,) bool: (views,) bool."""
+        return np.bincount(self.view, keep, self.views) > 0
 
     def per_view(self, values: np.ndarray) -> np.ndarray:
         """Sum (n, ...) values over the corners of each view: (views, ...)."""
@@ -452,49 +455,3 @@ def _delta(observations: Observations, solution: Solution) -> float:
     """Three standard deviations of the residuals' bulk: their median length is 1.177 of it (Rayleigh)."""
     length = np.linalg.norm(residuals(observations, solution), axis=1) / observations.sigma
     return max(3 * float(np.nanmedian(length)) / 1.1774, 1e-9)
-
-
-def outlying_views(rms: np.ndarray) -> np.ndarray:
-    """Which views fit worse than the others can explain: RMS above median + 4 (1.4826 MAD + 0.02 px); (views,) bool.
-
-    Twice the median is always borne (the fit is robust), and at least four views are left.
-    """
-    middle = np.median(rms)
-    limit = middle + 4 * (1.4826 * np.median(np.abs(rms - middle)) + 0.02)
-    return rms > max(limit, 2 * middle, np.sort(rms)[:4][-1])
-
-
-def fit_robustly(
-    observations: Observations, width: int, height: int, *, board_shape: bool = False, model: str = "kannala_brandt"
-) -> tuple[Solution, np.ndarray]:
-    """Fit from nothing, leaving out views that do not belong.
-
-    Args:
-        observations: the corners.
-        width, height: px, of the pictures.
-        board_shape: fit the board's shape too.
-        model: a name in avcli.lens.variants().
-
-    Returns:
-        the Solution for the kept views, and `kept` (views,) bool.
-
-    Raises:
-        NoFit: there are fewer equations than unknowns.
-    """
-    solution = fit(observations, scan_focal(observations, width, height, model), board_shape=board_shape)
-    return refit_robustly(observations, solution, np.ones(observations.views, bool), board_shape=board_shape)
-
-
-def refit_robustly(
-    observations: Observations, solution: Solution, kept: np.ndarray, *, board_shape: bool = False
-) -> tuple[Solution, np.ndarray]:
-    """Fit the kept views again from where they stand, at most three times leaving out views that do not belong."""
-    kept = kept.copy()
-    for _ in range(3):
-        few = observations.of_views(kept)
-        bad = outlying_views(view_rms(few, solution))
-        if not bad.any():
-            break
-        kept[np.flatnonzero(kept)[bad]] = False
-        solution = fit(observations.of_views(kept), solution.of_views(~bad), board_shape=board_shape)
-    return solution, kept
