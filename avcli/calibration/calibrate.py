@@ -16,6 +16,9 @@ from avcli.lens import Lens, lens_config, variants
 BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
 
+LEAST_FOR_ERRORS = 8
+"""Views from which the board's errors are looked for."""
+
 DEFAULTS = FitSettings()
 
 
@@ -35,6 +38,7 @@ class Calibration:
         quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
+        printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN where not tried.
     """
 
     board: Board
@@ -48,6 +52,7 @@ class Calibration:
     held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
+    printed_px: float = float("nan")
 
     @property
     def lens(self) -> Lens:
@@ -194,10 +199,16 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) 
         shaped = robust.held_out(everything, bent, bent_good, of=good & bent_good)
         if settings.board_shape == "yes" or shaped.rms_px < (1 - BOARD_GAIN) * flat.rms_px:
             solution, good, chosen = bent, bent_good, shaped
+    printed = robust.HeldOut(float("nan"), float("nan"))
+    if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
+        printed = robust.held_out(everything, solution, good, board_errors=True)
+        if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
+            everything, solution, chosen = *robust.fit_board(everything, solution, good), printed
     return replace(
         judged(board, views, everything, solution, good, chosen),
         flat_px=flat.rms_px,
         shaped_px=shaped.rms_px,
+        printed_px=printed.rms_px,
     )
 
 

@@ -30,6 +30,7 @@ class Observations:
         pixels: (n, 2) px, where it was seen.
         sigma: (n,) expected error of `pixels` relative to that of a common corner.
         half_extent: (2,) m, see the module.
+        errors: (n, 3) m, how far the corner is from where the board's shape puts it, in the board's frame.
     """
 
     view: np.ndarray
@@ -37,6 +38,7 @@ class Observations:
     pixels: np.ndarray
     sigma: np.ndarray
     half_extent: np.ndarray
+    errors: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @property
     def views(self) -> int:
@@ -58,7 +60,12 @@ class Observations:
         """Some corners only, `keep` (n,) bool, and only the views that have one of them, renumbered."""
         _, renumbered = np.unique(self.view[keep], return_inverse=True)
         return replace(
-            self, view=renumbered, points=self.points[keep], pixels=self.pixels[keep], sigma=self.sigma[keep]
+            self,
+            view=renumbered,
+            points=self.points[keep],
+            pixels=self.pixels[keep],
+            sigma=self.sigma[keep],
+            errors=self.errors if len(self.errors) == 1 else self.errors[keep],
         )
 
     def views_of(self, keep: np.ndarray) -> np.ndarray:
@@ -127,9 +134,14 @@ def surface(points: np.ndarray, shape: np.ndarray, half_extent: np.ndarray) -> n
     return np.stack([x, y * (1 + shape[2]), z], -1)
 
 
+def places(observations: Observations, solution: Solution) -> np.ndarray:
+    """Where the corners are in the board's frame, (n, 3) m."""
+    return surface(observations.points, solution.shape, observations.half_extent) + observations.errors
+
+
 def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
-    flat = surface(observations.points, solution.shape, observations.half_extent)
+    flat = places(observations, solution)
     inside = np.einsum("nij,nj->ni", solution.rotations[observations.view], flat)
     return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
 
@@ -187,7 +199,7 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, P) and to the pose (n, 2, 6)."""
     o, s = observations, solution
-    flat = surface(o.points, s.shape, o.half_extent)
+    flat = places(o, s)
     R = s.rotations[o.view]
     turned = np.einsum("nij,nj->ni", R, flat)
     pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])

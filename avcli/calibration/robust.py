@@ -23,6 +23,8 @@ _LEAST_SHARE = 0.5
 _LEAST_CORNERS = 6
 _WORSE = 2.0
 """A view may be this much worse than the common one before its corners are judged by the common one."""
+_BOARD_ERROR = 0.01
+"""Standard deviation of a corner's place on the board, in squares, before it is seen."""
 _SIGMA_FLOOR_PX = 1e-6
 
 
@@ -215,6 +217,64 @@ def _board_offsets(observations: Observations, solution: Solution, square: float
     return np.where(np.isfinite(met).all((1, 2))[:, None, None], offsets, 0.0)
 
 
+# --- the board's own errors --------------------------------------------------------------------------------------------
+
+
+def with_board_errors(observations: Observations, solution: Solution) -> tuple[Observations, Solution]:
+    """Find where the corners really are on the board, beside the lens (Strobl and Hirzinger 2011).
+
+    No printer and no glue are exact. What the board does wrong is the same in every picture, so that many pictures tell
+    it from the lens.
+
+    Args:
+        observations: the corners that belong.
+        solution: the fit to them.
+
+    Returns:
+        the observations with their errors, and the solution for them.
+    """
+    points, corner = np.unique(observations.points, axis=0, return_inverse=True)
+    prior = _BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
+    errors = np.zeros((len(points), 3))
+    for _ in range(4):
+        observations = replace(observations, errors=errors[corner])
+        errors = errors + _board_step(observations, solution, corner, errors, prior)
+        observations = replace(observations, errors=errors[corner])
+        solution = fit.refine(observations, solution, solution.free, solution.delta_px, 4, 1e-4)
+    return observations, solution
+
+
+def fit_board(observations: Observations, solution: Solution, good: np.ndarray) -> tuple[Observations, Solution]:
+    """Fit with the board's errors: all corners with them, and the solution for those in `good` (n,) bool."""
+    some, solution = with_board_errors(observations.of_corners(good), solution)
+    solution = fit.fit(some, solution, board_shape=bool(solution.free[-fit.SHAPE :].any()))
+    return replace(observations, errors=errors_of(some, observations)), solution
+
+
+def _board_step(
+    observations: Observations, solution: Solution, corner: np.ndarray, errors: np.ndarray, prior: float
+) -> np.ndarray:
+    """One least-squares step of each corner's place on the board, (corners, 3) m; `prior` m holds what is not seen."""
+    o, R = observations, solution.rotations[observations.view]
+    inside = np.einsum("nij,nj->ni", R, fit.places(o, solution)) + solution.translations[o.view]
+    seen, by_point, _ = solution.lens.project_jacobian(inside)
+    residual, J = o.pixels - seen, by_point @ R
+    good = np.isfinite(residual).all(1) & np.isfinite(J).all((1, 2))
+    length = np.linalg.norm(np.where(good[:, None], residual, 0.0), axis=1) / o.sigma
+    weight = good * np.minimum(1.0, solution.delta_px / np.maximum(length, 1e-12)) / (o.sigma * solution.sigma_px) ** 2
+    J, residual = np.where(good[:, None, None], J, 0.0), np.where(good[:, None], residual, 0.0)
+    normal, right = np.zeros((len(errors), 3, 3)), np.zeros((len(errors), 3))
+    np.add.at(normal, corner, np.einsum("n,nia,nib->nab", weight, J, J))
+    np.add.at(right, corner, np.einsum("n,nia,ni->na", weight, J, residual))
+    return np.linalg.solve(normal + np.eye(3) / prior**2, (right - errors / prior**2)[..., None])[..., 0]
+
+
+def errors_of(learned: Observations, observations: Observations) -> np.ndarray:
+    """The board's errors that were found from some corners, (n, 3) m for others; 0 for a corner that was not seen."""
+    known = dict(zip(map(tuple, learned.points.tolist()), learned.errors.tolist(), strict=True))
+    return np.array([known.get(point, [0.0, 0.0, 0.0]) for point in map(tuple, observations.points.tolist())])
+
+
 # --- pictures held out ------------------------------------------------------------------------------------------------
 
 
@@ -237,6 +297,7 @@ def held_out(
     good: np.ndarray,
     *,
     of: np.ndarray | None = None,
+    board_errors: bool = False,
     folds: int = 5,
 ) -> HeldOut:
     """Measure the error on views that took no part: the lens from the others, the pose from the view itself, robustly.
@@ -246,6 +307,7 @@ def held_out(
         solution: the fit to the corners in `good`.
         good: (n,) bool, the corners that belong. The others take no part in a fit, but they count in `all_px`.
         of: (n,) bool, the corners whose RMS is asked for; None: those in `good`.
+        board_errors: also learn the board's errors (`with_board_errors`) from the other views; `observations` have none.
         folds: how many parts; view i is in part i mod folds.
     """
     everywhere = posed(observations, solution, good)
@@ -262,6 +324,9 @@ def held_out(
             return HeldOut(float("nan"), float("nan"))
         learned = fit.refine(seen, everywhere.of_views(train), solution.free, solution.delta_px, 6, 1e-4)
         held = observations.of_views(test)
+        if board_errors:
+            seen, learned = with_board_errors(seen, learned)
+            held = replace(held, errors=errors_of(seen, held))
         there = replace(everywhere.of_views(test), parameters=learned.parameters)
         there = fit.refine_poses(held, there, 8, solution.delta_px)
         rest = (fit.residuals(held, there) ** 2).sum(1)
