@@ -70,7 +70,7 @@ vec3 ray_of(ivec2 at) { return ray_from(vec2(at), texelFetch(rays, at, 0).rg); }
 vec4 stored_ray(vec2 px) { return vec4(ray_parts(px), 0.0, 0.0); }
 #endif
 """
-"""`specialised` puts numbers for SEGMENTS of the series and their TERMS, and for the TURNS that take tangential terms off."""
+"""`specialised` fills in SEGMENTS and TERMS of the series, and TURNS, in which tangential terms are taken off."""
 
 _MOST_TERMS = 100  # 10 to 25 are usual; a steep Brown-Conrady polynomial takes 80
 _SEGMENTS, _SEGMENT_TERMS = 16, 14  # of a lens for which these do not do: slopes that a rational polynomial bends
@@ -112,7 +112,7 @@ def uniforms(lens: Lens, width: int, height: int) -> dict[str, Any]:
     return {
         **tangent,
         "centre": (lens.cx, lens.cy), "per_px": tuple(per_px), "stretch": lens.slopes_per_unit,
-        "domain": (1.0 / top**2, float(ends), field**2, float(lens.is_bounded)), 
+        "domain": (1.0 / top**2, float(ends), field**2, float(lens.is_bounded)),
         "series": series.reshape(-1, 2).tolist(), "segments": len(series),
     }  # fmt: skip
 
