@@ -83,7 +83,7 @@ _DISTORTION_KEY = re.compile(r"(?i)(distortion_?(?:coefficients|coeffs)?|dist_?(
 
 
 def opencv(text: str, name: str, fisheye: bool | None) -> list[Camera]:
-    """The cameras of a FileStorage in YAML, XML or JSON: every camera matrix, with the distortion of the same suffix."""
+    """The cameras of a FileStorage in YAML, XML or JSON: each camera matrix with its distortion."""
     start = text.lstrip()[:1]
     if start == "<":
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
