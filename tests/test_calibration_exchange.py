@@ -271,6 +271,43 @@ def test_what_opencv_writes_is_read(fisheye: bool, tmp_path: Path) -> None:
             assert camera.lens == BrownConrady(900.0, 901.0, 950.25, 540.5, 0.1, -0.02, 3e-3)
 
 
+def test_thin_prisms_and_tilt_are_opencv_s() -> None:
+    D = [0.1, 0.02, 1e-3, -2e-3, 0.01, 0.2, 0.05, 0.01, 1e-3, 2e-4, -1e-3, 3e-4, 0.02, -0.03]
+    text = "image_width: 640\nimage_height: 480\ncamera_matrix:\n  data: [500, 0, 320, 0, 501, 240, 0, 0, 1]\n"
+    lens = reread(f"{text}distortion_coefficients:\n  data: {D}\n").lens
+    K = np.array([[500.0, 0, 320], [0, 501, 240], [0, 0, 1]])
+    pixels = cv2.projectPoints(rays(0.45), np.zeros(3), np.zeros(3), K, np.array(D))[0][:, 0]
+    np.testing.assert_allclose(lens.project(rays(0.45)), pixels, atol=1e-9)
+
+
+COLMAPS = {
+    "SIMPLE_PINHOLE": (500, 320, 240),
+    "PINHOLE": (500, 501, 320, 240),
+    "SIMPLE_RADIAL": (500, 320, 240, -0.1),
+    "RADIAL": (500, 320, 240, -0.1, 0.01),
+    "OPENCV": (500, 501, 320, 240, -0.1, 0.01, 1e-3, -2e-3),
+    "FULL_OPENCV": (500, 501, 320, 240, 0.1, 0.01, 1e-3, -2e-3, 0.01, 0.2, 0.03, 0.01),
+    "OPENCV_FISHEYE": (500, 501, 320, 240, -0.01, 0.01, 1e-3, -2e-3),
+    "SIMPLE_RADIAL_FISHEYE": (500, 320, 240, -0.1),
+    "RADIAL_FISHEYE": (500, 320, 240, -0.1, 0.01),
+    "FOV": (500, 501, 320, 240, 0.9),
+    "THIN_PRISM_FISHEYE": (500, 501, 320, 240, -0.01, 0.01, 1e-3, -2e-3, 1e-3, 1e-4, 1e-3, 2e-3),
+    "SIMPLE_FISHEYE": (500, 320, 240),
+    "FISHEYE": (500, 501, 320, 240),
+    "EUCM": (500, 501, 320, 240, 0.6, 1.1),
+}
+
+
+@pytest.mark.parametrize("model", COLMAPS)
+def test_colmap_s_models_are_read_as_colmap_projects_them(model: str) -> None:
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    if model not in pycolmap.CameraModelId.__members__:
+        pytest.skip(f"this pycolmap has no {model}")
+    theirs = pycolmap.Camera(camera_id=1, model=model, width=640, height=480, params=COLMAPS[model])
+    lens = reread(f"1 {model} 640 480 {' '.join(str(float(v)) for v in COLMAPS[model])}\n").lens
+    np.testing.assert_allclose(lens.project(rays(0.45)), np.array(theirs.img_from_cam(rays(0.45))) - 0.5, atol=1e-9)
+
+
 @pytest.mark.parametrize("model", SAMPLES)
 def test_colmap_reads_what_is_written_for_it(model: str) -> None:
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
@@ -333,3 +370,31 @@ def test_ros_reads_what_is_written_for_it(tmp_path: Path) -> None:
         assert isinstance(camera.lens, Lens)
         assert [K[0], K[4], K[2], K[5]] == [camera.lens.fx, camera.lens.fy, camera.lens.cx, camera.lens.cy]
         assert next(c for c in exchange.ROS if c.name == model).values(camera.lens) == list(D)
+
+
+def test_what_mrcal_writes_is_read(tmp_path: Path) -> None:
+    script = """
+import mrcal, numpy as np
+rng = np.random.default_rng(0)
+core = [500.0, 501.0, 320.5, 239.5]
+spline = 'LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=11_Ny=8_fov_x_deg=120'
+cases = {'LENSMODEL_PINHOLE': [], 'LENSMODEL_STEREOGRAPHIC': [], 'LENSMODEL_OPENCV4': [-0.1, 0.01, 1e-3, -2e-3],
+         'LENSMODEL_OPENCV8': [0.3, 0.05, 1e-3, -2e-3, 0.01, 0.6, 0.12, 0.02],
+         'LENSMODEL_OPENCV12': [0.1, 0.02, 1e-3, -2e-3, 0.01, 0.2, 0.05, 0.01, 1e-3, 2e-4, -1e-3, 3e-4],
+         spline: (0.01 * rng.standard_normal(11 * 8 * 2)).tolist()}
+rays = np.load('rays.npy')
+for i, (name, numbers) in enumerate(cases.items()):
+    m = mrcal.cameramodel(intrinsics=(name, np.array(core + numbers)), imagersize=(640, 480),
+                          extrinsics_rt_fromref=np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+    m.write(f'{i}.cameramodel', note='a note')
+    np.save(f'{i}.npy', mrcal.project(rays, *m.intrinsics()))
+"""
+    np.save(tmp_path / "rays.npy", rays(0.45))
+    asked("mrcal", script, tmp_path)
+    paths = sorted(tmp_path.glob("*.cameramodel"))
+    assert len(paths) == 6
+    for path in paths:
+        kind, (camera,) = exchange.read(path.read_bytes(), path.name)
+        assert (kind, camera.size) == ("mrcal", (640, 480))
+        assert camera.T_reference_camera is not None
+        np.testing.assert_allclose(camera.lens.project(rays(0.45)), np.load(path.with_suffix(".npy")), atol=1e-9)

@@ -211,7 +211,7 @@ def _colmap_lens(model: str, numbers: np.ndarray) -> Projection:
     if model in _COLMAP_SHORT:
         model, names = _COLMAP_SHORT[model]
         given = dict(zip(names, numbers.tolist(), strict=True))
-        numbers = np.array([given["f"], given["f"], given["cx"], given["cy"],
+        numbers = np.array([given.get("fx", given.get("f")), given.get("fy", given.get("f")), given["cx"], given["cy"],
                             *(given.get(name, 0.0) for name in _choice(COLMAP, model).names)])  # fmt: skip
     core, d = numbers[:4] - [0, 0, 0.5, 0.5], numbers[4:]
     if model == "FOV":
