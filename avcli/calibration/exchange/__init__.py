@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
+import orjson
 
 from avcli.calibration.exchange import nearest, reading, writing
-from avcli.calibration.exchange.cameras import AVCLI, COLMAP, KALIBR, MRCAL, OPENCV, ROS, Camera, Choice
+from avcli.calibration.exchange.cameras import AVCLI, COLMAP, KALIBR, KNOWN, MRCAL, OPENCV, ROS, Camera, Choice
 from avcli.calibration.exchange.nearest import Projection, Splined
 from avcli.lens import Lens
 
-_NOTED_LIMIT = re.compile(r"\b(theta_max_observed_deg|theta_max_valid_deg):\s*([0-9.]+)")
+_NOTED = re.compile(rf"\b({'|'.join(KNOWN)}): (\[[^\]]*\]|[0-9.]+)")
 _LARGEST = 64 << 20
 """bytes; mrcal puts all its observations into its files."""
 
@@ -80,11 +81,6 @@ FORMATS: dict[str, Format] = {
 """The formats by name, in the order in which a file is compared with them."""
 
 
-def limits_of(text: str) -> dict[str, float]:
-    """The limits that a file's comments state."""
-    return {key: float(value) for key, value in _NOTED_LIMIT.findall(text)}
-
-
 def read(content: bytes, name: str, fisheye: bool | None = None) -> tuple[str, list[Camera]]:
     """Read the cameras of a file of any known format; which format it has follows from what stands in it.
 
@@ -117,8 +113,8 @@ def read(content: bytes, name: str, fisheye: bool | None = None) -> tuple[str, l
                 raise ValueError(said if said.startswith(f"{name}:") else f"{name}: {said}") from None
             if not cameras:
                 raise ValueError(f"{name}: looks like a file of {kind}, but has no camera in it")
-            noted = limits_of(text)
-            return kind, [replace(camera, limits={**camera.limits, **noted}) for camera in cameras]
+            noted = {key: orjson.loads(value) for key, value in _NOTED.findall(text)}
+            return kind, [replace(camera, known={**camera.known, **noted}) for camera in cameras]
     raise ValueError(f"{name}: is no camera file of {', '.join(FORMATS)}")
 
 
@@ -150,7 +146,7 @@ def write(camera: Camera, kind: str, *, xml: bool = False) -> Written:
     """Write a camera in a format.
 
     The first model of the format that has exactly the camera's lens is taken, else the one that comes nearest over the
-    field that is known: the picture up to theta_max_observed_deg.
+    field that is known: the picture up to the angle to which the lens is known.
 
     Args:
         camera: with its picture's size.
@@ -164,14 +160,14 @@ def write(camera: Camera, kind: str, *, xml: bool = False) -> Written:
     if camera.size is None:
         raise ValueError("the size of the camera's pictures is not known")
     form = FORMATS[kind]
-    seen = nearest.field(camera.lens, camera.size, np.deg2rad(min(camera.limits.values(), default=180.0)))
+    seen = nearest.field(camera.lens, camera.size, camera.theta_max)
     choice, lens, rms, largest = _best(camera, form, seen)
     lost = (*camera.lost, *(("its pose",) if camera.T_reference_camera is not None and not form.has_pose else ()))
     found = Written("", {}, choice.name, rms, largest, seen.theta, lost)
     notes = [
         f"{choice.name}, written by avcalib convert from a lens of the model {camera.model}",
         found.said,
-        *(f"{key}: {value:.4f}" for key, value in camera.limits.items()),
+        *(f"{key}: {orjson.dumps(value).decode()}" for key, value in camera.known.items()),
     ]
     if kind == "avcli" and isinstance(lens, Lens):
         found = found._replace(config=writing.config(camera, lens))
@@ -183,7 +179,7 @@ def words(camera: Camera, found: Written, kind: str) -> list[str]:
     lines = [f"{camera.model} → {found.model}: {found.said}"]
     if found.lost:
         lines.append(f"not in the new file: {', '.join(found.lost)}")
-    if kind == "avcli" and "theta_max_observed_deg" not in camera.limits:
+    if kind == "avcli" and "theta_max_observed_deg" not in camera.known:
         lines.append("the file does not say up to which angle the lens was seen; far from the axis it may be a guess")
     return lines
 

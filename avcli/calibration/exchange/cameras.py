@@ -2,14 +2,15 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from avcli.calibration.exchange.nearest import Field, Fitted, Projection, Splined, nearest
 from avcli.lens import LENSES, TANGENTIAL, Lens, name_of
 
-LIMITS = ("theta_max_observed_deg", "theta_max_valid_deg")
+KNOWN = ("theta_max_observed_deg", "theta_max_trusted_deg", "theta_max_valid_deg", "image_circle_px")
+"""Keys of camera_config that say where a lens is known. Other tools get them as comments."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Camera:
         lens: a model of avcli.lens, or one that it lacks.
         size: (width, height) px; None where the file does not say.
         name: of the camera in its file.
-        limits: theta_max_observed_deg and theta_max_valid_deg, as far as they are known.
+        known: values of the keys in KNOWN, as far as there are any.
         T_reference_camera: (4, 4), the pose in the room or in the tool's reference frame; None: unknown.
         lost: what the file says that goes nowhere else.
     """
@@ -28,9 +29,15 @@ class Camera:
     lens: Projection
     size: tuple[int, int] | None
     name: str = "camera"
-    limits: Mapping[str, float] = field(default_factory=dict)
+    known: Mapping[str, Any] = field(default_factory=dict)
     T_reference_camera: np.ndarray | None = None
     lost: tuple[str, ...] = ()
+
+    @property
+    def theta_max(self) -> float:
+        """The largest angle from the axis, rad, up to which the lens is known."""
+        seen = self.known.get("theta_max_trusted_deg", self.known.get("theta_max_observed_deg", 180.0))
+        return float(np.deg2rad(min(seen, self.known.get("theta_max_valid_deg", 180.0))))
 
     @property
     def model(self) -> str:

@@ -11,7 +11,7 @@ import orjson
 
 from avcli import pose
 from avcli.calibration.exchange import nearest
-from avcli.calibration.exchange.cameras import COLMAP, KALIBR, LIMITS, OPENCV, ROS, Camera, Choice
+from avcli.calibration.exchange.cameras import COLMAP, KALIBR, KNOWN, OPENCV, ROS, Camera, Choice
 from avcli.calibration.exchange.nearest import Projection, Splined
 from avcli.calibration.fit import rotation_from_vector
 from avcli.formats import experiment, yaml
@@ -73,9 +73,9 @@ def avcli(text: str, name: str, fisheye: bool | None) -> list[Camera]:
     place = None
     if values.get("camera_position_m") is not None:
         place = pose.camera_pose(values["camera_position_m"], values.get("camera_rotation_deg", [90, 0, 0]))
-    limits = {key: float(values[key]) for key in LIMITS if values.get(key) is not None}
+    known = {key: values[key] for key in KNOWN if values.get(key) is not None}
     lost = ("the standard deviations of the parameters",) if "calibration" in values else ()
-    return [Camera(lens, (width, height), "camera", limits, place, lost)]
+    return [Camera(lens, (width, height), "camera", known, place, lost)]
 
 
 _MATRIX_KEY = re.compile(r"(?i)(camera_?matrix|intrinsic_?matrix|intrinsics|mtx|K|M)[_ ]?(\w*)")

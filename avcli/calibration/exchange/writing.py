@@ -38,11 +38,10 @@ def avcli(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nea
 def config(camera: Camera, lens: Lens) -> dict[str, Any]:
     """The keys of camera_config of a camera whose lens was converted to `lens`."""
     assert camera.size is not None
-    limits = {**camera.limits, "theta_max_valid_deg": float(np.rad2deg(lens.theta_max))}
-    if "theta_max_valid_deg" in camera.limits:
-        limits["theta_max_valid_deg"] = min(limits["theta_max_valid_deg"], camera.limits["theta_max_valid_deg"])
+    valid = min(float(np.rad2deg(lens.theta_max)), camera.known.get("theta_max_valid_deg", 180.0))
+    known = {**camera.known, "theta_max_valid_deg": valid}
     found: dict[str, Any] = {
-        **lens_config(lens), "image_width_px": camera.size[0], "image_height_px": camera.size[1], **limits,
+        **lens_config(lens), "image_width_px": camera.size[0], "image_height_px": camera.size[1], **known,
     }  # fmt: skip
     if camera.T_reference_camera is not None:
         found["camera_position_m"] = camera.T_reference_camera[:3, 3].round(10).tolist()
