@@ -100,6 +100,33 @@ class ProjectionSettings:
 
 
 @dataclass(frozen=True)
+class ConvertSettings:
+    """How a camera is converted."""
+
+    to: str | None = setting(
+        None,
+        "Format to write. avcli: a camera_config.",
+        choices=("avcli", "opencv", "ros", "kalibr", "colmap", "mrcal"),
+        default_text="by the name of the output",
+    )
+    camera: str | None = setting(None, "Which camera of a file that has several, such as cam1.", unit="NAME")
+    fisheye: bool | None = setting(
+        None,
+        "Whether four coefficients that OpenCV wrote are those of its fisheye model, where the file does not say.",
+        flag="--fisheye/--no-fisheye",
+        default_text="as the file says",
+    )
+    max_error_px: float = setting(
+        0.5,
+        "Exit 3 and write nothing if the nearest lens of the other tool is further from the camera than this many px "
+        "(RMS).",
+        unit="PX",
+        least=0.0,
+        flag="--max-error",
+    )
+
+
+@dataclass(frozen=True)
 class CheckSettings:
     """When a lens no longer fits."""
 

@@ -10,7 +10,7 @@ import click
 
 import avcli.calibration.settings as settings
 from avcli import __version__
-from avcli.commands import avcalib_room
+from avcli.commands import avcalib_convert, avcalib_room
 from avcli.commands.avcalib_pictures import collect, parse_board, read_camera, usage_errors, views_for, write_camera
 from avcli.commands.filter import FilterGroup, GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
@@ -35,7 +35,12 @@ def main() -> None:
     """Calibrate a camera with a printed board: films, pictures or a USB camera in, a camera_config out."""
 
 
-for _command in (avcalib_room.undistort_command, avcalib_room.pose_command, avcalib_room.microphones_command):
+for _command in (
+    avcalib_room.undistort_command,
+    avcalib_room.pose_command,
+    avcalib_room.microphones_command,
+    avcalib_convert.convert_command,
+):
     main.add_command(_command)
 
 
