@@ -237,7 +237,8 @@ def test_where_the_camera_hangs(camera, tmp_path):
     config = tmp_path / "config.json"
     config.write_text(json.dumps({"camera_config": json.loads(camera.read_text())}))
     result = run(
-        "avcalib", "pose", tmp_path / "floor.png", "-C", tmp_path, "--at", "2.1", "2.5", "0", "--yaw", "20"
+        "avcalib", "pose", tmp_path / "floor.png", "-C", tmp_path, "--square", "95",
+        "--at", "2.1", "2.5", "0", "--yaw", "20",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     found = json.loads(config.read_text())["camera_config"]

@@ -37,7 +37,7 @@ def test_the_sample_in_the_docstring_runs(shots, tmp_path, monkeypatch):
 
 
 def test_arrays_and_iterators_give_the_same_lens(shots):
-    listed = calibrate.calibrate(shots, board=(6, 8))
+    listed = calibrate.calibrate(shots, board=(6, 8), square_m=0.095)
     streamed = calibrate.calibrate(iter(shots), board=Board(6, 8, 0.095))
     assert listed.camera_config() == streamed.camera_config()
     assert (listed.width, listed.height, len(listed.views)) == (*HALF_SIZE, 8)

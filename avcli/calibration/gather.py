@@ -4,7 +4,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -257,12 +257,16 @@ class _Search:
         board = recognise.agreed(self.shown, at_last=at_last)
         if board is None or self.wanted is None:
             return
+        given = self.wanted.size
+        if board.markers and given and given[0] != board.columns:
+            self.say(f"the board is given as {given[0]}x{given[1]}, but the pictures show {board.columns} columns")
+            self.wanted = replace(self.wanted, size=None)
         known = self.wanted.board(board)
         self.seen.forget(len(self.first))
         self.seen.board, self.seen.is_known = self.wanted.searched(board), True
         for picture in self.first:
             self.seen.take(picture.name, picture.timestamp, *self._again(picture))
-        if known != self.wanted.board():
+        if self.wanted.size is None or known.kind != "checkerboard":
             self.say(f"the pictures show {_with_article(known.words)}; --kind and --board fix another one")
         self.rows = known.rows
         if len(self.seen) > _GUESS_AFTER[-1]:

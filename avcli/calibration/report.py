@@ -25,7 +25,7 @@ def words(result: Calibration, seen: Seen) -> list[str]:
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(("k1", "k2", "k3", "k4"), parameters[4:8], q.sd[4:8], strict=True)
     lines = [
-        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the board of {result.board} squares, "
+        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}, "
         f"{seen.count('duplicate')} of them as in another picture; the fit uses {int(result.kept.sum())} pictures with "
         f"{len(result.observations.pixels)} corners",
         f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
@@ -38,14 +38,23 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         f"{_degrees(q.theta_max_picture)}, the lens model is one-to-one up to {_degrees(lens.theta_max)}",
     ]
     if result.solution.shape.any():
-        lines.append(
-            f"the board is bowed by {1000 * result.bow_m:.2f} mm and stretched by "
-            f"{100 * result.solution.shape[2]:+.3f} % along its columns (held-out RMS {result.flat_px:.3f} px without "
-            f"this correction, {result.shaped_px:.3f} px with it)"
-        )
-        if abs(result.bow_m) > 0.0005:
-            lines.append("the board is bowed by more than 0.5 mm: mount it on something flat")
+        lines += _shape_in_words(result)
     return [*lines, *q.advice, f"Verdict: {q.verdict}"]
+
+
+def _shape_in_words(result: Calibration) -> list[str]:
+    """What the fit says of the board's shape; in mm only where the side of a square was measured."""
+    board, bow = result.board, abs(result.bow_m)
+    amount = (
+        f"{1000 * result.bow_m:.2f} mm" if board.scaled else f"{100 * result.bow_m / board.square_m:.1f} % of a square"
+    )
+    lines = [
+        f"the board is bowed by {amount} and stretched by {100 * result.solution.shape[2]:+.3f} % along its columns "
+        f"(held-out RMS {result.flat_px:.3f} px without this correction, {result.shaped_px:.3f} px with it)"
+    ]
+    if board.scaled and bow > 0.0005:
+        lines.append("the board is bowed by more than 0.5 mm: mount it on something flat")
+    return lines
 
 
 def _degrees(angle: float) -> str:
@@ -185,7 +194,7 @@ td, th {{ padding: 0.1rem 0.8rem; text-align: left; }}
 </style>
 <h1>Camera calibration</h1>
 <p>{result.width} × {result.height} px, {int(result.kept.sum())} of {len(result.kept)} pictures used,
-board of {result.board} squares of {1000 * result.board.square_m:g} mm.</p>
+{escape(result.board.words)}{f", {1000 * result.board.square_m:g} mm" if result.board.scaled else ""}.</p>
 <ul>
 {said}
 </ul>

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from avcli.calibration.calibrate import Calibration
     from avcli.calibration.gather import Seen
 
-_THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "square_mm": 95.0, "rate_hz": 2.0}}
+_THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "kind": "checkerboard", "square_mm": 95.0, "rate_hz": 2.0}}
 
 
 @click.group(
@@ -166,21 +166,47 @@ def check_command(
 
 
 @main.command("target", epilog="Example: avcalib target --board 7x10 --square 25 --paper A4 -o board.pdf")
-@from_settings(settings.BoardSettings, defaults={"board": "7x10", "square_mm": 25.0})
+@from_settings(settings.BoardSettings, defaults={"square_mm": 25.0})
 @from_settings(settings.PrintSettings)
+@click.option("--kalibr", metavar="FILE", help="Also write the board's description for Kalibr (target.yaml).")
 @common(experiment=False)
-def target_command(session: Session, paper: str | None, format: str | None, **values: Any) -> None:
+def target_command(
+    session: Session, paper: str | None, format: str | None, dpi: float, kalibr: str | None, **values: Any
+) -> None:
     """Draw a board to print at true size, with rulers to check the print."""
     from avcli.calibration import drawing
+    from avcli.formats.atomic import write_bytes
 
-    board = parse_board(session, values)
+    kind = _picture_format(session, format)
+    if kind != "png":
+        refuse_without_effect(["dpi"], f"with {kind}")
     with usage_errors(session):
+        board = parse_board(session, values).board()
         page = drawing.draw(board, paper)
+        content: str | bytes = drawing.to_svg(page)
+        if kind == "pdf":
+            content = drawing.to_pdf(page)
+        elif kind == "png":
+            content = drawing.to_png(page, dpi)
+        description = drawing.kalibr_yaml(board).encode() if kalibr else b""
     if board.is_ambiguous:
         session.warn(
-            f"a checkerboard of {board} squares looks the same upside down: avcalib pose cannot find its direction; "
-            "make one count odd and one even"
+            f"a {board.words} looks the same upside down: avcalib pose cannot find its direction"
+            + ("; make one count odd and one even" if board.kind == "checkerboard" else "")
         )
-    is_pdf = format == "pdf" or (format is None and session.output_path.lower().endswith(".pdf"))
+    if kalibr:
+        write_bytes(kalibr, description)
     with session.output() as write:
-        write(drawing.to_pdf(page) if is_pdf else drawing.to_svg(page))
+        write(content)
+
+
+def _picture_format(session: Session, format: str | None) -> str:
+    """The format of a target, by --format or by the name of the output; usage error where they differ."""
+    from pathlib import PurePath
+
+    suffix = PurePath(session.output_path).suffix.lower().removeprefix(".")
+    if suffix and suffix not in ("svg", "pdf", "png"):
+        session.usage(f"-o {session.output_path}: the name must end in .svg, .pdf or .png")
+    if format and suffix and format != suffix:
+        session.usage(f"-o {session.output_path} contradicts --format {format}")
+    return format or suffix or "svg"

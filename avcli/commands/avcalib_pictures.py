@@ -15,7 +15,7 @@ from avcli.commands.options import refuse_without_effect, settings_from
 if TYPE_CHECKING:
     from avcli.calibration.camera import KnownCamera
     from avcli.calibration.gather import Seen
-    from avcli.calibration.target import Board
+    from avcli.calibration.recognise import Wanted
     from avcli.formats.footage import Source
 
 _FEW = 100
@@ -31,14 +31,29 @@ def usage_errors(session: Session) -> Iterator[None]:
         session.usage(str(error))
 
 
-def parse_board(session: Session, values: Mapping[str, Any]) -> Board:
-    """Make the board that --board, --square and --charuco describe; usage error where there is no such board."""
-    from avcli.calibration import target
+def parse_board(session: Session, values: Mapping[str, Any]) -> Wanted:
+    """Read what the options say of the board; usage error where there is no such board."""
+    from avcli.calibration import recognise, target
 
     given = settings_from(BoardSettings, values)
+    kind: target.Kind | None = "charuco" if given.charuco else given.kind
+    if given.charuco and given.kind not in (None, "charuco"):
+        session.usage(f"--charuco contradicts --kind {given.kind}")
+    if given.legacy or (given.dictionary and kind is None):
+        if kind not in (None, "charuco"):
+            refuse_without_effect(["legacy"], f"with --kind {kind}")
+        kind = "charuco"
     with usage_errors(session):
-        kind: target.Kind = "charuco" if given.charuco else "checkerboard"
-        return target.Board(*target.parse_size(given.board), given.square_mm / 1000, kind)
+        wanted = recognise.Wanted(
+            target.parse_size(given.board) if given.board else None,
+            kind,
+            target.name_of_dictionary(given.dictionary) if given.dictionary else "",
+            given.ratio or 0.0,
+            True if given.legacy else None,
+            given.square_mm / 1000 if given.square_mm else None,
+        )
+        wanted.board()
+    return wanted
 
 
 def check_sources(session: Session, names: list[str]) -> list[Source]:

@@ -66,7 +66,7 @@ def undistort_command(
     metavar="FILE",
     help="CSV with the header u,v,x,y,z: pixels, and the room points in metres that are seen there.",
 )
-@from_settings(settings.BoardSettings, defaults={"board": "7x10"})
+@from_settings(settings.BoardSettings)
 @click.option("--at", nargs=3, type=float, metavar="X Y Z", help="Room position in m of the middle of the board.")
 @from_settings(settings.PlaceSettings)
 @from_settings(settings.PictureSettings)
@@ -90,6 +90,8 @@ def pose_command(
     else:
         if not at:
             session.usage("--at X Y Z is needed: the room position of the middle of the board")
+        if values["square_mm"] is None:
+            session.usage("--square MM is needed: without the size of the print there is no distance to it")
         seen = views_for(session, list(sources), values, camera)
         choices = place.board_choices(seen.board, seen.views, at, math.radians(given.yaw_deg))
     best, others = place.best(camera, choices, given.sigma_px)
