@@ -11,7 +11,7 @@ from avcli.calibration.recognise import Wanted
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
-from avcli.lens import LENSES, Lens, name_of
+from avcli.lens import Lens, lens_config, variants
 
 BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
@@ -82,10 +82,8 @@ class Calibration:
     def camera_config(self) -> dict:
         """Return the calibration as the keys of config.json's camera_config."""
         lens, q = self.lens, self.quality
-        names = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
         return {
-            "lens_model": name_of(lens),
-            **dict(zip(names, (float(v) for v in self.solution.parameters[: fit.LENS]), strict=True)),
+            **lens_config(lens),
             "image_width_px": self.width,
             "image_height_px": self.height,
             "theta_max_observed_deg": float(np.rad2deg(q.theta_max_observed)),
@@ -96,7 +94,7 @@ class Calibration:
                 "held_out_rms_px": q.held_out_rms_px if np.isfinite(q.held_out_rms_px) else None,
                 "field_sd_mean_px": _finite(np.nanmean(q.field_sd_px)),
                 "field_sd_max_px": _finite(np.nanmax(q.field_sd_px)),
-                "sd": {name: _finite(sd) for name, sd in zip(names, q.sd, strict=False)},
+                "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
@@ -162,8 +160,8 @@ def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEF
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
         ValueError: the lens model is unknown.
     """
-    if settings.lens_model not in LENSES:
-        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(LENSES)}")
+    if settings.lens_model not in variants():
+        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}")
     if not board.ratio_known:
         some = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(12, len(views))).astype(int))]
         size = views[0].width, views[0].height
@@ -196,7 +194,7 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) 
         shaped = quality.held_out_rms(some, bent.of_views(common[bent_kept]))
         if settings.board_shape == "yes" or shaped < (1 - BOARD_GAIN) * flat:
             solution, kept = bent, bent_kept
-    held_out = shaped if solution.free[fit.LENS :].any() else flat
+    held_out = shaped if solution.free[-fit.SHAPE :].any() else flat
     return replace(judged(board, views, everything, solution, kept, held_out), flat_px=flat, shaped_px=shaped)
 
 

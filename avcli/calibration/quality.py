@@ -34,7 +34,7 @@ def held_out_rms(observations: fit.Observations, solution: fit.Solution, folds: 
     for fold in range(folds):
         train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
         seen = observations.of_views(train)
-        if 2 * len(seen.pixels) <= 11 + 6 * seen.views:
+        if 2 * len(seen.pixels) <= len(solution.parameters) + 6 * seen.views:
             return float("nan")
         learned = fit.refine(seen, solution.of_views(train), solution.free, solution.delta_px, 25)
         held = observations.of_views(test)
@@ -53,7 +53,7 @@ def field_sd(solution: fit.Solution, width: int, height: int, step: int = 40) ->
         pixels (rows, columns, 2), and the standard deviation there in px (rows, columns): the root of the summed
         variances of u and v; NaN where the lens images nothing.
     """
-    return _field_sd(solution.lens, solution.covariance[: fit.LENS, : fit.LENS], width, height, step)
+    return _field_sd(solution.lens, solution.covariance[: -fit.SHAPE, : -fit.SHAPE], width, height, step)
 
 
 def _field_sd(lens: Lens, covariance: np.ndarray, width: int, height: int, step: int) -> tuple[np.ndarray, np.ndarray]:
@@ -73,8 +73,8 @@ def _field_sd(lens: Lens, covariance: np.ndarray, width: int, height: int, step:
     _, by_point, by_lens = lens.project_jacobian(rays[seen])
     turn = -by_point @ fit.cross_matrix(rays[seen])
     Q = np.linalg.qr(turn.reshape(-1, 3))[0]
-    J = by_lens.reshape(-1, fit.LENS)
-    J = (J - Q @ (Q.T @ J)).reshape(-1, 2, fit.LENS)
+    J = by_lens.reshape(-1, by_lens.shape[-1])
+    J = (J - Q @ (Q.T @ J)).reshape(by_lens.shape)
     out[seen] = np.sqrt(np.maximum(np.einsum("nia,ab,nib->n", J, covariance, J), 0))
     return grid, out.reshape(grid.shape[:2])
 
@@ -146,7 +146,7 @@ class Quality:
         rms_px: over the corners of the kept views, as OpenCV counts: root of the mean of dx² + dy².
         inlier_rms_px: the same without corners beyond the robust fit's limit.
         held_out_rms_px: see `held_out_rms`; NaN where there are too few views.
-        sd: (11,) standard deviations of fx fy cx cy px, k1..k4, b0 b1 m, b2.
+        sd: (P,) standard deviations of fit.Solution.parameters: fx fy cx cy px, the lens's coefficients, b0 b1 m, b2.
         field_pixels, field_sd_px: see `field_sd`.
         counts: see `coverage`.
         theta_max_observed, theta_max_valid, theta_max_picture: rad; the largest angle at which a corner was seen, at
