@@ -68,11 +68,13 @@ def test_a_part_of_a_board_with_markers_is_enough(name):
 
 def test_large_circles_need_their_centres_corrected():
     board = Board(3, 4, 0.3, kind="circles", ratio=0.7)
-    filmed, pictures = shots(board, 4, distance=(0.6, 0.9), tilt=0.9)
+    filmed, pictures = shots(board, 5, distance=(0.6, 0.9), tilt=0.9)
     points = np.column_stack([board.points, np.zeros(len(board.points))])
     errors = []
     for R, t, picture in zip(filmed.rotations, filmed.translations, pictures, strict=True):
         true, view = HALF.project(points @ R.T + t), corners.find(picture, board)
+        if view is None:  # the picture's edge cuts a circle
+            continue
         turned = (
             np.linalg.norm(view.pixels[::-1] - true, axis=1).mean() < np.linalg.norm(view.pixels - true, axis=1).mean()
         )
@@ -80,9 +82,10 @@ def test_large_circles_need_their_centres_corrected():
         many = [np.repeat(a[None], len(points), 0) for a in (R, t)]
         off = circles.offsets(points, *many, HALF, board.diameter_m / 2)
         errors.append([np.linalg.norm(seen - true, axis=1).mean(), np.linalg.norm(seen - off - true, axis=1).mean()])
+    assert len(errors) >= 2
     before, after = np.mean(errors, 0)
-    assert before > 0.5
-    assert after < 0.2 * before
+    assert before > 1.0
+    assert after < 0.05 * before
 
 
 @pytest.mark.parametrize("name", ["aprilgrid", "charuco", "legacy-charuco"])
