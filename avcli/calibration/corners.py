@@ -101,9 +101,9 @@ def _find_checkerboard(
     found = saddles.find_board(grey, inner, thorough=thorough)
     if found is None:
         return None
-    ids, pixels = found
+    ids, pixels, error = found
     spacing = _spacing(ids, pixels, inner)
-    return (ids, _subpixel(grey, pixels, spacing)) if (spacing > 1.5).all() else None
+    return (ids, _subpixel(grey, pixels, spacing, max(error, 1.5))) if (spacing > 1.5).all() else None
 
 
 def shrunk(grey: np.ndarray) -> np.ndarray:
@@ -131,10 +131,11 @@ def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.
     return nearest.ravel()[ids]
 
 
-def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach: float = np.inf) -> np.ndarray:
     """Förstner's corner (cv2.cornerSubPix) in a window that suits each corner.
 
-    A fixed window of 11 px, as in every tutorial, walks onto the neighbours near the rim.
+    A fixed window of 11 px, as in every tutorial, walks onto the neighbours near the rim. A corner that walks further
+    than `reach` px, or out of its window, stays where it was.
     """
     import cv2
 
@@ -145,7 +146,7 @@ def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray) -> np.
         rows = windows == window
         points = np.ascontiguousarray(corners[rows, None, :], np.float32)
         refined[rows] = cv2.cornerSubPix(grey, points, (int(window), int(window)), (-1, -1), criteria)[:, 0]
-    lost = np.linalg.norm(refined - corners, axis=1) > windows
+    lost = np.linalg.norm(refined - corners, axis=1) > np.minimum(windows, reach)
     refined[lost] = corners[lost]
     return refined
 

@@ -16,36 +16,6 @@ LEAST_SEEN = 0.5
 """Fraction of the angle that the picture shows to which corners must reach: no lens follows a polynomial further."""
 
 
-def held_out_rms(observations: fit.Observations, solution: fit.Solution, folds: int = 5) -> float:
-    """RMS residual of views that took no part: for each fold the lens comes from the others, the poses from itself.
-
-    Args:
-        observations, solution: of the views that were kept.
-        folds: how many parts; view i is in part i mod folds.
-
-    Returns:
-        px over all corners; NaN where there are too few views.
-    """
-    folds = min(folds, observations.views)
-    if folds < 2:
-        return float("nan")
-    squared, count = 0.0, 0
-    part = np.arange(observations.views) % folds
-    for fold in range(folds):
-        train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
-        seen = observations.of_views(train)
-        if 2 * len(seen.pixels) <= len(solution.parameters) + 6 * seen.views:
-            return float("nan")
-        learned = fit.refine(seen, solution.of_views(train), solution.free, solution.delta_px, 25)
-        held = observations.of_views(test)
-        there = replace(solution.of_views(test), parameters=learned.parameters)
-        there = fit.refine_poses(held, there, 12, solution.delta_px)
-        rest = fit.residuals(held, there)
-        squared += np.nan_to_num((rest**2).sum(1), nan=100.0**2).sum()
-        count += len(rest)
-    return float(np.sqrt(squared / count))
-
-
 def field_sd(solution: fit.Solution, width: int, height: int, step: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Expected error of the projection over the picture, a turn of the camera as a whole not counted.
 
@@ -145,7 +115,7 @@ class Quality:
     Attributes:
         rms_px: over the corners of the kept views, as OpenCV counts: root of the mean of dx² + dy².
         inlier_rms_px: the same without corners beyond the robust fit's limit.
-        held_out_rms_px: see `held_out_rms`; NaN where there are too few views.
+        held_out_rms_px: see robust.held_out; NaN where there are too few views.
         sd: (P,) standard deviations of fit.Solution.parameters: fx fy cx cy px, the lens's coefficients, b0 b1 m, b2.
         field_pixels, field_sd_px: see `field_sd`.
         counts: see `coverage`.

@@ -353,7 +353,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
 
 def find_board(
     grey: np.ndarray, inner: tuple[int, int], *, thorough: bool = True
-) -> tuple[np.ndarray, np.ndarray] | None:
+) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Find a checkerboard of `inner` corners along a row and a column; None where there is none.
 
     Args:
@@ -362,17 +362,17 @@ def find_board(
         thorough: look for small, oblique and blurred boards even where nothing speaks for one.
 
     Returns:
-        ids (n,) of the board's corners, ascending, at least four fifths of them; and pixels (n, 2), to about 0.2 px of
-        the reduced picture.
+        ids (n,) of the board's corners, ascending, at least four fifths of them; pixels (n, 2); and how far they may be
+        off, px: one pixel of the reduced picture.
     """
-    best: tuple[np.ndarray, np.ndarray] | None = None
+    best: tuple[np.ndarray, np.ndarray, float] | None = None
     total = inner[0] * inner[1]
     for small, scale in _reduced(grey):
         grids = find_grids(small, least=max(6, total // 4))
         for grid in grids:
             found = grid.as_board(inner)
             if found is not None and (best is None or len(found[0]) > len(best[0])):
-                best = found[0], (found[1] + 0.5) * scale - 0.5
+                best = found[0], (found[1] + 0.5) * scale - 0.5, scale
         if best is not None and len(best[0]) == total:
             break
         if not thorough and not grids:
