@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -154,13 +155,15 @@ def check_command(
     session: Session, camera: str, sources: tuple[str, ...], fail_over_px: float | None, **values: Any
 ) -> None:
     """Test a calibration on new pictures of a board. Only the poses of the board are fitted; the lens is fixed."""
-    from avcli.calibration import calibrate
+    from avcli.calibration import calibrate, place
 
     known = read_camera(session, camera)
     seen = views_for(session, list(sources), values, known)
     score = calibrate.check(seen.board, seen.views, known.lens)
     with session.output() as write:
         write({"pictures": len(seen), **score})
+    if wrong := place.refusal(math.radians(score["off_deg"]), "board", score["rms_px"]):
+        raise GateNotMet(wrong)
     if fail_over_px is not None and not score["rms_px"] <= fail_over_px:
         raise GateNotMet(f"the RMS residual is {score['rms_px']:.3f} px, more than --fail-over {fail_over_px:g}")
 

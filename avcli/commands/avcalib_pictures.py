@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from avcli.calibration.settings import BoardSettings
 from avcli.commands.filter import GateNotMet, Session
-from avcli.commands.options import refuse_without_effect, settings_from
+from avcli.commands.options import refuse_without_effect, settings_from, was_given
 
 if TYPE_CHECKING:
     from avcli.calibration.camera import KnownCamera
@@ -90,7 +90,11 @@ def _ending_on_interrupt(active: bool) -> Iterator[list[int]]:
 
 
 def collect(
-    session: Session, names: list[str], values: Mapping[str, Any], after: Callable[..., bool] | None = None
+    session: Session,
+    names: list[str],
+    values: Mapping[str, Any],
+    after: Callable[..., bool] | None = None,
+    camera_size: tuple[int, int] | None = None,
 ) -> Seen:
     """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera, a stream or `live`."""
     from avcli.calibration import gather
@@ -102,13 +106,21 @@ def collect(
     live = any(source.is_live for source in sources)
     total = None if live else footage.count_pictures(names, rate_hz)
     stream = session.open("-") if "-" in names else None
-    pictures = footage.pictures(names, rate_hz, stream=stream, size=values.get("size"))
+    pictures = footage.pictures(
+        names,
+        rate_hz,
+        stream=stream,
+        stream_rate_hz=rate_hz if was_given("rate_hz") else None,
+        size=values.get("size"),
+        skip=lambda words: session.warn(f"left out: {words}"),
+    )
     with _ending_on_interrupt(live or after is not None) as caught, session.timing("look for boards"):
         return gather.collect(
             session.progress(pictures, total, "looking for boards"),
             board,
             thorough=total is not None and total <= _FEW,
             eager=live or after is not None,
+            size=camera_size,
             say=session.warn,
             after=lambda *news: bool(after and after(*news)) or bool(caught),
         )
@@ -118,7 +130,7 @@ def views_for(session: Session, names: list[str], values: Mapping[str, Any], cam
     """Look for a board in pictures of a known camera; exit 3 where none shows one, 1 at another size."""
     from avcli.calibration import fit
 
-    seen = collect(session, names, values)
+    seen = collect(session, names, values, camera_size=camera.size)
     try:
         seen.require_views()
     except fit.NoFit as error:

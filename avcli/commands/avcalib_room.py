@@ -9,7 +9,7 @@ import click
 
 import avcli.calibration.settings as settings
 from avcli.commands.avcalib_pictures import check_sources, read_camera, usage_errors, views_for, write_camera
-from avcli.commands.filter import Session, common
+from avcli.commands.filter import GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 
@@ -97,6 +97,8 @@ def pose_command(
     best, others = place.best(camera, choices, given.sigma_px)
     for line in place.words(best, others):
         session.warn(line)
+    if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):
+        raise GateNotMet(wrong)
     if session.output_path == "-":
         write_camera(session, best.camera_config())
         return
