@@ -5,7 +5,6 @@ import errno
 import os
 import re
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 import numpy as np
 
 from avcli.formats.atomic import replacing, write_bytes
+from avcli.formats.camera import Camera
 from avcli.formats.media import (
     MediaError,
     decode_picture,
@@ -182,7 +182,7 @@ def pictures(
         if one.kind == "stream":
             yield from _stream_pictures(stream or sys.stdin.buffer, rate_hz)
         elif one.kind == "camera":
-            yield from _camera_pictures(one.name, rate_hz, size)
+            yield from camera_pictures(Camera(one.name, rate_hz, size))
         elif one.kind in ("video", "file"):
             yield from _video_pictures(one.name, rate_hz)
         else:
@@ -267,34 +267,10 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
         raise MediaError(f"{source}: the video has no picture that can be read")
 
 
-def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] | None) -> Iterator[Picture]:
-    """Newest pictures of a live camera: older ones in the driver's buffer are dropped."""
-    quiet_decoders()
-    import cv2
-
-    capture = cv2.VideoCapture(int(source.removeprefix("/dev/video")), cv2.CAP_V4L2)
-    if not capture.isOpened():
-        raise MediaError(f"{source}: the camera cannot be opened (absent, busy, or no permission)")
-    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-    if size:
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-    capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)  # a lens that refocuses is another lens
-    due = 0.0
-    try:
-        while capture.grab():
-            now = time.time()
-            if rate_hz and now < due:
-                continue
-            good, image = capture.retrieve()
-            if not good:
-                continue
-            if size and image.shape[1::-1] != tuple(size):
-                raise MediaError(f"{source}: gives {image.shape[1]} × {image.shape[0]} px, not {size[0]} × {size[1]}")
-            yield Picture(f"{source} at {now:.2f}", now, image[:, :, ::-1])
-            due = now + 1 / rate_hz if rate_hz else 0.0
-    finally:
-        capture.release()
+def camera_pictures(camera: Camera) -> Iterator[Picture]:
+    """Yield the pictures of a live camera, with Unix time."""
+    for now, image in camera.pictures():
+        yield Picture(f"{camera.name} at {now:.2f}", now, image)
 
 
 def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Picture]:
