@@ -166,17 +166,39 @@ def _report(session: Session, seen: Seen, result: Calibration, plot: str | None,
 
 @main.command("check", epilog="Example: avcalib check camera.json new/ --board 6x9 --square 90")
 @click.argument("camera", metavar="CONFIG")
-@click.argument("sources", nargs=-1, metavar="SOURCE...")
+@click.argument("sources", nargs=-1, metavar="[SOURCE]...")
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    metavar="NAME",
+    help="Without SOURCE: examine only this part of the installation. Repeat the option for more.  [default: all]",
+)
 @from_settings(settings.BoardSettings)
 @from_settings(settings.PictureSettings)
 @from_settings(settings.CheckSettings)
 @common(experiment=False)
 def check_command(
-    session: Session, camera: str, sources: tuple[str, ...], fail_over_px: float | None, **values: Any
+    session: Session,
+    camera: str,
+    sources: tuple[str, ...],
+    parts: tuple[str, ...],
+    fail_over_px: float | None,
+    **values: Any,
 ) -> None:
-    """Test a calibration on new pictures of a board. Only the poses of the board are fitted; the lens is fixed."""
+    """Test a calibration on new pictures of a board, or examine a whole installation.
+
+    With pictures, only the poses of the board are fitted; the lens is fixed. Without, CONFIG is a config.json or the
+    directory of an experiment. Lens, limits, room, pose, microphones, doors and background are examined: what is there,
+    whether it is plausible, and how it was measured.
+    """
     from avcli.calibration import calibrate
 
+    if not sources:
+        refuse_without_effect([*settings_of(settings.BoardSettings), "rate_hz", "fail_over_px"], "without SOURCE")
+        avcalib_room.examine(session, camera, parts)
+        return
+    refuse_without_effect(["parts"], "with SOURCE")
     known = read_camera(session, camera)
     seen = views_for(session, list(sources), values, known)
     score = calibrate.check(seen.board, seen.views, known.lens)
