@@ -7,7 +7,7 @@ import pytest
 from calibration_boards import BOARD, THESIS, exact, film, photograph
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, fit, gather, live, robust
+from avcli.calibration import calibrate, fit, gather, robust
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.media import MediaError, write_png
@@ -79,16 +79,6 @@ def test_a_source_that_fails_leaves_what_it_gave(shots):
 def test_after_ends_the_search(shots):
     seen = gather.collect(shots, BOARD, eager=True, after=lambda seen, _grey, _view: len(seen) == 3)
     assert len(seen) == 3
-
-
-def test_the_guide_stops_when_enough_is_known(shots):
-    said, shown = [], []
-    guide = live.Guide(1.0, said.append, shown.append)
-    seen = gather.collect(shots, BOARD, eager=True, after=guide.after)
-    assert 4 <= len(seen) < 8
-    assert guide.mean_px <= 1.0
-    assert len(shown) == len(seen)
-    assert "1 view, " in said[0]
 
 
 # --- lens models ------------------------------------------------------------------------------------------------------

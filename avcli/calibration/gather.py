@@ -57,18 +57,17 @@ class Seen:
         """Count the pictures."""
         return len(self._pictures)
 
-    def take(self, name: str, timestamp: float, grey: np.ndarray, view: View | None) -> None:
-        """Add a picture (height, width) uint8 and the view in it."""
+    def take(self, name: str, timestamp: float, grey: np.ndarray, view: View | None, why: str | None = None) -> None:
+        """Add a picture (height, width) uint8 and the view in it, which is left out if there is a reason `why`."""
         size = grey.shape[1], grey.shape[0]
         self.size = self.size or size
-        why = None
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
                 self.misses.append(corners.shrunk(grey))
-        elif is_duplicate(view, self.views):
+        elif why is None and is_duplicate(view, self.views):
             why = "duplicate"
-        else:
+        elif why is None:
             self.views.append(view)
             self.names.append(name)
             self.samples.setdefault(size, grey)
@@ -207,6 +206,7 @@ def collect(
     eager: bool = False,
     size: tuple[int, int] | None = None,
     say: Callable[[str], None] = lambda _: None,
+    reason: Callable[[Seen, Picture, View | None], str | None] = lambda *_: None,
     after: Callable[[Seen, np.ndarray, View | None], bool] = lambda *_: False,
 ) -> Seen:
     """Look for the board in all pictures.
@@ -221,13 +221,14 @@ def collect(
         eager: look at each picture before the next one is asked for, as hints while filming need it.
         size: width and height in px of the camera, if it is known; otherwise the size of most pictures is taken.
         say: gets sentences for the user, such as which pictures have another size and are left out.
+        reason: is called with what was seen before, each picture and its view; why the view is left out, or None.
         after: is called after each picture with what was seen, the grey picture (height, width) uint8 and its view;
             True ends the search.
 
     Raises:
         MediaError: the source fails before any picture shows the board.
     """
-    search = _Search.of(board, thorough, eager, say)
+    search = _Search.of(board, thorough, eager, say, reason)
     try:
         for picture, grey, found in search.look_ahead(pictures):
             view = search.take(picture, grey, found)
@@ -249,7 +250,7 @@ class _Search:
 
     Attributes:
         seen: so far.
-        thorough, eager, say: see `collect`.
+        thorough, eager, say, reason: see `collect`.
         wanted: what was known of the board before; None where it was given.
         first: the pictures so far, while another board may still be tried.
         shown: the boards that pictures show, while the board is unknown.
@@ -260,17 +261,25 @@ class _Search:
     thorough: bool
     eager: bool
     say: Callable[[str], None]
+    reason: Callable[[Seen, Picture, View | None], str | None]
     wanted: Wanted | None = None
     first: list[Picture] = field(default_factory=list)
     shown: list[Board] = field(default_factory=list)
     rows: int = 0
 
     @classmethod
-    def of(cls, board: Board | Wanted, thorough: bool, eager: bool, say: Callable[[str], None]) -> "_Search":
+    def of(
+        cls,
+        board: Board | Wanted,
+        thorough: bool,
+        eager: bool,
+        say: Callable[[str], None],
+        reason: Callable[[Seen, Picture, View | None], str | None],
+    ) -> "_Search":
         """Begin a search; what is wanted is recognised first where something is left open."""
         if isinstance(board, Board):
-            return cls(Seen(board), thorough, eager, say)
-        return cls(Seen(board.board(), is_known=board.is_complete), thorough, eager, say, board)
+            return cls(Seen(board), thorough, eager, say, reason)
+        return cls(Seen(board.board(), is_known=board.is_complete), thorough, eager, say, reason, board)
 
     @property
     def sought(self) -> Board | Wanted:
@@ -281,7 +290,7 @@ class _Search:
         """Add a picture and return the view in it; after some of them, recognise the board or try another size."""
         view = found if isinstance(found, View) else None
         known = self.seen.is_known
-        self.seen.take(picture.name, picture.timestamp, grey, view)
+        self._add(picture, grey, view)
         if not known:
             self.first = [*self.first[1 - _GUESS_AFTER[-1] :], picture]
             if isinstance(found, Board):
@@ -296,6 +305,9 @@ class _Search:
                 self.first = []
         return view if known else self.seen.last_view
 
+    def _add(self, picture: Picture, grey: np.ndarray, view: View | None) -> None:
+        self.seen.take(picture.name, picture.timestamp, grey, view, self.reason(self.seen, picture, view))
+
     def recognise(self, *, at_last: bool = False) -> None:
         """As soon as pictures agree on a board, look for it in those that are at hand, and continue with it."""
         board = recognise.agreed(self.shown, at_last=at_last)
@@ -309,7 +321,7 @@ class _Search:
         self.seen.forget(len(self.first))
         self.seen.board, self.seen.is_known = self.wanted.searched(board), True
         for picture in self.first:
-            self.seen.take(picture.name, picture.timestamp, *self._again(picture))
+            self._add(picture, *self._again(picture))
         if self.wanted.size is None or known.kind != "checkerboard":
             self.say(f"the pictures show {_with_article(known.words)}; --kind and --board fix another one")
         self.rows = known.rows

@@ -1,4 +1,4 @@
-"""The report on a calibration: in words, in a picture, in an HTML page."""
+"""The report on a calibration: in words, and in a picture."""
 
 from typing import Any
 
@@ -162,46 +162,3 @@ def _draw_sample(axis: Axes, result: Calibration, sample: np.ndarray | None) -> 
     straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
     axis.imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
     axis.set_title(f"a straightened picture, {_degrees(straight.fov)} wide")
-
-
-def page(result: Calibration, seen: Seen) -> str:
-    """Write the report as one HTML page that needs nothing else.
-
-    Args:
-        result: the calibration.
-        seen: what became of each picture.
-    """
-    import base64
-    from html import escape
-
-    drawn = base64.b64encode(picture(result, seen.sample)).decode()
-    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result, seen))
-    rows = "\n".join(
-        f"<tr{'' if kept else ' class=out'}><td>{escape(name)}</td><td>{rms:.3f}</td>"
-        f"<td>{'used' if kept else 'left out'}</td></tr>"
-        for name, rms, kept in zip(seen.names, result.view_rms_px, result.kept, strict=True)
-    )
-    return f"""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>Camera calibration</title>
-<style>
-body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }}
-img {{ width: 100%; }}
-table {{ border-collapse: collapse; }}
-td, th {{ padding: 0.1rem 0.8rem; text-align: left; }}
-.out {{ color: #b00; }}
-</style>
-<h1>Camera calibration</h1>
-<p>{result.width} × {result.height} px, {int(result.kept.sum())} of {len(result.kept)} pictures used,
-{escape(result.board.words)}{f", {1000 * result.board.square_m:g} mm" if result.board.scaled else ""}.</p>
-<ul>
-{said}
-</ul>
-<img alt="residuals, coverage, errors, two halves compared" src="data:image/png;base64,{drawn}">
-<table>
-<tr><th>picture</th><th>RMS, px</th><th></th></tr>
-{rows}
-</table>
-</html>
-"""

@@ -141,19 +141,26 @@ class LiveSettings:
 
     port: int = setting(
         8080,
-        "Port on 127.0.0.1 of the page that shows the camera with corners and coverage. 0: no page.",
+        "Port of the page that shows the camera with corners, coverage and the next place for the board. 0: no page.",
         unit="N",
         least=0,
         most=65535,
     )
+    host: str = setting(
+        "127.0.0.1",
+        "Address at which the page is served. With 0.0.0.0 a phone in the same network can open it; its address then "
+        "holds a key.",
+        unit="ADDRESS",
+    )
     enough_px: float | None = setting(
         None,
-        "Stop when the mean expected error over the picture is below this many px.",
+        "Mean expected error over the picture, in px, that is enough.",
         unit="PX",
         above=0.0,
         flag="--enough",
-        default_text="at Ctrl-C",
+        default_text="1/6400 of the picture's width",
     )
+    stops: bool = setting(True, "Whether to stop when it is enough, or only at Ctrl-C.", flag="--stop/--no-stop")
 
 
 @dataclass(frozen=True)

@@ -72,14 +72,15 @@ def check_sources(session: Session, names: list[str]) -> list[Source]:
 
 
 @contextlib.contextmanager
-def _ending_on_interrupt(active: bool) -> Iterator[list[int]]:
-    """While the block lasts, the first Ctrl-C does not end the program but fills the list."""
+def ending_on_interrupt(active: bool, end: Callable[[], None] = lambda: None) -> Iterator[list[int]]:
+    """While the block lasts, the first Ctrl-C does not end the program but fills the list and calls `end`."""
     caught: list[int] = []
     before = signal.getsignal(signal.SIGINT)
 
     def stop(number: int, _frame: object) -> None:
         caught.append(number)
         signal.signal(signal.SIGINT, before)
+        end()
 
     if active:
         signal.signal(signal.SIGINT, stop)
@@ -90,13 +91,9 @@ def _ending_on_interrupt(active: bool) -> Iterator[list[int]]:
 
 
 def collect(
-    session: Session,
-    names: list[str],
-    values: Mapping[str, Any],
-    after: Callable[..., bool] | None = None,
-    camera_size: tuple[int, int] | None = None,
+    session: Session, names: list[str], values: Mapping[str, Any], camera_size: tuple[int, int] | None = None
 ) -> Seen:
-    """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera, a stream or `live`."""
+    """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera or a stream."""
     from avcli.calibration import gather
     from avcli.formats import footage
 
@@ -114,15 +111,15 @@ def collect(
         size=values.get("size"),
         skip=lambda words: session.warn(f"left out: {words}"),
     )
-    with _ending_on_interrupt(live or after is not None) as caught, session.timing("look for boards"):
+    with ending_on_interrupt(live) as caught, session.timing("look for boards"):
         return gather.collect(
             session.progress(pictures, total, "looking for boards"),
             board,
             thorough=total is not None and total <= _FEW,
-            eager=live or after is not None,
+            eager=live,
             size=camera_size,
             say=session.warn,
-            after=lambda *news: bool(after and after(*news)) or bool(caught),
+            after=lambda *_: bool(caught),
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -141,7 +142,7 @@ def microphones_command(
     with session.output() as write:
         write(result.record())
     if into_config and result.improves:
-        camera.write_microphones(session.config_path, session.config.raw, result.positions.tolist())
+        camera.write_microphones(session.config_path, session.config.raw, result.positions.tolist(), result.sd_m)
     elif into_config:
         session.warn(
             "config.json was not changed: the new positions do not explain held-out sound better than the old ones"
@@ -161,3 +162,26 @@ def _heard(session: Session, audio: tuple[str, ...]) -> Heard:
         middles, delays = tdoa.pair_delays(samples, rate, given, speed)
         parts.append((start + middles, delays))
     return microphones.joined(parts, len(given))
+
+
+def examine(session: Session, path: str, only: tuple[str, ...]) -> None:
+    """Examine a whole installation; exit 3 where a part is missing or wrong."""
+    from avcli.calibration import installation
+    from avcli.formats import experiment
+
+    unknown = [name for name in only if name not in installation.LOOKS]
+    if unknown:
+        session.usage(f"--part {unknown[0]} is unknown; known are {', '.join(installation.LOOKS)}")
+    name = Path(path) / "config.json" if Path(path).is_dir() else Path(path)
+    try:
+        config = experiment.read_config(name)
+    except FileNotFoundError:
+        session.usage(f"{name}: no such file")
+    parts = installation.examine(config, name.parent, only)
+    for part in parts:
+        session.warn(f"{part.name}: {part.state}: {part.text}")
+    with session.output() as write:
+        write(installation.record(parts))
+    bad = [part.name for part in parts if not part.is_good]
+    if bad:
+        raise GateNotMet(f"{name}: the installation is not complete: {', '.join(bad)}")

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 import numpy as np
 
 from avcli.formats.atomic import replacing, write_bytes
+from avcli.formats.camera import Camera
 from avcli.formats.media import (
     MediaError,
     decode_picture,
@@ -220,38 +221,42 @@ def pictures(
     Raises:
         MediaError: a source cannot be opened, or a picture file is broken; with `skip`, none of them gives a picture.
     """
-    number, first_failure = 0, None
+    number, held = 0, list[str]()  # what is left out is said once there is a picture
+    for member in _members(names, foreign=skip is not None):
+        try:
+            if isinstance(member, str):
+                raise MediaError(member)
+            if member.kind == "picture":
+                found = iter([Picture(member.name, float(number), read_picture(member.name, whole=skip is not None))])
+            elif member.kind == "stream":
+                found = _stream_pictures(stream or sys.stdin.buffer, stream_rate_hz, skip or (lambda _: None))
+            elif member.kind == "camera":
+                found = camera_pictures(Camera(member.name, rate_hz, size))
+            else:
+                found = _video_pictures(member.name, rate_hz)
+            for picture in found:
+                while held and skip:
+                    skip(held.pop(0))
+                yield picture
+                number += 1
+        except MediaError as error:
+            if not skip or (isinstance(member, Source) and member.is_live):
+                raise
+            held.append(str(error))
+    if held and not number:
+        raise MediaError(held[0] + (f"; {len(held) - 1} more cannot be read either" if len(held) > 1 else ""))
+    while held and skip:
+        skip(held.pop(0))
+
+
+def _members(names: list[str], *, foreign: bool) -> Iterator[Source | str]:
+    """The sources, and in place of folders what they hold; a sentence for an empty one, and for `foreign` files."""
     for one in map(source, names):
-        if one.kind == "stream":
-            yield from _stream_pictures(stream or sys.stdin.buffer, stream_rate_hz, skip or (lambda _: None))
-            number += 1
-            continue
-        if one.kind == "camera":
-            yield from _camera_pictures(one.name, rate_hz, size)
-            number += 1
-            continue
-        left_out, members = one.left_out(), one.members()
-        if skip:
-            for words in left_out:
-                skip(words)
-        if not members:
-            raise MediaError(left_out[0] if left_out else f"{one.name}: no pictures in this folder")
-        for member in members:
-            try:
-                if member.kind == "picture":
-                    yield Picture(member.name, float(number), read_picture(member.name, whole=bool(skip)))
-                    number += 1
-                else:
-                    for picture in _video_pictures(member.name, rate_hz):
-                        yield picture
-                        number += 1
-            except MediaError as error:
-                if not skip:
-                    raise
-                first_failure = first_failure or error
-                skip(str(error))
-    if first_failure and not number:
-        raise first_failure
+        members, left_out = one.members(), one.left_out()
+        yield from left_out[: None if foreign else 0 if members else 1]
+        yield from members
+        if not members and not left_out:
+            yield f"{one.name}: no pictures in this folder"
 
 
 def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None:
@@ -330,34 +335,10 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
         raise MediaError(f"{source}: the video has no picture that can be read")
 
 
-def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] | None) -> Iterator[Picture]:
-    """Newest pictures of a live camera: older ones in the driver's buffer are dropped."""
-    quiet_decoders()
-    import cv2
-
-    capture = cv2.VideoCapture(int(source.removeprefix("/dev/video")), cv2.CAP_V4L2)
-    if not capture.isOpened():
-        raise MediaError(f"{source}: the camera cannot be opened (absent, busy, or no permission)")
-    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-    if size:
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-    capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)  # a lens that refocuses is another lens
-    due = 0.0
-    try:
-        while capture.grab():
-            now = time.time()
-            if rate_hz and now < due:
-                continue
-            good, image = capture.retrieve()
-            if not good:
-                continue
-            if size and image.shape[1::-1] != tuple(size):
-                raise MediaError(f"{source}: gives {image.shape[1]} × {image.shape[0]} px, not {size[0]} × {size[1]}")
-            yield Picture(f"{source} at {now:.2f}", now, image[:, :, ::-1])
-            due = now + 1 / rate_hz if rate_hz else 0.0
-    finally:
-        capture.release()
+def camera_pictures(camera: Camera) -> Iterator[Picture]:
+    """Yield the pictures of a live camera, with Unix time."""
+    for now, image in camera.pictures():
+        yield Picture(f"{camera.name} at {now:.2f}", now, image)
 
 
 def _stream_pictures(stream: BinaryIO, rate_hz: float | None, skip: Callable[[str], None]) -> Iterator[Picture]:
