@@ -186,12 +186,12 @@ def test_a_pose_that_cannot_be_is_refused(shots, tmp_path):
     moved = tmp_path / "0.png", tmp_path / "1.png"
     result = run("avcalib", "pose", *moved, "-c", config, "--at", "1", "1", "0", "--square", "70")
     assert result.returncode == 3
-    assert "no true view has more than 0.25" in result.stderr
+    assert "no true view has more than 0.12" in result.stderr
     assert json.loads(config.read_text()) == {"camera_config": wrong}
     result = run("avcalib", "check", config, *moved)
     assert result.returncode == 3
     assert "the lens, the size of the pictures or the board is another one" in result.stderr
-    assert json.loads(result.stdout)["off_deg"] > 0.25
+    assert json.loads(result.stdout)["off_deg"] > 0.12
     result = run("avcalib", "pose", tmp_path / "0.png", "-c", config, "--at", "1", "1", "0")
     assert result.returncode == 2
     assert "--square MM is needed" in result.stderr
@@ -211,3 +211,5 @@ def test_the_angle_of_a_residual():
     assert place.off_angle(rays, 3 * rays) == pytest.approx(0)
     assert place.off_angle(rays[:1], np.array([[0.0, 0.5, 0.5]])) == pytest.approx(np.pi / 4)
     assert place.off_angle(np.full((1, 3), np.nan), rays[:1]) == pytest.approx(np.pi / 2)
+    assert place.refusal(0.1, "board", 1.0) is None
+    assert place.refusal(float("nan"), "board", float("nan")) is not None

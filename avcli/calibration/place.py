@@ -12,10 +12,12 @@ from avcli.calibration.fit import cross_matrix, rotation_from_vector
 from avcli.calibration.target import Board
 from avcli.lens import Lens
 
-MOST_OFF = {"board": np.deg2rad(0.25), "points": np.deg2rad(2.0)}
+MOST_OFF = {"board": np.deg2rad(0.12), "points": np.deg2rad(2.0)}
 """rad, the largest RMS angle between where a lens sees corners of a board, or points measured by hand, and where they
-should be. A quarter of a degree is many times what a lens or a corner is ever wrong by, and two degrees are 10 cm at
-3 m: more means that the place, the points or the lens are others."""
+should be. Real lenses leave 0.02 to 0.07 degrees on real boards, wrong ones of the same size of picture 0.13 and more;
+2 degrees are 10 cm at 3 m."""
+_LEAST_OFF_PX = 1.5
+"""px; a smaller residual is never refused, since a coarse picture can do no better."""
 _STARTS = 400
 _TRIED = 12
 
@@ -115,7 +117,7 @@ def refusal(off: float, kind: str, rms_px: float) -> str | None:
         kind: a key of MOST_OFF.
         rms_px: the same as a residual in px.
     """
-    if off <= MOST_OFF[kind]:
+    if off <= MOST_OFF[kind] or rms_px <= _LEAST_OFF_PX:
         return None
     what = {
         "board": "the lens, the size of the pictures or the board is another one",
