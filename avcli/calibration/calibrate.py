@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import fit, gather, opencv, quality, robust, spacing
+from avcli.calibration import fit, gather, opencv, place, quality, robust, spacing
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.settings import FitSettings
@@ -264,7 +264,8 @@ def check(board: Board, views: list[View], lens: Lens) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
     Returns:
-        views, corners, rms_px (of all corners), median_px, worst_px (of a view) and theta_max_seen_deg.
+        views, corners, rms_px (of all corners), median_px, worst_px (of a view), off_deg (of all corners, as an angle)
+        and theta_max_seen_deg.
     """
     everything = observe(board, views)
     start = fit.start_from_rays(everything, lens)
@@ -279,5 +280,15 @@ def check(board: Board, views: list[View], lens: Lens) -> dict:
         "rms_px": float(np.sqrt((each**2 * corners_of).sum() / corners_of.sum())),
         "median_px": float(np.median(each)),
         "worst_px": float(each.max()),
+        "off_deg": float(
+            np.rad2deg(place.off_angle(lens.unproject(everything.pixels), _in_camera(everything, solution)))
+        ),
         "theta_max_seen_deg": float(np.rad2deg(np.nanmax(quality.seen_angles(lens, everything.pixels)))),
     }
+
+
+def _in_camera(observations: fit.Observations, solution: fit.Solution) -> np.ndarray:
+    """Where the corners are in the camera's frame, (n, 3) m."""
+    R, t = solution.rotations[observations.view], solution.translations[observations.view]
+    board = fit.surface(observations.points, solution.shape, observations.half_extent)
+    return np.einsum("nij,nj->ni", R, board) + t
