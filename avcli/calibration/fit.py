@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avcli.calibration import uncertainty
+from avcli.calibration.uncertainty import Views
 from avcli.lens import LENSES, KannalaBrandt, Lens
 
 LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
@@ -339,19 +341,33 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
     return solution
 
 
-def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
-    """Covariance (11, 11) of the common unknowns, 0 where not fitted, and the corners' standard deviation in px."""
-    cost, A, B, C, _, _ = _normal_equations(observations, solution, solution.delta_px)
+def by_view(observations: Observations, solution: Solution) -> Views:
+    """What each view says about the unknowns in `solution.free`, at the solution and with its robust weights."""
+    o = observations
+    residual, common, own = _linearise(o, solution)
+    common = common[:, :, solution.free]
+    cost, weight = _huber(residual, solution.delta_px)
+    weighted = own * weight[:, None, None]
+    A = o.per_view(np.einsum("nia,nib,n->nab", common, common, weight, optimize=True))
+    B = o.per_view(np.einsum("nia,nib->nab", weighted, common))
+    C = o.per_view(np.einsum("nia,nib->nab", weighted, own))
+    g = o.per_view(np.einsum("nia,ni,n->na", common, residual, weight))
+    h = o.per_view(np.einsum("nia,ni->na", weighted, residual))
     fold = np.linalg.solve(_damped(C, 0.0), B)
-    schur = A - np.einsum("vab,vac->bc", B, fold)
-    freedom = 2 * len(observations.pixels) - int(solution.free.sum()) - 6 * observations.views
-    sigma = np.sqrt(cost / freedom) if freedom > 0 else np.inf
-    scale = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    value, vector = np.linalg.eigh(schur * np.outer(scale, scale))
-    spread = vector / np.maximum(value, 1e-16) @ vector.T
-    out = np.zeros((LENS + SHAPE, LENS + SHAPE))
-    out[np.ix_(solution.free, solution.free)] = sigma**2 * spread * np.outer(scale, scale) if freedom > 0 else np.inf
-    return out, float(sigma)
+    return Views(
+        information=A - np.einsum("vab,vac->vbc", B, fold),
+        score=g - np.einsum("vab,va->vb", fold, h),
+        cost=o.per_view(cost),
+        freedom=2 * np.bincount(o.view, minlength=o.views) - own.shape[-1],
+    )
+
+
+def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
+    """Covariance of the common unknowns by views, 0 where not fitted, and the corners' standard deviation in px."""
+    views = by_view(observations, solution)
+    out = np.zeros((len(solution.parameters),) * 2)
+    out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
+    return out, float(np.sqrt(views.variance))
 
 
 # --- the whole fit ----------------------------------------------------------------------------------------------------
