@@ -33,7 +33,7 @@ class Field:
     sd_rad: np.ndarray
 
 
-def angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+def seen_angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
     rays = lens.unproject(pixels)
     return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
@@ -71,7 +71,7 @@ def measured(
     """
     pixels = grid(width, height, step or max(width / 48, 1.0))
     flat, shape = pixels.reshape(-1, 2), pixels.shape[:2]
-    light, theta = lit(flat, circle), angles(solution.lens, flat)
+    light, theta = lit(flat, circle), seen_angles(solution.lens, flat)
     sd_px, sd_rad = (np.full(len(flat), np.nan) for _ in range(2))
     with np.errstate(invalid="ignore"):
         some = light & (theta < _EDGE * solution.lens.theta_max)
@@ -139,7 +139,7 @@ def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float, rin
         rad; 0 where nothing is known.
     """
     lens = solution.lens
-    seen = angles(lens, corners)
+    seen = seen_angles(lens, corners)
     if not np.isfinite(seen).any():
         return 0.0
     farthest = float(np.nanmax(seen))
