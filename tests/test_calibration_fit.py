@@ -51,7 +51,7 @@ def test_derivatives_agree_with_differences():
     filmed = film(5, np.random.default_rng(4), shape=shape)
     observations = exact(filmed, noise=1.0, rng=np.random.default_rng(5))
     parameters = np.concatenate([[862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006], shape])
-    at = fit.Solution(parameters, filmed.rotations, filmed.translations, free=fit.ALL_FREE)
+    at = fit.Solution(parameters, filmed.rotations, filmed.translations, free=fit.free_parameters(THESIS, True))
     _, common, own = fit._linearise(observations, at)
     for i in range(11):
         h = 1e-6 * max(abs(parameters[i]), 1e-2)
@@ -253,7 +253,9 @@ def test_halves_differ_by_what_the_noise_explains():
     ratios = []
     for seed in range(10):
         observations = exact(filmed, noise=0.15, rng=np.random.default_rng(seed))
-        solution = fit.refine(observations, fit.start_from_rays(observations, THESIS), fit.LENS_FREE, np.inf, 10)
+        solution = fit.refine(
+            observations, fit.start_from_rays(observations, THESIS), fit.free_parameters(THESIS), np.inf, 10
+        )
         spread, sigma = fit.covariance(observations, solution)
         expected = quality.field_sd(replace(solution, covariance=spread, sigma_px=sigma), *SIZE)[1]
         ratios.append(quality.split_half(observations, solution, *SIZE)[1] / expected)
@@ -268,7 +270,9 @@ def test_halves_differ_by_what_the_noise_explains():
 def test_opencv_finds_the_same_camera_from_a_good_start():
     filmed = film(15, np.random.default_rng(21), aim=((1049, 553), 450))
     observations = exact(filmed, noise=0.1, rng=np.random.default_rng(22))
-    ours = fit.refine(observations, fit.start_from_rays(observations, THESIS), fit.LENS_FREE, np.inf, 60, 1e-14)
+    ours = fit.refine(
+        observations, fit.start_from_rays(observations, THESIS), fit.free_parameters(THESIS), np.inf, 60, 1e-14
+    )
     theirs = opencv.calibrate(observations, *SIZE, start=THESIS)
     assert ours.parameters[:4] == pytest.approx(theirs.parameters[:4], abs=0.01)
 

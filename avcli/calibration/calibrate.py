@@ -10,7 +10,7 @@ from avcli.calibration.corners import View
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
-from avcli.lens import LENSES, Lens, name_of
+from avcli.lens import LENSES, Lens, lens_config
 
 BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
@@ -71,10 +71,8 @@ class Calibration:
     def camera_config(self) -> dict:
         """Return the calibration as the keys of config.json's camera_config."""
         lens, q = self.lens, self.quality
-        names = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
         return {
-            "lens_model": name_of(lens),
-            **dict(zip(names, (float(v) for v in self.solution.parameters[: fit.LENS]), strict=True)),
+            **lens_config(lens),
             "image_width_px": self.width,
             "image_height_px": self.height,
             "theta_max_observed_deg": float(np.rad2deg(q.theta_max_observed)),
@@ -85,7 +83,7 @@ class Calibration:
                 "held_out_rms_px": q.held_out_rms_px if np.isfinite(q.held_out_rms_px) else None,
                 "field_sd_mean_px": _finite(np.nanmean(q.field_sd_px)),
                 "field_sd_max_px": _finite(np.nanmax(q.field_sd_px)),
-                "sd": {name: _finite(sd) for name, sd in zip(names, q.sd, strict=False)},
+                "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
@@ -181,7 +179,7 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) 
         shaped = quality.held_out_rms(some, bent.of_views(common[bent_kept]))
         if settings.board_shape == "yes" or shaped < (1 - BOARD_GAIN) * flat:
             solution, kept = bent, bent_kept
-    held_out = shaped if solution.free[fit.LENS :].any() else flat
+    held_out = shaped if solution.free[-fit.SHAPE :].any() else flat
     return replace(judged(board, views, everything, solution, kept, held_out), flat_px=flat, shaped_px=shaped)
 
 

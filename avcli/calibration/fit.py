@@ -1,9 +1,10 @@
 """The fit of a lens: focal scan, poses from rays, and robust Levenberg-Marquardt with the poses eliminated.
 
 A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y / Y)²)) of its own frame, X and Y being
-the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The fit has the
-eleven common unknowns fx fy cx cy k1 k2 k3 k4 b0 b1 b2 and six a view. The lens is any model of avcli.lens, which gives
-its own derivatives.
+the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The lens is any
+model of avcli.lens, which names its parameters and gives its own derivatives. The fit has six unknowns a view and P
+common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2, always
+last.
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,8 +16,8 @@ from avcli.calibration import uncertainty
 from avcli.calibration.uncertainty import Views
 from avcli.lens import LENSES, KannalaBrandt, Lens
 
-LENS_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
-LENS, SHAPE = len(LENS_PARAMETERS), 3
+SHAPE = 3
+"""Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
 _UNSEEN_PX = 100.0
 """Residual of a corner that the lens, as it stands in an iteration, does not image."""
 
@@ -73,10 +74,10 @@ class Solution:
     """Where a fit stands.
 
     Attributes:
-        parameters: (11,) fx fy cx cy px, k1..k4, b0 b1 m, b2.
+        parameters: (P,) of the lens (`Lens.names`: fx fy cx cy px, and its coefficients), then b0 b1 m, b2.
         rotations, translations: (views, 3, 3) and (views, 3) m, board to camera.
-        free: (11,) bool, which parameters were fitted.
-        covariance: (11, 11) of the parameters, 0 where not fitted; NaN before the end of a fit.
+        free: (P,) bool, which parameters were fitted.
+        covariance: (P, P) of the parameters, 0 where not fitted; before the end of a fit one NaN.
         sigma_px: standard deviation of a common corner's error along one axis.
         delta_px: residual beyond which a corner counts less (Huber).
         like: any lens of the model that is fitted.
@@ -86,7 +87,7 @@ class Solution:
     rotations: np.ndarray
     translations: np.ndarray
     free: np.ndarray
-    covariance: np.ndarray = field(default_factory=lambda: np.full((LENS + SHAPE, LENS + SHAPE), np.nan))
+    covariance: np.ndarray = field(default_factory=lambda: np.array(np.nan))
     sigma_px: float = np.nan
     delta_px: float = np.inf
     like: Lens = field(default_factory=lambda: KannalaBrandt(1.0, 1.0, 0.0, 0.0))
@@ -94,12 +95,17 @@ class Solution:
     @property
     def lens(self) -> Lens:
         """The lens."""
-        return replace(self.like, **dict(zip(LENS_PARAMETERS, self.parameters.tolist(), strict=False)))
+        return replace(self.like, **dict(zip(self.like.names(), self.parameters.tolist(), strict=False)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the parameters, (P,): those of the lens, and b0, b1, b2."""
+        return (*self.like.names(), "b0", "b1", "b2")
 
     @property
     def shape(self) -> np.ndarray:
         """The board's shape terms b0, b1 (m) and b2."""
-        return self.parameters[LENS:]
+        return self.parameters[-SHAPE:]
 
     def of_views(self, keep: np.ndarray) -> "Solution":
         """The poses of some views only: `keep` (views,) bool, or indices."""
@@ -178,7 +184,7 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 
 
 def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, 11) and to the pose (n, 2, 6)."""
+    """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, P) and to the pose (n, 2, 6)."""
     o, s = observations, solution
     flat = surface(o.points, s.shape, o.half_extent)
     R = s.rotations[o.view]
@@ -261,7 +267,7 @@ def _damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
 def refine(
     observations: Observations, start: Solution, free: np.ndarray, delta: float, iterations: int, gain: float = 1e-8
 ) -> Solution:
-    """Levenberg-Marquardt on the common unknowns in `free` (11,) and all poses, the poses eliminated (Schur).
+    """Levenberg-Marquardt on the common unknowns in `free` (P,) and all poses, the poses eliminated (Schur).
 
     Stops when a step lowers the cost by less than `gain` of it.
     """
@@ -302,12 +308,12 @@ def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 def _is_possible(solution: Solution) -> bool:
     p = solution.parameters
     finite = np.isfinite(p).all() and np.isfinite(solution.rotations).all() and np.isfinite(solution.translations).all()
-    return bool(finite and p[0] > 0 and p[1] > 0 and abs(p[10]) < 0.5)
+    return bool(finite and abs(p[-1]) < 0.5 and solution.lens.is_possible)
 
 
 def refine_poses(observations: Observations, start: Solution, iterations: int, delta: float = np.inf) -> Solution:
     """Levenberg-Marquardt on the poses alone, each view by itself, the lens and the board held."""
-    solution = replace(start, free=np.zeros(LENS + SHAPE, bool))
+    solution = replace(start, free=np.zeros(len(start.parameters), bool))
     damping = np.full(observations.views, 1e-3)
 
     def normal(trial: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -363,7 +369,7 @@ def by_view(observations: Observations, solution: Solution) -> Views:
 
 
 def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
-    """Covariance of the common unknowns by views, 0 where not fitted, and the corners' standard deviation in px."""
+    """Covariance (P, P) of the common unknowns by views, 0 where not fitted, and the corners' standard deviation in px."""
     views = by_view(observations, solution)
     out = np.zeros((len(solution.parameters),) * 2)
     out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
@@ -372,17 +378,17 @@ def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarr
 
 # --- the whole fit ----------------------------------------------------------------------------------------------------
 
-LENS_FREE = np.arange(LENS + SHAPE) < LENS
-ALL_FREE = np.ones(LENS + SHAPE, bool)
+
+def free_parameters(lens: Lens, board_shape: bool = False, first: int | None = None) -> np.ndarray:
+    """Which common unknowns to fit, (P,) bool: those of the lens (its `first` ones), and the board's shape or not."""
+    count = len(lens.names())
+    return np.append(np.arange(count) < (count if first is None else first), [board_shape] * SHAPE)
 
 
 def start_from_rays(observations: Observations, lens: Lens, shape: np.ndarray | None = None) -> Solution:
     """Poses from rays under a lens that is known or guessed."""
-    parameters = np.zeros(LENS + SHAPE)
-    parameters[:LENS] = [getattr(lens, name) for name in LENS_PARAMETERS]
-    if shape is not None:
-        parameters[LENS:] = shape
-    return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(LENS + SHAPE, bool), like=lens)
+    parameters = np.append(lens.parameters, np.zeros(SHAPE) if shape is None else shape)
+    return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(len(parameters), bool), like=lens)
 
 
 def view_rms(observations: Observations, solution: Solution) -> np.ndarray:
@@ -392,7 +398,7 @@ def view_rms(observations: Observations, solution: Solution) -> np.ndarray:
 
 
 def scan_focal(observations: Observations, width: int, height: int, model: str = "kannala_brandt") -> Solution:
-    """Find a start: the centred lens without coefficients whose boards come out flattest, with the poses under it.
+    """Find a start: the centred lens whose boards come out flattest, with the poses under it.
 
     OpenCV starts from max(width, height) / pi instead, which asserts or ends in nonsense on most wide lenses.
     """
@@ -401,8 +407,11 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     sides = np.array([width, height], float)
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
 
+    kind = LENSES[model]
+    coefficients = [*kind.start, *[0.0] * (len(kind.names()) - 4 - len(kind.start))]
+
     def centred(f: float) -> Lens:
-        return LENSES[model].of_image([f, f, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0, 0.0, 0.0], width, height)
+        return kind.of_image([f, f, (width - 1) / 2, (height - 1) / 2, *coefficients], width, height)
 
     def score(f: float) -> float:
         found = refine_poses(sample, start_from_rays(sample, centred(f)), 4)
@@ -424,16 +433,16 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
     Raises:
         NoFit: there are fewer equations than unknowns.
     """
-    free = ALL_FREE if board_shape else LENS_FREE
+    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape)
     if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
         raise NoFit(
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
         )
     if not start.free.any():
-        start = refine(observations, start, np.arange(LENS + SHAPE) < 5, 5.0, 15, 1e-4)
-        start = refine(observations, start, LENS_FREE, 2.0, 25, 1e-5)
+        start = refine(observations, start, free_parameters(start.like, first=5), 5.0, 15, 1e-4)
+        start = refine(observations, start, lens_only, 2.0, 25, 1e-5)
         start = _reseeded(observations, start)
-    solution = refine(observations, start, LENS_FREE, _delta(observations, start), 15, 1e-5)
+    solution = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)
     for _ in range(2):
         solution = refine(observations, solution, free, _delta(observations, solution), 40)
     spread, sigma = covariance(observations, solution)

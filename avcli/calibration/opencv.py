@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from avcli.calibration import fit
-from avcli.lens import Lens
+from avcli.lens import KannalaBrandt, Lens
 
 
 class OpenCVRefused(fit.NoFit):
@@ -46,15 +46,16 @@ def calibrate(observations: fit.Observations, width: int, height: int, start: Le
             f"OpenCV {cv2.__version__} cannot fit these corners ({reason}); use the procedure avcli, which finds its "
             "own start"
         ) from None
-    parameters = np.zeros(fit.LENS + fit.SHAPE)
-    parameters[: fit.LENS] = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:4]]
+    lens = KannalaBrandt(*map(float, [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:4]]))
+    parameters = np.append(lens.parameters, np.zeros(fit.SHAPE))
     if not np.isfinite(parameters).all():
         raise OpenCVRefused(f"OpenCV {cv2.__version__} returns a lens that is not finite; use the procedure avcli")
     return fit.Solution(
         parameters,
         fit.rotation_from_vector(np.array(turns).reshape(-1, 3)),
         np.array(places).reshape(-1, 3),
-        free=fit.LENS_FREE,
+        free=fit.free_parameters(lens),
+        like=lens,
     )
 
 

@@ -37,7 +37,7 @@ def held_out_rms(observations: fit.Observations, solution: fit.Solution, folds: 
     for fold in range(folds):
         train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
         seen = observations.of_views(train)
-        if 2 * len(seen.pixels) <= 11 + 6 * seen.views:
+        if 2 * len(seen.pixels) <= len(solution.parameters) + 6 * seen.views:
             return float("nan")
         learned = fit.refine(seen, solution.of_views(train), solution.free, solution.delta_px, 25)
         held = observations.of_views(test)
@@ -67,7 +67,7 @@ class Quality:
         rms_px: over the corners of the kept views, as OpenCV counts: root of the mean of dx² + dy².
         inlier_rms_px: the same without corners beyond the robust fit's limit.
         held_out_rms_px: see `held_out_rms`; NaN where there are too few views.
-        sd: (parameters,) standard deviations of fx fy cx cy px, the lens's coefficients, b0 b1 m, b2; by views.
+        sd: (P,) standard deviations of fit.Solution.parameters, by views: fx fy cx cy px, coefficients, b0 b1 m, b2.
         field: expected errors over the picture.
         halves: the stated uncertainty put to the test; see `field.split_halves`.
         circle: where light reaches the picture; None: everywhere.

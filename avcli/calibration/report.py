@@ -23,7 +23,7 @@ def words(result: Calibration, seen: Seen) -> list[str]:
     q, lens, parameters = result.quality, result.solution.lens, result.solution.parameters
     held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few pictures)"
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
-    terms = zip(("k1", "k2", "k3", "k4"), parameters[4:8], q.sd[4:8], strict=True)
+    terms = zip(lens.names()[4:], parameters[4 : -fit.SHAPE], q.sd[4 : -fit.SHAPE], strict=True)
     lines = [
         f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the board of {result.board} squares, "
         f"{seen.count('duplicate')} of them as in another picture; the fit uses {int(result.kept.sum())} pictures with "

@@ -48,6 +48,26 @@ _COORDINATE, _PLACE = bounds.COORDINATE, bounds.VECTOR
 _ANGLE = Number(0, most=360)
 _HEIGHT = Number(0, most=100)
 
+_COEFFICIENTS: dict[str, Kind] = {"xi": Number(above=-1, most=1), "alpha": Number(0, most=1), "beta": Number(above=0)}
+"""What a coefficient of a lens may be, where it is not any number."""
+
+
+def _coefficient_keys() -> dict[str, Key]:
+    """The keys of all coefficients of all lens models; each says whose it is."""
+    of: dict[str, list[str]] = {}
+    for name, model in lens.LENSES.items():
+        for key in model.keys()[4:]:
+            of.setdefault(key, []).append(name)
+    return {
+        key: Key(
+            _COEFFICIENTS.get(key, _COORDINATE),
+            f"coefficient of the lens model ({', '.join(models)})",
+            default=None if key in _COEFFICIENTS else 0.0,
+        )
+        for key, models in of.items()
+    }
+
+
 _LENS_KEYS = {
     "lens_model": Key(
         Choice(tuple(lens.LENSES)),
@@ -58,8 +78,10 @@ _LENS_KEYS = {
     "fy_px": Key(_LENGTH, "focal length, px", required=True),
     "cx_px": Key(_COORDINATE, "principal point, px; pixel (0, 0) is the centre of the top-left pixel", required=True),
     "cy_px": Key(_COORDINATE, "principal point, px", required=True),
-    **{f"k{i}": Key(_COORDINATE, "coefficient of the lens model", default=0.0) for i in (1, 2, 3, 4)},
+    **_coefficient_keys(),
 }
+LENS_KEYS = tuple(key for key in _LENS_KEYS if key != "lens_model")
+"""The keys of the parameters of all lens models."""
 _CAMERA = Object(
     {
         **_LENS_KEYS,
@@ -272,7 +294,10 @@ class Config:
         if width * height > bounds.MOST_PIXELS:
             reason = f"must have at most {bounds.MOST_PIXELS} pixels, found {width} × {height}"
             raise self._error(Invalid(reason, where))
-        optics = _lens(values, width, height)
+        try:
+            optics = _lens(values, width, height)
+        except Invalid as error:
+            raise self._error(error.within(*where)) from None
         limits = [values[f"theta_max_{kind}_deg"] for kind in ("observed", "valid")]
         return Camera(
             lens=optics,
@@ -381,8 +406,15 @@ _OPTICS = Object(_LENS_KEYS)
 
 
 def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens:
-    numbers = [values[key] for key in ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")]
-    return lens.LENSES[values["lens_model"]].of_image(numbers, width_px, height_px)
+    name = values["lens_model"]
+    model = lens.LENSES[name]
+    keys = model.keys()
+    for key in LENS_KEYS:
+        if key not in keys and values[key]:
+            raise Invalid(f"is no coefficient of the lens model {name}, which has {', '.join(keys)}", (key,))
+        if key in model.needed_keys() and values[key] is None:
+            raise Invalid(f"is missing; the lens model {name} needs it", (key,))
+    return model.of_image([values[key] for key in keys], width_px, height_px)
 
 
 def read_config(path: str | os.PathLike[str]) -> Config:

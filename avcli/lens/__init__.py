@@ -1,4 +1,4 @@
-"""Lens models, exact both ways: Kannala-Brandt (OpenCV's fisheye), Brown-Conrady, and the thesis's division model.
+"""Lens models, exact both ways, each with its own parameters.
 
 A lens maps points in the camera frame (x right, y down, z forward) to pixels, (0, 0) being the centre of the top-left
 one. Angles from the optical axis are atan2(hypot(x, y), z), so that rays at and beyond 90 degrees are legal, and what
@@ -13,9 +13,53 @@ a lens does not image is NaN.
     >>> lens.project([[0.0, 0.0, -1.0]])  # behind the camera: not imaged
     array([[nan, nan]])
 
-`LENSES` names every model. A new one is a class in `models` and a line in that table.
+`LENSES` has every model by its name, which is `lens_model` in config.json. A new one is a class and a line in that
+table. Every model has fx, fy, cx, cy (px; keys fx_px, fy_px, cx_px, cy_px) and its own coefficients. With theta the
+angle from the axis, s = hypot(x, y) / z the slope, and e = (x, y) / hypot(x, y), the pixel is (cx, cy) + (fx, fy) w:
+
+    kannala_brandt  w = e theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
+    brown_conrady   w = e s (1 + k1 s^2 + k2 s^4 + k3 s^6 + k4 s^8)
+    rational        w = e s (1 + k1 s^2 + k2 s^4 + k3 s^6) / (1 + k4 s^2 + k5 s^4 + k6 s^6) + T(s e)
+    division        the virtual lens of the thesis: see `Division`
+    ucm             w = e sin(theta) / (alpha + (1 - alpha) cos(theta))
+    eucm            w = e sin(theta) / (alpha d + (1 - alpha) cos(theta)), d^2 = beta sin(theta)^2 + cos(theta)^2
+    double_sphere   w = e sin(theta) / (alpha d + (1 - alpha) k), k = xi + cos(theta), d^2 = sin(theta)^2 + k^2
+
+The last three are as Usenko, Demmel and Cremers (2018, The double sphere camera model) write them, and as Kalibr has
+them. The omni model of Mei and Rives (2007), with xi and gamma, is ucm with alpha = xi / (1 + xi), fx = gamma / (1 + xi).
+
+kannala_brandt and brown_conrady may have tangential terms p1, p2 as well (absent: 0), which move w by T of the
+undistorted point q = theta e, or q = s e:
+
+    T(q) = (2 p1 qx qy + p2 (|q|^2 + 2 qx^2), p1 (|q|^2 + 2 qy^2) + 2 p2 qx qy)
+
+This is OpenCV's definition for perspective lenses, and that of COLMAP's THIN_PRISM_FISHEYE (with sx1 = sy1 = 0) for
+fisheyes. `lens_config` turns a lens into the keys of camera_config, `Lens.names`, `keys` and `of_image` say and take
+the parameters in order. OpenCV's vector for `rational` has the order k1 k2 p1 p2 k3 k4 k5 k6; ours is k1 ... k6 p1 p2.
 """
 
-from avcli.lens.models import LENSES, Angular, BrownConrady, Division, KannalaBrandt, Lens, Perspective, name_of
+from avcli.lens.models import (
+    LENSES,
+    Angular,
+    BrownConrady,
+    Division,
+    FourTerms,
+    KannalaBrandt,
+    Lens,
+    Perspective,
+    lens_config,
+    name_of,
+)
 
-__all__ = ["LENSES", "Angular", "BrownConrady", "Division", "KannalaBrandt", "Lens", "Perspective", "name_of"]
+__all__ = [
+    "LENSES",
+    "Angular",
+    "BrownConrady",
+    "Division",
+    "FourTerms",
+    "KannalaBrandt",
+    "Lens",
+    "Perspective",
+    "lens_config",
+    "name_of",
+]

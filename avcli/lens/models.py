@@ -8,9 +8,9 @@ m in the image plane, and the pixel is c + scale * m e.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,8 @@ _FINE_KNOTS = 8192  # of a table that no Newton step follows
 _FOLD_KNOTS = 8  # of it next to a fold, where slopes are known less well
 _FARTHEST_SLOPE = 1e8  # of a ray that a perspective lens images: 1e-8 rad short of 90 degrees
 _CHUNK = 1 << 14  # samples of an inversion that stay in the cache together
+_PIXELS = ("fx", "fy", "cx", "cy")
+_SIZE = ("width", "height")  # fields of a model that depends on the image's size: no parameters
 
 
 class Across(NamedTuple):
@@ -43,29 +45,50 @@ class Lens(ABC):
     Attributes:
         fx, fy: focal lengths, px.
         cx, cy: where the axis meets the image, px.
-        k1, k2, k3, k4: coefficients of the radial polynomial, without unit.
         text: of each model in `LENSES`, what it is: a few words for the schema and the manual.
+        start: of each model, coefficients of a lens from which a fit may start; missing ones are 0.
+
+    A model adds its own coefficients, without unit, as further fields. One with a default of 0 may be left out of
+    config.json; one without a default may not.
     """
 
     text: ClassVar[str]
+    start: ClassVar[tuple[float, ...]] = ()
     fx: float
     fy: float
     cx: float
     cy: float
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """The names of the parameters, in order: fx, fy, cx, cy, and the coefficients of the model."""
+        return tuple(field.name for field in fields(cls) if field.name not in _SIZE)
+
+    @classmethod
+    def keys(cls) -> tuple[str, ...]:
+        """The keys of the parameters in camera_config, in the order of `names`: fx_px, fy_px, cx_px, cy_px, k1, ..."""
+        return tuple(f"{name}_px" if name in _PIXELS else name for name in cls.names())
+
+    @classmethod
+    def needed_keys(cls) -> tuple[str, ...]:
+        """Those of `keys` that camera_config must have; the others are 0 where they are absent."""
+        needed = {field.name for field in fields(cls) if field.default is MISSING}
+        return tuple(key for name, key in zip(cls.names(), cls.keys(), strict=True) if name in needed)
 
     @classmethod
     def of_image(cls, parameters: Sequence[float], width: float, height: float) -> "Lens":
-        """Make the lens from its 8 parameters fx, fy, cx, cy, k1..k4; the image size in px matters to some models."""
+        """Make the lens from its parameters in the order of `names`; the image size in px matters to some models."""
         return cls(*parameters)
 
     @property
-    def coefficients(self) -> tuple[float, float, float, float]:
-        """k1, k2, k3, k4."""
-        return self.k1, self.k2, self.k3, self.k4
+    def parameters(self) -> tuple[float, ...]:
+        """The values of the parameters, in the order of `names`."""
+        return tuple(getattr(self, name) for name in self.names())
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the parameters are within the bounds of the model, so that the lens images anything."""
+        return self.fx > 0 and self.fy > 0
 
     def project(self, points: ArrayLike) -> np.ndarray:
         """Project points to pixels.
@@ -109,7 +132,7 @@ class Lens(ABC):
 
         Returns:
             Pixels (..., 2), their derivatives to the point (..., 2, 3) in px per unit of length, and to the parameters
-            fx, fy, cx, cy, k1..k4 (..., 2, 8); NaN where the lens does not image the point.
+            of `names` (..., 2, len(names)); NaN where the lens does not image the point.
         """
         x, y, z = _columns(points, 3)
         across = self._across(x, y, z)
@@ -122,7 +145,7 @@ class Lens(ABC):
         scale = np.array(self.scale_px)[:, None]
         pixels = _where_seen(across.seen, self.cx + scale[0] * mx, self.cy + scale[1] * my)
         by_point = scale * np.stack([np.stack(rows_x, -1), np.stack(rows_y, -1)], -2)
-        by_parameter = np.zeros((*across.seen.shape, 2, 8))
+        by_parameter = np.zeros((*across.seen.shape, 2, len(self.names())))
         by_parameter[..., 0, 2] = by_parameter[..., 1, 3] = 1.0
         by_parameter[..., :2] = self._by_focal_lengths(x, y, mx, my, by_point)
         by_parameter[..., 0, 4:] = scale[0] * np.stack([ex * k for k in by_k], -1)
@@ -169,7 +192,7 @@ class Lens(ABC):
 
     @abstractmethod
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
-        """dm/dk1 ... dm/dk4 at the variable s."""
+        """Derivatives of m to the model's coefficients, in their order, at the variable s."""
 
     @abstractmethod
     def _by_point(
@@ -281,7 +304,7 @@ class Angular(Lens):
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         x, y, r, _, _ = across
         square = r * r + z * z
-        factor = np.where(r > 0, m / r, 1.0 / z)
+        factor = np.where(r > 0, m / r, slope / z)
         outward = slope * z / square  # dm/dr at constant z
         xy = ex * ey * (outward - factor)
         rows_x = [factor + ex * ex * (outward - factor), xy, -x * slope / square]
@@ -332,7 +355,7 @@ class Perspective(Lens):
         self, across: Across, z: np.ndarray, ex: np.ndarray, ey: np.ndarray, m: np.ndarray, slope: np.ndarray
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         x, y, r, _, _ = across
-        factor = np.where(r > 0, m / r, 1.0)
+        factor = np.where(r > 0, m / r, slope)
         bend = slope - factor
         xx, xy, yy = factor + ex * ex * bend, ex * ey * bend, factor + ey * ey * bend
         dx, dy = (1.0 / (unit * z) for unit in self.slopes_per_unit)
@@ -345,7 +368,22 @@ class Perspective(Lens):
 
 
 @dataclass(frozen=True)
-class KannalaBrandt(Angular):
+class FourTerms(Lens):
+    """What the models with a radial polynomial of four terms share: its coefficients k1, k2, k3, k4."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+
+    @property
+    def radial_terms(self) -> tuple[float, float, float, float]:
+        """k1, k2, k3, k4."""
+        return self.k1, self.k2, self.k3, self.k4
+
+
+@dataclass(frozen=True)
+class KannalaBrandt(FourTerms, Angular):
     """The KB-8 fisheye of OpenCV: u = fx d(theta) x / r + cx, d = theta (1 + k1 theta^2 + ... + k4 theta^8).
 
     Source: Kannala and Brandt (2006), A generic camera model and calibration method, eq. 6, as cv2.fisheye has it.
@@ -356,17 +394,17 @@ class KannalaBrandt(Angular):
     @cached_property
     def theta_max(self) -> float:
         """The largest angle from the axis that is imaged, rad: where d(theta) stops growing, at most pi."""
-        return min(fold_of_odd_polynomial(*self.coefficients), math.pi)
+        return min(fold_of_odd_polynomial(*self.radial_terms), math.pi)
 
     def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return odd_polynomial(s, *self.coefficients)
+        return odd_polynomial(s, *self.radial_terms)
 
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
         return [s**n for n in (3, 5, 7, 9)]
 
 
 @dataclass(frozen=True)
-class BrownConrady(Perspective):
+class BrownConrady(FourTerms, Perspective):
     """Perspective with four radial terms: u = fx x' (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + cx, x' = x / z.
 
     All four terms are radial (OpenCV's order k1, k2, p1, p2 differs). Where the polynomial folds (k1 = -0.2: r = 1.29,
@@ -392,14 +430,14 @@ class BrownConrady(Perspective):
 
     @cached_property
     def _slope_max(self) -> float:
-        return min(fold_of_odd_polynomial(*self.coefficients), _FARTHEST_SLOPE)
+        return min(fold_of_odd_polynomial(*self.radial_terms), _FARTHEST_SLOPE)
 
     @cached_property
     def _radial(self) -> Radial:
         return Radial(self._radius, self._slope_max)
 
     def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return odd_polynomial(s, *self.coefficients)
+        return odd_polynomial(s, *self.radial_terms)
 
     def _slope(self, m: np.ndarray) -> np.ndarray:
         return self._radial.inverse(m)
@@ -409,7 +447,7 @@ class BrownConrady(Perspective):
 
 
 @dataclass(frozen=True)
-class Division(Perspective):
+class Division(FourTerms, Perspective):
     """The virtual lens of the thesis, Listing .3: a pinhole image pulled through x_u = x_d / (1 + k1 r_d^2 + ...).
 
     fx, fy, cx, cy are those of the pinhole image; width and height in px are those of both images. x_d and x_u are
@@ -466,7 +504,7 @@ class Division(Perspective):
     def _radial(self) -> Radial:
         """The undistorted radius as a function of the image's."""
         fold = first_sign_change([1.0, -self.k1, -3 * self.k2, -5 * self.k3, -7 * self.k4])
-        pole = first_sign_change([1.0, *self.coefficients])
+        pole = first_sign_change([1.0, *self.radial_terms])
         limit = math.sqrt(min(fold, pole))
         return Radial(self._undistorted, limit, math.inf if pole <= fold else None)
 
@@ -522,6 +560,11 @@ LENSES: dict[str, type[Lens]] = {
 def name_of(lens: Lens) -> str:
     """The name of a lens's model in `LENSES`."""
     return next(name for name, model in LENSES.items() if model is type(lens))
+
+
+def lens_config(lens: Lens) -> dict[str, Any]:
+    """The lens as keys of a camera_config: lens_model, and its parameters by their keys."""
+    return {"lens_model": name_of(lens), **dict(zip(lens.keys(), map(float, lens.parameters), strict=True))}
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------

@@ -247,7 +247,7 @@ def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         given = raw.get(key) or {}
         # A lens is one thing: a scenario that gives one part of it does not want the rest of another lens.
         own_lens = key == "camera_config" and {"lens_model", "fx_px", "fy_px", "k1"} & given.keys()
-        kept = {k: v for k, v in default.items() if not (own_lens and k in ("lens_model", *_LENS_KEYS))}
+        kept = {k: v for k, v in default.items() if not (own_lens and k in ("lens_model", *experiment.LENS_KEYS))}
         sections[key] = {**kept, **given}
     return sections
 
@@ -282,9 +282,6 @@ _DIMENSIONS = Numbers(3, Number(above=0))
 
 def _outside(position: np.ndarray, dimensions: np.ndarray, what: str = "") -> Invalid:
     return Invalid(f"{what}{position.tolist()} is outside the room of {dimensions.tolist()} m")
-
-
-_LENS_KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
 
 
 def with_camera(raw: Mapping[str, Any], camera_config: Mapping[str, Any]) -> dict[str, Any]:
