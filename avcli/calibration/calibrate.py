@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from avcli.calibration import corners, fit, gather, opencv, quality
+from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
@@ -64,6 +65,16 @@ class Calibration:
         return float(self.solution.shape[:2].sum())
 
     @property
+    def covariance(self) -> np.ndarray:
+        """(parameters, parameters) of the lens's parameters in the order of its keys."""
+        return self.solution.covariance[: -fit.SHAPE, : -fit.SHAPE]
+
+    @property
+    def inflation(self) -> float:
+        """How many times larger the lens's errors are than those of corners whose errors are all their own."""
+        return fit.inflation(self.observations, self.solution)
+
+    @property
     def verdict(self) -> str:
         """One sentence on how far the calibration can be trusted."""
         return self.quality.verdict
@@ -76,14 +87,20 @@ class Calibration:
             "image_width_px": self.width,
             "image_height_px": self.height,
             "theta_max_observed_deg": float(np.rad2deg(q.theta_max_observed)),
+            "theta_max_trusted_deg": float(np.rad2deg(q.theta_max_trusted)),
             "theta_max_valid_deg": float(np.rad2deg(lens.theta_max)),
+            **({} if q.circle is None else {"image_circle_px": [q.circle.x, q.circle.y, q.circle.radius]}),
             "calibration": {
                 "rms_px": q.rms_px,
                 "inlier_rms_px": q.inlier_rms_px,
                 "held_out_rms_px": q.held_out_rms_px if np.isfinite(q.held_out_rms_px) else None,
-                "field_sd_mean_px": _finite(np.nanmean(q.field_sd_px)),
-                "field_sd_max_px": _finite(np.nanmax(q.field_sd_px)),
+                "field_sd_mean_px": _finite(q.mean_sd_px),
+                "field_sd_max_px": _finite(np.nanmax(q.field_sd_px, initial=0.0) if q.trusted.any() else np.inf),
+                "split_half_ratio": _finite(q.halves.ratio),
+                "split_half_px": _finite(q.halves.actual_px),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
+                "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
+                "inflation": _finite(self.inflation),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
@@ -134,16 +151,19 @@ def calibrate(
         board = Board(*board, square_m)
     seen = gather.collect(pictures, board, say=say)
     seen.require_views()
-    return calibrate_views(seen.board, seen.views, settings)
+    return calibrate_views(seen.board, seen.views, settings, seen.light.circle)
 
 
-def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEFAULTS) -> Calibration:
+def calibrate_views(
+    board: Board, views: list[View], settings: FitSettings = DEFAULTS, circle: Circle | None = None
+) -> Calibration:
     """Calibrate the lens that took the views.
 
     Args:
         board: what was filmed.
         views: at least one, all of one size, none a duplicate of another.
         settings: the procedure, and what it needs.
+        circle: where light reaches the pictures; None: everywhere.
 
     Raises:
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
@@ -154,11 +174,13 @@ def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEF
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
-        return judged(board, views, everything, solution, kept)
-    return _calibrate_robustly(board, views, settings)
+        return judged(board, views, everything, solution, kept, circle=circle)
+    return _calibrate_robustly(board, views, settings, circle)
 
 
-def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) -> Calibration:
+def _calibrate_robustly(
+    board: Board, views: list[View], settings: FitSettings, circle: Circle | None = None
+) -> Calibration:
     everything = observe(board, views)
     solution, kept = fit.fit_robustly(everything, views[0].width, views[0].height, model=settings.lens_model)
     flat = quality.held_out_rms(everything.of_views(kept), solution)
@@ -180,7 +202,8 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) 
         if settings.board_shape == "yes" or shaped < (1 - BOARD_GAIN) * flat:
             solution, kept = bent, bent_kept
     held_out = shaped if solution.free[-fit.SHAPE :].any() else flat
-    return replace(judged(board, views, everything, solution, kept, held_out), flat_px=flat, shaped_px=shaped)
+    found = judged(board, views, everything, solution, kept, held_out, circle)
+    return replace(found, flat_px=flat, shaped_px=shaped)
 
 
 def observe(board: Board, views: list[View]) -> fit.Observations:
@@ -201,6 +224,7 @@ def judged(
     solution: fit.Solution,
     kept: np.ndarray,
     held_out: float | None = None,
+    circle: Circle | None = None,
 ) -> Calibration:
     """Put a solution for the kept views together with its uncertainty.
 
@@ -210,6 +234,7 @@ def judged(
         solution: the fit of the kept views.
         kept: (views,) bool.
         held_out: px, the held-out RMS; None computes it.
+        circle: where light reaches the pictures; None: everywhere.
     """
     some = everything.of_views(kept)
     if held_out is None:
@@ -221,7 +246,7 @@ def judged(
         observations=some,
         kept=kept,
         view_rms_px=rms_of_all(everything, solution, kept),
-        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out),
+        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out, circle),
         flat_px=held_out,
     )
 

@@ -39,7 +39,7 @@ class Light:
     """
 
     def __init__(self) -> None:
-        self._sum = np.zeros((0, 0))
+        self._sum: np.ndarray = np.zeros((0, 0))
         self._count = 0
         self._scale = 1.0
 
@@ -80,14 +80,12 @@ def find(mean: np.ndarray) -> Circle | None:
     if min(height, width) < 16:
         return None
     side = max(2, min(height, width) // 30)
-    corners = np.array(
-        [np.median(mean[y, x]) for y in (slice(0, side), slice(-side, None)) for x in (slice(0, side), slice(-side, None))]
-    )
+    ends = slice(0, side), slice(-side, None)
+    black = float(np.median([np.median(mean[y, x]) for y in ends for x in ends]))
     bright = float(np.median(mean[height // 4 : -(height // 4), width // 4 : -(width // 4)]))
-    black = float(np.median(corners))
     if not black < 0.35 * bright:
         return None
-    points, total = _edge_points(mean, black + _DARK * (bright - black))
+    points = _edge_points(mean, black + _DARK * (bright - black))
     if len(points) < _RAYS // 8:
         return None
     circle, on = _most_agreed(points, max(height, width))
@@ -96,8 +94,8 @@ def find(mean: np.ndarray) -> Circle | None:
     return circle
 
 
-def _edge_points(mean: np.ndarray, level: float) -> tuple[np.ndarray, int]:
-    """The outermost points (n, 2) px on rays from the middle that are as bright as `level`, of those dark at the end."""
+def _edge_points(mean: np.ndarray, level: float) -> np.ndarray:
+    """The outermost points (n, 2) px as bright as `level`, on rays from the middle that end in the dark."""
     import cv2
 
     height, width = mean.shape
@@ -108,12 +106,13 @@ def _edge_points(mean: np.ndarray, level: float) -> tuple[np.ndarray, int]:
         reach = np.min(np.abs(middle / np.where(np.abs(ahead) > 1e-9, ahead, 1e-9)), axis=1)
     steps = np.linspace(1.0, 0.2, 2 * max(height, width))
     at = middle + (reach[:, None] * steps)[..., None] * ahead[:, None]
-    values = cv2.remap(mean.astype(np.float32), *np.moveaxis(at, -1, 0).astype(np.float32), cv2.INTER_LINEAR)
+    x, y = np.moveaxis(at.astype(np.float32), -1, 0)
+    values = cv2.remap(mean.astype(np.float32), x, y, cv2.INTER_LINEAR)
     bright = values >= level
     first = bright.argmax(1)
     # A point at the picture's own border is where the circle leaves it.
     good = bright.any(1) & (first > max(2, len(steps) // 100))
-    return at[np.flatnonzero(good), first[good]], _RAYS
+    return at[np.flatnonzero(good), first[good]]
 
 
 def _most_agreed(points: np.ndarray, size: int) -> tuple[Circle | None, np.ndarray]:
@@ -121,7 +120,10 @@ def _most_agreed(points: np.ndarray, size: int) -> tuple[Circle | None, np.ndarr
     n = len(points)
     first = np.arange(n)
     triples = np.concatenate(
-        [np.stack([first, (first + n // 3 + k) % n, (first + 2 * n // 3 - k) % n], -1) for k in (0, n // 11, -(n // 13))]
+        [
+            np.stack([first, (first + n // 3 + k) % n, (first + 2 * n // 3 - k) % n], -1)
+            for k in (0, n // 11, -(n // 13))
+        ]
     )
     a, b, c = (points[triples[:, i]] for i in range(3))
     p, q = b - a, c - a
@@ -159,8 +161,8 @@ def _is_sharp(mean: np.ndarray, circle: Circle, black: float, bright: float) -> 
         inside = ((at >= 0) & (at <= [width - 1, height - 1])).all(1)
         if inside.sum() < _RAYS // 12:
             return float("nan")
-        values = cv2.remap(mean.astype(np.float32), *at[inside, None].astype(np.float32).T, cv2.INTER_LINEAR)
-        return float(np.median(values))
+        x, y = at[inside].astype(np.float32).T
+        return float(np.median(cv2.remap(mean.astype(np.float32), x[None], y[None], cv2.INTER_LINEAR)))
 
     within, beyond = level(0.92), level(1.06)
     return within - black > 0.4 * (bright - black) and (np.isnan(beyond) or beyond - black < 0.15 * (bright - black))

@@ -1,6 +1,6 @@
 """How well a lens is known over its picture: expected errors, up to which angle, and a test of them by halves."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -97,10 +97,11 @@ def errors(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> tup
     across /= np.linalg.norm(across, axis=1)[:, None]
     plane = by_ray @ np.stack([across, np.cross(rays, across)], -1)
     turned = np.linalg.pinv(plane, rcond=1e-9) @ moved
-    return tuple(  # type: ignore[return-value]
-        np.sqrt(np.maximum(np.einsum("nia,ab,nib->n", part, covariance, part, optimize=True), 0))
-        for part in (moved, turned)
-    )
+    return _root_trace(moved, covariance), _root_trace(turned, covariance)
+
+
+def _root_trace(by_parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(np.einsum("nia,ab,nib->n", by_parameters, covariance, by_parameters, optimize=True), 0))
 
 
 def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,8 +230,8 @@ def split_halves(
     if not good.any():
         return Halves()
     actual, stated = actual[good], stated[good]
-    roots = (float(np.sqrt(part.mean())) for part in (actual / stated, actual, stated))
-    return Halves(*roots, splits=int(good.sum()))
+    ratio, apart_px, stated_px = (float(np.sqrt(part.mean())) for part in (actual / stated, actual, stated))
+    return Halves(ratio, apart_px, stated_px, int(good.sum()))
 
 
 def apart(observations: fit.Observations, solution: fit.Solution, pixels: np.ndarray) -> np.ndarray:
@@ -243,9 +244,7 @@ def apart(observations: fit.Observations, solution: fit.Solution, pixels: np.nda
     if observations.views < LEAST_FOR_HALVES:
         return out
     one, other = (
-        fit.refine(
-            observations.of_views(some), solution.of_views(some), solution.free, solution.delta_px, 25
-        ).lens
+        fit.refine(observations.of_views(some), solution.of_views(some), solution.free, solution.delta_px, 25).lens
         for some in (np.arange(observations.views) % 2 == odd for odd in (0, 1))
     )
     rays = one.unproject(pixels)

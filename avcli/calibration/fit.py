@@ -369,11 +369,17 @@ def by_view(observations: Observations, solution: Solution) -> Views:
 
 
 def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
-    """Covariance (P, P) of the common unknowns by views, 0 where not fitted, and the corners' standard deviation in px."""
+    """Covariance (P, P) of the common unknowns by views, 0 where not fitted, and a corner's error along an axis, px."""
     views = by_view(observations, solution)
     out = np.zeros((len(solution.parameters),) * 2)
     out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
     return out, float(np.sqrt(views.variance))
+
+
+def inflation(observations: Observations, solution: Solution) -> float:
+    """How many times larger the errors of the unknowns are than if each corner's error were its own; at least 1."""
+    views = by_view(observations, solution)
+    return uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views))
 
 
 # --- the whole fit ----------------------------------------------------------------------------------------------------

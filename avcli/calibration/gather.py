@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from avcli.calibration import corners
+from avcli.calibration.circle import Light
 from avcli.calibration.corners import View
 from avcli.calibration.fit import NoFit
 from avcli.calibration.target import Board
@@ -35,6 +36,7 @@ class Seen:
         misses: some pictures without a board, reduced.
         size: (width, height) px of all pictures; None before the first.
         sample: (height, width) uint8, a picture with a board; None before the first.
+        light: the mean of the pictures, which shows where light reaches them.
     """
 
     def __init__(self, board: Board):
@@ -44,6 +46,7 @@ class Seen:
         self.misses: list[np.ndarray] = []
         self.size: tuple[int, int] | None = None
         self.sample: np.ndarray | None = None
+        self.light = Light()
         self._pictures: list[dict] = []
 
     def __len__(self) -> int:
@@ -63,6 +66,7 @@ class Seen:
                 f"{name} is {size[0]} × {size[1]} px, but the pictures before it are {self.size[0]} × {self.size[1]} "
                 "px; calibrate pictures of one size at a time"
             )
+        self.light.take(grey)
         why = None
         if view is None:
             why = "no board"

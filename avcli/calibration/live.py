@@ -52,7 +52,7 @@ class Guide:
     @property
     def mean_px(self) -> float:
         """Mean expected error over the picture, px; infinite before it is known."""
-        return float(np.nanmean(self.quality.field_sd_px)) if self.quality else float("inf")
+        return self.quality.mean_sd_px if self.quality else float("inf")
 
     def take(self, board: Board, views: list[View], found: bool) -> str | None:
         """Learn from the views so far; return a hint when something is new.

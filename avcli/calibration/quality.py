@@ -13,8 +13,9 @@ TRUST_LIMIT = np.deg2rad(0.25)
 FOCAL_SD_LIMIT = 0.01
 """Standard deviation of the focal length, as a fraction of it, beyond which a lens counts as not observed."""
 LEAST_VIEWS = 4
-LEAST_TRUSTED = 0.5
-"""Fraction of the angle that the picture shows up to which a lens must be trusted, or it is refused."""
+LEAST_TRUSTED = 1 / 3
+"""Fraction of the lit picture that a lens must be trusted in, or it is refused. Its angle would not do: a lens that was
+seen only in the middle does not know how far its picture reaches."""
 HALVES_LIMIT = 1.4
 """How many times the stated difference two halves of the views may differ by before the statement is called wrong."""
 
@@ -115,6 +116,11 @@ class Quality:
         return float(known.mean()) if known.size else np.inf
 
     @property
+    def trusted_part(self) -> float:
+        """Fraction of the lit picture in which the lens is trusted."""
+        return float(self.trusted.sum() / max(self.field.lit.sum(), 1))
+
+    @property
     def empty(self) -> float:
         """Fraction of the lit picture in which no corner was seen."""
         return float((self.counts[self.lit_cells] == 0).mean()) if self.lit_cells.any() else 1.0
@@ -125,7 +131,7 @@ class Quality:
         if self.refusals:
             return f"do not use this calibration: {'; '.join(self.refusals)}"
         said = self._tested
-        if self.theta_max_trusted < 0.9 * self.theta_max_picture:
+        if self.theta_max_trusted < 0.98 * self.theta_max_picture:
             angle = np.rad2deg(self.theta_max_trusted)
             return f"trust this calibration up to {angle:.1f}° from the axis; beyond that it is extrapolated{said}"
         return f"trust this calibration over the whole picture{said}"
@@ -176,7 +182,7 @@ def assess(
         halves=Halves(),
         circle=circle,
         counts=counts,
-        lit_cells=lit_cells(*counts.shape, width, height, circle),
+        lit_cells=lit_cells(counts.shape, width, height, circle),
         theta_max_observed=observed,
         theta_max_trusted=field.trusted_angle(solution, observations.pixels, TRUST_LIMIT),
         theta_max_valid=lens.theta_max,
@@ -198,7 +204,8 @@ def _rms(error: np.ndarray) -> float:
 def _rim(width: int, height: int, circle: Circle | None) -> np.ndarray:
     """Pixels (n, 2) among which are the lit ones farthest from the middle: the picture's border and the circle."""
     x, y = np.linspace(0, width - 1, 101), np.linspace(0, height - 1, 101)
-    border = np.concatenate([np.stack([0 * y + u, y], -1) for u in (0, width - 1)] + [np.stack([x, 0 * x + v], -1) for v in (0, height - 1)])  # fmt: skip
+    sides = [(0 * y, y), (0 * y + width - 1, y), (x, 0 * x), (x, 0 * x + height - 1)]
+    border = np.concatenate([np.stack(side, -1) for side in sides])
     if circle is None:
         return border
     edge = circle.edge()
@@ -206,8 +213,9 @@ def _rim(width: int, height: int, circle: Circle | None) -> np.ndarray:
     return np.concatenate([border[circle.holds(border)], edge[within]])
 
 
-def lit_cells(rows: int, columns: int, width: int, height: int, circle: Circle | None) -> np.ndarray:
-    """Which cells of a grid over the picture light reaches, most of each: (rows, columns) bool."""
+def lit_cells(shape: tuple[int, ...], width: int, height: int, circle: Circle | None) -> np.ndarray:
+    """Which cells of a grid (rows, columns) over the picture light reaches, most of each: (rows, columns) bool."""
+    rows, columns = shape
     u = (np.arange(4 * columns) + 0.5) / (4 * columns) * width - 0.5
     v = (np.arange(4 * rows) + 0.5) / (4 * rows) * height - 0.5
     light = field.lit(np.stack(np.meshgrid(u, v), -1), circle)
@@ -229,12 +237,11 @@ def _refusals(q: Quality, observations: fit.Observations, solution: fit.Solution
             f"the focal length is too uncertain ({shown}; the tilt of the boards varies by {np.rad2deg(q.tilt):.0f}°): "
             "tilt the board by 30 to 50° in all directions"
         )
-    if not q.theta_max_trusted >= LEAST_TRUSTED * q.theta_max_picture:
+    if not q.trusted_part >= LEAST_TRUSTED:
         seen, trusted = np.rad2deg(q.theta_max_observed), np.rad2deg(q.theta_max_trusted)
         reasons.append(
-            f"the picture reaches {np.rad2deg(q.theta_max_picture):.0f}° from the axis, corners were seen up to "
-            f"{seen:.0f}°, and rays are known to {np.rad2deg(TRUST_LIMIT):g}° only up to {trusted:.0f}°; film the board "
-            f"{_places(q)}"
+            f"no corner was seen beyond {seen:.0f}° from the axis, and rays are known to {np.rad2deg(TRUST_LIMIT):g}° "
+            f"only up to {trusted:.0f}°, in {100 * q.trusted_part:.0f} % of the picture; film the board {_places(q)}"
         )
     if not q.rms_px <= 0.005 * np.hypot(*solution.parameters[2:4]) + 2.0:
         reasons.append(f"the fit failed: the corners are {q.rms_px:.1f} px (RMS) from where this lens projects them")
@@ -259,7 +266,7 @@ def _advice(q: Quality, refusals: tuple[str, ...]) -> tuple[str, ...]:
         )
     if q.halves.ratio > HALVES_LIMIT:
         advice.append(
-            f"lenses of two halves of the pictures differ by {q.halves.actual_px:.2f} px, {q.halves.ratio:.1f} times what "
+            f"lenses of halves of the pictures differ by {q.halves.actual_px:.2f} px, {q.halves.ratio:.1f} times what "
             "their stated uncertainty says: take more pictures of other kinds"
         )
     return () if refusals and not advice else tuple(advice)

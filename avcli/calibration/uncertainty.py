@@ -78,6 +78,15 @@ def covariance(views: Views) -> np.ndarray:
     return _symmetric(to_unit @ spread @ to_unit.T)
 
 
+def inflation(spread: np.ndarray, independent: np.ndarray) -> float:
+    """Root of the mean ratio of variances between a covariance (p, p) and that of independent errors, over all axes."""
+    if not len(spread) or not (np.isfinite(spread).all() and np.isfinite(independent).all()):
+        return np.inf
+    scale, roots = _whitening(independent)
+    to_unit = scale[:, None] * roots
+    return float(np.sqrt(np.trace(to_unit.T @ spread @ to_unit) / len(spread)))
+
+
 def student(freedom: float) -> float:
     """Variance of Student's t; that of 2.5 degrees of freedom, which is 5, where it is larger."""
     freedom = max(freedom, 2.5)
@@ -93,7 +102,7 @@ def halves(count: int, splits: int, seed: int = 0) -> list[tuple[np.ndarray, np.
 
 def _whitening(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`scale` (p,) and `roots` (p, p), with which scale roots roots' scale is the inverse, however ill-conditioned."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-200))
     value, vector = np.linalg.eigh(_symmetric(information * np.outer(scale, scale)))
     return scale, vector / np.sqrt(np.maximum(value, 1e-16))
 
