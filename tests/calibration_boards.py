@@ -111,7 +111,7 @@ def printed(board: Board) -> tuple[np.ndarray, float]:
     """The page with the board, as its PNG holds it: (height, width) float32 0 to 1, and its pixels per metre."""
     import cv2
 
-    per_unit = 40 if board.kind == "charuco" else 80
+    per_unit = 48 if board.kind == "charuco" else 80
     dpi = per_unit / board.square_m * 0.0254
     page = cv2.imdecode(np.frombuffer(to_png(draw(board), dpi), np.uint8), 0)
     return page.astype(np.float32) / 255, round(dpi / 0.0254)

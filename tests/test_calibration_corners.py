@@ -76,13 +76,22 @@ def test_nothing_is_found_where_there_is_nothing():
     assert (corners.to_grey(np.zeros((40, 40), np.uint16)) == 0).all()
 
 
-def test_a_part_of_a_larger_board_is_not_taken_for_the_board(shots):
-    picture = shots[1][0]
-    whole = corners.find(picture, BOARD)
-    assert corners.is_whole(picture, whole.pixels, BOARD.inner)
-    grid = whole.pixels.reshape(7, 5, 2)
-    for part, inner in ((grid[:-1], (5, 6)), (grid[1:], (5, 6)), (grid[:, :-1], (4, 7)), (grid[:, 1:], (4, 7))):
-        assert not corners.is_whole(picture, part.reshape(-1, 2), inner)
+@pytest.mark.parametrize("part", ["5x8", "6x7", "4x6"])
+def test_a_part_of_a_larger_board_is_not_taken_for_the_board(shots, part):
+    for picture in shots[1]:
+        assert corners.find(picture, Board(*target.parse_size(part))) is None
+
+
+def test_a_finger_on_the_board_hides_only_the_corners_under_it(shots):
+    _, pictures, true = shots
+    for picture, places in zip(pictures, true, strict=True):
+        x, y = np.rint(places[16]).astype(int)
+        spoiled = picture.copy()
+        spoiled[y - 14 : y + 15, x - 14 : x + 15] = 120
+        view = corners.find(spoiled, BOARD)
+        assert len(view.ids) == 34
+        seen = places[view.ids] if error(view.pixels, places[view.ids]) < 1 else places[::-1][view.ids]
+        assert error(view.pixels, seen) < 0.1
 
 
 @pytest.mark.parametrize("given", ["5x7", "7x9"])

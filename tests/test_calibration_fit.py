@@ -1,12 +1,14 @@
 """The KB-8 fit, against cameras that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.calibration import field, fit, opencv, quality
+from avcli.calibration import field, fit, opencv, quality, robust
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
@@ -16,7 +18,8 @@ WIDE = KannalaBrandt(300.0, 301.0, 511.0, 520.0, 0.01, -0.004, 0.001, -0.0002)
 
 
 def calibrated(observations, size=SIZE, **options):
-    return fit.fit_robustly(observations, *size, **options)
+    solution, good = robust.fit_robustly(observations, *size, **options)
+    return solution, observations.views_of(good)
 
 
 @pytest.fixture(scope="module")
@@ -148,9 +151,13 @@ def test_one_outlier_in_each_view_costs_no_view(forty):
     rng = np.random.default_rng(12)
     pixels = forty.pixels.copy()
     pixels[forty.starts + rng.integers(0, 35, 40)] += 5 * rng.choice([-1, 1], (40, 2))
-    solution, kept = calibrated(fit.Observations(forty.view, forty.points, pixels, forty.sigma, forty.half_extent))
-    assert kept.all()
+    spoiled = replace(forty, pixels=pixels)
+    solution, good = robust.fit_robustly(spoiled, *SIZE)
+    assert np.array_equal(good, (pixels == forty.pixels).all(1))
     assert field_error(solution.lens, theta_max=np.deg2rad(75))[0] < 0.3
+    held_out = robust.held_out(spoiled, solution, good)
+    assert held_out.rms_px == pytest.approx(0.15 * np.sqrt(2), rel=0.1)
+    assert held_out.all_px == pytest.approx(np.sqrt(2 * 0.15**2 + 50 / 35), rel=0.1)
 
 
 # --- invariants -------------------------------------------------------------------------------------------------------
@@ -210,9 +217,9 @@ def test_a_mirrored_camera_has_the_same_focal_length(forty):
 
 def judged(filmed, noise=0.15, board=BOARD):
     observations = exact(filmed, noise=noise, rng=np.random.default_rng(20), board=board)
-    solution, kept = calibrated(observations)
-    some = observations.of_views(kept)
-    return quality.assess(some, solution, *SIZE, quality.held_out_rms(some, solution))
+    solution, good = robust.fit_robustly(observations, *SIZE)
+    held_out = robust.held_out(observations, solution, good).rms_px
+    return quality.assess(observations.of_corners(good), solution, *SIZE, held_out)
 
 
 @pytest.mark.parametrize("seed", range(2))

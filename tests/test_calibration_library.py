@@ -7,7 +7,7 @@ import pytest
 from calibration_boards import BOARD, THESIS, exact, film, photograph
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, fit, gather, live
+from avcli.calibration import calibrate, fit, gather, live, robust
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.media import MediaError, write_png
@@ -104,8 +104,8 @@ TRUE = {
 def test_every_lens_model_comes_back_from_exact_corners(model):
     true = TRUE.get(model) or LENSES[model].of_image([860.0, 863.0, 1049.5, 552.8, -0.02, 0.0, 0.0, 0.0], *SIZE)
     observations = exact(film(20, np.random.default_rng(3), lens=true), lens=true)
-    solution, kept = fit.fit_robustly(observations, *SIZE, model=model)
-    assert kept.all()
+    solution, good = robust.fit_robustly(observations, *SIZE, model=model)
+    assert good.all()
     assert type(solution.lens) is LENSES[model]
     assert np.abs(fit.residuals(observations, solution)).max() < 1e-3
     assert np.abs(solution.parameters[:4] - [true.fx, true.fy, true.cx, true.cy]).max() < 0.5

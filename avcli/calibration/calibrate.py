@@ -5,16 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import corners, fit, gather, opencv, quality
+from avcli.calibration import fit, gather, opencv, quality, robust, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
+from avcli.calibration.recognise import Wanted
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
-from avcli.lens import LENSES, Lens, lens_config
+from avcli.lens import Lens, lens_config, variants
 
 BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
+
+LEAST_FOR_ERRORS = 8
+"""Views from which the board's errors are looked for."""
 
 DEFAULTS = FitSettings()
 
@@ -27,11 +31,15 @@ class Calibration:
         board: the board.
         views: that were given, with the corners in them.
         solution: the fit, of the kept views.
-        observations: the kept views' corners.
-        kept: (views,) bool, which views the fit used.
-        view_rms_px: (views,) residual of each given view under the lens, kept or not.
+        observations: the corners that the fit used, of the kept views.
+        kept: (views,) bool, which views the fit used: those of which at least half of the corners fit.
+        dropped: (views,) how many corners of each view the fit did not use.
+        view_rms_px: (views,) residual of each given view under the lens: of the corners that the fit used, and of all
+            corners where the view was not kept.
         quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
+        held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
+        printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN where not tried.
     """
 
     board: Board
@@ -39,10 +47,13 @@ class Calibration:
     solution: fit.Solution
     observations: fit.Observations
     kept: np.ndarray
+    dropped: np.ndarray
     view_rms_px: np.ndarray
     quality: quality.Quality
+    held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
+    printed_px: float = float("nan")
 
     @property
     def lens(self) -> Lens:
@@ -63,6 +74,16 @@ class Calibration:
     def bow_m(self) -> float:
         """How far the board's middle stands out of the plane of its corners, m; 0 for a flat one."""
         return float(self.solution.shape[:2].sum())
+
+    def _board_config(self) -> dict:
+        """What is known of the board; a length only where the print was measured."""
+        board, shape = self.board, [float(v) for v in self.solution.shape]
+        known: dict = {"square_m": board.square_m, "board_shape_m": shape} if board.scaled else {"square_m": None}
+        if board.kind != "checkerboard":
+            known |= {"board_kind": board.kind, "board_ratio": board.ratio}
+        if board.markers:
+            known["board_dictionary"] = board.dictionary
+        return known
 
     @property
     def covariance(self) -> np.ndarray:
@@ -101,12 +122,13 @@ class Calibration:
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
                 "inflation": _finite(self.inflation),
+                "held_out_all_px": _finite(self.held_out_all_px),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
+                "corners_dropped": int(self.dropped[self.kept].sum()),
                 "board": str(self.board),
-                "square_m": self.board.square_m,
-                "board_shape_m": [float(v) for v in self.solution.shape],
+                **self._board_config(),
             },
         }
 
@@ -118,8 +140,8 @@ def _finite(value: float) -> float | None:
 def calibrate(
     pictures: Iterable[Picture | np.ndarray],
     *,
-    board: Board | tuple[int, int] = (6, 8),
-    square_m: float = 0.095,
+    board: Board | Wanted | tuple[int, int] | None = None,
+    square_m: float | None = None,
     settings: FitSettings = DEFAULTS,
     say: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
@@ -135,8 +157,9 @@ def calibrate(
     Args:
         pictures: of one size; arrays (height, width[, 3 RGB or 4 RGBA]), or what `footage.pictures` reads. Pictures
             without the board are skipped.
-        board: squares as printed, along a row and along a column; or a Board, which may have markers.
-        square_m: side of a square, m, where `board` is a pair of counts.
+        board: a Board; a pair of counts, the squares of a checkerboard as printed along a row and along a column; or
+            what is known of it. The rest is recognised in the pictures.
+        square_m: side of a square, m, where `board` does not say it; None: not measured, so that no length is stated.
         settings: how the lens is fitted, and which model: FitSettings(lens_model="brown_conrady").
         say: gets sentences for the user, such as that the board has another size.
 
@@ -147,9 +170,9 @@ def calibrate(
         fit.NoFit: no picture shows the board, or the corners determine no lens.
         ValueError: the pictures differ in size.
     """
-    if not isinstance(board, Board):
-        board = Board(*board, square_m)
-    seen = gather.collect(pictures, board, say=say)
+    if isinstance(board, tuple):
+        board = Wanted(board, "checkerboard", square_m=square_m).board()
+    seen = gather.collect(pictures, board or Wanted(square_m=square_m), say=say)
     seen.require_views()
     return calibrate_views(seen.board, seen.views, settings, seen.light.circle)
 
@@ -169,41 +192,44 @@ def calibrate_views(
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
         ValueError: the lens model is unknown.
     """
-    if settings.lens_model not in LENSES:
-        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(LENSES)}")
+    if settings.lens_model not in variants():
+        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}")
+    if not board.ratio_known:
+        some = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(12, len(views))).astype(int))]
+        size = views[0].width, views[0].height
+        board = spacing.measured(board, lambda board: observe(board, some), size, settings.lens_model)
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
-        return judged(board, views, everything, solution, kept, circle=circle)
+        return judged(board, views, everything, solution, kept[everything.view], circle=circle)
     return _calibrate_robustly(board, views, settings, circle)
 
 
-def _calibrate_robustly(
-    board: Board, views: list[View], settings: FitSettings, circle: Circle | None = None
-) -> Calibration:
-    everything = observe(board, views)
-    solution, kept = fit.fit_robustly(everything, views[0].width, views[0].height, model=settings.lens_model)
-    flat = quality.held_out_rms(everything.of_views(kept), solution)
-    finer = polished(everything, solution, kept, board, views)
-    better = fit.fit(finer.of_views(kept), solution)
-    better, finer_kept = fit.refit_robustly(finer, better, kept)
-    finer_flat = quality.held_out_rms(finer.of_views(finer_kept), better)
-    if not finer_flat >= flat:  # a coarse or compressed picture may have no finer corners to give
-        everything, solution, kept, flat = finer, better, finer_kept, finer_flat
-    shaped = float("nan")
-    if settings.board_shape == "yes" or (settings.board_shape == "auto" and kept.sum() >= 6):
-        # From all views again: a flat board may have made good ones of a bowed board look bad.
-        start = fit.fit(everything, _all_poses(everything, solution, kept), board_shape=True)
-        bent, bent_kept = fit.refit_robustly(everything, start, np.ones(len(views), bool), board_shape=True)
-        common = kept & bent_kept
-        some = everything.of_views(common)
-        flat = quality.held_out_rms(some, solution.of_views(common[kept]))
-        shaped = quality.held_out_rms(some, bent.of_views(common[bent_kept]))
-        if settings.board_shape == "yes" or shaped < (1 - BOARD_GAIN) * flat:
-            solution, kept = bent, bent_kept
-    held_out = shaped if solution.free[-fit.SHAPE :].any() else flat
-    found = judged(board, views, everything, solution, kept, held_out, circle)
-    return replace(found, flat_px=flat, shaped_px=shaped)
+def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
+    coarse = observe(board, views)
+    solution, good = robust.fit_robustly(coarse, views[0].width, views[0].height, model=settings.lens_model)
+    everything, solution, good = robust.refined(coarse, solution, good, board, views)
+    flat = chosen = robust.held_out(everything, solution, good)
+    shaped = robust.HeldOut(float("nan"), float("nan"))
+    if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
+        # From all corners again: a flat board may have made good ones of a bowed board look bad.
+        start = fit.fit(everything, robust.posed(everything, solution, good), board_shape=True)
+        bent, bent_good = robust.refit_robustly(everything, start, np.ones(len(good), bool), board_shape=True)
+        flat = robust.held_out(everything, solution, good, of=good & bent_good)
+        shaped = robust.held_out(everything, bent, bent_good, of=good & bent_good)
+        if settings.board_shape == "yes" or shaped.rms_px < (1 - BOARD_GAIN) * flat.rms_px:
+            solution, good, chosen = bent, bent_good, shaped
+    printed = robust.HeldOut(float("nan"), float("nan"))
+    if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
+        printed = robust.held_out(everything, solution, good, board_errors=True)
+        if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
+            everything, solution, chosen = *robust.fit_board(everything, solution, good), printed
+    return replace(
+        judged(board, views, everything, solution, good, chosen, circle),
+        flat_px=flat.rms_px,
+        shaped_px=shaped.rms_px,
+        printed_px=printed.rms_px,
+    )
 
 
 def observe(board: Board, views: list[View]) -> fit.Observations:
@@ -222,99 +248,38 @@ def judged(
     views: list[View],
     everything: fit.Observations,
     solution: fit.Solution,
-    kept: np.ndarray,
-    held_out: float | None = None,
+    good: np.ndarray,
+    held_out: robust.HeldOut | None = None,
     circle: Circle | None = None,
 ) -> Calibration:
-    """Put a solution for the kept views together with its uncertainty.
+    """Put a solution together with its uncertainty.
 
     Args:
         board, views: what was given.
         everything: the corners of all views.
-        solution: the fit of the kept views.
-        kept: (views,) bool.
-        held_out: px, the held-out RMS; None computes it.
+        solution: the fit to the corners in `good`.
+        good: (n,) bool.
+        held_out: None computes it.
         circle: where light reaches the pictures; None: everywhere.
     """
-    some = everything.of_views(kept)
-    if held_out is None:
-        held_out = quality.held_out_rms(some, solution)
+    some = everything.of_corners(good)
+    held_out = held_out or robust.held_out(everything, solution, good)
+    kept = everything.views_of(good)
+    everywhere = robust.posed(everything, solution, good)
+    rms = fit.view_rms(everything, everywhere)
+    rms[kept] = fit.view_rms(some, solution)
     return Calibration(
         board=board,
         views=tuple(views),
         solution=solution,
         observations=some,
         kept=kept,
-        view_rms_px=rms_of_all(everything, solution, kept),
-        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out, circle),
-        flat_px=held_out,
+        dropped=everything.per_view((~good).astype(int)),
+        view_rms_px=rms,
+        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle),
+        held_out_all_px=held_out.all_px,
+        flat_px=held_out.rms_px,
     )
-
-
-def rms_of_all(everything: fit.Observations, solution: fit.Solution, kept: np.ndarray) -> np.ndarray:
-    """Residual of each view, (views,) px; of those that were not kept with the best pose under the lens."""
-    rms = np.zeros(everything.views)
-    rms[kept] = fit.view_rms(everything.of_views(kept), solution)
-    if not kept.all():
-        rest = everything.of_views(~kept)
-        rms[~kept] = fit.view_rms(rest, _posed(rest, solution))
-    return rms
-
-
-def _posed(observations: fit.Observations, solution: fit.Solution) -> fit.Solution:
-    start = fit.start_from_rays(observations, solution.lens, solution.shape)
-    return fit.refine_poses(observations, replace(start, free=solution.free), 15)
-
-
-def polished(
-    everything: fit.Observations, solution: fit.Solution, kept: np.ndarray, board: Board, views: list[View]
-) -> fit.Observations:
-    """Refine all corners with the lens known (corners.polish) and weigh them by how well they could be placed."""
-    poses = _all_poses(everything, solution, kept)
-    unit, near = board.clear
-    to_board = _board_offsets(everything, poses, unit)
-    pixels, sd = corners.polish(
-        np.concatenate([view.patches for view in views]),
-        everything.pixels,
-        np.concatenate([view.origins for view in views]),
-        to_board,
-        clear=near,
-    )
-    good = np.isfinite(sd)
-    if good.mean() < 0.5:
-        return everything
-    # What the noise in the picture does not explain (print, lens, blur) adds the same to every corner.
-    typical = float(np.median(sd[good]))
-    sigma = np.sqrt(typical**2 + np.where(good, sd, 10 * typical) ** 2) / (np.sqrt(2) * typical)
-    return replace(everything, pixels=pixels, sigma=np.clip(sigma, 0.7, 10.0))
-
-
-def _all_poses(everything: fit.Observations, solution: fit.Solution, kept: np.ndarray) -> fit.Solution:
-    rotations = np.zeros((everything.views, 3, 3))
-    translations = np.zeros((everything.views, 3))
-    rotations[kept], translations[kept] = solution.rotations, solution.translations
-    if not kept.all():
-        rest = _posed(everything.of_views(~kept), solution)
-        rotations[~kept], translations[~kept] = rest.rotations, rest.translations
-    return replace(solution, rotations=rotations, translations=translations)
-
-
-def _board_offsets(observations: fit.Observations, solution: fit.Solution, square: float) -> np.ndarray:
-    """Around each corner, board offset in squares as a quadratic in the pixel offset: (n, 2, 5), see corners.polish."""
-    o, reach = observations, 6.0
-    a, b = (g.ravel() * reach for g in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]))
-    pixels = o.pixels[:, None] + np.stack([a, b], -1)
-    rays = solution.lens.unproject(pixels.reshape(-1, 2)).reshape(len(o.pixels), 9, 3)
-    R, t = solution.rotations[o.view], solution.translations[o.view]
-    height = fit.surface(o.points, solution.shape, o.half_extent)[:, 2]
-    normal = R[:, :, 2]
-    distance = np.einsum("ni,ni->n", normal, t) + height
-    with np.errstate(invalid="ignore", divide="ignore"):
-        along = distance[:, None] / np.einsum("nki,ni->nk", rays, normal)
-        met = np.einsum("nki,nij->nkj", along[:, :, None] * rays - t[:, None], R)[:, :, :2] / square
-    design = np.stack([np.ones(9), a, b, a * a, a * b, b * b], -1)
-    offsets = np.einsum("tk,nkj->njt", np.linalg.pinv(design), np.nan_to_num(met))[:, :, 1:]
-    return np.where(np.isfinite(met).all((1, 2))[:, None, None], offsets, 0.0)
 
 
 def check(board: Board, views: list[View], lens: Lens) -> dict:
@@ -326,7 +291,7 @@ def check(board: Board, views: list[View], lens: Lens) -> dict:
     everything = observe(board, views)
     start = fit.start_from_rays(everything, lens)
     solution = fit.refine_poses(everything, start, 20)
-    everything = polished(everything, solution, np.ones(len(views), bool), board, views)
+    everything = robust.polished(everything, solution, board, views)
     solution = fit.refine_poses(everything, solution, 20)
     each = fit.view_rms(everything, solution)
     corners_of = np.bincount(everything.view)

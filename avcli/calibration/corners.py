@@ -4,18 +4,14 @@ A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from avcli.calibration import circles, markers, saddles
 from avcli.calibration.target import Board
 
-if TYPE_CHECKING:
-    import cv2
-
-_SEARCH_WIDTH = 960
 _KEEP_WIDTH = 1280
-"""px; pictures up to this width are searched as they are: on coarser ones the corners start too far from the truth."""
+"""px; pictures without a board are kept reduced to this width."""
 PATCH = 12
 """px; half the side of the square around each corner that is kept for `polish`."""
 
@@ -70,26 +66,29 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
 
     Args:
         grey: (height, width) uint8.
-        board: a checkerboard must be whole in the picture; of a ChArUco board six corners are enough.
-        thorough: also search without the check that is quick to give a picture up (half a second on mere noise).
+        board: a checkerboard must be in the picture with its four sides, up to a fifth of its corners hidden; a grid
+            of circles wholly; of a board with markers six corners are enough.
+        thorough: see saddles.find_board.
     """
     if min(grey.shape) < 32:
         return None
-    found = _find_charuco(grey, board) if board.markers else _find_checkerboard(grey, board.inner, thorough)
-    if found is None:
-        return None
-    ids, pixels = found
-    return view_of(grey, ids, pixels)
+    if board.markers:
+        coarse = markers.find(grey, board)
+        found = coarse and (coarse[0], _subpixel(grey, *coarse[1:]))
+    elif board.has_circles:
+        found = circles.find(grey, board)
+    else:
+        found = _find_checkerboard(grey, board.inner, thorough)
+    return view_of(grey, *found) if found else None
 
 
 def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
     """Make a view of corners (n, 2) px with the picture around each."""
-    import cv2
-
-    padded = cv2.copyMakeBorder(grey, PATCH, PATCH, PATCH, PATCH, cv2.BORDER_REPLICATE)
     height, width = grey.shape
     origins = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(int)
-    patches = np.stack([padded[y : y + 2 * PATCH + 1, x : x + 2 * PATCH + 1] for x, y in origins])
+    span = np.arange(-PATCH, PATCH + 1)
+    columns, rows = (np.clip(origins[:, i, None] + span, 0, limit - 1) for i, limit in ((0, width), (1, height)))
+    patches = grey[rows[:, :, None], columns[:, None, :]]
     return View(ids, pixels, patches, origins, width, height)
 
 
@@ -99,78 +98,44 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 def _find_checkerboard(
     grey: np.ndarray, inner: tuple[int, int], thorough: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    import cv2
-
-    small, scale = shrunk(grey)
-    base = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = cv2.findChessboardCorners(small, inner, flags=base | cv2.CALIB_CB_FAST_CHECK)
-    if not found and thorough:  # the quick check gives dim and oblique boards up
-        found, corners = cv2.findChessboardCorners(small, inner, flags=base)
-    if not found:
-        found, corners = cv2.findChessboardCornersSB(small, inner, flags=0)
-    if not found:
+    found = saddles.find_board(grey, inner, thorough=thorough)
+    if found is None:
         return None
-    corners = corners.reshape(-1, 2).astype(np.float64)
-    if len(corners) != inner[0] * inner[1] or not np.isfinite(corners).all():
-        return None
-    spread = _spacing(corners, inner)
-    if not (spread > 1.5).all():
-        return None
-    if scale != 1:
-        corners = (_subpixel(small, corners, spread) + 0.5) * scale - 0.5
-        spread = spread * scale
-    pixels = _in_order(grey, _subpixel(grey, corners, spread), inner)
-    return np.arange(len(pixels)), pixels
+    ids, pixels, error = found
+    spacing = _spacing(ids, pixels, inner)
+    return (ids, _subpixel(grey, pixels, spacing, max(error, 1.5))) if (spacing > 1.5).all() else None
 
 
-def _in_order(grey: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
-    """Number the corners as the board does: rows to the right of columns, and, where the colours tell, upright.
-
-    The square between the first four corners is black. In a board with one odd and one even count it is white when the
-    board is read upside down.
-    """
-    grid = pixels.reshape(inner[1], inner[0], 2)
-    along, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
-    if along[0] * down[1] - along[1] * down[0] < 0:
-        grid = grid[:, ::-1]
-    if (inner[0] + inner[1]) % 2:
-        middles = np.rint((grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4).astype(int)
-        height, width = grey.shape
-        value = grey[middles[:, :, 1].clip(0, height - 1), middles[:, :, 0].clip(0, width - 1)].astype(float)
-        black = np.add.outer(np.arange(inner[1] - 1), np.arange(inner[0] - 1)) % 2 == 0
-        if value[black].mean() > value[~black].mean():
-            grid = grid[::-1, ::-1]
-    return np.ascontiguousarray(grid.reshape(-1, 2))
-
-
-def shrunk(grey: np.ndarray) -> tuple[np.ndarray, float]:
-    """The picture at the size in which boards are searched, and the factor back to the full picture."""
+def shrunk(grey: np.ndarray) -> np.ndarray:
+    """The picture at a size at which the size of a board can be guessed later."""
     import cv2
 
     height, width = grey.shape
-    longest = max(height, width)
-    if longest <= _KEEP_WIDTH:
-        return grey, 1.0
-    scale = longest / _SEARCH_WIDTH
-    return cv2.resize(grey, (round(width / scale), round(height / scale)), interpolation=cv2.INTER_AREA), scale
+    scale = max(height, width) / _KEEP_WIDTH
+    if scale <= 1:
+        return grey
+    return cv2.resize(grey, (round(width / scale), round(height / scale)), interpolation=cv2.INTER_AREA)
 
 
-def _spacing(corners: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
-    """Distance of each corner of a whole grid to its nearest neighbour in the grid, (n,) px."""
-    grid = corners.reshape(inner[1], inner[0], 2)
+def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
+    """Distance of each corner (n,) to its nearest neighbour in the grid, (n,) px; infinite without one."""
+    places = np.full((inner[1] * inner[0], 2), np.nan)
+    places[ids] = pixels
+    grid = places.reshape(inner[1], inner[0], 2)
     nearest = np.full(grid.shape[:2], np.inf)
     along, across = np.linalg.norm(np.diff(grid, axis=1), axis=2), np.linalg.norm(np.diff(grid, axis=0), axis=2)
-    nearest[:, 1:] = np.minimum(nearest[:, 1:], along)
-    nearest[:, :-1] = np.minimum(nearest[:, :-1], along)
-    nearest[1:] = np.minimum(nearest[1:], across)
-    nearest[:-1] = np.minimum(nearest[:-1], across)
-    return nearest.ravel()
+    nearest[:, 1:] = np.fmin(nearest[:, 1:], along)
+    nearest[:, :-1] = np.fmin(nearest[:, :-1], along)
+    nearest[1:] = np.fmin(nearest[1:], across)
+    nearest[:-1] = np.fmin(nearest[:-1], across)
+    return nearest.ravel()[ids]
 
 
-def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach: float = np.inf) -> np.ndarray:
     """Förstner's corner (cv2.cornerSubPix) in a window that suits each corner.
 
-    A fixed window of 11 px, as in every tutorial, walks onto the neighbours near the rim.
+    A fixed window of 11 px, as in every tutorial, walks onto the neighbours near the rim. A corner that walks further
+    than `reach` px, or out of its window, stays where it was.
     """
     import cv2
 
@@ -181,52 +146,9 @@ def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray) -> np.
         rows = windows == window
         points = np.ascontiguousarray(corners[rows, None, :], np.float32)
         refined[rows] = cv2.cornerSubPix(grey, points, (int(window), int(window)), (-1, -1), criteria)[:, 0]
-    lost = np.linalg.norm(refined - corners, axis=1) > windows
+    lost = np.linalg.norm(refined - corners, axis=1) > np.minimum(windows, reach)
     refined[lost] = corners[lost]
     return refined
-
-
-def is_whole(grey: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> bool:
-    """Tell whether the grid of corners is the whole board and not a part of a larger one.
-
-    One row further out on each side there must be no checkerboard corners. Their place is extrapolated from the grid,
-    and the contrast between the two diagonal pairs of squares compared with that at the grid's own corners.
-    """
-    grid = pixels.reshape(inner[1], inner[0], 2)
-    own = np.median(_saddle(grey, grid[1:-1, 1:-1], _grid_step(grid, 1)[1:-1, 1:-1], _grid_step(grid, 0)[1:-1, 1:-1]))
-    if not own > 0:
-        return True
-    for turns in range(4):
-        side = np.rot90(grid, turns) if turns else grid
-        order = 3 if side.shape[0] > 2 else 2
-        ring = 3 * side[0] - 3 * side[1] + side[2] if order == 3 else 2 * side[0] - side[1]
-        along = np.gradient(ring, axis=0)
-        outward = ring - side[0]
-        height, width = grey.shape
-        margin = 0.4 * np.maximum(np.linalg.norm(along, axis=1), np.linalg.norm(outward, axis=1))
-        inside = (ring > margin[:, None]).all(1) & (ring < np.array([width, height]) - 1 - margin[:, None]).all(1)
-        if inside.sum() >= max(3, len(ring) // 2):
-            beyond = np.median(_saddle(grey, ring[inside], along[inside], outward[inside]))
-            if beyond > 0.75 * own:
-                return False
-    return True
-
-
-def _grid_step(grid: np.ndarray, axis: int) -> np.ndarray:
-    return np.gradient(grid, axis=axis)
-
-
-def _saddle(grey: np.ndarray, places: np.ndarray, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Difference between the diagonal pairs of squares around each place, in grey levels."""
-    import cv2
-
-    places, along, across = (a.reshape(-1, 2) for a in (places, along, across))
-    total = np.zeros(len(places))
-    for x, y in ((0.3, 0.3), (-0.3, -0.3), (0.3, -0.3), (-0.3, 0.3)):
-        at = (places + x * along + y * across).astype(np.float32)
-        value = cv2.remap(grey, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        total += np.sign(x * y) * value[:, 0].astype(float)
-    return np.abs(total)
 
 
 def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
@@ -238,17 +160,11 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
         pictures: a few pictures (height, width) uint8, as `shrunk` makes them.
         board: as given.
     """
-    import cv2
-
     votes: dict[tuple[int, int], int] = {}
     for small in pictures:
-        flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
-        found, corners, cells = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
-        if not found:
-            continue
-        inner = cells.shape[1], cells.shape[0]
-        if is_whole(small, corners.reshape(-1, 2).astype(np.float64), inner):
-            size = tuple(sorted((inner[0] + 1, inner[1] + 1), reverse=board.columns > board.rows))
+        for inner in saddles.sizes(small)[:1]:
+            few, many = sorted((inner[0] + 1, inner[1] + 1))
+            size = (many, few) if board.columns > board.rows else (few, many)
             votes[size] = votes.get(size, 0) + 1
     if not votes:
         return None
@@ -257,39 +173,6 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     if count < min(len(pictures), max(2, len(pictures) / 3)) or sorted(size) == sorted((board.columns, board.rows)):
         return None
     return Board(*size, board.square_m)
-
-
-# --- ChArUco ----------------------------------------------------------------------------------------------------------
-
-
-def _find_charuco(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None:
-    detector = _charuco_detector(board)
-    corners, ids, _, _ = detector.detectBoard(grey)
-    if ids is None or len(ids) < 6:
-        return None
-    ids = ids.ravel().astype(int)
-    order = np.argsort(ids)
-    ids, pixels = ids[order], corners.reshape(-1, 2)[order].astype(np.float64)
-    columns, rows = ids % board.inner[0], ids // board.inner[0]
-    if len(np.unique(columns)) < 2 or len(np.unique(rows)) < 2 or not np.isfinite(pixels).all():
-        return None
-    between = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
-    steps = np.hypot(columns[:, None] - columns[None], rows[:, None] - rows[None])
-    spacing = np.where(steps > 0, between / np.maximum(steps, 1), np.inf).min(1)
-    if not (spacing > 6).all():
-        return None
-    # Around a corner only (1 - MARKER_RATIO) / 2 of a square is free of markers.
-    return ids, _subpixel(grey, pixels, 0.4 * spacing)
-
-
-def _charuco_detector(board: Board) -> "cv2.aruco.CharucoDetector":
-    import cv2
-
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshWinSizeMax = 53
-    charuco = cv2.aruco.CharucoParameters()
-    charuco.minMarkers = 1
-    return cv2.aruco.CharucoDetector(board.charuco(), charuco, parameters)
 
 
 # --- polish -----------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 
 from avcli.calibration import uncertainty
 from avcli.calibration.uncertainty import Views
-from avcli.lens import LENSES, KannalaBrandt, Lens
+from avcli.lens import KannalaBrandt, Lens, variants
 
 SHAPE = 3
 """Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
@@ -32,6 +32,7 @@ class Observations:
         pixels: (n, 2) px, where it was seen.
         sigma: (n,) expected error of `pixels` relative to that of a common corner.
         half_extent: (2,) m, see the module.
+        errors: (n, 3) m, how far the corner is from where the board's shape puts it, in the board's frame.
     """
 
     view: np.ndarray
@@ -39,6 +40,7 @@ class Observations:
     pixels: np.ndarray
     sigma: np.ndarray
     half_extent: np.ndarray
+    errors: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @property
     def views(self) -> int:
@@ -54,15 +56,23 @@ class Observations:
         """The corners of some views only: `keep` (views,) bool, or indices."""
         chosen = np.zeros(self.views, bool)
         chosen[keep] = True
-        rows = chosen[self.view]
-        renumbered = np.cumsum(chosen) - 1
+        return self.of_corners(chosen[self.view])
+
+    def of_corners(self, keep: np.ndarray) -> "Observations":
+        """Some corners only, `keep` (n,) bool, and only the views that have one of them, renumbered."""
+        _, renumbered = np.unique(self.view[keep], return_inverse=True)
         return replace(
             self,
-            view=renumbered[self.view[rows]],
-            points=self.points[rows],
-            pixels=self.pixels[rows],
-            sigma=self.sigma[rows],
+            view=renumbered,
+            points=self.points[keep],
+            pixels=self.pixels[keep],
+            sigma=self.sigma[keep],
+            errors=self.errors if len(self.errors) == 1 else self.errors[keep],
         )
+
+    def views_of(self, keep: np.ndarray) -> np.ndarray:
+        """Which views have one of the corners `keep` (n,) bool: (views,) bool."""
+        return np.bincount(self.view, keep, self.views) > 0
 
     def per_view(self, values: np.ndarray) -> np.ndarray:
         """Sum (n, ...) values over the corners of each view: (views, ...)."""
@@ -126,9 +136,14 @@ def surface(points: np.ndarray, shape: np.ndarray, half_extent: np.ndarray) -> n
     return np.stack([x, y * (1 + shape[2]), z], -1)
 
 
+def places(observations: Observations, solution: Solution) -> np.ndarray:
+    """Where the corners are in the board's frame, (n, 3) m."""
+    return surface(observations.points, solution.shape, observations.half_extent) + observations.errors
+
+
 def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
-    flat = surface(observations.points, solution.shape, observations.half_extent)
+    flat = places(observations, solution)
     inside = np.einsum("nij,nj->ni", solution.rotations[observations.view], flat)
     return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
 
@@ -186,7 +201,7 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, P) and to the pose (n, 2, 6)."""
     o, s = observations, solution
-    flat = surface(o.points, s.shape, o.half_extent)
+    flat = places(o, s)
     R = s.rotations[o.view]
     turned = np.einsum("nij,nj->ni", R, flat)
     pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])
@@ -413,7 +428,7 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     sides = np.array([width, height], float)
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
 
-    kind = LENSES[model]
+    kind = variants()[model]
     coefficients = [*kind.start, *[0.0] * (len(kind.names()) - 4 - len(kind.start))]
 
     def centred(f: float) -> Lens:
@@ -474,49 +489,3 @@ def _delta(observations: Observations, solution: Solution) -> float:
     """Three standard deviations of the residuals' bulk: their median length is 1.177 of it (Rayleigh)."""
     length = np.linalg.norm(residuals(observations, solution), axis=1) / observations.sigma
     return max(3 * float(np.nanmedian(length)) / 1.1774, 1e-9)
-
-
-def outlying_views(rms: np.ndarray) -> np.ndarray:
-    """Which views fit worse than the others can explain: RMS above median + 4 (1.4826 MAD + 0.02 px); (views,) bool.
-
-    Twice the median is always borne (the fit is robust), and at least four views are left.
-    """
-    middle = np.median(rms)
-    limit = middle + 4 * (1.4826 * np.median(np.abs(rms - middle)) + 0.02)
-    return rms > max(limit, 2 * middle, np.sort(rms)[:4][-1])
-
-
-def fit_robustly(
-    observations: Observations, width: int, height: int, *, board_shape: bool = False, model: str = "kannala_brandt"
-) -> tuple[Solution, np.ndarray]:
-    """Fit from nothing, leaving out views that do not belong.
-
-    Args:
-        observations: the corners.
-        width, height: px, of the pictures.
-        board_shape: fit the board's shape too.
-        model: a name in avcli.lens.LENSES.
-
-    Returns:
-        the Solution for the kept views, and `kept` (views,) bool.
-
-    Raises:
-        NoFit: there are fewer equations than unknowns.
-    """
-    solution = fit(observations, scan_focal(observations, width, height, model), board_shape=board_shape)
-    return refit_robustly(observations, solution, np.ones(observations.views, bool), board_shape=board_shape)
-
-
-def refit_robustly(
-    observations: Observations, solution: Solution, kept: np.ndarray, *, board_shape: bool = False
-) -> tuple[Solution, np.ndarray]:
-    """Fit the kept views again from where they stand, at most three times leaving out views that do not belong."""
-    kept = kept.copy()
-    for _ in range(3):
-        few = observations.of_views(kept)
-        bad = outlying_views(view_rms(few, solution))
-        if not bad.any():
-            break
-        kept[np.flatnonzero(kept)[bad]] = False
-        solution = fit(observations.of_views(kept), solution.of_views(~bad), board_shape=board_shape)
-    return solution, kept

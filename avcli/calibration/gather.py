@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from avcli.calibration import corners
+from avcli.calibration import corners, recognise
 from avcli.calibration.circle import Light
 from avcli.calibration.corners import View
 from avcli.calibration.fit import NoFit
+from avcli.calibration.recognise import Wanted
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
 from avcli.formats.media import MediaError
@@ -22,15 +23,18 @@ _MISSES = 8
 _GUESS_AFTER = (4, 12)
 """Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
-Look = tuple[Picture, np.ndarray, View | None]
-"""A picture, the same in grey (height, width) uint8, and the view in it."""
+Found = View | Board | None
+"""The view of the board in a picture; as long as the board is unknown, the board that it shows."""
+Look = tuple[Picture, np.ndarray, Found]
+"""A picture, the same in grey (height, width) uint8, and what was found in it."""
 
 
 class Seen:
     """What became of each picture, in order.
 
     Attributes:
-        board: the board that was looked for.
+        board: the board that was looked for; the usual one as long as it is unknown.
+        is_known: whether the board is known.
         views: those that can be used.
         names: what the picture of each of them is called.
         misses: some pictures without a board, reduced.
@@ -39,8 +43,8 @@ class Seen:
         light: the mean of the pictures, which shows where light reaches them.
     """
 
-    def __init__(self, board: Board):
-        self.board = board
+    def __init__(self, board: Board, *, is_known: bool = True):
+        self.board, self.is_known = board, is_known
         self.views: list[View] = []
         self.names: list[str] = []
         self.misses: list[np.ndarray] = []
@@ -71,7 +75,7 @@ class Seen:
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
-                self.misses.append(corners.shrunk(grey)[0])
+                self.misses.append(corners.shrunk(grey))
         elif is_duplicate(view, self.views):
             why = "duplicate"
         else:
@@ -84,6 +88,12 @@ class Seen:
     def count(self, why: str) -> int:
         """Count the pictures that were left out for a reason, "no board" or "duplicate"."""
         return sum(picture["why"] == why for picture in self._pictures)
+
+    @property
+    def last_view(self) -> View | None:
+        """The view in the last picture."""
+        index = self._pictures[-1]["view"] if self._pictures else None
+        return None if index is None else self.views[index]
 
     @property
     def few(self) -> bool:
@@ -100,17 +110,22 @@ class Seen:
             return
         if not len(self):
             raise NoFit("there are no pictures in the sources")
-        board = self.board
+        board, none = self.board, f"none of the {len(self)} pictures shows"
+        conditions = "must be sharp, evenly lit and wholly inside the picture, with a white border as wide as a square"
+        if not self.is_known:
+            raise NoFit(f"{none} a whole board that is known; it {conditions}; --kind and --board say what to look for")
         if board.markers:
-            raise NoFit(
-                f"none of the {len(self)} pictures shows six corners of a ChArUco board of {board} squares; check "
-                "the counts, and that the pictures are not mirrored"
-            )
+            raise NoFit(f"{none} six corners of the {board.words}; check it, and that the pictures are not mirrored")
+        if board.has_circles:
+            raise NoFit(f"{none} the whole {board.words}; it {conditions}")
         raise NoFit(
-            f"none of the {len(self)} pictures shows a whole board of {board} squares ({board.inner[0]}x"
-            f"{board.inner[1]} inner corners); the board must be sharp, evenly lit and wholly inside the picture, with "
-            "a white border as wide as a square"
+            f"{none} a whole board of {board} squares ({board.inner[0]}x{board.inner[1]} inner corners); the board "
+            f"{conditions}"
         )
+
+    def forget(self, count: int) -> None:
+        """Take back the last pictures, none of which has a view."""
+        del self._pictures[len(self._pictures) - count :]
 
     def records(self, kept: np.ndarray | None = None, rms_px: np.ndarray | None = None) -> Iterator[dict]:
         """Yield a record for each picture; one that shows the board has its corners.
@@ -135,17 +150,21 @@ class Seen:
 def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool:
     """Tell whether a board stood where it stood in one of the others: its corners moved less than `motion_px` (RMS)."""
     for other in others:
-        if len(view.ids) != len(other.ids) or not np.array_equal(view.ids, other.ids):
-            continue
-        for pixels in (other.pixels, other.pixels[::-1]):  # a board may be read turned by 180 degrees
-            if np.mean(((view.pixels - pixels) ** 2).sum(1)) < motion_px**2:
+        common, mine, theirs = np.intersect1d(view.ids, other.ids, assume_unique=True, return_indices=True)
+        if 2 * len(common) > max(len(view.ids), len(other.ids)):
+            if np.mean(((view.pixels[mine] - other.pixels[theirs]) ** 2).sum(1)) < motion_px**2:
                 return True
+            if (
+                len(view.ids) == len(other.ids)
+                and np.mean(((view.pixels[::-1] - other.pixels) ** 2).sum(1)) < motion_px**2
+            ):
+                return True  # a board may be read turned by 180 degrees
     return False
 
 
 def collect(
     pictures: Iterable[Picture | np.ndarray],
-    board: Board,
+    board: Board | Wanted,
     *,
     thorough: bool = True,
     eager: bool = False,
@@ -159,7 +178,7 @@ def collect(
 
     Args:
         pictures: pictures, or arrays (height, width[, 3 RGB or 4 RGBA]).
-        board: what they are expected to show.
+        board: what they are expected to show; what is unknown of it is read from the first pictures that show it.
         thorough: see corners.find.
         eager: look at each picture before the next one is asked for, as hints while filming need it.
         say: gets sentences for the user.
@@ -170,17 +189,17 @@ def collect(
         ValueError: the pictures differ in size.
         MediaError: the source fails before any picture shows the board.
     """
-    search = _Search(Seen(board), thorough, eager, say)
+    search = _Search.of(board, thorough, eager, say)
     try:
-        for picture, grey, view in search.look_ahead(pictures):
-            search.take(picture, grey, view)
+        for picture, grey, found in search.look_ahead(pictures):
+            view = search.take(picture, grey, found)
             if after(search.seen, grey, view):
-                return search.seen
+                break
     except MediaError as error:
         if not search.seen.views:
             raise
         say(f"{error}; the calibration continues with the pictures before it")
-    search.try_another_size()
+    search.end()
     return search.seen
 
 
@@ -191,36 +210,92 @@ class _Search:
     Attributes:
         seen: so far.
         thorough, eager, say: see `collect`.
-        first: the pictures so far, while another size of the board may still be tried.
+        wanted: what was known of the board before; None where it was given.
+        first: the pictures so far, while another board may still be tried.
+        shown: the boards that pictures show, while the board is unknown.
+        rows: that they show together.
     """
 
     seen: Seen
     thorough: bool
     eager: bool
     say: Callable[[str], None]
+    wanted: Wanted | None = None
     first: list[Picture] = field(default_factory=list)
+    shown: list[Board] = field(default_factory=list)
+    rows: int = 0
 
-    def take(self, picture: Picture, grey: np.ndarray, view: View | None) -> None:
-        """Add a picture; after some of them, try another size."""
+    @classmethod
+    def of(cls, board: Board | Wanted, thorough: bool, eager: bool, say: Callable[[str], None]) -> "_Search":
+        """Begin a search; what is wanted is recognised first where something is left open."""
+        if isinstance(board, Board):
+            return cls(Seen(board), thorough, eager, say)
+        return cls(Seen(board.board(), is_known=board.is_complete), thorough, eager, say, board)
+
+    @property
+    def sought(self) -> Board | Wanted:
+        """The board to look for, or what is known of it."""
+        return self.seen.board if self.seen.is_known or self.wanted is None else self.wanted
+
+    def take(self, picture: Picture, grey: np.ndarray, found: Found) -> View | None:
+        """Add a picture and return the view in it; after some of them, recognise the board or try another size."""
+        view = found if isinstance(found, View) else None
+        known = self.seen.is_known
         self.seen.take(picture.name, picture.timestamp, grey, view)
-        if len(self.seen) <= _GUESS_AFTER[-1]:
-            self.first.append(picture)
-        if len(self.seen) in _GUESS_AFTER:
-            self.try_another_size()
-        if len(self.seen) == _GUESS_AFTER[-1]:
+        if not known:
+            self.first = [*self.first[1 - _GUESS_AFTER[-1] :], picture]
+            if isinstance(found, Board):
+                self.shown.append(found)
+                self.recognise()
+        else:
+            if len(self.seen) <= _GUESS_AFTER[-1]:
+                self.first.append(picture)
+            if len(self.seen) in _GUESS_AFTER:
+                self.try_another_size()
+            if len(self.seen) == _GUESS_AFTER[-1]:
+                self.first = []
+        return view if known else self.seen.last_view
+
+    def recognise(self, *, at_last: bool = False) -> None:
+        """As soon as pictures agree on a board, look for it in those that are at hand, and continue with it."""
+        board = recognise.agreed(self.shown, at_last=at_last)
+        if board is None or self.wanted is None:
+            return
+        known = self.wanted.board(board)
+        self.seen.forget(len(self.first))
+        self.seen.board, self.seen.is_known = self.wanted.searched(board), True
+        for picture in self.first:
+            self.seen.take(picture.name, picture.timestamp, *self._again(picture))
+        if known != self.wanted.board():
+            self.say(f"the pictures show {_with_article(known.words)}; --kind and --board fix another one")
+        self.rows = known.rows
+        if len(self.seen) > _GUESS_AFTER[-1]:
             self.first = []
+
+    def end(self) -> None:
+        """After the last picture: recognise or try with what there is, and settle how many rows the board has."""
+        if not self.seen.is_known:
+            self.recognise(at_last=True)
+        else:
+            self.try_another_size()
+        seen = self.seen
+        if self.wanted is not None and self.wanted.size is None and seen.board.markers and seen.views:
+            seen.board = recognise.trimmed(seen.board, seen.views)
+            seen.views = [recognise.within(view, seen.board) for view in seen.views]
+            if seen.board.rows != self.rows:
+                self.say(f"with all pictures it is {_with_article(seen.board.words)}")
 
     def try_another_size(self) -> None:
         """If hardly any of the first pictures shows the board, look in them for one of the size that they show."""
         given = self.seen.board
-        if not self.first or given.markers or not self.seen.few:
+        if not self.first or given.kind != "checkerboard" or not self.seen.few:
             return
         other = corners.guess_board(self.seen.misses, given)
         if other is None:
             return
         again = Seen(other)
         for picture in self.first:
-            again.take(picture.name, picture.timestamp, *look(picture.image, other, self.thorough))
+            again.take(picture.name, picture.timestamp, *self._again(picture, other))
         if len(again.views) < len(self.seen.views):
             return
         self.seen, self.first = again, []
@@ -229,16 +304,20 @@ class _Search:
             f"{other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
         )
 
+    def _again(self, picture: Picture, board: Board | None = None) -> tuple[np.ndarray, View | None]:
+        grey = corners.to_grey(picture.image)
+        return grey, corners.find(grey, board or self.seen.board, thorough=self.thorough)
+
     def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
         """Yield what is seen in each picture, in order; threads look at several pictures at once.
 
         OpenCV releases Python's lock, so that threads help. The board may change on the way.
         """
-        waiting: deque[tuple[Picture, Board, Future]] = deque()
+        waiting: deque[tuple[Picture, Board | Wanted, Future]] = deque()
 
         def oldest() -> Look:
             picture, board, found = waiting.popleft()
-            current = self.seen.board
+            current = self.sought
             return picture, *(found.result() if board is current else look(picture.image, current, self.thorough))
 
         with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
@@ -249,7 +328,7 @@ class _Search:
                         picture = (
                             item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
                         )
-                        board = self.seen.board
+                        board = self.sought
                         waiting.append((picture, board, pool.submit(look, picture.image, board, self.thorough)))
                         if self.eager or len(waiting) >= _THREADS:
                             yield oldest()
@@ -264,10 +343,13 @@ class _Search:
                 raise failure
 
 
-def look(image: np.ndarray, board: Board, thorough: bool) -> tuple[np.ndarray, View | None]:
-    """Find the board in a picture as a camera gives it: the grey picture, and the view if there is one."""
+def look(image: np.ndarray, board: Board | Wanted, thorough: bool) -> tuple[np.ndarray, Found]:
+    """Look at a picture as a camera gives it: the picture in grey, and the view of the board, or the board it shows."""
     grey = corners.to_grey(image)
-    view = corners.find(grey, board, thorough=thorough)
-    if view is not None and not board.markers and not corners.is_whole(grey, view.pixels, board.inner):
-        view = None
-    return grey, view
+    if isinstance(board, Wanted):
+        return grey, recognise.look(grey, board)
+    return grey, corners.find(grey, board, thorough=thorough)
+
+
+def _with_article(words: str) -> str:
+    return f"{'an' if words[0] in 'Aa' else 'a'} {words}"

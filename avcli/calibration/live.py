@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from avcli.calibration import fit, quality
+from avcli.calibration import fit, quality, robust
 from avcli.calibration.calibrate import observe
 from avcli.calibration.corners import View
 from avcli.calibration.gather import Seen
@@ -76,10 +76,10 @@ class Guide:
             self.hint = f"{progress}: hold the board somewhere else, and tilt it"
             return self.hint
         try:
-            solution, kept = fit.fit_robustly(seen, width, height)
+            solution, good = robust.fit_robustly(seen, width, height)
         except fit.NoFit:
             return None
-        some = seen.of_views(kept)
+        some = seen.of_corners(good)
         self.quality = quality.assess(some, solution, width, height, float("nan"))
         self.hint = f"{progress}: {quality.next_view(self.quality)}"
         return self.hint

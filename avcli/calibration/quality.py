@@ -20,36 +20,6 @@ HALVES_LIMIT = 1.4
 """How many times the stated difference two halves of the views may differ by before the statement is called wrong."""
 
 
-def held_out_rms(observations: fit.Observations, solution: fit.Solution, folds: int = 5) -> float:
-    """RMS residual of views that took no part: for each fold the lens comes from the others, the poses from itself.
-
-    Args:
-        observations, solution: of the views that were kept.
-        folds: how many parts; view i is in part i mod folds.
-
-    Returns:
-        px over all corners; NaN where there are too few views.
-    """
-    folds = min(folds, observations.views)
-    if folds < 2:
-        return float("nan")
-    squared, count = 0.0, 0
-    part = np.arange(observations.views) % folds
-    for fold in range(folds):
-        train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
-        seen = observations.of_views(train)
-        if 2 * len(seen.pixels) <= len(solution.parameters) + 6 * seen.views:
-            return float("nan")
-        learned = fit.refine(seen, solution.of_views(train), solution.free, solution.delta_px, 25)
-        held = observations.of_views(test)
-        there = replace(solution.of_views(test), parameters=learned.parameters)
-        there = fit.refine_poses(held, there, 12, solution.delta_px)
-        rest = fit.residuals(held, there)
-        squared += np.nan_to_num((rest**2).sum(1), nan=100.0**2).sum()
-        count += len(rest)
-    return float(np.sqrt(squared / count))
-
-
 def coverage(pixels: np.ndarray, width: int, height: int, columns: int = 8) -> np.ndarray:
     """How many corners (n, 2) px fall into each cell of a grid over the picture: (rows, columns) counts."""
     rows = max(2, round(columns * height / width))
@@ -67,7 +37,7 @@ class Quality:
     Attributes:
         rms_px: over the corners of the kept views, as OpenCV counts: root of the mean of dx² + dy².
         inlier_rms_px: the same without corners beyond the robust fit's limit.
-        held_out_rms_px: see `held_out_rms`; NaN where there are too few views.
+        held_out_rms_px: see robust.held_out; NaN where there are too few views.
         sd: (P,) standard deviations of fit.Solution.parameters, by views: fx fy cx cy px, coefficients, b0 b1 m, b2.
         field: expected errors over the picture.
         halves: the stated uncertainty put to the test; see `field.split_halves`.

@@ -14,20 +14,21 @@ Kind = Literal["checkerboard", "charuco", "aprilgrid", "circles", "asymmetric"]
 
 @dataclass(frozen=True)
 class _Usual:
-    """What a kind of board is called, what it counts, and its usual marker dictionary and ratio."""
+    """What a kind of board is called, what it counts, and what is usual: markers, ratio, size."""
 
     words: str
     unit: str
     dictionary: str
     ratio: float
+    size: tuple[int, int]
 
 
 KINDS: dict[str, _Usual] = {
-    "checkerboard": _Usual("checkerboard", "squares", "", 1.0),
-    "charuco": _Usual("ChArUco board", "squares", "5X5_250", 0.75),
-    "aprilgrid": _Usual("AprilGrid", "tags", "APRILTAG_36h11", 0.3),
-    "circles": _Usual("circle grid", "circles", "", 0.5),
-    "asymmetric": _Usual("asymmetric circle grid", "circles", "", 0.5),
+    "checkerboard": _Usual("checkerboard", "squares", "", 1.0, (7, 10)),
+    "charuco": _Usual("ChArUco board", "squares", "5X5_250", 0.75, (7, 10)),
+    "aprilgrid": _Usual("AprilGrid", "tags", "APRILTAG_36h11", 0.3, (6, 6)),
+    "circles": _Usual("circle grid", "circles", "", 0.5, (7, 9)),
+    "asymmetric": _Usual("asymmetric circle grid", "circles", "", 0.5, (4, 11)),
 }
 """The kinds of board. `ratio` is the marker's side over the square's (ChArUco), the space between tags over the tag's
 side (AprilGrid), or the circle's diameter over the distance between neighbours (circles)."""
@@ -51,6 +52,8 @@ class Board:
         legacy: whether a ChArUco board with an even number of rows begins with a marker, as OpenCV drew it before 4.6.
         border_bits: cells in the black border of a tag: 2 as Kalibr draws them, or 1.
         scaled: whether `square_m` was measured; otherwise no length follows from the board.
+        rows_known: whether the board has all of its rows; otherwise only those up to the last marker that is seen.
+        ratio_known: whether `ratio` was given; an AprilGrid's otherwise is a first guess, which the fit improves.
     """
 
     columns: int
@@ -62,6 +65,8 @@ class Board:
     legacy: bool = False
     border_bits: int = 2
     scaled: bool = True
+    ratio_known: bool = True
+    rows_known: bool = True
 
     def __post_init__(self) -> None:
         usual = KINDS[self.kind]

@@ -56,7 +56,7 @@ def _coefficient_keys() -> dict[str, Key]:
     """The keys of all coefficients of all lens models; each says whose it is."""
     of: dict[str, list[str]] = {}
     for name, model in lens.LENSES.items():
-        for key in model.keys()[4:]:
+        for key in lens.TANGENTIAL.get(name, model).keys()[4:]:
             of.setdefault(key, []).append(name)
     return {
         key: Key(
@@ -430,6 +430,8 @@ _OPTICS = Object(_LENS_KEYS)
 def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens:
     name = values["lens_model"]
     model = lens.LENSES[name]
+    if values["p1"] or values["p2"]:
+        model = lens.TANGENTIAL.get(name, model)
     keys = model.keys()
     for key in LENS_KEYS:
         if key not in keys and values[key]:

@@ -26,7 +26,7 @@ angle from the axis, s = hypot(x, y) / z the slope, and e = (x, y) / hypot(x, y)
     double_sphere   w = e sin(theta) / (alpha d + (1 - alpha) k), k = xi + cos(theta), d^2 = sin(theta)^2 + k^2
 
 The last three are as Usenko, Demmel and Cremers (2018, The double sphere camera model) write them, and as Kalibr has
-them. The omni model of Mei and Rives (2007), with xi and gamma, is ucm with alpha = xi / (1 + xi), fx = gamma / (1 + xi).
+them. The omni model of Mei and Rives (2007) is ucm with alpha = xi / (1 + xi) and fx = gamma / (1 + xi).
 
 kannala_brandt and brown_conrady may have tangential terms p1, p2 as well (absent: 0), which move w by T of the
 undistorted point q = theta e, or q = s e:
@@ -38,28 +38,29 @@ fisheyes. `lens_config` turns a lens into the keys of camera_config, `Lens.names
 the parameters in order. OpenCV's vector for `rational` has the order k1 k2 p1 p2 k3 k4 k5 k6; ours is k1 ... k6 p1 p2.
 """
 
-from avcli.lens.models import (
-    LENSES,
-    Angular,
-    BrownConrady,
-    Division,
-    FourTerms,
-    KannalaBrandt,
-    Lens,
-    Perspective,
-    lens_config,
-    name_of,
-)
+from avcli.lens.models import Angular, BrownConrady, Division, FourTerms, KannalaBrandt, Lens, Perspective
+from avcli.lens.spheres import DoubleSphere, ExtendedUnified, Unified
+from avcli.lens.table import LENSES, TANGENTIAL, lens_config, name_of, variants
+from avcli.lens.tangential import Rational, Tangential, TangentialBrownConrady, TangentialKannalaBrandt
 
 __all__ = [
     "LENSES",
+    "TANGENTIAL",
     "Angular",
     "BrownConrady",
     "Division",
+    "DoubleSphere",
+    "ExtendedUnified",
     "FourTerms",
     "KannalaBrandt",
     "Lens",
     "Perspective",
+    "Rational",
+    "Tangential",
+    "TangentialBrownConrady",
+    "TangentialKannalaBrandt",
+    "Unified",
     "lens_config",
     "name_of",
+    "variants",
 ]

@@ -1,8 +1,8 @@
-"""The lens models: what all share, two families, and one short class a model.
+"""The lens models: what all share, two families, and one short class a model. `avcli.lens.table` names them.
 
-Every model is radial: the distance of a pixel from the centre depends on the angle of its ray alone. Across the axis a
-point lies in the direction e = (x, y) / r; the lens takes a variable s of the ray (its angle, or its slope) to a radius
-m in the image plane, and the pixel is c + scale * m e.
+All are radial: the distance of a pixel from the centre depends on the angle of its ray alone; `avcli.lens.tangential`
+adds to them what is not. Across the axis a point lies in the direction e = (x, y) / r; the lens takes a variable s of
+the ray (its angle, or its slope) to a radius m in the image plane, and the pixel is c + scale * m e.
 """
 
 import math
@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from avcli.lens.radial import KNOTS, Radial, cubics, first_sign_change, fold_of_
 
 _FINE_KNOTS = 8192  # of a table that no Newton step follows
 _FOLD_KNOTS = 8  # of it next to a fold, where slopes are known less well
-_FARTHEST_SLOPE = 1e8  # of a ray that a perspective lens images: 1e-8 rad short of 90 degrees
+FARTHEST_SLOPE = 1e8  # of a ray that a perspective lens images: 1e-8 rad short of 90 degrees
 _CHUNK = 1 << 14  # samples of an inversion that stay in the cache together
 _PIXELS = ("fx", "fy", "cx", "cy")
 _SIZE = ("width", "height")  # fields of a model that depends on the image's size: no parameters
@@ -99,7 +99,7 @@ class Lens(ABC):
         Returns:
             (..., 2) px; NaN where the lens does not image the point.
         """
-        x, y, r, s, seen = self._across(*_columns(points, 3))
+        x, y, r, s, seen = self._across(*columns(points, 3))
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = np.where(r > 0, self._radius(s)[0] / r, 1.0)
         scale_x, scale_y = self.scale_px
@@ -114,7 +114,7 @@ class Lens(ABC):
         Returns:
             (..., 3) unit vectors in the camera frame; NaN where the lens images nothing.
         """
-        u, v = _columns(pixels, 2)
+        u, v = columns(pixels, 2)
         rays = np.empty((u.size, 3))
         flat_u, flat_v = u.reshape(-1), v.reshape(-1)
         scale_x, scale_y = self.scale_px
@@ -134,7 +134,7 @@ class Lens(ABC):
             Pixels (..., 2), their derivatives to the point (..., 2, 3) in px per unit of length, and to the parameters
             of `names` (..., 2, len(names)); NaN where the lens does not image the point.
         """
-        x, y, z = _columns(points, 3)
+        x, y, z = columns(points, 3)
         across = self._across(x, y, z)
         m, slope = self._radius(across.s)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -148,8 +148,9 @@ class Lens(ABC):
         by_parameter = np.zeros((*across.seen.shape, 2, len(self.names())))
         by_parameter[..., 0, 2] = by_parameter[..., 1, 3] = 1.0
         by_parameter[..., :2] = self._by_focal_lengths(x, y, mx, my, by_point)
-        by_parameter[..., 0, 4:] = scale[0] * np.stack([ex * k for k in by_k], -1)
-        by_parameter[..., 1, 4:] = scale[1] * np.stack([ey * k for k in by_k], -1)
+        own = slice(4, 4 + len(by_k))
+        by_parameter[..., 0, own] = scale[0] * np.stack([ex * k for k in by_k], -1)
+        by_parameter[..., 1, own] = scale[1] * np.stack([ey * k for k in by_k], -1)
         hidden = ~across.seen[..., None, None]
         return pixels, np.where(hidden, np.nan, by_point), np.where(hidden, np.nan, by_parameter)
 
@@ -179,6 +180,11 @@ class Lens(ABC):
         """Pixels of one unit of the image plane, across and down: the focal lengths."""
         return self.fx, self.fy
 
+    @property
+    @abstractmethod
+    def _radial(self) -> Radial:
+        """The radius m in the image plane as a function of the variable s of the ray, and its inverse."""
+
     @abstractmethod
     def _across(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Across: ...
 
@@ -192,7 +198,7 @@ class Lens(ABC):
 
     @abstractmethod
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
-        """Derivatives of m to the model's coefficients, in their order, at the variable s."""
+        """Derivatives of m to the model's radial coefficients, in their order, at the variable s."""
 
     @abstractmethod
     def _by_point(
@@ -208,6 +214,16 @@ class Lens(ABC):
         return np.stack([np.stack([mx, zero], -1), np.stack([zero, my], -1)], -2)
 
     # What the shaders need of it (avcli.lens.shader)
+
+    @property
+    def radial(self) -> "Lens":
+        """The same lens without tangential terms."""
+        return self
+
+    @property
+    def tangential_terms(self) -> tuple[float, float]:
+        """p1 and p2."""
+        return 0.0, 0.0
 
     @property
     def slopes_per_unit(self) -> tuple[float, float]:
@@ -316,17 +332,35 @@ class Angular(Lens):
 class Perspective(Lens):
     """A lens whose image radius is a function of the slope hypot(x, y) / z: what lies at or behind 90 degrees is lost.
 
-    A model gives `_slope_max`, `_radius` (m and dm/ds of slopes), its inverse `_slope`, and `_by_coefficients`. Slopes
-    may be counted in units of `slopes_per_unit`.
+    A model gives `_slope_max`, `_radius` (m and dm/ds of slopes) and `_by_coefficients`. Slopes may be counted in units
+    of `slopes_per_unit`.
     """
 
     @property
     @abstractmethod
-    def _slope_max(self) -> float: ...
+    def _slope_max(self) -> float:
+        """The largest slope that is imaged: the fold, else `FARTHEST_SLOPE`."""
 
-    @abstractmethod
+    @cached_property
+    def theta_max(self) -> float:
+        """The largest angle from the axis that is imaged, rad: the fold, else all but 1e-8 rad of 90 degrees."""
+        return math.atan(self._slope_max)
+
+    @property
+    def radius_max(self) -> float:
+        return self._radial.y_max
+
+    @property
+    def has_fold(self) -> bool:
+        return True
+
+    @cached_property
+    def _radial(self) -> Radial:
+        return Radial(self._radius, self._slope_max)
+
     def _slope(self, m: np.ndarray) -> np.ndarray:
         """Slope of radii m (n,) in the image plane; NaN beyond the field."""
+        return self._radial.inverse(m)
 
     def _across(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Across:
         unit_x, unit_y = self.slopes_per_unit
@@ -416,31 +450,11 @@ class BrownConrady(FourTerms, Perspective):
     text = "an ordinary lens with four radial terms"
 
     @cached_property
-    def theta_max(self) -> float:
-        """The largest angle from the axis that is imaged, rad: the fold, else all but 1e-8 rad of 90 degrees."""
-        return math.atan(self._slope_max)
-
-    @property
-    def radius_max(self) -> float:
-        return self._radial.y_max
-
-    @property
-    def has_fold(self) -> bool:
-        return True
-
-    @cached_property
     def _slope_max(self) -> float:
-        return min(fold_of_odd_polynomial(*self.radial_terms), _FARTHEST_SLOPE)
-
-    @cached_property
-    def _radial(self) -> Radial:
-        return Radial(self._radius, self._slope_max)
+        return min(fold_of_odd_polynomial(*self.radial_terms), FARTHEST_SLOPE)
 
     def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return odd_polynomial(s, *self.radial_terms)
-
-    def _slope(self, m: np.ndarray) -> np.ndarray:
-        return self._radial.inverse(m)
 
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
         return [s**n for n in (3, 5, 7, 9)]
@@ -549,28 +563,11 @@ class Division(FourTerms, Perspective):
         return np.stack([1.0 / self._denominator(m * (1 - 1e-9)), np.ones_like(m)], -1)
 
 
-LENSES: dict[str, type[Lens]] = {
-    "kannala_brandt": KannalaBrandt,
-    "brown_conrady": BrownConrady,
-    "division": Division,
-}
-"""Every lens model by the name that `lens_model` gives it in config.json."""
-
-
-def name_of(lens: Lens) -> str:
-    """The name of a lens's model in `LENSES`."""
-    return next(name for name, model in LENSES.items() if model is type(lens))
-
-
-def lens_config(lens: Lens) -> dict[str, Any]:
-    """The lens as keys of a camera_config: lens_model, and its parameters by their keys."""
-    return {"lens_model": name_of(lens), **dict(zip(lens.keys(), map(float, lens.parameters), strict=True))}
-
-
 # --- arrays -----------------------------------------------------------------------------------------------------------
 
 
-def _columns(array: ArrayLike, width: int) -> np.ndarray:
+def columns(array: ArrayLike, width: int) -> np.ndarray:
+    """The columns of an array (..., width): (width, ...)."""
     array = np.asarray(array, float)
     if array.shape[-1:] != (width,):
         raise ValueError(f"expected an array of shape (n, {width}), got {array.shape}")

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film, photograph
 
-from avcli.calibration import calibrate, corners, fit, opencv, quality
+from avcli.calibration import calibrate, corners, fit, opencv, quality, robust
 from avcli.calibration.corners import View
 from avcli.lens import KannalaBrandt, Lens
 
@@ -111,22 +111,23 @@ def photograph_cases(seeds: int, count: int) -> Iterator[Row]:
 
 
 def thesis_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
-    return opencv.thesis_procedure(observations, *SIZE)
+    solution, kept = opencv.thesis_procedure(observations, *SIZE)
+    return solution, kept[observations.view]
 
 
 def opencv_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
     f = fit.scan_focal(observations, *SIZE).lens
     found = opencv.calibrate(observations, *SIZE, start=f)
     spread, sigma = fit.covariance(observations, found)
-    return replace(found, covariance=spread, sigma_px=sigma), np.ones(observations.views, bool)
+    return replace(found, covariance=spread, sigma_px=sigma), np.ones(len(observations.view), bool)
 
 
 def our_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
-    return fit.fit_robustly(observations, *SIZE)
+    return robust.fit_robustly(observations, *SIZE)
 
 
 def our_shape_method(observations: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
-    return fit.fit_robustly(observations, *SIZE, board_shape=True)
+    return robust.fit_robustly(observations, *SIZE, board_shape=True)
 
 
 METHODS: dict[str, Method] = {
@@ -184,15 +185,15 @@ def method_rows(seeds: int, quick: bool) -> Iterator[Row]:
                 row: Row = {"set": name, "seed": seed, "method": method}
                 begin = time.process_time()
                 try:
-                    solution, kept = run(observations)
+                    solution, good = run(observations)
                 except (ValueError, np.linalg.LinAlgError) as error:
                     yield {**row, "failed": str(error)[:80]}
                     continue
                 row["s"] = time.process_time() - begin
-                some = observations.of_views(kept)
-                row["kept"] = int(kept.sum())
+                some = observations.of_corners(good)
+                row["kept"] = some.views
                 row["rms_px"] = float(np.sqrt(np.nanmean((fit.residuals(some, solution) ** 2).sum(1))))
-                row["held_out_px"] = quality.held_out_rms(some, solution)
+                row["held_out_px"] = robust.held_out(observations, solution, good).rms_px
                 row["refused"] = bool(quality.assess(some, solution, *SIZE, row["held_out_px"]).refusals)
                 row["mean_px"], row["max_px"] = field_error(solution.lens)
                 yield row

@@ -1,0 +1,334 @@
+"""A fit that leaves out corners, not pictures: outliers, corners that start again from the lens, held-out error.
+
+A corner belongs if its residual is within eight times what is common in its view. One that was found at the wrong place
+starts again from where the lens expects it, and is looked for there (`polished`). A view is left out only if most of
+its corners are bad.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from avcli.calibration import circles, corners, fit
+from avcli.calibration.corners import View
+from avcli.calibration.fit import Observations, Solution
+from avcli.calibration.target import Board
+
+OUTLIER = 8.0
+"""Residual, in standard deviations of one axis, beyond which a corner does not belong. Boards and lenses reach 5."""
+_FOREIGN = 5.0
+"""A view whose common corner is this many times as bad as that of all views does not belong."""
+_LEAST_SHARE = 0.5
+"""Share of a view's corners that must belong."""
+_LEAST_CORNERS = 6
+_WORSE = 2.0
+"""A view may be this much worse than the common one before its corners are judged by the common one."""
+_BOARD_ERROR = 0.01
+"""Standard deviation of a corner's place on the board, in squares, before it is seen."""
+_SIGMA_FLOOR_PX = 1e-6
+
+
+@dataclass(frozen=True)
+class Belonging:
+    """Which corners belong.
+
+    Attributes:
+        corners: (n,) bool.
+        views: (views,) bool, which views have enough of them.
+        spread_px: (views,) standard deviation of each view's residuals along one axis, in units of the corners' sigma.
+    """
+
+    corners: np.ndarray
+    views: np.ndarray
+    spread_px: np.ndarray
+
+
+def belonging(observations: Observations, solution: Solution) -> Belonging:
+    """Judge each corner by its residual.
+
+    Args:
+        observations: the corners of all views.
+        solution: with a pose for each of them.
+    """
+    o = observations
+    length = np.linalg.norm(fit.residuals(o, solution), axis=1) / o.sigma
+    length = np.where(np.isfinite(length), length, np.inf)
+    counts = np.bincount(o.view)
+    order = np.lexsort((length, o.view))
+    middle = o.starts + (counts - 1) // 2
+    spread = np.maximum(length[order][middle] / 1.1774, _SIGMA_FLOOR_PX)
+    common = max(float(np.median(length)) / 1.1774, _SIGMA_FLOOR_PX)
+    own = np.clip(spread, common, _WORSE * common)
+    good = length <= OUTLIER * own[o.view]
+    count = o.per_view(good.astype(int))
+    views = count >= np.maximum(_LEAST_SHARE * counts, np.minimum(_LEAST_CORNERS, counts))
+    views &= spread <= _FOREIGN * common
+    if views.sum() < min(4, o.views):  # there is no majority to judge by
+        views |= spread <= np.sort(spread)[:4][-1]
+        good |= views[o.view] & (count < _LEAST_SHARE * counts)[o.view]
+    return Belonging(good & views[o.view], views, spread)
+
+
+def fit_robustly(
+    observations: Observations, width: int, height: int, *, board_shape: bool = False, model: str = "kannala_brandt"
+) -> tuple[Solution, np.ndarray]:
+    """Fit from nothing, leaving out corners that do not belong.
+
+    Args:
+        observations: the corners.
+        width, height: px, of the pictures.
+        board_shape: fit the board's shape too.
+        model: a name in avcli.lens.variants().
+
+    Returns:
+        the Solution for the views that have a corner left, and which corners are left, (n,) bool.
+
+    Raises:
+        NoFit: there are fewer equations than unknowns.
+    """
+    start = fit.scan_focal(observations, width, height, model)
+    solution = fit.fit(observations, start, board_shape=board_shape)
+    return refit_robustly(observations, solution, np.ones(len(observations.pixels), bool), board_shape=board_shape)
+
+
+def refit_robustly(
+    observations: Observations, solution: Solution, good: np.ndarray, *, board_shape: bool = False
+) -> tuple[Solution, np.ndarray]:
+    """Fit again from where a fit stands, at most four times, until the same corners are left out as before.
+
+    Args:
+        observations: all corners.
+        solution: the fit to the corners in `good`.
+        good: (n,) bool.
+        board_shape: fit the board's shape too.
+
+    Returns:
+        as `fit_robustly`.
+    """
+    for _ in range(4):
+        everywhere = posed(observations, solution, good)
+        found = belonging(observations, everywhere)
+        if np.array_equal(found.corners, good):
+            break
+        good = found.corners
+        kept = observations.of_corners(good)
+        solution = fit.fit(kept, everywhere.of_views(found.views), board_shape=board_shape)
+    return solution, good
+
+
+def refined(
+    observations: Observations, solution: Solution, good: np.ndarray, board: Board, views: list[View]
+) -> tuple[Observations, Solution, np.ndarray]:
+    """Refine all corners (`polished`) and fit again; the same as given where the corners come out no better.
+
+    Args:
+        observations: all corners.
+        solution: the fit to the corners in `good`.
+        good: (n,) bool.
+        board, views: what was seen.
+    """
+    finer = polished(observations, posed(observations, solution, good), board, views, good)
+    better, finer_good = refit_robustly(finer, fit.fit(finer.of_corners(good), solution), good)
+    # A coarse or compressed picture may have no finer corners to give.
+    worse = _typical(finer, better, finer_good) >= _typical(observations, solution, good)
+    return (observations, solution, good) if worse else (finer, better, finer_good)
+
+
+def _typical(observations: Observations, solution: Solution, good: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(fit.residuals(observations.of_corners(good), solution), axis=1)))
+
+
+def posed(observations: Observations, solution: Solution, good: np.ndarray) -> Solution:
+    """Give the solution a pose for every view: for those without a corner in `good` (n,) the one that suits best."""
+    kept = observations.views_of(good)
+    if kept.all():
+        return solution
+    rest = observations.of_views(~kept)
+    there = fit.start_from_rays(rest, solution.lens, solution.shape)
+    there = fit.refine_poses(rest, there, 15, solution.delta_px)
+    rotations = np.zeros((observations.views, 3, 3))
+    translations = np.zeros((observations.views, 3))
+    rotations[kept], translations[kept] = solution.rotations, solution.translations
+    rotations[~kept], translations[~kept] = there.rotations, there.translations
+    return replace(solution, rotations=rotations, translations=translations)
+
+
+# --- corners again ----------------------------------------------------------------------------------------------------
+
+
+def polished(
+    observations: Observations, everywhere: Solution, board: Board, views: list[View], good: np.ndarray | None = None
+) -> Observations:
+    """Refine all corners with the lens known (corners.polish) and weigh them by how well they could be placed.
+
+    Args:
+        observations: all corners.
+        everywhere: a fit with a pose for each view.
+        board, views: what was seen.
+        good: (n,) bool; the others are looked for where the lens expects them, if that is in their patch.
+
+    Circles stay where they were measured; what the lens and the view add to their centres is taken out.
+    """
+    if board.has_circles:
+        R, t = everywhere.rotations[observations.view], everywhere.translations[observations.view]
+        measured = np.concatenate([view.pixels for view in views])
+        flat = fit.surface(observations.points, everywhere.shape, observations.half_extent)
+        off = circles.offsets(flat, R, t, everywhere.lens, board.diameter_m / 2)
+        return replace(observations, pixels=measured - off)
+    seen, origins = observations.pixels, np.concatenate([view.origins for view in views])
+    if good is not None and not good.all():
+        expected = seen - np.nan_to_num(fit.residuals(observations, everywhere), nan=np.inf)
+        near = (np.abs(expected - origins) <= corners.PATCH - 5).all(1)
+        seen = np.where((~good & near)[:, None], expected, seen)
+    unit, near = board.clear
+    to_board = _board_offsets(replace(observations, pixels=seen), everywhere, unit)
+    pixels, sd = corners.polish(
+        np.concatenate([view.patches for view in views]),
+        seen,
+        origins,
+        to_board,
+        clear=near,
+    )
+    fine = np.isfinite(sd)
+    if fine.mean() < 0.5:
+        return observations
+    # What the noise in the picture does not explain (print, lens, blur) adds the same to every corner.
+    typical = float(np.median(sd[fine]))
+    sigma = np.sqrt(typical**2 + np.where(fine, sd, 10 * typical) ** 2) / (np.sqrt(2) * typical)
+    pixels = np.where(fine[:, None], pixels, observations.pixels)
+    return replace(observations, pixels=pixels, sigma=np.clip(sigma, 0.7, 10.0))
+
+
+def _board_offsets(observations: Observations, solution: Solution, square: float) -> np.ndarray:
+    """Around each corner, board offset in squares as a quadratic in the pixel offset: (n, 2, 5), see corners.polish."""
+    o, reach = observations, 6.0
+    a, b = (g.ravel() * reach for g in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]))
+    pixels = o.pixels[:, None] + np.stack([a, b], -1)
+    rays = solution.lens.unproject(pixels.reshape(-1, 2)).reshape(len(o.pixels), 9, 3)
+    R, t = solution.rotations[o.view], solution.translations[o.view]
+    height = fit.surface(o.points, solution.shape, o.half_extent)[:, 2]
+    normal = R[:, :, 2]
+    distance = np.einsum("ni,ni->n", normal, t) + height
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = distance[:, None] / np.einsum("nki,ni->nk", rays, normal)
+        met = np.einsum("nki,nij->nkj", along[:, :, None] * rays - t[:, None], R)[:, :, :2] / square
+    design = np.stack([np.ones(9), a, b, a * a, a * b, b * b], -1)
+    offsets = np.einsum("tk,nkj->njt", np.linalg.pinv(design), np.nan_to_num(met))[:, :, 1:]
+    return np.where(np.isfinite(met).all((1, 2))[:, None, None], offsets, 0.0)
+
+
+# --- the board's own errors --------------------------------------------------------------------------------------------
+
+
+def with_board_errors(observations: Observations, solution: Solution) -> tuple[Observations, Solution]:
+    """Find where the corners really are on the board, beside the lens (Strobl and Hirzinger 2011).
+
+    No printer and no glue are exact. What the board does wrong is the same in every picture, so that many pictures tell
+    it from the lens.
+
+    Args:
+        observations: the corners that belong.
+        solution: the fit to them.
+
+    Returns:
+        the observations with their errors, and the solution for them.
+    """
+    points, corner = np.unique(observations.points, axis=0, return_inverse=True)
+    prior = _BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
+    errors = np.zeros((len(points), 3))
+    for _ in range(4):
+        observations = replace(observations, errors=errors[corner])
+        errors = errors + _board_step(observations, solution, corner, errors, prior)
+        observations = replace(observations, errors=errors[corner])
+        solution = fit.refine(observations, solution, solution.free, solution.delta_px, 4, 1e-4)
+    return observations, solution
+
+
+def fit_board(observations: Observations, solution: Solution, good: np.ndarray) -> tuple[Observations, Solution]:
+    """Fit with the board's errors: all corners with them, and the solution for those in `good` (n,) bool."""
+    some, solution = with_board_errors(observations.of_corners(good), solution)
+    solution = fit.fit(some, solution, board_shape=bool(solution.free[-fit.SHAPE :].any()))
+    return replace(observations, errors=errors_of(some, observations)), solution
+
+
+def _board_step(
+    observations: Observations, solution: Solution, corner: np.ndarray, errors: np.ndarray, prior: float
+) -> np.ndarray:
+    """One least-squares step of each corner's place on the board, (corners, 3) m; `prior` m holds what is not seen."""
+    o, R = observations, solution.rotations[observations.view]
+    inside = np.einsum("nij,nj->ni", R, fit.places(o, solution)) + solution.translations[o.view]
+    seen, by_point, _ = solution.lens.project_jacobian(inside)
+    residual, J = o.pixels - seen, by_point @ R
+    good = np.isfinite(residual).all(1) & np.isfinite(J).all((1, 2))
+    length = np.linalg.norm(np.where(good[:, None], residual, 0.0), axis=1) / o.sigma
+    weight = good * np.minimum(1.0, solution.delta_px / np.maximum(length, 1e-12)) / (o.sigma * solution.sigma_px) ** 2
+    J, residual = np.where(good[:, None, None], J, 0.0), np.where(good[:, None], residual, 0.0)
+    normal, right = np.zeros((len(errors), 3, 3)), np.zeros((len(errors), 3))
+    np.add.at(normal, corner, np.einsum("n,nia,nib->nab", weight, J, J))
+    np.add.at(right, corner, np.einsum("n,nia,ni->na", weight, J, residual))
+    return np.linalg.solve(normal + np.eye(3) / prior**2, (right - errors / prior**2)[..., None])[..., 0]
+
+
+def errors_of(learned: Observations, observations: Observations) -> np.ndarray:
+    """The board's errors that were found from some corners, (n, 3) m for others; 0 for a corner that was not seen."""
+    known = dict(zip(map(tuple, learned.points.tolist()), learned.errors.tolist(), strict=True))
+    return np.array([known.get(point, [0.0, 0.0, 0.0]) for point in map(tuple, observations.points.tolist())])
+
+
+# --- pictures held out ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Error on pictures that took no part.
+
+    Attributes:
+        rms_px: RMS residual of the corners that belong; NaN where there are too few views.
+        all_px: the same of every corner of every view, whatever is wrong with it.
+    """
+
+    rms_px: float
+    all_px: float
+
+
+def held_out(
+    observations: Observations,
+    solution: Solution,
+    good: np.ndarray,
+    *,
+    of: np.ndarray | None = None,
+    board_errors: bool = False,
+    folds: int = 5,
+) -> HeldOut:
+    """Measure the error on views that took no part: the lens from the others, the pose from the view itself, robustly.
+
+    Args:
+        observations: the corners of every view that shows the board.
+        solution: the fit to the corners in `good`.
+        good: (n,) bool, the corners that belong. The others take no part in a fit, but they count in `all_px`.
+        of: (n,) bool, the corners whose RMS is asked for; None: those in `good`.
+        board_errors: also learn the board's errors (`with_board_errors`) from the other views; `observations` have none.
+        folds: how many parts; view i is in part i mod folds.
+    """
+    everywhere = posed(observations, solution, good)
+    kept = observations.views_of(good)
+    folds = min(folds, observations.views)
+    if folds < 2:
+        return HeldOut(float("nan"), float("nan"))
+    part = np.arange(observations.views) % folds
+    squared = np.zeros(len(good))
+    for fold in range(folds):
+        train, test = (part != fold) & kept, part == fold
+        seen = observations.of_corners(good & train[observations.view])
+        if 2 * len(seen.pixels) <= solution.free.sum() + 6 * seen.views:
+            return HeldOut(float("nan"), float("nan"))
+        learned = fit.refine(seen, everywhere.of_views(train), solution.free, solution.delta_px, 6, 1e-4)
+        held = observations.of_views(test)
+        if board_errors:
+            seen, learned = with_board_errors(seen, learned)
+            held = replace(held, errors=errors_of(seen, held))
+        there = replace(everywhere.of_views(test), parameters=learned.parameters)
+        there = fit.refine_poses(held, there, 8, solution.delta_px)
+        rest = (fit.residuals(held, there) ** 2).sum(1)
+        squared[test[observations.view]] = np.nan_to_num(rest, nan=100.0**2)
+    return HeldOut(float(np.sqrt(squared[good if of is None else of].mean())), float(np.sqrt(squared.mean())))

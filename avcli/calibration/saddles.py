@@ -1,0 +1,408 @@
+"""Checkerboards of any size in a picture: saddle points of the brightness, joined into grids.
+
+A corner of a checkerboard is a saddle point at which two edges cross: around it dark and bright take turns twice. Two
+corners are neighbours if an edge of one leads to the other with dark on the side that both say. This needs no whole
+board, no threshold on the picture and no search over sizes, so that a picture without a board costs no more than one
+with one (compare Geiger et al. 2012, who grow boards from corner prototypes, and ROCHADE, Placht et al. 2014).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+_MOST = 1500
+"""Saddle points that are looked at: the strongest ones."""
+_GRIDS = 6
+"""Groups of corners that are grown into grids: the largest ones."""
+_NEAREST = 20
+"""Corners around a corner that may be its neighbours."""
+_LEAST_CONTRAST = 6.0
+"""Grey levels between the dark and the bright side of a corner."""
+_LEAST_SHOWN = 0.8
+"""Share of a board's corners that must be found; glare or a finger may hide the others."""
+_FULL_LINE = 0.7
+"""Share of an outer row that must be found; less is an edge of the board, or clutter."""
+_WIDTHS = (640, 1280, 320)
+"""px; boards are looked for in pictures reduced to these widths: small ones are quick, and hide blur and noise."""
+_RING = 32
+"""Samples on the circle around a corner."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A grid of corners.
+
+    Attributes:
+        cells: (n, 2) whole numbers from 0, place in the grid along u and v, v being clockwise of u in the picture.
+        pixels: (n, 2) px.
+        columns, rows: extent of the grid along u and v.
+        dark: whether the square between cells (0, 0) and (1, 1) is dark.
+    """
+
+    cells: np.ndarray
+    pixels: np.ndarray
+    columns: int
+    rows: int
+    dark: bool
+
+    def as_board(self, inner: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
+        """Number the corners as a board of `inner` corners along a row and a column does.
+
+        The first square between corners is dark; where that leaves a choice, rows lead to the right.
+
+        Returns:
+            ids (n,) ascending, and pixels (n, 2); None where the grid is no such board, or more than a fifth is hidden.
+        """
+        if sorted((self.columns, self.rows)) != sorted(inner) or len(self.cells) < _LEAST_SHOWN * inner[0] * inner[1]:
+            return None
+        u, v = self.cells.T
+        columns, rows = self.columns - 1, self.rows - 1
+        ways = ((u, v), (v, columns - u), (columns - u, rows - v), (rows - v, u))
+        choices = []
+        for turn, (x, y) in enumerate(ways):
+            if (self.columns, self.rows)[:: -1 if turn % 2 else 1] != inner:
+                continue
+            first = ((0, 0), (columns, 0), (columns, rows), (0, rows))[turn]
+            # Squares between corners: the one at the first corner, seen from there.
+            square = min(first[0], columns - 1), min(first[1], rows - 1)
+            dark = self.dark == (sum(square) % 2 == 0)
+            along = np.polyfit(x, self.pixels[:, 0], 1)[0] if np.ptp(x) else 0.0
+            choices.append((dark, along, x, y))
+        _, _, x, y = max(choices, key=lambda choice: choice[:2])
+        ids = y * inner[0] + x
+        order = np.argsort(ids)
+        return ids[order], self.pixels[order]
+
+
+@dataclass(frozen=True)
+class _Corners:
+    """Corners that stand by themselves.
+
+    Attributes:
+        pixels: (n, 2) px.
+        arms: (n, 4) rad, directions of the four edges, ascending; dark lies between arms 0 and 1, and 2 and 3.
+    """
+
+    pixels: np.ndarray
+    arms: np.ndarray
+
+
+class _Relief:
+    """A smoothed picture, its derivatives and how much of a saddle each pixel is."""
+
+    def __init__(self, grey: np.ndarray, blur: float):
+        import cv2
+
+        self.grey = cv2.GaussianBlur(grey.astype(np.float32), (7, 7), blur)
+        self.xx = cv2.Sobel(self.grey, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)
+        self.yy = cv2.Sobel(self.grey, cv2.CV_32F, 0, 2, ksize=3, scale=0.25)
+        self.xy = cv2.Sobel(self.grey, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
+        self.saddle = self.xy * self.xy - self.xx * self.yy
+
+    def sample(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Brightness at places (n, m) px."""
+        import cv2
+
+        return cv2.remap(
+            self.grey, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+
+    def peaks(self) -> np.ndarray:
+        """Local maxima of the saddle, the strongest first: (n, 2) whole px."""
+        import cv2
+
+        top = cv2.dilate(self.saddle, np.ones((5, 5), np.uint8))
+        floor = (_LEAST_CONTRAST / 6) ** 2  # an ideal corner of this contrast, blurred by about 1.4 px
+        y, x = np.nonzero((self.saddle >= top) & (self.saddle > floor))
+        inside = (x > 3) & (y > 3) & (x < self.grey.shape[1] - 4) & (y < self.grey.shape[0] - 4)
+        x, y = x[inside], y[inside]
+        order = np.argsort(-self.saddle[y, x], kind="stable")[:_MOST]
+        return np.stack([x[order], y[order]], -1)
+
+    def settled(self, peaks: np.ndarray) -> np.ndarray:
+        """Places of the saddle points near whole pixels (n, 2), by one Newton step: (n, 2) px."""
+        x, y = peaks.T
+        g = self.grey
+        gx, gy = (g[y, x + 1] - g[y, x - 1]) / 2, (g[y + 1, x] - g[y - 1, x]) / 2
+        xx, yy, xy = self.xx[y, x], self.yy[y, x], self.xy[y, x]
+        determinant = np.minimum(xx * yy - xy * xy, -1e-6)
+        step = np.stack([-(yy * gx - xy * gy), -(xx * gy - xy * gx)], -1) / determinant[:, None]
+        return peaks + np.clip(step, -1.5, 1.5)
+
+
+def _verified(relief: _Relief, pixels: np.ndarray, radius: float) -> tuple[_Corners, np.ndarray]:
+    """Keep the places around which dark and bright take turns twice on a circle; also which they are, (n,) bool."""
+    turn = 2 * np.pi * np.arange(_RING) / _RING
+    ring = relief.sample(pixels[:, :1] + radius * np.cos(turn), pixels[:, 1:] + radius * np.sin(turn))
+    # Opposite samples agree around a saddle; their mean is free of a slope of the light.
+    both = (ring[:, : _RING // 2] + ring[:, _RING // 2 :]) / 2
+    low, high = both.min(1), both.max(1)
+    level = (low + high)[:, None] / 2
+    bright = ring > level
+    rising = ~bright & np.roll(bright, -1, 1)
+    falling = bright & np.roll(~bright, -1, 1)
+    skew = np.abs(ring[:, : _RING // 2] - ring[:, _RING // 2 :]).mean(1)
+    good = (rising.sum(1) == 2) & (falling.sum(1) == 2) & (high - low > _LEAST_CONTRAST)
+    good &= skew < 0.45 * (high - low)
+    ring, level, rising, falling = ring[good], level[good], rising[good], falling[good]
+    n = len(ring)
+
+    def crossings(where: np.ndarray) -> np.ndarray:
+        row, at = np.nonzero(where)
+        here, there = ring[row, at], ring[row, (at + 1) % _RING]
+        return ((at + (level[row, 0] - here) / (there - here)) * 2 * np.pi / _RING).reshape(n, 2)
+
+    up, down = crossings(rising), crossings(falling)
+    # Dark begins where the circle falls and ends where it rises: arms (fall, rise, fall, rise).
+    first, second = down[:, 0], down[:, 1]
+    after = np.where(up > first[:, None], up, up + 2 * np.pi).min(1)
+    between = np.where(up > second[:, None], up, up + 2 * np.pi).min(1)
+    arms = np.stack([first, after, second, between], 1)
+    straight = (np.abs(_turned(arms[:, 0] + np.pi - arms[:, 2])) < 0.5) & (
+        np.abs(_turned(arms[:, 1] + np.pi - arms[:, 3])) < 0.5
+    )
+    index = np.flatnonzero(good)[straight]
+    chosen = np.zeros(len(pixels), bool)
+    chosen[index] = True
+    return _Corners(pixels[chosen], arms[straight]), chosen
+
+
+def _turned(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
+    """Which corner each of the four arms leads to, and with which of its arms that one leads back: (n, 4), -1 none."""
+    n = len(corners.pixels)
+    to, back = np.full((n, 4), -1), np.full((n, 4), -1)
+    if n < 4:
+        return to, back
+    squared = ((corners.pixels[:, None] - corners.pixels[None]) ** 2).sum(2)
+    np.fill_diagonal(squared, np.inf)
+    other = np.argpartition(squared, min(_NEAREST, n - 1) - 1, axis=1)[:, :_NEAREST]
+    distance = np.sqrt(np.take_along_axis(squared, other, 1))
+    apart = corners.pixels[other] - corners.pixels[:, None]
+    heading = np.arctan2(apart[..., 1], apart[..., 0])
+    # (n, other, arm): an odd arm of one is an even arm of the next, since dark and bright change sides.
+    mine = np.abs(_turned(corners.arms[:, None, :] - heading[..., None]))
+    theirs = np.abs(_turned(corners.arms[other] - heading[..., None] - np.pi))
+    for arm in range(4):
+        swapped = [k for k in range(4) if (k - arm) % 2]
+        nearest = np.array(swapped)[np.argmin(theirs[:, :, swapped], 2)]
+        off = np.take_along_axis(theirs, nearest[..., None], 2)[..., 0]
+        fits = (mine[:, :, arm] < 0.35) & (off < 0.35) & (distance > 3)
+        cost = np.where(fits, distance * (1 + 2 * (mine[:, :, arm] + off)), np.inf)
+        best = np.argmin(cost, 1)
+        found = np.isfinite(cost[np.arange(n), best])
+        to[found, arm] = other[found, best[found]]
+        back[found, arm] = nearest[found, best[found]]
+    rows, arms = np.nonzero(to >= 0)
+    mutual = (to[to[rows, arms], back[rows, arms]] == rows) & (back[to[rows, arms], back[rows, arms]] == arms)
+    to[rows[~mutual], arms[~mutual]] = -1
+    # A step that is far longer than the one on the other side has jumped over a corner.
+    length = np.where(to >= 0, np.linalg.norm(corners.pixels[to] - corners.pixels[:, None], axis=2), np.inf)
+    jumped = (length > 2.2 * np.roll(length, 2, 1)) & (to >= 0)
+    rows, arms = np.nonzero(jumped)
+    to[to[rows, arms], back[rows, arms]] = -1
+    to[rows, arms] = -1
+    return to, back
+
+
+def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], int]]:
+    """Join neighbours into grids: for each a table from cell to corner, the largest first."""
+    steps = ((1, 0), (0, 1), (-1, 0), (0, -1))
+    turn = np.full(len(to), -1)
+    grids = []
+    links, returns = to.tolist(), back.tolist()
+    for seed in np.argsort(-(to >= 0).sum(1), kind="stable").tolist():
+        if turn[seed] >= 0 or max(links[seed]) < 0:
+            continue
+        turn[seed] = 0
+        cells, place, queue = {(0, 0): seed}, {seed: (0, 0)}, [seed]
+        for one in queue:
+            u, v = place[one]
+            for arm in range(4):
+                other = links[one][arm]
+                if other < 0 or turn[other] >= 0:
+                    continue
+                way = (arm - turn[one]) % 4
+                cell = u + steps[way][0], v + steps[way][1]
+                if cell in cells:
+                    continue
+                turn[other] = (returns[one][arm] - way - 2) % 4
+                cells[cell], place[other] = other, cell
+                queue.append(other)
+        grids.append(cells)
+    return sorted(grids, key=len, reverse=True)
+
+
+def _grown(relief: _Relief, cells: dict[tuple[int, int], np.ndarray], radius: float) -> None:
+    """Look for further corners where the grid says that they must be, until there are none."""
+    for _ in range(12):
+        guesses: dict[tuple[int, int], tuple[np.ndarray, float]] = {}
+        for (u, v), here in cells.items():
+            for du, dv in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+                cell, before, further = (u + du, v + dv), (u - du, v - dv), (u - 2 * du, v - 2 * dv)
+                if cell in cells or before not in cells:
+                    continue
+                guess = 2 * here - cells[before]
+                if further in cells:
+                    guess = 2.5 * here - 2 * cells[before] + 0.5 * cells[further]
+                step = float(np.linalg.norm(guess - here))
+                if cell not in guesses or step < guesses[cell][1]:
+                    guesses[cell] = guess, step
+        if not guesses:
+            return
+        added = _confirmed(relief, guesses, radius)
+        added = {
+            cell: at
+            for cell, at in added.items()
+            if all(
+                np.linalg.norm(at - cells[near]) > 0.4 * guesses[cell][1]
+                for near in ((cell[0] + i, cell[1] + j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+                if near in cells
+            )
+        }
+        if not added:
+            return
+        cells.update(added)
+
+
+def _confirmed(
+    relief: _Relief, guesses: dict[tuple[int, int], tuple[np.ndarray, float]], radius: float
+) -> dict[tuple[int, int], np.ndarray]:
+    """Those of the guessed cells near whose place there is a corner."""
+    height, width = relief.grey.shape
+    names, places, steps = [], [], []
+    for cell, (guess, step) in guesses.items():
+        reach = max(2, round(0.25 * step))
+        x, y = round(float(guess[0])), round(float(guess[1]))
+        x0, y0, x1, y1 = max(x - reach, 4), max(y - reach, 4), min(x + reach, width - 5), min(y + reach, height - 5)
+        if x0 > x1 or y0 > y1:
+            continue
+        part = relief.saddle[y0 : y1 + 1, x0 : x1 + 1]
+        row, column = divmod(int(part.argmax()), part.shape[1])
+        if part[row, column] > 0:
+            names.append(cell)
+            places.append((x0 + column, y0 + row))
+            steps.append(step)
+    if not names:
+        return {}
+    settled = relief.settled(np.array(places))
+    good = np.zeros(len(names), bool)
+    for size in (radius, 0.6 * radius):
+        good |= _verified(relief, settled, size)[1]
+    return {name: at for name, at, fine in zip(names, settled, good, strict=True) if fine}
+
+
+def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
+    """Take away outer rows and columns too little of which was found: an edge of the board may look like one."""
+    while cells:
+        names = np.array(list(cells))
+        low, high = names.min(0), names.max(0)
+        sparse = None
+        for axis in (0, 1):
+            length = high[1 - axis] - low[1 - axis] + 1
+            for end in (low[axis], high[axis]):
+                count = int((names[:, axis] == end).sum())
+                if count < _FULL_LINE * length and (sparse is None or count / length < sparse[2]):
+                    sparse = axis, int(end), count / length
+        if sparse is None:
+            break
+        cells = {cell: at for cell, at in cells.items() if cell[sparse[0]] != sparse[1]}
+    return cells
+
+
+def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, least: int = 9) -> list[Grid]:
+    """Find the checkerboards in a picture, the largest first; parts of a board count as boards.
+
+    Args:
+        grey: (height, width) uint8, reduced to about 1000 px.
+        blur: px, sd of the Gaussian that smooths the picture.
+        radius: px, of the circle around a corner on which dark and bright must take turns twice.
+        least: corners of a grid.
+    """
+    relief = _Relief(grey, blur)
+    peaks = relief.peaks()
+    if len(peaks) < least:
+        return []
+    corners, _ = _verified(relief, relief.settled(peaks), radius)
+    out: list[Grid] = []
+    largest = 0
+    for found in _labelled(*_neighbours(corners))[:_GRIDS]:
+        if len(found) < max(4, least // 2, largest // 4):
+            break
+        cells = {cell: corners.pixels[index] for cell, index in found.items()}
+        start = cells[(0, 0)]
+        if any((np.abs(grid.pixels - start).max(1) < 2).any() for grid in out):
+            continue
+        _grown(relief, cells, radius)
+        cells = _trimmed(cells)
+        if len(cells) < least:
+            continue
+        largest = max(largest, len(cells))
+        names, pixels = np.array(list(cells)), np.array(list(cells.values()))
+        low = names.min(0)
+        names = names - low
+        columns, rows = (names.max(0) + 1).tolist()
+        order = np.lexsort((names[:, 0], names[:, 1]))
+        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0)))
+    return sorted(out, key=lambda grid: -len(grid.pixels))
+
+
+def find_board(
+    grey: np.ndarray, inner: tuple[int, int], *, thorough: bool = True
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Find a checkerboard of `inner` corners along a row and a column; None where there is none.
+
+    Args:
+        grey: (height, width) uint8.
+        inner: of the whole board: a part of a larger one is not taken for it.
+        thorough: look for small, oblique and blurred boards even where nothing speaks for one.
+
+    Returns:
+        ids (n,) of the board's corners, ascending, at least four fifths of them; pixels (n, 2); and how far they may be
+        off, px: one pixel of the reduced picture.
+    """
+    best: tuple[np.ndarray, np.ndarray, float] | None = None
+    total = inner[0] * inner[1]
+    for small, scale in _reduced(grey):
+        grids = find_grids(small, least=max(6, total // 4))
+        for grid in grids:
+            found = grid.as_board(inner)
+            if found is not None and (best is None or len(found[0]) > len(best[0])):
+                best = found[0], (found[1] + 0.5) * scale - 0.5, scale
+        if best is not None and len(best[0]) == total:
+            break
+        if not thorough and not grids:
+            break
+    return best
+
+
+def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+    """The picture at each of the widths, and the factor back to the full one."""
+    import cv2
+
+    height, width = grey.shape
+    done: set[float] = set()
+    for longest in _WIDTHS:
+        scale = max(1.0, max(height, width) / longest)
+        if scale in done:
+            continue
+        done.add(scale)
+        if scale == 1.0:
+            yield grey, scale
+        else:
+            size = max(round(width / scale), 16), max(round(height / scale), 16)
+            yield cv2.resize(grey, size, interpolation=cv2.INTER_AREA), scale
+
+
+def sizes(grey: np.ndarray, least: int = 9) -> list[tuple[int, int]]:
+    """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first."""
+    for small, _ in _reduced(grey):
+        whole = [g for g in find_grids(small, least=least) if len(g.pixels) == g.columns * g.rows >= least]
+        whole = [g for g in whole if min(g.columns, g.rows) >= 2]
+        if whole:
+            return [(g.columns, g.rows) for g in whole]
+    return []

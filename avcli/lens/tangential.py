@@ -1,0 +1,289 @@
+"""Lenses whose elements are not centred on one axis: a radial model, and tangential (decentring) terms p1, p2.
+
+A radial lens takes the undistorted point q = s e (s: the angle or the slope of the ray; e: its direction across the
+axis) to m(s) e. Here the image point is F(q) = m(s) e + T(q), T(q) = |q|^2 p + 2 (p . q) q, p = (p2, p1). F is the
+gradient of a function of q, so that its Jacobian is symmetric; the lens ends at the first angle at which that is not
+positive definite all around the axis. Up to there, by convexity, no two rays share a pixel.
+
+Source: Brown (1966), Decentering distortion of lenses; Conrady (1919), Decentred lens-systems. On slopes the terms are
+those of OpenCV, on angles those of COLMAP's THIN_PRISM_FISHEYE.
+"""
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from avcli.lens.models import FARTHEST_SLOPE, BrownConrady, KannalaBrandt, Lens, Perspective, columns
+from avcli.lens.radial import first_sign_change, fold_of_odd_polynomial
+
+_STEPS = 4  # Newton steps that all pixels share
+_MORE_STEPS = 60  # of the few that these do not bring home
+
+
+@dataclass(frozen=True)
+class Tangential(Lens):
+    """What the tangential variants of the radial models share; mixed in before the model."""
+
+    p1: float = 0.0
+    p2: float = 0.0
+
+    @abstractmethod
+    def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Unit rays (n, 3) of undistorted points."""
+
+    @property
+    def tangential_terms(self) -> tuple[float, float]:
+        return self.p1, self.p2
+
+    def project(self, points: ArrayLike) -> np.ndarray:
+        if not (self.p1 or self.p2):
+            return super().project(points)
+        across = self._across(*columns(points, 3))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ex, ey = (np.where(across.r > 0, part / across.r, 0.0) for part in (across.x, across.y))
+            m, s = self._radius(across.s)[0], across.s
+            tx, ty = self._tangent(s * ex, s * ey)
+            scale_x, scale_y = self.scale_px
+            pixels = np.stack([self.cx + scale_x * (m * ex + tx), self.cy + scale_y * (m * ey + ty)], -1)
+        return np.where(across.seen[..., None], pixels, np.nan)
+
+    def project_jacobian(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        pixels, by_point, by_parameter = super().project_jacobian(points)
+        x, y, z = columns(points, 3)
+        across = self._across(x, y, z)
+        s = across.s
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ex, ey = (np.where(across.r > 0, part / across.r, 0.0) for part in (across.x, across.y))
+            _, rows_x, rows_y = self._by_point(across, z, ex, ey, s, np.ones_like(s))
+            qx, qy = s * ex, s * ey
+            tx, ty = self._tangent(qx, qy)
+            xx, xy, yy = self._tangent_slopes(qx, qy)
+            scale = np.array(self.scale_px)
+            turn = np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+            by_point += scale[:, None] * (turn @ np.stack([np.stack(rows_x, -1), np.stack(rows_y, -1)], -2))
+            pixels += scale * np.stack([tx, ty], -1)
+            by_parameter[..., 0, 0] += tx
+            by_parameter[..., 1, 1] += ty
+            twice, square = 2 * qx * qy, qx * qx + qy * qy
+            by_parameter[..., -2] = scale * np.stack([twice, square + 2 * qy * qy], -1)
+            by_parameter[..., -1] = scale * np.stack([square + 2 * qx * qx, twice], -1)
+        by_parameter[~across.seen] = np.nan
+        return pixels, by_point, by_parameter
+
+    def _tangent(self, qx: np.ndarray, qy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        along, square = 2 * (self.p2 * qx + self.p1 * qy), qx * qx + qy * qy
+        return square * self.p2 + along * qx, square * self.p1 + along * qy
+
+    def _tangent_slopes(self, qx: np.ndarray, qy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of T: x to x, x to y (and y to x), y to y."""
+        along = 2 * (self.p2 * qx + self.p1 * qy)
+        return along + 4 * self.p2 * qx, 2 * (self.p2 * qy + self.p1 * qx), along + 4 * self.p1 * qy
+
+    def _one_to_one(self, end: float) -> float:
+        """The largest s up to the radial model's `end` below which F is one-to-one in all directions."""
+        size = math.hypot(self.p1, self.p2)
+        if not size:
+            return end
+
+        def least(s: np.ndarray) -> np.ndarray:
+            """The least determinant of dF/dq over the directions: a quadratic in c, the cosine of e to p."""
+            m, slope = self._radius(s)
+            b, a = s * size * (2 * slope + 6 * m / s), (s * size) ** 2
+            c = np.clip(-b / (32 * a), -1, 1)
+            return slope * m / s + b * c + a * (16 * c * c - 4)
+
+        s = np.append(np.geomspace(1e-6, 1, 500) * min(end, 1.0), np.linspace(min(end, 1.0), end, 2000)[1:])
+        if end > 10:
+            s = np.geomspace(1e-6, end, 4000)
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            bad = ~(least(s) > 0)
+            if not bad.any():
+                return end
+            first = int(np.argmax(bad))
+            low, high = (0.0 if first == 0 else float(s[first - 1])), float(s[first])
+            for _ in range(80):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if least(np.asarray(middle)) > 0 else (low, middle)
+        return low
+
+    def _rays(self, mx: np.ndarray, my: np.ndarray, m: np.ndarray) -> np.ndarray:
+        if not (self.p1 or self.p2):
+            return super()._rays(mx, my, m)  # type: ignore[safe-super]
+        radial = self._radial
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            s = radial.inverse(np.minimum(m, (1 - 1e-6) * radial.y_max))
+            scale = np.where(m > 0, s / m, 1.0)
+            qx, qy = mx * scale, my * scale
+            start_x, start_y = qx, qy
+            for _ in range(_STEPS):
+                step_x, step_y, _, _ = self._newton(qx, qy, mx, my)
+                qx, qy = qx - step_x, qy - step_y
+                size = np.abs(step_x) + np.abs(step_y)
+                rough = ~(size < 1e-8)
+                if not rough.any():
+                    break
+            s = np.sqrt(qx * qx + qy * qy)
+            reach = radial.y_max + 3 * math.hypot(self.p1, self.p2) * radial.s_max**2
+            rough = (rough | (s > radial.s_max)) & (m <= reach)
+            if rough.any():
+                qx[rough], qy[rough] = self._carefully(start_x[rough], start_y[rough], mx[rough], my[rough])
+                s = np.sqrt(qx * qx + qy * qy)
+            rays = self._ray_of(qx, qy, s)
+            rays[~((s <= radial.s_max) & (m <= reach))] = np.nan
+        return rays
+
+    def _newton(
+        self, qx: np.ndarray, qy: np.ndarray, wx: np.ndarray, wy: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The step -dq of Newton's method for F(q) = w, and the error F(q) - w, all (n,)."""
+        p1, p2 = self.p1, self.p2
+        square = qx * qx + qy * qy
+        s = np.sqrt(square)
+        m, slope = self._radius(s)
+        factor = np.where(s > 0, m / s, slope)
+        bend = np.where(s > 0, (slope - factor) / square, 0.0)
+        common = factor + 2 * (p2 * qx + p1 * qy)
+        error_x, error_y = common * qx + p2 * square - wx, common * qy + p1 * square - wy
+        xx = common + qx * (bend * qx + 4 * p2)
+        yy = common + qy * (bend * qy + 4 * p1)
+        xy = bend * qx * qy + 2 * (p2 * qy + p1 * qx)
+        inverse = 1.0 / (xx * yy - xy * xy)
+        step_x, step_y = (yy * error_x - xy * error_y) * inverse, (xx * error_y - xy * error_x) * inverse
+        return step_x, step_y, error_x, error_y
+
+    def _carefully(
+        self, qx: np.ndarray, qy: np.ndarray, wx: np.ndarray, wy: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Newton's method that halves steps which leave the field or gain nothing; NaN where that ends nowhere."""
+        limit = self._radial.s_max * (1 + 1e-12)
+        shrink = np.minimum(1.0, 0.999 * limit / np.maximum(np.hypot(qx, qy), 1e-300))
+        qx, qy = qx * shrink, qy * shrink
+        for _ in range(_MORE_STEPS):
+            step_x, step_y, error_x, error_y = self._newton(qx, qy, wx, wy)
+            before, part = np.hypot(error_x, error_y), np.ones_like(qx)
+            good = np.zeros(qx.shape, bool)
+            for _ in range(30):
+                trial_x, trial_y = qx - part * step_x, qy - part * step_y
+                _, _, error_x, error_y = self._newton(trial_x, trial_y, wx, wy)
+                good = (np.hypot(trial_x, trial_y) <= limit) & (np.hypot(error_x, error_y) < before)
+                if good.all():
+                    break
+                part = np.where(good, part, 0.5 * part)
+            qx, qy = np.where(good, trial_x, qx), np.where(good, trial_y, qy)
+            if not good.any():
+                break
+        _, _, error_x, error_y = self._newton(qx, qy, wx, wy)
+        found = np.hypot(error_x, error_y) <= 1e-12 * (1 + np.hypot(wx, wy))
+        return np.where(found, qx, np.nan), np.where(found, qy, np.nan)
+
+
+def _of_slope(qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
+    length = np.sqrt(1 + s * s)
+    return np.stack([qx / length, qy / length, 1 / length], -1)
+
+
+@dataclass(frozen=True)
+class TangentialKannalaBrandt(Tangential, KannalaBrandt):
+    """`KannalaBrandt` with tangential terms of the equidistant point q = theta e."""
+
+    @cached_property
+    def theta_max(self) -> float:
+        """The largest angle from the axis that is imaged in all directions, rad."""
+        return self._one_to_one(min(fold_of_odd_polynomial(*self.radial_terms), math.pi))
+
+    @property
+    def radial(self) -> Lens:
+        return KannalaBrandt(self.fx, self.fy, self.cx, self.cy, *self.radial_terms)
+
+    def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
+        scale = np.where(s > 0, np.sin(s) / s, 1.0)
+        return np.stack([qx * scale, qy * scale, np.cos(s)], -1)
+
+
+@dataclass(frozen=True)
+class TangentialBrownConrady(Tangential, BrownConrady):
+    """`BrownConrady` with tangential terms: OpenCV's k1, k2, p1, p2, k3, and a fourth radial term."""
+
+    @cached_property
+    def _slope_max(self) -> float:
+        return self._one_to_one(min(fold_of_odd_polynomial(*self.radial_terms), FARTHEST_SLOPE))
+
+    @property
+    def radial(self) -> Lens:
+        return BrownConrady(self.fx, self.fy, self.cx, self.cy, *self.radial_terms)
+
+    def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return _of_slope(qx, qy, s)
+
+
+@dataclass(frozen=True)
+class _RadialRational(Perspective):
+    """The radial part of `Rational`."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+
+    @cached_property
+    def _radial_end(self) -> float:
+        """The slope at which the radius folds or is infinite, or as far as a slope may go."""
+        top, bottom = np.array([1.0, self.k1, self.k2, self.k3]), np.array([1.0, self.k4, self.k5, self.k6])
+        power = np.arange(4)
+        # The derivative's numerator in t = s^2: (s top)' bottom - s top bottom', both by the product rule.
+        slope = np.convolve((1 + 2 * power) * top, bottom) - np.convolve(top, 2 * power * bottom)
+        fold, pole = first_sign_change(slope.tolist()), first_sign_change(bottom.tolist())
+        return min(math.sqrt(fold), math.sqrt(pole) * (1 - 1e-9), FARTHEST_SLOPE)
+
+    @cached_property
+    def _slope_max(self) -> float:
+        return self._radial_end
+
+    def _quotient(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """t = s^2, and the polynomials over and under the bar."""
+        t = s * s
+        top = 1 + t * (self.k1 + t * (self.k2 + t * self.k3))
+        return t, top, 1 + t * (self.k4 + t * (self.k5 + t * self.k6))
+
+    def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        t, top, bottom = self._quotient(s)
+        rise = t * (2 * self.k1 + t * (4 * self.k2 + t * 6 * self.k3))
+        fall = t * (2 * self.k4 + t * (4 * self.k5 + t * 6 * self.k6))
+        ratio = top / bottom
+        return s * ratio, (top + rise - ratio * fall) / bottom
+
+    def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
+        t, top, bottom = self._quotient(s)
+        over = [s * t**n / bottom for n in (1, 2, 3)]
+        return over + [-term * top / bottom for term in over]
+
+
+@dataclass(frozen=True)
+class Rational(Tangential, _RadialRational):
+    """OpenCV's rational model: u = fx (x' (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + T) + cx.
+
+    T has the tangential terms p1, p2. OpenCV's vector of coefficients has the order k1 k2 p1 p2 k3 k4 k5 k6.
+
+    Source: OpenCV's calib3d, CALIB_RATIONAL_MODEL; Claus and Fitzgibbon (2005), A rational function lens distortion
+    model for general cameras, for the idea.
+    """
+
+    text = "OpenCV's rational model"
+
+    @cached_property
+    def _slope_max(self) -> float:
+        return self._one_to_one(self._radial_end)
+
+    @property
+    def radial(self) -> Lens:
+        return replace(self, p1=0.0, p2=0.0)
+
+    def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return _of_slope(qx, qy, s)
