@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration import fit, uncertainty
+from avcli.calibration import fit, robust, uncertainty
 from avcli.calibration.circle import Circle
 from avcli.lens import Lens
 
@@ -195,7 +195,7 @@ def split_halves(
         observations, solution: of the kept views.
         pixels: (n, 2) px at which the lenses are compared, such as those that light reaches and that are trusted.
         splits: how many random splits.
-        refit: fit each half from the solution on until it stands; otherwise one Gauss-Newton step from it, which
+        refit: fit each half, and the board's errors, from the solution on until it stands; otherwise one Gauss-Newton step from it, which
             differs by a tenth of a standard deviation and costs milliseconds.
         seed: of the splits.
 
@@ -217,7 +217,10 @@ def split_halves(
         step = own.step
         if refit:
             some = observations.of_views(keep)
-            found = fit.refine(some, solution.of_views(keep), solution.free, solution.delta_px, 25)
+            start = solution.of_views(keep)
+            if some.errors.any():
+                some, start = robust.with_board_errors(some, start)
+            found = fit.refine(some, start, solution.free, solution.delta_px, 25)
             step, own = (found.parameters - solution.parameters)[solution.free], fit.by_view(some, found)
         return step[lens_of_free], uncertainty.covariance(own)[np.ix_(lens_of_free, lens_of_free)]
 
