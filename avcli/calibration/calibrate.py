@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from avcli.calibration import fit, gather, opencv, place, quality, robust, spacing
+from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.settings import FitSettings
@@ -85,6 +86,16 @@ class Calibration:
         return known
 
     @property
+    def covariance(self) -> np.ndarray:
+        """(parameters, parameters) of the lens's parameters in the order of its keys."""
+        return self.solution.covariance[: -fit.SHAPE, : -fit.SHAPE]
+
+    @property
+    def inflation(self) -> float:
+        """How many times larger the lens's errors are than those of corners whose errors are all their own."""
+        return fit.inflation(self.observations, self.solution)
+
+    @property
     def verdict(self) -> str:
         """One sentence on how far the calibration can be trusted."""
         return self.quality.verdict
@@ -97,14 +108,20 @@ class Calibration:
             "image_width_px": self.width,
             "image_height_px": self.height,
             "theta_max_observed_deg": float(np.rad2deg(q.theta_max_observed)),
+            "theta_max_trusted_deg": float(np.rad2deg(q.theta_max_trusted)),
             "theta_max_valid_deg": float(np.rad2deg(lens.theta_max)),
+            **({} if q.circle is None else {"image_circle_px": [q.circle.x, q.circle.y, q.circle.radius]}),
             "calibration": {
                 "rms_px": q.rms_px,
                 "inlier_rms_px": q.inlier_rms_px,
                 "held_out_rms_px": q.held_out_rms_px if np.isfinite(q.held_out_rms_px) else None,
-                "field_sd_mean_px": _finite(np.nanmean(q.field_sd_px)),
-                "field_sd_max_px": _finite(np.nanmax(q.field_sd_px)),
+                "field_sd_mean_px": _finite(q.mean_sd_px),
+                "field_sd_max_px": _finite(np.nanmax(q.field_sd_px, initial=0.0) if q.trusted.any() else np.inf),
+                "split_half_ratio": _finite(q.halves.ratio),
+                "split_half_px": _finite(q.halves.actual_px),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
+                "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
+                "inflation": _finite(self.inflation),
                 "held_out_all_px": _finite(self.held_out_all_px),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
@@ -157,16 +174,19 @@ def calibrate(
         board = Wanted(board, "checkerboard", square_m=square_m).board()
     seen = gather.collect(pictures, board or Wanted(square_m=square_m), say=say)
     seen.require_views()
-    return calibrate_views(seen.board, seen.views, settings)
+    return calibrate_views(seen.board, seen.views, settings, seen.light.circle)
 
 
-def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEFAULTS) -> Calibration:
+def calibrate_views(
+    board: Board, views: list[View], settings: FitSettings = DEFAULTS, circle: Circle | None = None
+) -> Calibration:
     """Calibrate the lens that took the views.
 
     Args:
         board: what was filmed.
         views: at least one, all of one size, none a duplicate of another.
         settings: the procedure, and what it needs.
+        circle: where light reaches the pictures; None: everywhere.
 
     Raises:
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
@@ -181,11 +201,11 @@ def calibrate_views(board: Board, views: list[View], settings: FitSettings = DEF
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
-        return judged(board, views, everything, solution, kept[everything.view])
-    return _calibrate_robustly(board, views, settings)
+        return judged(board, views, everything, solution, kept[everything.view], circle=circle)
+    return _calibrate_robustly(board, views, settings, circle)
 
 
-def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) -> Calibration:
+def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
     coarse = observe(board, views)
     solution, good = robust.fit_robustly(coarse, views[0].width, views[0].height, model=settings.lens_model)
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
@@ -205,7 +225,7 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings) 
         if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
             everything, solution, chosen = *robust.fit_board(everything, solution, good), printed
     return replace(
-        judged(board, views, everything, solution, good, chosen),
+        judged(board, views, everything, solution, good, chosen, circle),
         flat_px=flat.rms_px,
         shaped_px=shaped.rms_px,
         printed_px=printed.rms_px,
@@ -230,6 +250,7 @@ def judged(
     solution: fit.Solution,
     good: np.ndarray,
     held_out: robust.HeldOut | None = None,
+    circle: Circle | None = None,
 ) -> Calibration:
     """Put a solution together with its uncertainty.
 
@@ -239,6 +260,7 @@ def judged(
         solution: the fit to the corners in `good`.
         good: (n,) bool.
         held_out: None computes it.
+        circle: where light reaches the pictures; None: everywhere.
     """
     some = everything.of_corners(good)
     held_out = held_out or robust.held_out(everything, solution, good)
@@ -254,7 +276,7 @@ def judged(
         kept=kept,
         dropped=everything.per_view((~good).astype(int)),
         view_rms_px=rms,
-        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px),
+        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle),
         held_out_all_px=held_out.all_px,
         flat_px=held_out.rms_px,
     )

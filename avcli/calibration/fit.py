@@ -12,10 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avcli.calibration import uncertainty
+from avcli.calibration.uncertainty import Views
 from avcli.lens import KannalaBrandt, Lens, variants
 
 SHAPE = 3
 """Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
+BOARD_ERROR = 0.01
+"""Standard deviation of a corner's place on the board, in squares, before it is seen."""
 _UNSEEN_PX = 100.0
 """Residual of a corner that the lens, as it stands in an iteration, does not image."""
 
@@ -360,19 +364,89 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
     return solution
 
 
-def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
-    """Covariance (P, P) of the common unknowns, 0 where not fitted, and the corners' standard deviation in px."""
-    cost, A, B, C, _, _ = _normal_equations(observations, solution, solution.delta_px)
+def by_view(observations: Observations, solution: Solution) -> Views:
+    """What each view says about the unknowns in `solution.free`, at the solution and with its robust weights.
+
+    The view's pose is eliminated. So are the board's errors, if there are any: they are held by BOARD_ERROR, and what the
+    lens owes to them is not known better than they are.
+    """
+    o = observations
+    residual, common, own = _linearise(o, solution)
+    cost, weight = _huber(residual, solution.delta_px)
+    root = np.sqrt(weight)[:, None, None]
+    common, own, residual = common[:, :, solution.free] * root, own * root, residual * root[:, 0]
+    freedom = 2.0 * np.bincount(o.view, minlength=o.views) - own.shape[-1]
+    if o.errors.any():
+        by_error = own[:, :, 3:] @ solution.rotations[o.view]
+        variance = max(float(cost.sum()) / max(float(freedom.sum()), 1.0), 1e-300)
+        common, learned = _without_board_errors(o, common, own, by_error, variance)
+        freedom -= learned / o.views
+    B = o.per_view(np.einsum("nia,nib->nab", own, common))
+    C = o.per_view(np.einsum("nia,nib->nab", own, own))
+    g = o.per_view(np.einsum("nia,ni->na", common, residual))
+    h = o.per_view(np.einsum("nia,ni->na", own, residual))
     fold = np.linalg.solve(_damped(C, 0.0), B)
-    schur = A - np.einsum("vab,vac->bc", B, fold)
-    freedom = 2 * len(observations.pixels) - int(solution.free.sum()) - 6 * observations.views
-    sigma = np.sqrt(cost / freedom) if freedom > 0 else np.inf
-    scale = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    value, vector = np.linalg.eigh(schur * np.outer(scale, scale))
-    spread = vector / np.maximum(value, 1e-16) @ vector.T
-    out = np.zeros((len(solution.free), len(solution.free)))
-    out[np.ix_(solution.free, solution.free)] = sigma**2 * spread * np.outer(scale, scale) if freedom > 0 else np.inf
-    return out, float(sigma)
+    score = g - np.einsum("vab,va->vb", fold, h)
+    if o.errors.any():
+        score -= score.mean(0)  # what pulls the board's errors to zero is not of a view
+    return Views(
+        information=o.per_view(np.einsum("nia,nib->nab", common, common)) - np.einsum("vab,vac->vbc", B, fold),
+        score=score,
+        cost=o.per_view(cost),
+        freedom=freedom,
+    )
+
+
+def error_prior(observations: Observations) -> float:
+    """Standard deviation of the board's errors along an axis, m."""
+    points = np.unique(observations.points, axis=0)
+    return BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
+
+
+def _without_board_errors(
+    o: Observations, common: np.ndarray, own: np.ndarray, by_error: np.ndarray, variance: float
+) -> tuple[np.ndarray, float]:
+    """The derivatives (n, 2, p) to the common unknowns less what the board's errors explain of them.
+
+    Args:
+        o: the corners.
+        common, own, by_error: weighted derivatives (n, 2, p) to the common unknowns, (n, 2, 6) to the poses, and
+            (n, 2, 3) to the place of the corner on the board.
+        variance: of a whitened residual.
+
+    Returns:
+        the derivatives, and how many unknowns the errors amount to.
+    """
+    points, corner = np.unique(o.points, axis=0, return_inverse=True)
+    size, p = 3 * len(points), common.shape[-1]
+    held, between = np.eye(size) * (variance / error_prior(o) ** 2), np.zeros((size, p))
+    normal = held.copy()
+    for rows in np.split(np.arange(len(o.view)), o.starts[1:]):
+        Q = np.linalg.qr(own[rows].reshape(-1, own.shape[-1]))[0]
+        columns = (3 * corner[rows][:, None] + np.arange(3)).ravel()
+        apart = np.zeros((len(rows), 2, len(rows), 3))
+        apart[np.arange(len(rows)), :, np.arange(len(rows))] = by_error[rows]
+        wide = apart.reshape(2 * len(rows), -1)
+        wide -= Q @ (Q.T @ wide)
+        normal[np.ix_(columns, columns)] += wide.T @ wide
+        between[columns] += wide.T @ common[rows].reshape(-1, p)
+    gain = np.linalg.solve(normal, between).reshape(len(points), 3, p)
+    learned = size - float(np.trace(np.linalg.solve(normal, held)))
+    return common - by_error @ gain[corner], learned
+
+
+def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
+    """Covariance (P, P) of the common unknowns by views, 0 where not fitted, and a corner's error along an axis, px."""
+    views = by_view(observations, solution)
+    out = np.zeros((len(solution.parameters),) * 2)
+    out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
+    return out, float(np.sqrt(views.variance))
+
+
+def inflation(observations: Observations, solution: Solution) -> float:
+    """How many times larger the errors of the unknowns are than if each corner's error were its own; at least 1."""
+    views = by_view(observations, solution)
+    return uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views))
 
 
 # --- the whole fit ----------------------------------------------------------------------------------------------------

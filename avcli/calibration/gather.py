@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from avcli.calibration import corners, recognise
+from avcli.calibration.circle import Light
 from avcli.calibration.corners import View
 from avcli.calibration.fit import NoFit
 from avcli.calibration.recognise import Wanted
@@ -42,6 +43,7 @@ class Seen:
         misses: some pictures without a board, reduced.
         size: (width, height) px of the pictures; None before the first. See `settle_size`.
         samples: of each size (width, height) the first picture with a board, (height, width) uint8.
+        lights: of each size the mean of its pictures, which shows where light reaches them.
     """
 
     def __init__(self, board: Board, *, is_known: bool = True):
@@ -51,6 +53,7 @@ class Seen:
         self.misses: list[np.ndarray] = []
         self.size: tuple[int, int] | None = None
         self.samples: dict[tuple[int, int], np.ndarray] = {}
+        self.lights: dict[tuple[int, int], Light] = {}
         self._pictures: list[dict] = []
 
     def __len__(self) -> int:
@@ -61,6 +64,7 @@ class Seen:
         """Add a picture (height, width) uint8 and the view in it, which is left out if there is a reason `why`."""
         size = grey.shape[1], grey.shape[0]
         self.size = self.size or size
+        self.lights.setdefault(size, Light()).take(grey)
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
@@ -119,6 +123,11 @@ class Seen:
     def sample(self) -> np.ndarray | None:
         """A picture with the board, (height, width) uint8; None before the first."""
         return self.samples.get(self.size) if self.size else None
+
+    @property
+    def light(self) -> Light:
+        """The mean of the pictures of the chosen size."""
+        return self.lights.get(self.size, Light()) if self.size else Light()
 
     def count(self, why: str) -> int:
         """Count the pictures that were left out for a reason, "no board" or "duplicate"."""

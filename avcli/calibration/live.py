@@ -184,7 +184,7 @@ class Guide:
     @property
     def mean_px(self) -> float:
         """Mean expected error over the picture, px; infinite before it is known."""
-        return float(np.nanmean(self.quality.field_sd_px)) if self.quality else float("inf")
+        return self.quality.mean_sd_px if self.quality else float("inf")
 
     def _learn(self, board: Board, views: list[View]) -> None:
         """Fit the views so far: from the fit before where there is one, since only one view is new."""

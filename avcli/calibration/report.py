@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from avcli.calibration import fit, quality, undistort
+from avcli.calibration import field, fit, quality, undistort
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.gather import Seen
 from avcli.calibration.settings import ProjectionSettings
@@ -32,11 +32,25 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         f"{held_out}",
         ", ".join(f"{name} {value:.2f} ± {sd:.2f}" for name, value, sd in pixels) + " px",
         ", ".join(f"{name} {value:.5f} ± {sd:.5f}" for name, value, sd in terms),
-        f"expected error of the projection over the picture: mean {np.nanmean(q.field_sd_px):.3f} px, largest "
-        f"{np.nanmax(q.field_sd_px):.3f} px",
-        f"angles from the axis: corners were seen up to {_degrees(q.theta_max_observed)}, the picture reaches "
+        f"angles from the axis: corners were seen up to {_degrees(q.theta_max_observed)}, rays are known to "
+        f"{np.rad2deg(quality.TRUST_LIMIT):g}° up to {_degrees(q.theta_max_trusted)}, the picture reaches "
         f"{_degrees(q.theta_max_picture)}, the lens model is one-to-one up to {_degrees(lens.theta_max)}",
     ]
+    if q.trusted.any():
+        lines.append(
+            f"expected error of the projection up to {_degrees(q.theta_max_trusted)}: mean {q.mean_sd_px:.3f} px, "
+            f"largest {np.nanmax(q.field_sd_px):.3f} px; ± and expected errors are from how the views disagree"
+        )
+    if np.isfinite(q.halves.ratio):
+        lines.append(
+            f"lenses of random halves of the pictures differ by {q.halves.actual_px:.3f} px; that is "
+            f"{q.halves.ratio:.2f} times what their stated uncertainties say"
+        )
+    if q.circle is not None:
+        lines.append(
+            f"light fills a circle about ({q.circle.x:.0f}, {q.circle.y:.0f}) px with a radius of "
+            f"{q.circle.radius:.0f} px; what lies outside it does not count"
+        )
     if result.solution.shape.any():
         lines += _shape_in_words(result)
     return [*lines, *q.advice, f"Verdict: {q.verdict}"]
@@ -81,10 +95,12 @@ def picture(result: Calibration, sample: np.ndarray | None = None, kind: str = "
     _draw_residuals(axes[0, 0], result)
     _draw_coverage(figure, axes[0, 1], result)
     q = result.quality
-    _draw_map(figure, axes[1, 0], result, "expected error of the projection", q.field_pixels, q.field_sd_px)
+    _draw_map(figure, axes[1, 0], result, "expected error of the projection", q.field.pixels, q.field.sd_px)
     _draw_views(axes[1, 1], result)
-    halves = quality.split_half(result.observations, result.solution, result.width, result.height)
-    _draw_map(figure, axes[2, 0], result, "difference between the lenses of two halves of the pictures", *halves)
+    halves = field.apart(result.observations, result.solution, q.field.pixels.reshape(-1, 2)).reshape(q.field.lit.shape)
+    halves = np.where(q.field.lit, halves, np.nan)
+    title = "difference between the lenses of two halves of the pictures"
+    _draw_map(figure, axes[2, 0], result, title, q.field.pixels, halves)
     _draw_sample(axes[2, 1], result, sample)
     out = io.BytesIO()
     # Neither the time nor a random salt belongs in a file that the same pictures must give again.
@@ -103,6 +119,12 @@ def _frame(axis: Axes, result: Calibration, title: str) -> None:
         theta = np.deg2rad(angle)
         ring = np.stack([np.sin(theta) * np.cos(turn), np.sin(theta) * np.sin(turn), np.full(181, np.cos(theta))], -1)
         axis.plot(*result.solution.lens.project(ring).T, color="0.5", lw=0.5, ls=":")
+    if result.quality.circle is not None:
+        axis.plot(*result.quality.circle.edge(361).T, color="tab:orange", lw=1)
+    trusted = result.quality.theta_max_trusted * np.ones(181)
+    turn = np.linspace(0, 2 * np.pi, 181)
+    ring = np.stack([np.sin(trusted) * np.cos(turn), np.sin(trusted) * np.sin(turn), np.cos(trusted)], -1)
+    axis.plot(*result.solution.lens.project(ring).T, color="tab:green", lw=1)
 
 
 def _draw_residuals(axis: Axes, result: Calibration) -> None:

@@ -23,8 +23,6 @@ _LEAST_SHARE = 0.5
 _LEAST_CORNERS = 6
 _WORSE = 2.0
 """A view may be this much worse than the common one before its corners are judged by the common one."""
-_BOARD_ERROR = 0.01
-"""Standard deviation of a corner's place on the board, in squares, before it is seen."""
 _SIGMA_FLOOR_PX = 1e-6
 
 
@@ -234,7 +232,7 @@ def with_board_errors(observations: Observations, solution: Solution) -> tuple[O
         the observations with their errors, and the solution for them.
     """
     points, corner = np.unique(observations.points, axis=0, return_inverse=True)
-    prior = _BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
+    prior = fit.error_prior(observations)
     errors = np.zeros((len(points), 3))
     for _ in range(4):
         observations = replace(observations, errors=errors[corner])

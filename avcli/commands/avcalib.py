@@ -136,7 +136,8 @@ def _finish(session: Session, seen: Seen, values: dict[str, Any]) -> None:
     try:
         with session.timing("fit"):
             seen.require_views()
-            result = calibrate.calibrate_views(seen.board, seen.views, settings_from(settings.FitSettings, values))
+            given = settings_from(settings.FitSettings, values)
+            result = calibrate.calibrate_views(seen.board, seen.views, given, seen.light.circle)
     except fit.NoFit as error:
         raise GateNotMet(str(error)) from None
     finally:

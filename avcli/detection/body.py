@@ -1,6 +1,6 @@
 """The position of a person's axis, from the part of the body that a ceiling camera sees."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,9 @@ MID_BODY_M = 0.90
 
 REACH_M = 0.45
 """m; points farther from the axis than an elbow are outliers or another person."""
+
+_FAR_M = 10.0
+"""m; a ray that is hardly known says no less than this."""
 
 _RADII = [0.7, 0.85, 1.0, 1.1, 1.25, 1.37, 1.46], [0.095, 0.13, 0.145, 0.145, 0.13, 0.12, 0.07]
 """Heights, m, and radii, m, of a body: 1.27 times the mean distance of its visible surface from the axis."""
@@ -167,6 +170,26 @@ def axis_covariance(away: np.ndarray, fraction: float, law: AxisLaw = AXIS) -> n
     hidden = (1 - fraction) ** 2
     radial, tangential = law.radial_m**2 + law.hidden_m**2 * hidden, law.tangential_m**2 + law.hidden_m**2 * hidden
     return tangential * np.eye(2) + (radial - tangential) * np.outer(direction, direction)
+
+
+def beyond_trust(person: Person, view: View) -> Person:
+    """Widen a position's covariance by what is not known of the lens where the person stands, see View.direction_sd.
+
+    A depth picture fixes the distance; without it the ray's error grows to where it meets the floor.
+    """
+    sd = float(view.direction_sd(person.position[None])[0])
+    if sd == 0:
+        return person
+    away = person.position - view.origin
+    distance = float(np.linalg.norm(away))
+    across = min(distance * sd, _FAR_M)
+    along = across
+    if person.method != "depth":
+        along = min(across * distance / max(abs(float(away[2])), 0.1), _FAR_M)
+    outward = away[:2] / max(float(np.linalg.norm(away[:2])), 1e-9)
+    covariance = person.covariance.copy()
+    covariance[:2, :2] += across**2 * np.eye(2) + (along**2 - across**2) * np.outer(outward, outward)
+    return replace(person, covariance=covariance)
 
 
 def _visible_offset(centre: np.ndarray, top: float, view: View, depth: np.ndarray) -> tuple[np.ndarray, float]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from avcli.detection.body import Person
+from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
@@ -131,7 +131,15 @@ class Detector:
         self._camera, self._name, self._timing = config.camera, config.name, timing
         self._size = self._camera.width_px, self._camera.height_px
         self._background = background
-        self.view = View(self._camera.lens, self._camera.T_room_camera, self._size, self._camera.theta_max)
+        camera = self._camera
+        self.view = View(
+            camera.lens,
+            camera.T_room_camera,
+            self._size,
+            camera.theta_max,
+            theta_trusted=camera.theta_trusted,
+            circle=camera.circle,
+        )
         self.network = self._network(model) if self.settings.detector == "net" else None
         if self.network is None and background is None:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
@@ -157,7 +165,8 @@ class Detector:
             with self._timing("wait for pictures"):
                 picture = self._read(depth, "depth")
             with self._timing("depth and positions"):
-                people = [one for one in self._before_room.detect(self._metres(picture)) if self._in_room(one)]
+                standing = self._before_room.detect(self._metres(picture))
+                people = [beyond_trust(one, self.view) for one in standing if self._in_room(one)]
             return people if self._looks is None else self._described(self._read(rgb, "colour"), people)
         with self._timing("wait for pictures"):
             picture = self._read(rgb, "colour")
@@ -166,7 +175,8 @@ class Detector:
             with self._timing("network"):
                 found = self.network.detect(picture, regions)
             with self._timing("depth and positions"):
-                people = [person for person in self._place(found, depth) if self._in_room(person)]
+                placed = self._place(found, depth)
+                people = [beyond_trust(person, self.view) for person in placed if self._in_room(person)]
             self._last = self._described(picture, people)
         return self._last
 

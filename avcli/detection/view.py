@@ -6,6 +6,10 @@ import numpy as np
 
 from avcli.lens import Lens
 
+_SD_BEYOND = 0.2
+"""Standard deviation of a ray's angle beyond the trusted one, per angle beyond it: lenses fitted to the inner half to
+four fifths of the corners of three fisheyes were off by 0.02 to 0.24 of it, farther out (see examples/benchmarks)."""
+
 
 class View:
     """A camera that stands still in a room.
@@ -16,11 +20,22 @@ class View:
         size: (width, height) px.
         theta_max: largest angle from the optical axis at which the lens is valid, rad.
         stride: distance of the samples of `rays`, px.
+        theta_trusted: rad, largest angle up to which the rays are known well.
+        circle: (x, y, radius) px, of what the lens lights of the picture; None: all of it.
     """
 
     def __init__(
-        self, lens: Lens, T_room_camera: np.ndarray, size: tuple[int, int], theta_max: float = np.pi, stride: int = 4
+        self,
+        lens: Lens,
+        T_room_camera: np.ndarray,
+        size: tuple[int, int],
+        theta_max: float = np.pi,
+        stride: int = 4,
+        *,
+        theta_trusted: float = np.pi,
+        circle: tuple[float, float, float] | None = None,
     ):
+        self.theta_trusted, self.circle = theta_trusted, circle
         self.lens, self.size, self.stride, self.theta_max = lens, size, stride, min(theta_max, np.pi)
         T_room_camera = np.asarray(T_room_camera, float)
         self.rotation, self.origin = T_room_camera[:3, :3], T_room_camera[:3, 3]
@@ -32,14 +47,32 @@ class View:
 
     def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Turn pixels (n, 2) into unit rays (n, 3) in the room's frame; NaN where a pixel has none."""
-        rays = self.lens.unproject(np.asarray(pixels, float))
-        return np.where(rays[:, 2:] >= self._cos_max, rays, np.nan) @ self.rotation.T
+        pixels = np.asarray(pixels, float)
+        rays = self.lens.unproject(pixels)
+        seen = (rays[:, 2] >= self._cos_max) & self._lit(pixels)
+        return np.where(seen[:, None], rays, np.nan) @ self.rotation.T
+
+    def _lit(self, pixels: np.ndarray) -> np.ndarray | np.bool:
+        if self.circle is None:
+            return np.True_
+        x, y, radius = self.circle
+        return np.hypot(pixels[:, 0] - x, pixels[:, 1] - y) <= radius
+
+    def direction_sd(self, points: np.ndarray) -> np.ndarray:
+        """Standard deviation (n,), rad, of the direction to points (n, 3), m in the room, for the lens alone.
+
+        Returns:
+            0 up to the angle that is trusted; what is farther from the axis is extrapolated.
+        """
+        away = (np.asarray(points, float) - self.origin) @ self.rotation
+        angle = np.arctan2(np.hypot(away[:, 0], away[:, 1]), away[:, 2])
+        return _SD_BEYOND * np.maximum(angle - self.theta_trusted, 0.0)
 
     def inside(self, pixels: np.ndarray) -> np.ndarray:
-        """Tell which pixels (n, 2) lie on the picture; NaN does not."""
+        """Tell which pixels (n, 2) lie on the picture where light reaches it; NaN does not."""
         width, height = self.size
         x, y = pixels[:, 0], pixels[:, 1]
-        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5) & self._lit(pixels)
 
     def sampled(self, picture: np.ndarray) -> np.ndarray:
         """Return the samples (h, w) of a full-size picture (height, width) that belong to `rays`."""

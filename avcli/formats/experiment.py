@@ -105,10 +105,21 @@ _CAMERA = Object(
         "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
         "theta_max_observed_deg": Key(
             _ANGLE,
-            "largest angle from the axis where the calibration saw corners; rays beyond it are not used",
+            "largest angle from the axis where the calibration saw corners; rays beyond it are not used, unless "
+            "theta_max_trusted_deg is stated",
+        ),
+        "theta_max_trusted_deg": Key(
+            _ANGLE,
+            "largest angle from the axis up to which the lens is known to 0.25°; beyond it the lens is extrapolated: "
+            "positions get larger covariances there",
         ),
         "theta_max_valid_deg": Key(
             _ANGLE, "largest angle at which the lens is one-to-one; rays beyond it are not used"
+        ),
+        "image_circle_px": Key(
+            Numbers(3, _COORDINATE),
+            "circle that the lens lights on the sensor: [x, y] of its middle and its radius, px; by default the whole "
+            "picture. Pixels outside it are not used",
         ),
     }
 )
@@ -221,6 +232,8 @@ class Camera:
         depth_step_m: m of one step of a depth picture.
         background_depth: path of the empty room's depth picture, None where there is none.
         theta_max: largest angle from the axis at which the lens is valid, rad.
+        theta_trusted: largest angle from the axis up to which its rays are known well, rad.
+        circle: (x, y, radius) px, of what the lens lights of the picture; None: all of it.
     """
 
     lens: lens.Lens
@@ -232,6 +245,8 @@ class Camera:
     depth_step_m: float
     background_depth: str | None
     theta_max: float
+    theta_trusted: float = math.pi
+    circle: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -298,7 +313,12 @@ class Config:
             optics = _lens(values, width, height)
         except Invalid as error:
             raise self._error(error.within(*where)) from None
-        limits = [values[f"theta_max_{kind}_deg"] for kind in ("observed", "valid")]
+        trusted, circle = values["theta_max_trusted_deg"], values["image_circle_px"]
+        if circle is not None and not circle[2] > 0:
+            raise self._error(Invalid(f"the radius must be above 0, found {circle[2]:g}", (*where, "image_circle_px")))
+        limits = [
+            values[f"theta_max_{kind}_deg"] for kind in (("valid",) if trusted is not None else ("observed", "valid"))
+        ]
         return Camera(
             lens=optics,
             T_room_camera=pose.camera_pose(values["camera_position_m"], values["camera_rotation_deg"]),
@@ -309,6 +329,8 @@ class Config:
             depth_step_m=values["depth_step_m"],
             background_depth=values["background_depth"],
             theta_max=min(optics.theta_max, *(math.radians(180.0 if limit is None else limit) for limit in limits)),
+            theta_trusted=math.pi if trusted is None else math.radians(trusted),
+            circle=None if circle is None else tuple(circle),
         )
 
     @functools.cached_property

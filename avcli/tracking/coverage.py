@@ -72,6 +72,8 @@ def of_camera(camera: Camera, area: Corners) -> Coverage:
     with np.errstate(all="ignore"):
         u, v = np.moveaxis(camera.lens.project(seen.reshape(-1, 3)).reshape(*seen.shape[:-1], 2), -1, 0)
         inside = (u > -0.5) & (u < camera.width_px - 0.5) & (v > -0.5) & (v < camera.height_px - 0.5)
+        if camera.circle is not None:
+            inside &= np.hypot(u - camera.circle[0], v - camera.circle[1]) <= camera.circle[2]
     inside &= np.arctan2(np.hypot(seen[..., 0], seen[..., 1]), seen[..., 2]) <= camera.theta_max
     share = (inside.mean(-1) - NOTHING) / (ENOUGH - NOTHING)
     return Coverage(low, step, np.minimum(np.maximum(share, LEAST), 1.0))

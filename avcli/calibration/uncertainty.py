@@ -1,0 +1,111 @@
+"""How uncertain what a fit found is, from how the views of the board disagree.
+
+Errors of corners are not independent: the bend of the board, blur and what the lens model misses are shared within a
+view. A covariance that takes each corner's error for its own is several times too small on real photographs. Here each
+view counts as one draw of an unknown error.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+_LEAST_LEFT = 1e-3
+"""Least share of the information on one direction that must come from the other views."""
+
+
+class Views(NamedTuple):
+    """What each view says about the common unknowns, its own pose eliminated (Schur).
+
+    Attributes:
+        information: (views, p, p).
+        score: (views, p), the gradient, at the solution of all views or near it.
+        cost: (views,) sum of the whitened squared residuals, robust.
+        freedom: (views,) residuals of the view minus the unknowns of its pose.
+    """
+
+    information: np.ndarray
+    score: np.ndarray
+    cost: np.ndarray
+    freedom: np.ndarray
+
+    def of(self, keep: np.ndarray) -> "Views":
+        """Some views only: `keep` (views,) bool, or indices."""
+        return Views(*(part[keep] for part in self))
+
+    @property
+    def step(self) -> np.ndarray:
+        """How far the solution of these views lies from where they were linearised, (p,)."""
+        scale, roots = _whitening(self.information.sum(0))
+        return scale * (roots @ (roots.T @ (scale * self.score.sum(0))))
+
+    @property
+    def variance(self) -> float:
+        """Variance of a whitened residual along one axis; infinite without residuals to spare."""
+        left = float(self.freedom.sum()) - self.score.shape[1]
+        return float(self.cost.sum()) / left if left > 0 else np.inf
+
+
+def noise(views: Views) -> np.ndarray:
+    """Covariance (p, p) of the common unknowns if the error of each corner were its own."""
+    scale, roots = _whitening(views.information.sum(0))
+    return views.variance * (roots @ roots.T) * np.outer(scale, scale)
+
+
+def covariance(views: Views) -> np.ndarray:
+    """Covariance (p, p) of the common unknowns, each view a draw by itself, and at least that of independent corners.
+
+    Each view's score is set right for the part that the view itself took of the solution, so that the result is
+    unbiased where the errors are independent (Bell and McCaffrey 2002, the estimator CR2). It is then multiplied by the
+    variance of Student's t, since it is itself known from few views only. In the directions where independent errors of
+    the corners explain more, theirs is taken.
+
+    Returns:
+        infinite where there are no residuals to spare.
+    """
+    count, p = views.score.shape
+    variance = views.variance
+    if not p or not np.isfinite(variance):
+        return np.full((p, p), np.inf)
+    scale, roots = _whitening(views.information.sum(0))
+    to_unit = scale[:, None] * roots
+    left = views.score - views.information @ views.step
+    share, axes = np.linalg.eigh(_symmetric(to_unit.T @ views.information @ to_unit))
+    along = np.einsum("vab,va->vb", axes, left @ to_unit) / np.sqrt(np.maximum(1 - share, _LEAST_LEFT))
+    drawn = np.einsum("vab,vb->va", axes, along)
+    spread = drawn.T @ drawn * student(count - 1)
+    size, direction = np.linalg.eigh(spread)
+    spread = (direction * np.maximum(size, variance)) @ direction.T
+    return _symmetric(to_unit @ spread @ to_unit.T)
+
+
+def inflation(spread: np.ndarray, independent: np.ndarray) -> float:
+    """Root of the mean ratio of variances between a covariance (p, p) and that of independent errors, over all axes."""
+    if not len(spread) or not (np.isfinite(spread).all() and np.isfinite(independent).all()):
+        return np.inf
+    scale, roots = _whitening(independent)
+    to_unit = scale[:, None] * roots
+    return float(np.sqrt(np.trace(to_unit.T @ spread @ to_unit) / len(spread)))
+
+
+def student(freedom: float) -> float:
+    """Variance of Student's t; that of 2.5 degrees of freedom, which is 5, where it is larger."""
+    freedom = max(freedom, 2.5)
+    return freedom / (freedom - 2)
+
+
+def halves(count: int, splits: int, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Draw random splits of `count` views into two halves: pairs of ascending indices."""
+    rng = np.random.default_rng(seed)
+    orders = [rng.permutation(count) for _ in range(splits)]
+    return [(np.sort(order[: count // 2]), np.sort(order[count // 2 :])) for order in orders]
+
+
+def _whitening(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`scale` (p,) and `roots` (p, p), with which scale roots roots' scale is the inverse, however ill-conditioned."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-200))
+    value, vector = np.linalg.eigh(_symmetric(information * np.outer(scale, scale)))
+    return scale, vector / np.sqrt(np.maximum(value, 1e-16))
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return (matrix + np.swapaxes(matrix, -1, -2)) / 2

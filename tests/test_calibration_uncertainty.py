@@ -1,0 +1,176 @@
+"""What a calibration states of its own errors, against errors that are known: shared within a view, or each its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_boards import THESIS, exact, film
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.calibration import field, fit, quality, uncertainty
+from avcli.calibration.circle import Circle, Light, find
+
+SIZE = (1920, 1080)
+GRID = field.grid(*SIZE, step=120).reshape(-1, 2)
+
+
+def filmed(seed, views, shared, noise=0.15):
+    """Corners whose error is noise, and a bend of the picture that is shared within each view (sd `shared` px)."""
+    rng = np.random.default_rng(seed)
+    o = exact(film(views, rng, tilt=0.9), noise=noise, rng=rng)
+    u, v = (o.points / o.half_extent).T
+    terms = np.stack([u, v, u * u, u * v, v * v], -1)
+    bends = shared * rng.standard_normal((views, 5, 2))
+    o = replace(o, pixels=o.pixels + np.einsum("nb,nbi->ni", terms, bends[o.view]))
+    solution = fit.refine(o, fit.start_from_rays(o, THESIS), fit.free_parameters(THESIS), np.inf, 20)
+    spread, sigma = fit.covariance(o, solution)
+    return o, replace(solution, covariance=spread, sigma_px=sigma)
+
+
+def pull(o, solution):
+    """Actual over stated error of the lens over the picture where corners were seen."""
+    rays = THESIS.unproject(GRID[field.seen_angles(THESIS, GRID) < np.nanmax(field.seen_angles(THESIS, o.pixels))])
+    moved, _ = field.sensitivity(solution.lens, o.pixels, rays)
+    off = moved @ (solution.parameters[: -fit.SHAPE] - THESIS.parameters)
+    return np.sum(off**2) / np.sum(field.errors(solution, o.pixels, rays)[0] ** 2)
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("views", [8, 24])
+def test_the_stated_error_is_true_whether_errors_are_shared_or_not(views, shared):
+    found = np.sqrt(np.mean([pull(*filmed(seed, views, shared)) for seed in range(15)]))
+    assert 0.5 < found < 1.4
+
+
+def test_independent_errors_alone_would_state_far_too_little():
+    o, solution = filmed(0, 24, 1.0)
+    views = fit.by_view(o, solution)
+    assert np.sqrt(np.diag(uncertainty.covariance(views)) / np.diag(uncertainty.noise(views))).min() > 1.5
+    assert fit.inflation(o, solution) > 2
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.5])
+def test_halves_differ_by_what_they_state(shared):
+    tested = [field.split_halves(*filmed(seed, 20, shared), GRID, splits=20) for seed in range(5)]
+    assert 0.5 < np.sqrt(np.mean([one.ratio**2 for one in tested])) < 1.4
+    assert all(one.splits == 20 for one in tested)
+
+
+def test_one_step_to_the_halves_is_as_good_as_a_fit():
+    o, solution = filmed(3, 16, 0.3)
+    quick, fitted = (field.split_halves(o, solution, GRID, splits=8, refit=refit) for refit in (False, True))
+    assert quick.ratio == pytest.approx(fitted.ratio, rel=0.15)
+    assert quick.actual_px == pytest.approx(fitted.actual_px, rel=0.15)
+
+
+def test_with_few_views_nothing_is_tested():
+    o, solution = filmed(4, 7, 0.1)
+    assert np.isnan(field.split_halves(o, solution, GRID).ratio)
+    assert np.isnan(field.apart(o, solution, GRID)).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 12), st.integers(2, 6), st.integers(0, 1000))
+def test_the_covariance_is_symmetric_and_at_least_that_of_independent_corners(count, p, seed):
+    rng = np.random.default_rng(seed)
+    J = rng.standard_normal((count, 20, p)) * 10.0 ** rng.uniform(-3, 3, p)
+    e = rng.standard_normal((count, 20))
+    views = uncertainty.Views(
+        np.einsum("vna,vnb->vab", J, J), np.einsum("vna,vn->va", J, e), (e**2).sum(1), np.full(count, 20)
+    )
+    found, least = uncertainty.covariance(views), uncertainty.noise(views)
+    assert np.array_equal(found, found.T)
+    scale = 1 / np.sqrt(np.diag(least))
+    assert (
+        np.linalg.eigvalsh((found - least) * np.outer(scale, scale)).min()
+        > -1e-6 * np.diag(found).max() * scale.max() ** 2
+    )
+    order = rng.permutation(count)
+    assert np.allclose(uncertainty.covariance(views.of(order)) * np.outer(scale, scale), found * np.outer(scale, scale))
+
+
+def test_views_that_say_nothing_of_a_direction_leave_it_unknown_and_finite():
+    information = np.zeros((6, 2, 2))
+    information[:, 0, 0] = 1.0
+    views = uncertainty.Views(information, np.zeros((6, 2)), np.full(6, 20.0), np.full(6, 20))
+    found = uncertainty.covariance(views)
+    assert np.isfinite(found).all()
+    assert found[0, 0] == pytest.approx(views.variance / 6)
+
+
+def test_the_trusted_angle_grows_with_what_was_seen():
+    o, solution = filmed(5, 24, 0.2)
+    near = [field.trusted_angle(solution, o.pixels, np.deg2rad(limit)) for limit in (0.001, 0.05, 5.0)]
+    assert near == sorted(near)
+    assert near[-1] == pytest.approx(np.nanmax(field.seen_angles(solution.lens, o.pixels)))
+
+
+def test_limits_do_not_depend_on_the_resolution():
+    """The same pictures with four times the pixels are trusted up to the same angle."""
+    o, solution = filmed(6, 20, 0.2)
+    large = replace(o, pixels=4 * o.pixels + 1.5)
+    start = THESIS.parameters
+    big = type(THESIS)(*(4 * value for value in start[:2]), 4 * start[2] + 1.5, 4 * start[3] + 1.5, *start[4:])
+    other = fit.refine(large, fit.start_from_rays(large, big), fit.free_parameters(big), np.inf, 20)
+    other = replace(other, covariance=fit.covariance(large, other)[0])
+    one, four = quality.assess(o, solution, *SIZE, 0.2), quality.assess(large, other, 7680, 4320, 0.8)
+    assert four.theta_max_trusted == pytest.approx(one.theta_max_trusted, abs=np.deg2rad(1.5))
+    assert four.refusals == one.refusals == ()
+
+
+# --- the circle -------------------------------------------------------------------------------------------------------
+
+
+def lit(width, height, circle, seed=0, black=3.0, softness=6.0):
+    """A picture as through a circular fisheye, with things of all brightnesses in it."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width]
+    away = np.hypot(x - circle.x, y - circle.y)
+    blocks = rng.uniform(20, 240, (height // 40 + 1, width // 40 + 1)).repeat(40, 0).repeat(40, 1)[:height, :width]
+    light = 1 / (1 + np.exp(np.clip((away - circle.radius) / softness, -50, 50)))
+    return np.clip(black + blocks * light + rng.normal(0, 2, away.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("size", "true"),
+    [
+        ((1280, 1024), Circle(600.0, 530.0, 480.0)),  # whole on the sensor
+        ((1920, 1080), Circle(970.0, 520.0, 530.0)),
+        ((1032, 778), Circle(545.0, 370.0, 540.0)),  # cropped: only the corners are black
+        ((1000, 1000), Circle(505.0, 498.0, 470.0)),
+    ],
+)
+def test_the_circle_is_found_whole_or_cropped(size, true):
+    light = Light()
+    for seed in range(6):
+        light.take(lit(*size, true, seed))
+    found = light.circle
+    assert found is not None
+    assert np.hypot(found.x - true.x, found.y - true.y) < 0.015 * true.radius
+    assert found.radius == pytest.approx(true.radius, rel=0.04)
+
+
+def test_no_circle_where_there_is_none():
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:240, :320]
+    away = np.hypot(x - 160, y - 120)
+    assert find(rng.uniform(0, 255, (240, 320))) is None
+    assert find(np.full((240, 320), 100.0)) is None
+    assert find(np.zeros((240, 320))) is None
+    assert find(220 * np.cos(np.arctan(away / 150)) ** 4) is None  # vignetting fades
+    dark_room = np.full((240, 320), 4.0)
+    dark_room[60:180, 90:250] = 200
+    assert find(dark_room) is None
+    assert find(np.zeros((4, 5))) is None
+    assert Light().circle is None
+
+
+def test_black_corners_count_for_nothing():
+    o, solution = filmed(7, 20, 0.2)
+    circle = Circle(960.0, 540.0, 500.0)
+    whole, cut = (quality.assess(o, solution, *SIZE, 0.2, one) for one in (None, circle))
+    assert cut.theta_max_picture < whole.theta_max_picture
+    assert np.isnan(cut.field.sd_px[~circle.holds(cut.field.pixels)]).all()
+    assert cut.lit_cells.sum() < whole.lit_cells.sum() == whole.lit_cells.size
+    assert not cut.trusted[~cut.field.lit].any()
