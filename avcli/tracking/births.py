@@ -144,9 +144,11 @@ def _elbow_room(
     """
     if not known or not len(positions):
         return np.ones(len(positions))
-    bodies = as_complex(people.centres(known))[:, 0]
-    apart, width = as_complex(positions) - bodies, 2 * body**2 + spread
-    taken = np.exp(-(apart * apart.conj()).real / width[:, None]) * people.existence.take(known)
+    bodies, width = people.centres(known), -2 * body**2 - spread
+    taken = squared_distance(positions, bodies)
+    taken /= width[:, None]
+    np.exp(taken, out=taken)
+    taken *= people.existence.take(known)
     return np.multiply.reduce(1 - taken, 1)
 
 
@@ -256,6 +258,15 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
 def uncertainty(cov: np.ndarray) -> np.ndarray:
     """Return the root mean square error (n,) in m of positions, of covariances (n, 4, 4)."""
     return np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
+
+
+def squared_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the squared distances (n, m) in m² of states or positions (n, 2 or more) and (m, 2 or more)."""
+    dx, dy = one[:, :1] - other[:, 0], one[:, 1:2] - other[:, 1]
+    dx *= dx
+    dy *= dy
+    dx += dy
+    return dx
 
 
 def as_complex(pairs: np.ndarray) -> np.ndarray:
