@@ -178,17 +178,17 @@ class GLMB:
         self.time = time
         population, people = self.population, self.people
         self.habits.wait(time, dt)
-        survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
         self.undetected.predict(dt)
         if len(people):
             prediction.evade(people, self.labelled_rows, self.likely_rows, population, dt)
             before = people.mean, people.cov, people.mode
+            survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
             step = gaussian.predict(*before, population.motion, dt)
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
-            lasting = self.errors.variance(people.lean)
+            lean = people.lean
             self.errors.predict(people, dt)
             if self.record:
-                people.node = Node.steps(people, before, step, survival, lasting, time)
+                people.node = Node.steps(people, before, step, survival, self.errors.variance(lean), time)
             people.existence = people.existence * survival
         if self.sensors:
             mix, rest = np.exp(-dt * self.turnover), self.detectable
@@ -221,7 +221,7 @@ class GLMB:
         settings, rates = self.settings, self.rates[scan.column]
         poisson = settings.birth == "poisson"
         from_tentative, from_undetected = first_detections(
-            scan, self.people, tentative, self.likely_rows, self.undetected, poisson
+            scan, self.people, tentative, self.likely_rows, self.population.body, poisson
         )
         if shown is not None:
             from_undetected[shown.columns()] = 0.0  # they are in the cells
@@ -313,7 +313,7 @@ class GLMB:
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
         p_sensor = rates.detection * (1 - blindness.probability)
-        p_newcomer = rates.detection * (1 - blindness.probability * (1 - blindness.left))
+        open_eyed = 1 - blindness.probability * (1 - blindness.left)
         p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
@@ -331,7 +331,8 @@ class GLMB:
             detectable,
             clutters,
             p_sensor,
-            p_newcomer,
+            rates.detection * open_eyed,
+            [one * open_eyed for one in new],
             p_detect,
             evidence,
             covered,
