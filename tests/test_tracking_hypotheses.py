@@ -45,7 +45,7 @@ def people(states, labels):
         lean=np.ones((n, 1)),
         seen=np.zeros((n, 1)),
         place=np.zeros((n, 2)),
-        hits=np.ones(n, int),
+        odds=np.zeros(n),
         reach=np.zeros(n),
         label=list(labels),
         node=[None] * n,

@@ -117,7 +117,7 @@ def people(centre, spread=0.2):
     ones, place = np.ones((1, 1)), np.array([centre], float)
     return Densities(
         mean=np.array([[[*centre, 0.2, 0.1]]]), cov=cov[None, None], mode=ones, existence=np.ones(1),
-        detectable=ones.copy(), lean=np.zeros((1, 1)), seen=np.zeros((1, 1)), place=place, hits=np.ones(1, int),
+        detectable=ones.copy(), lean=np.zeros((1, 1)), seen=np.zeros((1, 1)), place=place, odds=np.zeros(1),
         reach=np.ones(1), label=[0], node=[None],
     )  # fmt: skip
 
