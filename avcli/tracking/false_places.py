@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from avcli.tracking.scan import Scan
 
 DOUBT, CERTAIN = -7.0, 15.0  # log odds of a place that it is false, at first and at most
+SURE = 3.0  # from which the user is told
 GIVEN_UP = -12.0  # log odds below which a candidate is dropped
 MOST = 16  # candidates of a sensor
 PRIOR_HITS, PRIOR_MISSES = 0.5, 4.5  # records that the prior of its rate is worth
@@ -51,6 +52,7 @@ class FalsePlace:
         hits, misses: records with and without one, with the prior's worth.
         odds: log odds that it is false.
         label: of the track that is there, -1: none.
+        told: whether `FalsePlaces.news` has named it, or another run has.
     """
 
     x: float
@@ -60,6 +62,7 @@ class FalsePlace:
     misses: float = PRIOR_MISSES
     odds: float = DOUBT
     label: int = -1
+    told: bool = False
 
     @property
     def rate(self) -> float:
@@ -90,6 +93,7 @@ class FalsePlaces:
         """Begin without any; learn: whether to find some."""
         self.learns = learn
         self.of: list[list[FalsePlace]] = []
+        self._found: list[tuple[int, FalsePlace]] = []
         self.first: dict[int, tuple[float, float]] = {}  # label -> where it was detected first, m
 
     def add(self) -> None:
@@ -113,7 +117,18 @@ class FalsePlaces:
     def restore(self, column: int, state: Iterable[Mapping[str, Any]]) -> None:
         """Go on from what another run has found of a sensor."""
         self.of[column] = [
-            FalsePlace(*one["position"], one["variance"], one["hits"], one["misses"], one["log_odds"]) for one in state
+            FalsePlace(x, y, one["variance"], one["hits"], one["misses"], one["log_odds"], told=True)
+            for one in state
+            for x, y in [one["position"]]
+        ]
+
+    def news(self, names: Sequence[str]) -> list[str]:
+        """Return a sentence on each place that has become rather sure since the last call; names: of the sensors."""
+        found, self._found = self._found, []
+        return [
+            f"sensor {names[column]}: detections at ({one.x:.2f}, {one.y:.2f}) m come as if by chance, in "
+            f"{one.rate:.0%} of its records, and nobody went there: taken for false ones"
+            for column, one in found
         ]
 
     def forget(self, labels: Iterable[int]) -> None:
@@ -132,12 +147,13 @@ class FalsePlaces:
 
     def density(self, column: int, z: np.ndarray) -> list[float]:
         """Return the density (J,) per m² of false detections at positions (J, 2) m by these places."""
-        out = [0.0] * len(z)
-        for one in self.of[column]:
-            if one.odds > DOUBT:
-                for j, (x, y) in enumerate(z.tolist()):
-                    out[j] += one.probability * one.rate * _normal(x - one.x, y - one.y, one.variance)
-        return out
+        places = [one for one in self.of[column] if one.odds > DOUBT]
+        if not places or not len(z):
+            return [0.0] * len(z)
+        variance = np.array([one.variance for one in places])
+        share = np.array([one.probability * one.rate for one in places]) / (2 * math.pi * variance)
+        square = _squares(z, np.array([(one.x, one.y) for one in places]))
+        return (share * np.exp(-square / (2 * variance))).sum(1).tolist()
 
     def began(self, column: int, label: int, place: Sequence[float], variance: float, new: bool) -> None:
         """Note that a label begins, or comes back, with a detection at a place (2,) m of a variance in m² per axis."""
@@ -177,39 +193,58 @@ class FalsePlaces:
             self._confirm(scan, people, others, groups)
         if not places:
             return
-        rows = {people.label[row]: row for row in likely}
-        centres = dict(zip(likely, people.centres(likely)[:, :2].tolist(), strict=True)) if likely else {}
-        z = scan.z.tolist()
-        for one in places:
-            row = rows.get(one.label, -1)
-            if row >= 0 and _apart(one, *centres[row]) > WENT**2:  # whoever was there is a person, who has left
-                one.label, row = -1, -1
-                one.odds = min(one.odds, DOUBT) if one.odds < 0 else one.odds
-            there = [k for k, (x, y) in centres.items() if k != row and _apart(one, x, y) < NEAR**2]
-            if any(self._went(people.label[k], one) for k in ([row] if row >= 0 else []) + there):
-                continue
-            near = [(_apart(one, x, y), j) for j, (x, y) in enumerate(z)]
-            apart, j = min(near, default=(math.inf, -1))
-            if apart >= GATE * one.variance:
-                one.weigh(math.log(1 - one.rate) - (_beside(scan, row, likely, birth) if row >= 0 else 0.0))
-                one.count(False)
-                continue
-            false = one.rate * _normal(z[j][0] - one.x, z[j][1] - one.y, one.variance)
-            usual, owner, most = scan.clutter[j] - scan.local[j] + birth[j], -1, 0.0
-            for k in likely:
-                gain = float(scan.gain[k, j])
-                if gain > 0:
-                    gain = max(gain, false / one.rate) if k == row else gain
-                    caused = scan.existence[k] * scan.p_detect[k] * gain
-                    usual += caused
-                    if caused > most:
-                        owner, most = k, caused
-            one.weigh(math.log(false) - math.log(max(usual, 1e-300)))
-            one.count(True)
-            self._move(one, z[j], (scan.noise[j, 0, 0] + scan.noise[j, 1, 1]) / 2)
-            if owner >= 0 and not self._went(people.label[owner], one):
-                one.label = people.label[owner]
+        labels, at = [people.label[row] for row in likely], np.array([(one.x, one.y) for one in places])
+        to_people, to_shown = _squares(at, people.centres(likely)[:, :2]).tolist(), _squares(at, scan.z).tolist()
+        for one, away, apart in zip(places, to_people, to_shown, strict=True):
+            k = labels.index(one.label) if one.label in labels else -1
+            if k >= 0 and away[k] > WENT**2:  # whoever was there is a person, who has left
+                one.label, k = -1, -1
+                one.odds = one.odds if one.odds > 0 else min(one.odds, DOUBT)
+            there = [i for i, square in enumerate(away) if square < NEAR**2 or i == k]
+            if not any(self._went(labels[i], one) for i in there):
+                self._weigh(one, scan, people, likely, birth, likely[k] if k >= 0 else -1, apart)
+            if one.odds > SURE and not one.told:
+                one.told = True
+                self._found.append((scan.column, one))
         self.of[scan.column] = [one for one in places if one.odds > GIVEN_UP]
+
+    def _weigh(
+        self,
+        one: FalsePlace,
+        scan: Scan,
+        people: Densities,
+        likely: Sequence[int],
+        birth: Sequence[float],
+        row: int,
+        apart: Sequence[float],
+    ) -> None:
+        """Weigh what a record shows at a place.
+
+        Args:
+            one: the place.
+            scan, people, likely, birth: see `learn`.
+            row: of the person who may be there, -1: none.
+            apart: J squared distances in m² from the place to the detections.
+        """
+        square, j = min((square, j) for j, square in enumerate(apart)) if apart else (math.inf, -1)
+        if square >= GATE * one.variance:
+            one.weigh(math.log(1 - one.rate) - (_beside(scan, row, likely, birth) if row >= 0 else 0.0))
+            one.count(False)
+            return
+        density = _normal(square, one.variance)
+        usual, owner, most = scan.clutter[j] - scan.local[j] + birth[j], -1, 0.0
+        for k in likely:
+            gain = float(scan.gain[k, j])
+            if gain > 0:  # who sits there is as still as the place
+                caused = scan.existence[k] * scan.p_detect[k] * (max(gain, density) if k == row else gain)
+                usual += caused
+                if caused > most:
+                    owner, most = k, caused
+        one.weigh(math.log(one.rate * density) - math.log(max(usual, 1e-300)))
+        one.count(True)
+        _move(one, scan.z[j].tolist(), square, float(scan.noise[j, 0, 0] + scan.noise[j, 1, 1]) / 2)
+        if owner >= 0 and not self._went(people.label[owner], one):
+            one.label = people.label[owner]
 
     @staticmethod
     def _confirm(scan: Scan, people: Densities, places: Sequence[FalsePlace], groups: Iterable[Group]) -> None:
@@ -228,12 +263,12 @@ class FalsePlaces:
         first = self.first.get(label)
         return first is None or _apart(one, *first) > WENT**2
 
-    def _move(self, one: FalsePlace, z: Sequence[float], noise: float) -> None:
-        """Learn from a detection where a place is, and how far its detections lie apart."""
-        share = 1 / (one.hits + 1)
-        apart = _apart(one, *z) / 2
-        one.x, one.y = one.x + share * (z[0] - one.x), one.y + share * (z[1] - one.y)
-        one.variance = max(one.variance + share * (apart - one.variance), noise)
+
+def _move(one: FalsePlace, z: Sequence[float], square: float, noise: float) -> None:
+    """Learn from a detection where a place is, and how far its detections lie apart; square: m² between the two."""
+    share = 1 / (one.hits + 1)
+    one.x, one.y = one.x + share * (z[0] - one.x), one.y + share * (z[1] - one.y)
+    one.variance = max(one.variance + share * (square / 2 - one.variance), noise)
 
 
 def _beside(scan: Scan, row: int, likely: Sequence[int], birth: Sequence[float]) -> float:
@@ -249,5 +284,11 @@ def _apart(one: FalsePlace, x: float, y: float) -> float:
     return (one.x - x) ** 2 + (one.y - y) ** 2
 
 
-def _normal(dx: float, dy: float, variance: float) -> float:
-    return math.exp(-(dx * dx + dy * dy) / (2 * variance)) / (2 * math.pi * variance)
+def _squares(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the squared distances (n, m) between places (n, 2) and (m, 2)."""
+    return np.square(one[:, None] - other).sum(2)
+
+
+def _normal(square: float, variance: float) -> float:
+    """Return the density per m² at a squared distance in m² from the mean."""
+    return math.exp(-square / (2 * variance)) / (2 * math.pi * variance)

@@ -167,6 +167,10 @@ class GLMB:
         }
         return {**self.habits.state(), "sensors": {**self.known, **sensors}}
 
+    def news(self) -> list[str]:
+        """Return sentences for the user about what was learnt since the last call and takes somebody away."""
+        return self.false_places.news([one.name for one in self.sensors])
+
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another run in the same room has learnt, before the first record.
 
@@ -269,7 +273,10 @@ class GLMB:
             known = self.labelled()
             before = {str(one.label): one.existence for one in known}
             errors = self.errors.described(scan.column)
-            account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
+            false_places = self.false_places.state(scan.column)
+            account = journal.account(
+                self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors, false_places
+            )
             journal.add_features(account, scan, self.people.label, self.likely_rows)
             rows = [one.row for one in known]
             leaving = self.habits.leaving(self.people.mean.take(rows, 0)[:, 0])

@@ -13,7 +13,7 @@ from avcli.tracking.settings import SENSORS, Sensor
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
 PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 1.0, 20.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
-REVISED = 0.75  # records by which earlier ones count less for clutter with each: at first it is taken for people
+REVISED = 0.5  # records by which earlier ones count less for clutter with each: at first it is taken for people
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
