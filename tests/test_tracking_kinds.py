@@ -294,7 +294,8 @@ def look(model, column=0):
     nothing = np.zeros((0, 2))
     none, between = np.zeros(0), Between(np.zeros(0), np.zeros(0))
     noise = np.zeros((0, 2, 2))
-    return Scan(model, column, nothing, noise, none, 0.0, between, [], nothing, nothing, [], [], [], [], 1.0, [], 0.9, 0.9, [])
+    seen = [], nothing, nothing, [], [], [], []
+    return Scan(model, column, nothing, noise, none, 0.0, between, *seen, 1.0, [], 0.9, 0.9, [])
 
 
 def half_seen():
