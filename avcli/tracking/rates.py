@@ -11,9 +11,9 @@ from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 1.0, 20.0, 4.0
+PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 20.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
-REVISED = 0.5  # records by which earlier ones count less for clutter with each: at first it is taken for people
+SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
@@ -34,17 +34,16 @@ class Rates:
     def __init__(self, sensor: Sensor) -> None:
         self.clutter, self.detection, self.score_nats = sensor.clutter, sensor.detection, sensor.score_nats
         self.typical: float | None = None  # log odds of the scores of people
-        self.prior_clutter = PRIOR_RECORDS * sensor.clutter  # of `clutter_sum`
-        self.clutter_sum, self.clutter_count = self.prior_clutter, PRIOR_RECORDS
+        self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_PEOPLE * sensor.detection, PRIOR_PEOPLE
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
 
     def learn(self, clutter: float, hits: float, misses: float) -> None:
         """Learn from one record: its expected false detections, people detected, detectable people missed."""
-        keep = min(KEEP, 1 - REVISED / max(self.clutter_count - PRIOR_RECORDS, 1.0))
-        self.clutter_sum = self.prior_clutter + (self.clutter_sum - self.prior_clutter) * keep + clutter
-        self.clutter_count = PRIOR_RECORDS + (self.clutter_count - PRIOR_RECORDS) * keep + 1
+        surprises = clutter > self.clutter + SURPRISE * math.sqrt(self.clutter + 1)  # what was learnt cannot be right
+        keep = REVISED if surprises else KEEP
+        self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self._estimate()
 
