@@ -237,8 +237,8 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
     n, able = len(js), detectable
     mean, cov, mode = gaussian.begin(scan.z[js], scan.noise[js] + scan.ahead**2 / 2 * np.eye(2), population.motion)
     able[:, scan.column] = 1.0
-    seen, lean = np.full(able.shape, NEVER), np.zeros(able.shape)
-    seen[:, scan.column], lean[:, scan.column] = time, 1.0
+    seen, lean, hits = np.full(able.shape, NEVER), np.zeros(able.shape), np.zeros(able.shape)
+    seen[:, scan.column], lean[:, scan.column], hits[:, scan.column] = time, 1.0, 1.0
     return Densities(
         mean=mean,
         cov=cov,
@@ -248,7 +248,8 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
         lean=lean,
         seen=seen,
         place=scan.z[js],
-        hits=np.ones(n, int),
+        hits=hits,
+        told=np.zeros(n),
         reach=uncertainty(cov[:, 0]),
         label=[-1] * n,
         node=[None] * n,

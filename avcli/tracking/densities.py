@@ -27,7 +27,8 @@ class Densities:
         lean: (n, S) share of each sensor's lasting error that the position follows, see `errors`.
         seen: (n, S) s, when each sensor detected the person last, NEVER: never.
         place: (n, 2) m, where any sensor did so last.
-        hits: (n,) how often.
+        hits: (n, S) how often each sensor did so.
+        told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
@@ -43,6 +44,7 @@ class Densities:
     seen: np.ndarray
     place: np.ndarray
     hits: np.ndarray
+    told: np.ndarray
     reach: np.ndarray
     label: list[int]
     node: list[Node | None]
@@ -64,7 +66,8 @@ class Densities:
             lean=np.zeros((0, 0)),
             seen=np.zeros((0, 0)),
             place=np.zeros((0, 2)),
-            hits=np.zeros(0, int),
+            hits=np.zeros((0, 0)),
+            told=np.zeros(0),
             reach=np.zeros(0),
             label=[],
             node=[],

@@ -225,6 +225,8 @@ class Fusion:
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
         for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
             self._update(at, sensors[column], parts)
+        for text in self.tracker.news() if isinstance(self.tracker, Learning) else ():
+            self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
         return [self._identified(now, self.tracker.tracks(now))]

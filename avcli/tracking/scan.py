@@ -47,6 +47,8 @@ class Scan:
         existence: n probabilities.
         detectable: n probabilities that the sensor can detect the person.
         clutter: J densities per m² of false detections.
+        expected_clutter: number of them, without those of places that are false again and again.
+        local: J densities per m² of false detections of such places; `clutter` includes them.
         p_sensor: probability that it detects a detectable person who was known before the sensor may have gone blind.
         p_newcomer: the same of a person who came since.
         newcomers: J densities per m² of detecting a person never detected before, where there is room for another.
@@ -71,6 +73,8 @@ class Scan:
     existence: list[float]
     detectable: list[float]
     clutter: list[float]
+    expected_clutter: float
+    local: list[float]
     p_sensor: float
     p_newcomer: float
     newcomers: list[float]
