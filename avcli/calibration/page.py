@@ -121,7 +121,7 @@ def _maps(result: Calibration) -> list[str]:
             result,
             "Expected error",
             "How far the lens may be wrong: one standard deviation.",
-            _field(result, q.field_pixels, q.field_sd_px),
+            _field(result, q.field.pixels, q.field_sd_px),
             _scale(q.field_sd_px),
         ),
         _map(
