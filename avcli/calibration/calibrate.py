@@ -20,6 +20,7 @@ BOARD_GAIN = 0.02
 LEAST_FOR_ERRORS = 8
 """Views from which the board's errors are looked for."""
 
+_LEAST_CORNERS = 6
 DEFAULTS = FitSettings()
 
 
@@ -282,24 +283,44 @@ def judged(
     )
 
 
-def check(board: Board, views: list[View], lens: Lens) -> dict:
+def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
+    Args:
+        board, views: what was filmed.
+        lens: to be scored.
+        theta_trusted: rad; corners farther from the axis do not count, and their number is stated.
+
     Returns:
-        views, corners, rms_px (of all corners), median_px, worst_px (of a view) and theta_max_seen_deg.
+        views, corners, corners_beyond (where theta_trusted is stated), rms_px (of all corners up to there), median_px,
+        worst_px (of a view) and theta_max_seen_deg.
+
+    Raises:
+        fit.NoFit: no view has enough corners up to there.
     """
     everything = observe(board, views)
     start = fit.start_from_rays(everything, lens)
     solution = fit.refine_poses(everything, start, 20)
     everything = robust.polished(everything, solution, board, views)
+    theta = quality.seen_angles(lens, everything.pixels)
+    known = ~(theta > theta_trusted)
+    if not known.all():
+        enough = everything.per_view(known.astype(int)) >= _LEAST_CORNERS
+        if not enough.any():
+            raise fit.NoFit(
+                f"no picture has {_LEAST_CORNERS} corners within the {np.rad2deg(theta_trusted):.1f} degrees from the "
+                "axis up to which the lens is known"
+            )
+        everything, solution = everything.of_corners(known & enough[everything.view]), solution.of_views(enough)
     solution = fit.refine_poses(everything, solution, 20)
     each = fit.view_rms(everything, solution)
     corners_of = np.bincount(everything.view)
     return {
-        "views": len(views),
+        "views": everything.views,
         "corners": len(everything.pixels),
+        **({} if np.isinf(theta_trusted) else {"corners_beyond": int((~known).sum())}),
         "rms_px": float(np.sqrt((each**2 * corners_of).sum() / corners_of.sum())),
         "median_px": float(np.median(each)),
         "worst_px": float(each.max()),
-        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(quality.seen_angles(lens, everything.pixels)))),
+        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(theta))),
     }

@@ -195,8 +195,8 @@ def split_halves(
         observations, solution: of the kept views.
         pixels: (n, 2) px at which the lenses are compared, such as those that light reaches and that are trusted.
         splits: how many random splits.
-        refit: fit each half, and the board's errors, from the solution on until it stands; otherwise one Gauss-Newton step from it, which
-            differs by a tenth of a standard deviation and costs milliseconds.
+        refit: fit each half, and the board's errors, from the solution on until it stands; otherwise one Gauss-Newton
+            step from it, which differs by a tenth of a standard deviation and costs milliseconds.
         seed: of the splits.
 
     Returns:

@@ -367,8 +367,8 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
 def by_view(observations: Observations, solution: Solution) -> Views:
     """What each view says about the unknowns in `solution.free`, at the solution and with its robust weights.
 
-    The view's pose is eliminated. So are the board's errors, if there are any: they are held by BOARD_ERROR, and what the
-    lens owes to them is not known better than they are.
+    The view's pose is eliminated. So are the board's errors, if there are any: what the lens owes to them is not known
+    better than they are.
     """
     o = observations
     residual, common, own = _linearise(o, solution)

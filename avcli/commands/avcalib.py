@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -155,11 +156,15 @@ def check_command(
     session: Session, camera: str, sources: tuple[str, ...], fail_over_px: float | None, **values: Any
 ) -> None:
     """Test a calibration on new pictures of a board. Only the poses of the board are fitted; the lens is fixed."""
-    from avcli.calibration import calibrate
+    from avcli.calibration import calibrate, fit
 
     known = read_camera(session, camera)
     seen = views_for(session, list(sources), values, known)
-    score = calibrate.check(seen.board, seen.views, known.lens)
+    trusted = known.theta_trusted if "theta_max_trusted_deg" in known.values else math.inf
+    try:
+        score = calibrate.check(seen.board, seen.views, known.lens, trusted)
+    except fit.NoFit as error:
+        raise GateNotMet(str(error)) from None
     with session.output() as write:
         write({"pictures": len(seen), **score})
     if fail_over_px is not None and not score["rms_px"] <= fail_over_px:
