@@ -107,14 +107,16 @@ def texture(board: Board, per_square: int = 48) -> np.ndarray:
 
 
 @functools.cache
-def printed(board: Board) -> tuple[np.ndarray, float]:
-    """The page with the board, as its PNG holds it: (height, width) float32 0 to 1, and its pixels per metre."""
+def printed(board: Board) -> tuple[np.ndarray, float, np.ndarray]:
+    """The page with the board as its PNG (height, width) float32 0 to 1, pixels per metre, and half its size (2,) m."""
     import cv2
 
     per_unit = 48 if board.kind == "charuco" else 80
     dpi = per_unit / board.square_m * 0.0254
-    page = cv2.imdecode(np.frombuffer(to_png(draw(board), dpi), np.uint8), 0)
-    return page.astype(np.float32) / 255, round(dpi / 0.0254)
+    drawing = draw(board)
+    page = cv2.imdecode(np.frombuffer(to_png(drawing, dpi), np.uint8), 0)
+    half = np.array([drawing.width_mm, drawing.height_mm]) / 2000
+    return page.astype(np.float32) / 255, round(dpi / 0.0254), half
 
 
 def photograph(
@@ -165,8 +167,7 @@ def photograph(
     row = by / (1 + shape[2]) / board.square_m + board.rows / 2
     on = (column > -1) & (column < board.columns + 1) & (row > -1) & (row < board.rows + 1)
     if board.kind != "checkerboard":
-        ink, per_m = printed(board)
-        half = np.array(ink.shape[::-1]) / per_m / 2
+        ink, per_m, half = printed(board)
         on = (np.abs(bx) < half[0]) & (np.abs(by) < half[1])
         place = [
             np.clip(np.nan_to_num((a + b) * per_m - 0.5, nan=-1), -1, 3e4) for a, b in zip((bx, by), half, strict=True)

@@ -7,7 +7,7 @@ import pytest
 from calibration_boards import BOARD, THESIS, exact, film, photograph
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, fit, gather, live, robust
+from avcli.calibration import calibrate, fit, gather, robust
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.media import MediaError, write_png
@@ -37,7 +37,7 @@ def test_the_sample_in_the_docstring_runs(shots, tmp_path, monkeypatch):
 
 
 def test_arrays_and_iterators_give_the_same_lens(shots):
-    listed = calibrate.calibrate(shots, board=(6, 8))
+    listed = calibrate.calibrate(shots, board=(6, 8), square_m=0.095)
     streamed = calibrate.calibrate(iter(shots), board=Board(6, 8, 0.095))
     assert listed.camera_config() == streamed.camera_config()
     assert (listed.width, listed.height, len(listed.views)) == (*HALF_SIZE, 8)
@@ -79,16 +79,6 @@ def test_a_source_that_fails_leaves_what_it_gave(shots):
 def test_after_ends_the_search(shots):
     seen = gather.collect(shots, BOARD, eager=True, after=lambda seen, _grey, _view: len(seen) == 3)
     assert len(seen) == 3
-
-
-def test_the_guide_stops_when_enough_is_known(shots):
-    said, shown = [], []
-    guide = live.Guide(1.0, said.append, shown.append)
-    seen = gather.collect(shots, BOARD, eager=True, after=guide.after)
-    assert 4 <= len(seen) < 8
-    assert guide.mean_px <= 1.0
-    assert len(shown) == len(seen)
-    assert "1 view, " in said[0]
 
 
 # --- lens models ------------------------------------------------------------------------------------------------------

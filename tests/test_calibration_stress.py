@@ -188,6 +188,9 @@ class VanishingCamera:
     def set(self, *_):
         return True
 
+    def get(self, _):
+        return 0.0
+
     def grab(self):
         return bool(self.pictures)
 

@@ -278,11 +278,11 @@ CAMERA = """
 import numpy as np
 from avcli.formats import footage
 
-def pictures(name, rate_hz, size):
+def pictures(camera):
     for number in range(50):
-        yield footage.Picture(name, number / 10, np.full((120, 160, 3), 90, np.uint8))
+        yield footage.Picture(camera.name, number / 10, np.full((120, 160, 3), 90, np.uint8))
 
-footage._camera_pictures = pictures
+footage.camera_pictures = pictures
 footage.sources = lambda names: [footage.source(name) for name in names]
 from avcli.commands.avdetect_video import main
 main()

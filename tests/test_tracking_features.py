@@ -105,7 +105,7 @@ def test_merged_people_have_the_moments_of_the_mixture(seed):
     crowd.traits = rng.standard_normal((3, 5, 4))
     crowd.traits[:, 2:] = np.abs(crowd.traits[:, 2:])
     before = crowd.traits.copy()
-    crowd.merge([1, 0, 2], share.tolist())
+    crowd.merge([[1, 0, 2]], [share.tolist()])
     mean = np.einsum("k,kid->id", share, before[[1, 0, 2], :2])
     np.testing.assert_allclose(crowd.traits[1, :2], mean)
     second = np.einsum("k,kd->d", share, before[[1, 0, 2], XX] + before[[1, 0, 2], X] ** 2)

@@ -117,8 +117,8 @@ def people(centre, spread=0.2):
     ones, place = np.ones((1, 1)), np.array([centre], float)
     return Densities(
         mean=np.array([[[*centre, 0.2, 0.1]]]), cov=cov[None, None], mode=ones, existence=np.ones(1),
-        detectable=ones.copy(), lean=np.zeros((1, 1)), seen=np.zeros((1, 1)), place=place, hits=np.ones(1, int),
-        reach=np.ones(1), label=[0], node=[None],
+        detectable=ones.copy(), lean=np.zeros((1, 1)), seen=np.zeros((1, 1)), place=place, hits=np.ones((1, 1)),
+        told=np.zeros(1), reach=np.ones(1), label=[0], node=[None],
     )  # fmt: skip
 
 
@@ -294,7 +294,8 @@ def look(model, column=0):
     nothing = np.zeros((0, 2))
     none, between = np.zeros(0), Between(np.zeros(0), np.zeros(0))
     noise = np.zeros((0, 2, 2))
-    return Scan(model, column, nothing, noise, none, 0.0, between, [], nothing, nothing, [], [], [], [], 0.9, 0.9, [])
+    seen = [], nothing, nothing, [], [], [], []
+    return Scan(model, column, nothing, noise, none, 0.0, between, *seen, 1.0, [], 0.9, 0.9, [])
 
 
 def half_seen():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import fit, gather, opencv, quality, robust, spacing
+from avcli.calibration import fit, gather, opencv, place, quality, robust, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
@@ -293,7 +293,7 @@ def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np
 
     Returns:
         views, corners, corners_beyond (where theta_trusted is stated), rms_px (of all corners up to there), median_px,
-        worst_px (of a view) and theta_max_seen_deg.
+        worst_px (of a view), off_deg (of those corners, as an angle) and theta_max_seen_deg.
 
     Raises:
         fit.NoFit: no view has enough corners up to there.
@@ -322,5 +322,15 @@ def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np
         "rms_px": float(np.sqrt((each**2 * corners_of).sum() / corners_of.sum())),
         "median_px": float(np.median(each)),
         "worst_px": float(each.max()),
+        "off_deg": float(
+            np.rad2deg(place.off_angle(lens.unproject(everything.pixels), _in_camera(everything, solution)))
+        ),
         "theta_max_seen_deg": float(np.rad2deg(np.nanmax(theta))),
     }
+
+
+def _in_camera(observations: fit.Observations, solution: fit.Solution) -> np.ndarray:
+    """Where the corners are in the camera's frame, (n, 3) m."""
+    R, t = solution.rotations[observations.view], solution.translations[observations.view]
+    board = fit.surface(observations.points, solution.shape, observations.half_extent)
+    return np.einsum("nij,nj->ni", R, board) + t

@@ -93,22 +93,35 @@ def parse_camera(content: bytes, name: str) -> KnownCamera:
     return KnownCamera(lens, (width, height), values, name)
 
 
+OF_LENS = (
+    *("lens_model", *experiment.LENS_KEYS, "image_width_px", "image_height_px", "calibration"),
+    *("theta_max_observed_deg", "theta_max_trusted_deg", "theta_max_valid_deg", "image_circle_px"),
+)
+"""Keys of a camera_config that say what its lens is, and how well that is known."""
+
+
 def write_camera(path: Path, found: Mapping[str, Any]) -> None:
-    """Write keys of a camera_config into a config.json or into a file of its own, which keeps its other keys."""
+    """Write keys of a camera_config into a config.json or into a file of its own, which keeps its other keys.
+
+    Where a lens is written, nothing stays of what the file says of another one.
+    """
     raw = dict(experiment.read_config(path).raw) if path.exists() else {}
-    if "fx_px" in raw:  # a camera_config by itself, as calibrate writes it
-        raw |= found
-    else:
-        raw["camera_config"] = {**raw.get("camera_config", {}), **found}
+    old = (
+        raw if "fx_px" in raw else raw.get("camera_config", {})
+    )  # or a camera_config by itself, as calibrate writes it
+    new = {**{key: old[key] for key in old if "lens_model" not in found or key not in OF_LENS}, **found}
+    raw = new if "fx_px" in raw else {**raw, "camera_config": new}
     path.parent.mkdir(parents=True, exist_ok=True)
     experiment.write_config(path, raw)
 
 
-def write_microphones(path: Path, raw: Mapping[str, Any], positions: list[list[float]]) -> None:
-    """Write positions (m, 3) m of the microphones into a config.json that reads `raw`; all else stays."""
+def write_microphones(path: Path, raw: Mapping[str, Any], positions: list[list[float]], sd_m: float) -> None:
+    """Write positions (m, 3) m of the microphones, and how well they are known, into a config.json that reads `raw`."""
     section = raw["microphone_config"]
     listed = [
         {**old, "position": new} if isinstance(old, Mapping) else new
         for old, new in zip(section["mic_positions_m"], positions, strict=True)
     ]
-    experiment.write_config(path, {**raw, "microphone_config": {**section, "mic_positions_m": listed}})
+    experiment.write_config(
+        path, {**raw, "microphone_config": {**section, "mic_positions_m": listed, "calibration": {"sd_m": sd_m}}}
+    )

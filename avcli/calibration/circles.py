@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from avcli.calibration.target import Board, Kind
 from avcli.lens import Lens
@@ -25,7 +24,7 @@ _LEAST_AREA = 16
 """px², of a circle."""
 _LONGEST = 4.0
 """Longest over shortest axis of a circle's image."""
-_BLOCKS = (10, 40)
+_BLOCKS = (4, 12, 40)
 """A pixel is dark against the mean of a square around it; the picture's longer side over the side of that square."""
 _SEEDS = 4
 """Lattices that are looked for in one picture."""
@@ -142,6 +141,9 @@ def _spots(grey: np.ndarray) -> np.ndarray:
         possible = (
             (area >= _LEAST_AREA) & (stats[:, cv2.CC_STAT_WIDTH] < block) & (stats[:, cv2.CC_STAT_HEIGHT] < block)
         )
+        left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
+        right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+        possible &= (left > 1) & (top > 1) & (right < grey.shape[1] - 1) & (bottom < grey.shape[0] - 1)  # not cut
         possible[0] = False
         flat = np.flatnonzero(possible[labels])
         which = labels.ravel()[flat]
@@ -164,6 +166,8 @@ def _spots(grey: np.ndarray) -> np.ndarray:
 
 def _grown(spots: np.ndarray, free: np.ndarray) -> dict[tuple[int, int], int]:
     """Grow a lattice from the free spot whose surroundings look most like one: cell -> spot."""
+    from scipy.spatial import cKDTree
+
     places, sizes = spots[:, :2], np.sqrt(spots[:, 2] + spots[:, 4])
     members = np.flatnonzero(free)
     near = cKDTree(places[members])
@@ -261,7 +265,9 @@ def _refined(grey: np.ndarray, spots: np.ndarray) -> np.ndarray:
             if inside.sum() < 3 or ring.sum() < 3:
                 break
             light, dark = float(np.median(value[ring])), float(np.median(value[inside]))
-            weight = np.where(radius < 1.45, (light - value) / max(light - dark, 1.0), 0.0)
+            # Only the edge is measured: inside and outside, noise and uneven light do not count.
+            darkness = np.clip(2 * (light - value) / max(light - dark, 1.0) - 0.5, 0, 1)
+            weight = np.where(radius < 1.45, darkness, 0.0)
             total = weight.sum()
             if not total > 0:
                 break

@@ -92,7 +92,8 @@ def _caption(board: Board) -> str:
         "checkerboard": f"{board} {unit} of {side}, checkerboard",
         "charuco": f"{board} {unit} of {side}, ChArUco (DICT_{board.dictionary}, ratio {board.ratio:g}"
         f"{', legacy' if board.legacy else ''})",
-        "aprilgrid": f"AprilGrid of {board} tags of {side}, ratio {board.ratio:g} (tag36h11, as Kalibr's)",
+        "aprilgrid": f"AprilGrid of {board} tags of {side}, ratio {board.ratio:g} ("
+        f"{board.dictionary.replace('APRILTAG_', 'tag')}, as Kalibr's)",
         "circles": f"{board} circles, {side} apart",
         "asymmetric": f"{board} circles, asymmetric, rows {side} apart",
     }[board.kind]

@@ -1,10 +1,10 @@
 """Gathering the views of a board from many pictures, and what became of each picture."""
 
 import os
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,9 @@ _MISSES = 8
 _GUESS_AFTER = (4, 12)
 """Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
+_NAMED = 5
+"""Pictures that a message names before it counts the others."""
+
 Found = View | Board | None
 """The view of the board in a picture; as long as the board is unknown, the board that it shows."""
 Look = tuple[Picture, np.ndarray, Found]
@@ -38,9 +41,9 @@ class Seen:
         views: those that can be used.
         names: what the picture of each of them is called.
         misses: some pictures without a board, reduced.
-        size: (width, height) px of all pictures; None before the first.
-        sample: (height, width) uint8, a picture with a board; None before the first.
-        light: the mean of the pictures, which shows where light reaches them.
+        size: (width, height) px of the pictures; None before the first. See `settle_size`.
+        samples: of each size (width, height) the first picture with a board, (height, width) uint8.
+        lights: of each size the mean of its pictures, which shows where light reaches them.
     """
 
     def __init__(self, board: Board, *, is_known: bool = True):
@@ -49,41 +52,82 @@ class Seen:
         self.names: list[str] = []
         self.misses: list[np.ndarray] = []
         self.size: tuple[int, int] | None = None
-        self.sample: np.ndarray | None = None
-        self.light = Light()
+        self.samples: dict[tuple[int, int], np.ndarray] = {}
+        self.lights: dict[tuple[int, int], Light] = {}
         self._pictures: list[dict] = []
 
     def __len__(self) -> int:
         """Count the pictures."""
         return len(self._pictures)
 
-    def take(self, name: str, timestamp: float, grey: np.ndarray, view: View | None) -> None:
-        """Add a picture (height, width) uint8 and the view in it.
-
-        Raises:
-            ValueError: it has another size than those before.
-        """
+    def take(self, name: str, timestamp: float, grey: np.ndarray, view: View | None, why: str | None = None) -> None:
+        """Add a picture (height, width) uint8 and the view in it, which is left out if there is a reason `why`."""
         size = grey.shape[1], grey.shape[0]
         self.size = self.size or size
-        if size != self.size:
-            raise ValueError(
-                f"{name} is {size[0]} × {size[1]} px, but the pictures before it are {self.size[0]} × {self.size[1]} "
-                "px; calibrate pictures of one size at a time"
-            )
-        self.light.take(grey)
-        why = None
+        self.lights.setdefault(size, Light()).take(grey)
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
                 self.misses.append(corners.shrunk(grey))
-        elif is_duplicate(view, self.views):
+        elif why is None and is_duplicate(view, self.views):
             why = "duplicate"
-        else:
+        elif why is None:
             self.views.append(view)
             self.names.append(name)
-            self.sample = grey if self.sample is None else self.sample
+            self.samples.setdefault(size, grey)
         index = None if why else len(self.views) - 1
-        self._pictures.append({"timestamp": timestamp, "picture": name, "why": why, "view": index})
+        self._pictures.append({"timestamp": timestamp, "picture": name, "why": why, "view": index, "size": size})
+
+    def settle_size(self, wanted: tuple[int, int] | None = None) -> list[str]:
+        """Leave out the pictures that do not have the size of most views (of most pictures where there is no view).
+
+        Args:
+            wanted: width and height in px of a known camera, which are kept if any picture has them.
+
+        Returns:
+            what is left out, in sentences without a full stop.
+        """
+        every = [picture["size"] for picture in self._pictures]
+        counted = [(view.width, view.height) for view in self.views] or every
+        if not every:
+            return []
+        here = wanted if wanted and wanted in every else Counter(counted).most_common(1)[0][0]
+        self.size = here
+        said = []
+        for size in dict.fromkeys(every):
+            if size == here:
+                continue
+            others = [picture for picture in self._pictures if picture["size"] == size]
+            for picture in others:
+                picture["why"], picture["view"] = "another size", None
+            names = [picture["picture"] for picture in others]
+            some = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+            turned = ", as if turned by 90 degrees" if size == here[::-1] else ""
+            said.append(
+                f"left out: {some}: {size[0]} × {size[1]} px{turned}; a lens is found from pictures of one size, here "
+                f"{here[0]} × {here[1]} px"
+            )
+        if said:
+            self._renumber()
+        return said
+
+    def _renumber(self) -> None:
+        """Keep the views of the chosen size alone."""
+        kept = [i for i, view in enumerate(self.views) if (view.width, view.height) == self.size]
+        places = {old: new for new, old in enumerate(kept)}
+        self.views, self.names = [self.views[i] for i in kept], [self.names[i] for i in kept]
+        for picture in self._pictures:
+            picture["view"] = places.get(picture["view"])
+
+    @property
+    def sample(self) -> np.ndarray | None:
+        """A picture with the board, (height, width) uint8; None before the first."""
+        return self.samples.get(self.size) if self.size else None
+
+    @property
+    def light(self) -> Light:
+        """The mean of the pictures of the chosen size."""
+        return self.lights.get(self.size, Light()) if self.size else Light()
 
     def count(self, why: str) -> int:
         """Count the pictures that were left out for a reason, "no board" or "duplicate"."""
@@ -135,7 +179,8 @@ class Seen:
             rms_px: (views,) residual of each view.
         """
         for number, picture in enumerate(self._pictures):
-            row = {"timestamp": picture["timestamp"], "frame_number": number, "picture": picture["picture"]}
+            name = picture["picture"].encode("utf-8", "replace").decode()  # a file's name may be no UTF-8
+            row = {"timestamp": picture["timestamp"], "frame_number": number, "picture": name}
             index, why, used = picture["view"], picture["why"], False
             if index is not None:
                 view, why = self.views[index], "no fit"
@@ -168,7 +213,9 @@ def collect(
     *,
     thorough: bool = True,
     eager: bool = False,
+    size: tuple[int, int] | None = None,
     say: Callable[[str], None] = lambda _: None,
+    reason: Callable[[Seen, Picture, View | None], str | None] = lambda *_: None,
     after: Callable[[Seen, np.ndarray, View | None], bool] = lambda *_: False,
 ) -> Seen:
     """Look for the board in all pictures.
@@ -181,15 +228,16 @@ def collect(
         board: what they are expected to show; what is unknown of it is read from the first pictures that show it.
         thorough: see corners.find.
         eager: look at each picture before the next one is asked for, as hints while filming need it.
-        say: gets sentences for the user.
+        size: width and height in px of the camera, if it is known; otherwise the size of most pictures is taken.
+        say: gets sentences for the user, such as which pictures have another size and are left out.
+        reason: is called with what was seen before, each picture and its view; why the view is left out, or None.
         after: is called after each picture with what was seen, the grey picture (height, width) uint8 and its view;
             True ends the search.
 
     Raises:
-        ValueError: the pictures differ in size.
         MediaError: the source fails before any picture shows the board.
     """
-    search = _Search.of(board, thorough, eager, say)
+    search = _Search.of(board, thorough, eager, say, reason)
     try:
         for picture, grey, found in search.look_ahead(pictures):
             view = search.take(picture, grey, found)
@@ -200,6 +248,8 @@ def collect(
             raise
         say(f"{error}; the calibration continues with the pictures before it")
     search.end()
+    for words in search.seen.settle_size(size):
+        say(words)
     return search.seen
 
 
@@ -209,7 +259,7 @@ class _Search:
 
     Attributes:
         seen: so far.
-        thorough, eager, say: see `collect`.
+        thorough, eager, say, reason: see `collect`.
         wanted: what was known of the board before; None where it was given.
         first: the pictures so far, while another board may still be tried.
         shown: the boards that pictures show, while the board is unknown.
@@ -220,17 +270,25 @@ class _Search:
     thorough: bool
     eager: bool
     say: Callable[[str], None]
+    reason: Callable[[Seen, Picture, View | None], str | None]
     wanted: Wanted | None = None
     first: list[Picture] = field(default_factory=list)
     shown: list[Board] = field(default_factory=list)
     rows: int = 0
 
     @classmethod
-    def of(cls, board: Board | Wanted, thorough: bool, eager: bool, say: Callable[[str], None]) -> "_Search":
+    def of(
+        cls,
+        board: Board | Wanted,
+        thorough: bool,
+        eager: bool,
+        say: Callable[[str], None],
+        reason: Callable[[Seen, Picture, View | None], str | None],
+    ) -> "_Search":
         """Begin a search; what is wanted is recognised first where something is left open."""
         if isinstance(board, Board):
-            return cls(Seen(board), thorough, eager, say)
-        return cls(Seen(board.board(), is_known=board.is_complete), thorough, eager, say, board)
+            return cls(Seen(board), thorough, eager, say, reason)
+        return cls(Seen(board.board(), is_known=board.is_complete), thorough, eager, say, reason, board)
 
     @property
     def sought(self) -> Board | Wanted:
@@ -241,7 +299,7 @@ class _Search:
         """Add a picture and return the view in it; after some of them, recognise the board or try another size."""
         view = found if isinstance(found, View) else None
         known = self.seen.is_known
-        self.seen.take(picture.name, picture.timestamp, grey, view)
+        self._add(picture, grey, view)
         if not known:
             self.first = [*self.first[1 - _GUESS_AFTER[-1] :], picture]
             if isinstance(found, Board):
@@ -256,17 +314,24 @@ class _Search:
                 self.first = []
         return view if known else self.seen.last_view
 
+    def _add(self, picture: Picture, grey: np.ndarray, view: View | None) -> None:
+        self.seen.take(picture.name, picture.timestamp, grey, view, self.reason(self.seen, picture, view))
+
     def recognise(self, *, at_last: bool = False) -> None:
         """As soon as pictures agree on a board, look for it in those that are at hand, and continue with it."""
         board = recognise.agreed(self.shown, at_last=at_last)
         if board is None or self.wanted is None:
             return
+        given = self.wanted.size
+        if board.markers and given and given[0] != board.columns:
+            self.say(f"the board is given as {given[0]}x{given[1]}, but the pictures show {board.columns} columns")
+            self.wanted = replace(self.wanted, size=None)
         known = self.wanted.board(board)
         self.seen.forget(len(self.first))
         self.seen.board, self.seen.is_known = self.wanted.searched(board), True
         for picture in self.first:
-            self.seen.take(picture.name, picture.timestamp, *self._again(picture))
-        if known != self.wanted.board():
+            self._add(picture, *self._again(picture))
+        if self.wanted.size is None or known.kind != "checkerboard":
             self.say(f"the pictures show {_with_article(known.words)}; --kind and --board fix another one")
         self.rows = known.rows
         if len(self.seen) > _GUESS_AFTER[-1]:

@@ -116,8 +116,9 @@ def _find_tags(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray, 
     large = gap > 3
     order = np.argsort(points[large])
     points, pixels, gap = points[large][order], pixels[large][order], gap[large][order]
-    # A window of cv2.cornerSubPix may reach a little beyond the square: most of it still lies on the corner's edges.
-    return (points, pixels, 1.6 * gap) if len(points) >= 6 else None
+    # A window of cv2.cornerSubPix may reach a little beyond the square and into the tag's border.
+    border = gap / board.ratio * board.border_bits / board.marker_cells(0).shape[0]
+    return (points, pixels, np.minimum(1.6 * gap, 2.4 * border)) if len(points) >= 6 else None
 
 
 def _reduced(grey: np.ndarray) -> tuple[np.ndarray, float]:

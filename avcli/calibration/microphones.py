@@ -69,6 +69,11 @@ class Aligned:
         """Whether the found positions explain windows that took no part better than the given ones do."""
         return bool(self.held_out_s < 0.95 * self.held_out_given_s)
 
+    @property
+    def sd_m(self) -> float:
+        """Largest standard deviation of a microphone's position along any direction, m."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariances)[:, -1].max()))
+
     def record(self) -> dict:
         """What was found, as avcalib writes it."""
         return {

@@ -15,6 +15,8 @@ _NOMINAL_M = 0.095
 _AGREE = 2
 """Pictures that must show the same board; one may show a tiled floor or another print."""
 _MOST_ROWS = 40
+_LEAST_CORNERS = 16
+"""Inner corners of a checkerboard that is recognised without being told: noise may look like a smaller one."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +91,10 @@ def look(grey: np.ndarray, wanted: Wanted) -> Board | None:
         if found is not None or kind is not None:
             return found
     if kind in (None, "checkerboard"):
-        for inner in saddles.sizes(grey)[:1]:
-            columns, rows = sorted((inner[0] + 1, inner[1] + 1))
-            if wanted.size == (rows, columns):
-                columns, rows = rows, columns
-            return Board(columns, rows, scaled=False)
+        if wanted.size and saddles.find_board(grey, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
+            return Board(*wanted.size, scaled=False)
+        for inner in saddles.sizes(grey, _LEAST_CORNERS)[:1]:
+            return Board(min(inner) + 1, max(inner) + 1, scaled=False)
     if kind == "checkerboard":
         return None
     found = circles.recognise(grey)

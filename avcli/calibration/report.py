@@ -1,4 +1,4 @@
-"""The report on a calibration: in words, in a picture, in an HTML page."""
+"""The report on a calibration: in words, and in a picture."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def words(result: Calibration, seen: Seen) -> list[str]:
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(lens.names()[4:], parameters[4 : -fit.SHAPE], q.sd[4 : -fit.SHAPE], strict=True)
     lines = [
-        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the board of {result.board} squares, "
+        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}, "
         f"{seen.count('duplicate')} of them as in another picture; the fit uses {int(result.kept.sum())} pictures with "
         f"{len(result.observations.pixels)} corners",
         f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
@@ -52,14 +52,23 @@ def words(result: Calibration, seen: Seen) -> list[str]:
             f"{q.circle.radius:.0f} px; what lies outside it does not count"
         )
     if result.solution.shape.any():
-        lines.append(
-            f"the board is bowed by {1000 * result.bow_m:.2f} mm and stretched by "
-            f"{100 * result.solution.shape[2]:+.3f} % along its columns (held-out RMS {result.flat_px:.3f} px without "
-            f"this correction, {result.shaped_px:.3f} px with it)"
-        )
-        if abs(result.bow_m) > 0.0005:
-            lines.append("the board is bowed by more than 0.5 mm: mount it on something flat")
+        lines += _shape_in_words(result)
     return [*lines, *q.advice, f"Verdict: {q.verdict}"]
+
+
+def _shape_in_words(result: Calibration) -> list[str]:
+    """What the fit says of the board's shape; in mm only where the side of a square was measured."""
+    board, bow = result.board, abs(result.bow_m)
+    amount = (
+        f"{1000 * result.bow_m:.2f} mm" if board.scaled else f"{100 * result.bow_m / board.square_m:.1f} % of a square"
+    )
+    lines = [
+        f"the board is bowed by {amount} and stretched by {100 * result.solution.shape[2]:+.3f} % along its columns "
+        f"(held-out RMS {result.flat_px:.3f} px without this correction, {result.shaped_px:.3f} px with it)"
+    ]
+    if board.scaled and bow > 0.0005:
+        lines.append("the board is bowed by more than 0.5 mm: mount it on something flat")
+    return lines
 
 
 def _degrees(angle: float) -> str:
@@ -175,46 +184,3 @@ def _draw_sample(axis: Axes, result: Calibration, sample: np.ndarray | None) -> 
     straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
     axis.imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
     axis.set_title(f"a straightened picture, {_degrees(straight.fov)} wide")
-
-
-def page(result: Calibration, seen: Seen) -> str:
-    """Write the report as one HTML page that needs nothing else.
-
-    Args:
-        result: the calibration.
-        seen: what became of each picture.
-    """
-    import base64
-    from html import escape
-
-    drawn = base64.b64encode(picture(result, seen.sample)).decode()
-    said = "\n".join(f"<li>{escape(line)}</li>" for line in words(result, seen))
-    rows = "\n".join(
-        f"<tr{'' if kept else ' class=out'}><td>{escape(name)}</td><td>{rms:.3f}</td>"
-        f"<td>{'used' if kept else 'left out'}</td></tr>"
-        for name, rms, kept in zip(seen.names, result.view_rms_px, result.kept, strict=True)
-    )
-    return f"""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>Camera calibration</title>
-<style>
-body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }}
-img {{ width: 100%; }}
-table {{ border-collapse: collapse; }}
-td, th {{ padding: 0.1rem 0.8rem; text-align: left; }}
-.out {{ color: #b00; }}
-</style>
-<h1>Camera calibration</h1>
-<p>{result.width} × {result.height} px, {int(result.kept.sum())} of {len(result.kept)} pictures used,
-board of {result.board} squares of {1000 * result.board.square_m:g} mm.</p>
-<ul>
-{said}
-</ul>
-<img alt="residuals, coverage, errors, two halves compared" src="data:image/png;base64,{drawn}">
-<table>
-<tr><th>picture</th><th>RMS, px</th><th></th></tr>
-{rows}
-</table>
-</html>
-"""

@@ -4,26 +4,53 @@ from dataclasses import dataclass
 
 from avcli.settings import setting
 
+_SEEN = "as the pictures show; to print, the usual one"
+
 
 @dataclass(frozen=True)
 class BoardSettings:
     """The printed board."""
 
-    board: str = setting(
-        "6x8",
-        "Squares of the board as printed: along a row, and along a column. Make one count odd and one even; otherwise "
-        "the board looks the same upside down.",
+    board: str | None = setting(
+        None,
+        "Size of the board as printed: along a row, and along a column; squares, tags or circles. Make one count of "
+        "squares odd and one even; otherwise the board looks the same upside down.",
         unit="COLSxROWS",
+        default_text=_SEEN,
     )
-    square_mm: float = setting(
-        95.0,
-        "Side of a square in mm. It sets the scale of poses; the lens does not depend on it.",
+    kind: str | None = setting(
+        None,
+        "What is printed. aprilgrid: as Kalibr draws it. asymmetric: every other row of circles is shifted.",
+        choices=("checkerboard", "charuco", "aprilgrid", "circles", "asymmetric"),
+        default_text=_SEEN,
+    )
+    square_mm: float | None = setting(
+        None,
+        "Side of a square or tag in mm, or the distance between circles. The lens does not depend on it; lengths are "
+        "stated only if it is given.",
         unit="MM",
         above=0.0,
         flag="--square",
     )
-    charuco: bool = setting(
-        False, "The board is a ChArUco board, with a marker in each white square. It may be partly outside the picture."
+    charuco: bool = setting(False, "The same as --kind charuco.")
+    dictionary: str | None = setting(
+        None,
+        "Dictionary of the markers of a ChArUco board, as OpenCV calls it: 4X4_50 to 7X7_1000, APRILTAG_36h11, and so "
+        "on.",
+        unit="NAME",
+        default_text=_SEEN,
+    )
+    ratio: float | None = setting(
+        None,
+        "charuco: side of a marker over side of a square. aprilgrid: space between tags over side of a tag "
+        "(tagSpacing). circles: diameter over distance.",
+        unit="N",
+        above=0.0,
+        below=1.0,
+        default_text=_SEEN,
+    )
+    legacy: bool = setting(
+        False, "The ChArUco board has an even number of rows and begins with a marker, as OpenCV drew it before 4.6."
     )
 
 
@@ -100,6 +127,33 @@ class ProjectionSettings:
 
 
 @dataclass(frozen=True)
+class ConvertSettings:
+    """How a camera is converted."""
+
+    to: str | None = setting(
+        None,
+        "Format to write. avcli: a camera_config.",
+        choices=("avcli", "opencv", "ros", "kalibr", "colmap", "mrcal"),
+        default_text="by the name of the output",
+    )
+    camera: str | None = setting(None, "Which camera of a file that has several, such as cam1.", unit="NAME")
+    fisheye: bool | None = setting(
+        None,
+        "Whether four coefficients that OpenCV wrote are those of its fisheye model, where the file does not say.",
+        flag="--fisheye/--no-fisheye",
+        default_text="as the file says",
+    )
+    max_error_px: float = setting(
+        0.5,
+        "Exit 3 and write nothing if the nearest lens of the other tool is further from the camera than this many px "
+        "(RMS).",
+        unit="PX",
+        least=0.0,
+        flag="--max-error",
+    )
+
+
+@dataclass(frozen=True)
 class CheckSettings:
     """When a lens no longer fits."""
 
@@ -114,19 +168,26 @@ class LiveSettings:
 
     port: int = setting(
         8080,
-        "Port on 127.0.0.1 of the page that shows the camera with corners and coverage. 0: no page.",
+        "Port of the page that shows the camera with corners, coverage and the next place for the board. 0: no page.",
         unit="N",
         least=0,
         most=65535,
     )
+    host: str = setting(
+        "127.0.0.1",
+        "Address at which the page is served. With 0.0.0.0 a phone in the same network can open it; its address then "
+        "holds a key.",
+        unit="ADDRESS",
+    )
     enough_px: float | None = setting(
         None,
-        "Stop when the mean expected error over the picture is below this many px.",
+        "Mean expected error over the picture, in px, that is enough.",
         unit="PX",
         above=0.0,
         flag="--enough",
-        default_text="at Ctrl-C",
+        default_text="1/6400 of the picture's width",
     )
+    stops: bool = setting(True, "Whether to stop when it is enough, or only at Ctrl-C.", flag="--stop/--no-stop")
 
 
 @dataclass(frozen=True)
@@ -140,8 +201,9 @@ class PrintSettings:
         default_text="a page as large as the board",
     )
     format: str | None = setting(
-        None, "Format.", choices=("svg", "pdf"), default_text="by the name of -o, otherwise svg"
+        None, "Format.", choices=("svg", "pdf", "png"), default_text="by the name of -o, otherwise svg"
     )
+    dpi: float = setting(300.0, "Pixels per inch of a PNG.", unit="N", least=20.0, most=2400.0, only="png")
 
 
 @dataclass(frozen=True)

@@ -220,20 +220,31 @@ class Board:
         return np.stack([(row + up) * 2 * self.columns + column + right for right, up in corners], -1)
 
 
-def dictionary_of(name: str) -> "cv2.aruco.Dictionary":
-    """OpenCV's dictionary of markers with this name ("5X5_250", "APRILTAG_36h11"; "DICT_" may stand before it).
+def name_of_dictionary(name: str) -> str:
+    """OpenCV's name of a dictionary of markers, without "DICT_", from the same in any case and with or without it.
 
     Raises:
         ValueError: there is none.
     """
     import cv2
 
-    known = {key.lower(): key for key in dir(cv2.aruco) if key.startswith("DICT_")}
-    key = known.get(f"dict_{name.lower().removeprefix('dict_')}")
-    if key is None:
-        names = sorted({key.removeprefix("dict_") for key in known})
-        raise ValueError(f"unknown dictionary {name!r}; known are {', '.join(names)}")
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, key))
+    known = {key.removeprefix("DICT_") for key in dir(cv2.aruco) if key.startswith("DICT_")}
+    wanted = name.upper().removeprefix("DICT_")
+    found = sorted(key for key in known if key.upper() == wanted)
+    if not found:
+        raise ValueError(f"unknown dictionary {name!r}; known are {', '.join(sorted(known))}")
+    return found[-1]  # "APRILTAG_36h11" rather than "APRILTAG_36H11"
+
+
+def dictionary_of(name: str) -> "cv2.aruco.Dictionary":
+    """OpenCV's dictionary of markers with this name ("5X5_250", "APRILTAG_36h11").
+
+    Raises:
+        ValueError: there is none.
+    """
+    import cv2
+
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name_of_dictionary(name)}"))
 
 
 def parse_size(text: str) -> tuple[int, int]:

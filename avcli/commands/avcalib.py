@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import click
 
 import avcli.calibration.settings as settings
 from avcli import __version__
-from avcli.commands import avcalib_room
+from avcli.commands import avcalib_convert, avcalib_live, avcalib_room
 from avcli.commands.avcalib_pictures import collect, parse_board, read_camera, usage_errors, views_for, write_camera
 from avcli.commands.filter import FilterGroup, GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from avcli.calibration.calibrate import Calibration
     from avcli.calibration.gather import Seen
 
-_THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "square_mm": 95.0, "rate_hz": 2.0}}
+_THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "kind": "checkerboard", "square_mm": 95.0, "rate_hz": 2.0}}
 
 
 @click.group(
@@ -36,29 +37,39 @@ def main() -> None:
     """Calibrate a camera with a printed board: films, pictures or a USB camera in, a camera_config out."""
 
 
-for _command in (avcalib_room.undistort_command, avcalib_room.pose_command, avcalib_room.microphones_command):
+for _command in (
+    avcalib_room.undistort_command,
+    avcalib_room.pose_command,
+    avcalib_room.microphones_command,
+    avcalib_convert.convert_command,
+):
     main.add_command(_command)
 
 
-def _fit_options(function: Callable) -> Callable:
+def _fit_options(rate_hz: float) -> Callable:
     """Add the options that calibrate and live share."""
-    for option in (
+    options = (
         click.option("--size", type=Size(), help="Size in px to request from a camera, for example 1920x1080."),
         click.option("--force", is_flag=True, help="Write the result even if the lens is not observable (exit 3)."),
         click.option("--html", metavar="FILE", help="Write the report with its plots as one HTML file."),
         click.option("--plot", metavar="FILE", help="Plot residuals, coverage and expected error: .png, .svg or .pdf."),
         click.option("--details", metavar="FILE", help="Write one record per picture: corners, residual, used or not."),
         from_settings(settings.FitSettings),
-        from_settings(settings.PictureSettings),
+        from_settings(settings.PictureSettings, defaults={"rate_hz": rate_hz}),
         from_settings(settings.BoardSettings),
-    ):
-        function = option(function)
-    return function
+    )
+
+    def decorate(function: Callable) -> Callable:
+        for option in options:
+            function = option(function)
+        return function
+
+    return decorate
 
 
 @main.command("calibrate", epilog="Example: avcalib calibrate film.mp4 --board 6x9 --square 90 -o camera.json")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
-@_fit_options
+@_fit_options(rate_hz=2.0)
 @common(presets=_THESIS)
 def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any) -> None:
     """Find a camera's lens from pictures, a video or a camera that saw a printed board from many sides."""
@@ -68,22 +79,37 @@ def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any)
 
 @main.command("live", epilog="Example: avcalib live /dev/video0 --board 7x10 --square 95 -C lab")
 @click.argument("source", default="/dev/video0", metavar="[CAMERA]")
-@_fit_options
+@_fit_options(rate_hz=10.0)
 @from_settings(settings.LiveSettings)
 @common()
-def live_command(session: Session, source: str, port: int, enough_px: float | None, **values: Any) -> None:
-    """Calibrate while you film: hints say where to hold the board next.
+def live_command(session: Session, source: str, **values: Any) -> None:
+    """Calibrate while you film: hints say where to hold the board next, and when it is enough.
 
-    The first Ctrl-C ends the filming. The lens is then found from the collected pictures.
+    CAMERA may also be a video, which plays at its own pace, or - for JPEGs on standard input. Only the newest picture
+    counts, and only of a board that is held still. Ctrl-C ends the filming earlier.
     """
-    from avcli.calibration import live, mjpeg
+    from avcli.calibration import live, watch
 
     _check_options(session, values)
+    given = settings_from(settings.LiveSettings, values)
+    fitted = settings_from(settings.FitSettings, values)
     with contextlib.ExitStack() as stack:
-        show = stack.enter_context(mjpeg.serving(port)) if port else None
-        if show:
-            session.warn(f"open http://127.0.0.1:{show.port}/ to watch")
-        seen = collect(session, [source], values, live.Guide(enough_px, session.warn, show).after)
+        show = None
+        if given.port:
+            page = stack.enter_context(watch.serving(given.port, given.host))
+            session.warn(f"open {page.url} to watch")
+            if not watch.is_local(given.host):
+                session.warn("everybody in the network who knows this address sees the camera")
+
+            def show(picture: Any, state: live.State) -> None:
+                page(picture, state.record())
+
+        else:
+            refuse_without_effect(["host"], "without a page")
+        guide = live.Guide(fitted, given.enough_px, session.warn, show, given.stops)
+        seen = avcalib_live.film(session, source, values, guide)
+    if guide.state.enough and sys.stderr.isatty() and not session.quiet:
+        click.echo("\a", err=True, nl=False)
     _finish(session, seen, values)
 
 
@@ -133,7 +159,7 @@ def _write_details(path: str | None, seen: Seen, result: Calibration | None) -> 
 
 
 def _report(session: Session, seen: Seen, result: Calibration, plot: str | None, html: str | None) -> None:
-    from avcli.calibration import report
+    from avcli.calibration import page, report
     from avcli.formats.atomic import write_bytes
 
     for line in report.words(result, seen):
@@ -142,22 +168,44 @@ def _report(session: Session, seen: Seen, result: Calibration, plot: str | None,
         if plot:
             write_bytes(plot, report.picture(result, seen.sample, plot[-3:].lower()))
         if html:
-            write_bytes(html, report.page(result, seen).encode())
+            write_bytes(html, page.page(result, seen).encode())
 
 
 @main.command("check", epilog="Example: avcalib check camera.json new/ --board 6x9 --square 90")
 @click.argument("camera", metavar="CONFIG")
-@click.argument("sources", nargs=-1, metavar="SOURCE...")
+@click.argument("sources", nargs=-1, metavar="[SOURCE]...")
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    metavar="NAME",
+    help="Without SOURCE: examine only this part of the installation. Repeat the option for more.  [default: all]",
+)
 @from_settings(settings.BoardSettings)
 @from_settings(settings.PictureSettings)
 @from_settings(settings.CheckSettings)
 @common(experiment=False)
 def check_command(
-    session: Session, camera: str, sources: tuple[str, ...], fail_over_px: float | None, **values: Any
+    session: Session,
+    camera: str,
+    sources: tuple[str, ...],
+    parts: tuple[str, ...],
+    fail_over_px: float | None,
+    **values: Any,
 ) -> None:
-    """Test a calibration on new pictures of a board. Only the poses of the board are fitted; the lens is fixed."""
-    from avcli.calibration import calibrate, fit
+    """Test a calibration on new pictures of a board, or examine a whole installation.
 
+    With pictures, only the poses of the board are fitted; the lens is fixed. Without, CONFIG is a config.json or the
+    directory of an experiment. Lens, limits, room, pose, microphones, doors and background are examined: what is there,
+    whether it is plausible, and how it was measured.
+    """
+    from avcli.calibration import calibrate, fit, place
+
+    if not sources:
+        refuse_without_effect([*settings_of(settings.BoardSettings), "rate_hz", "fail_over_px"], "without SOURCE")
+        avcalib_room.examine(session, camera, parts)
+        return
+    refuse_without_effect(["parts"], "with SOURCE")
     known = read_camera(session, camera)
     seen = views_for(session, list(sources), values, known)
     trusted = known.theta_trusted if "theta_max_trusted_deg" in known.values else math.inf
@@ -167,26 +215,54 @@ def check_command(
         raise GateNotMet(str(error)) from None
     with session.output() as write:
         write({"pictures": len(seen), **score})
+    if wrong := place.refusal(math.radians(score["off_deg"]), "board", score["rms_px"]):
+        raise GateNotMet(wrong)
     if fail_over_px is not None and not score["rms_px"] <= fail_over_px:
         raise GateNotMet(f"the RMS residual is {score['rms_px']:.3f} px, more than --fail-over {fail_over_px:g}")
 
 
 @main.command("target", epilog="Example: avcalib target --board 7x10 --square 25 --paper A4 -o board.pdf")
-@from_settings(settings.BoardSettings, defaults={"board": "7x10", "square_mm": 25.0})
+@from_settings(settings.BoardSettings, defaults={"square_mm": 25.0})
 @from_settings(settings.PrintSettings)
+@click.option("--kalibr", metavar="FILE", help="Also write the board's description for Kalibr (target.yaml).")
 @common(experiment=False)
-def target_command(session: Session, paper: str | None, format: str | None, **values: Any) -> None:
+def target_command(
+    session: Session, paper: str | None, format: str | None, dpi: float, kalibr: str | None, **values: Any
+) -> None:
     """Draw a board to print at true size, with rulers to check the print."""
     from avcli.calibration import drawing
+    from avcli.formats.atomic import write_bytes
 
-    board = parse_board(session, values)
+    kind = _picture_format(session, format)
+    if kind != "png":
+        refuse_without_effect(["dpi"], f"with {kind}")
     with usage_errors(session):
+        board = parse_board(session, values).board()
         page = drawing.draw(board, paper)
+        content: str | bytes = drawing.to_svg(page)
+        if kind == "pdf":
+            content = drawing.to_pdf(page)
+        elif kind == "png":
+            content = drawing.to_png(page, dpi)
+        description = drawing.kalibr_yaml(board).encode() if kalibr else b""
     if board.is_ambiguous:
         session.warn(
-            f"a checkerboard of {board} squares looks the same upside down: avcalib pose cannot find its direction; "
-            "make one count odd and one even"
+            f"a {board.words} looks the same upside down: avcalib pose cannot find its direction"
+            + ("; make one count odd and one even" if board.kind == "checkerboard" else "")
         )
-    is_pdf = format == "pdf" or (format is None and session.output_path.lower().endswith(".pdf"))
+    if kalibr:
+        write_bytes(kalibr, description)
     with session.output() as write:
-        write(drawing.to_pdf(page) if is_pdf else drawing.to_svg(page))
+        write(content)
+
+
+def _picture_format(session: Session, format: str | None) -> str:
+    """The format of a target, by --format or by the name of the output; usage error where they differ."""
+    from pathlib import PurePath
+
+    suffix = PurePath(session.output_path).suffix.lower().removeprefix(".")
+    if suffix and suffix not in ("svg", "pdf", "png"):
+        session.usage(f"-o {session.output_path}: the name must end in .svg, .pdf or .png")
+    if format and suffix and format != suffix:
+        session.usage(f"-o {session.output_path} contradicts --format {format}")
+    return format or suffix or "svg"

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from avcli.calibration.settings import BoardSettings
 from avcli.commands.filter import GateNotMet, Session
-from avcli.commands.options import refuse_without_effect, settings_from
+from avcli.commands.options import refuse_without_effect, settings_from, was_given
 
 if TYPE_CHECKING:
     from avcli.calibration.camera import KnownCamera
     from avcli.calibration.gather import Seen
-    from avcli.calibration.target import Board
+    from avcli.calibration.recognise import Wanted
     from avcli.formats.footage import Source
 
 _FEW = 100
@@ -31,14 +31,29 @@ def usage_errors(session: Session) -> Iterator[None]:
         session.usage(str(error))
 
 
-def parse_board(session: Session, values: Mapping[str, Any]) -> Board:
-    """Make the board that --board, --square and --charuco describe; usage error where there is no such board."""
-    from avcli.calibration import target
+def parse_board(session: Session, values: Mapping[str, Any]) -> Wanted:
+    """Read what the options say of the board; usage error where there is no such board."""
+    from avcli.calibration import recognise, target
 
     given = settings_from(BoardSettings, values)
+    kind: target.Kind | None = "charuco" if given.charuco else given.kind
+    if given.charuco and given.kind not in (None, "charuco"):
+        session.usage(f"--charuco contradicts --kind {given.kind}")
+    if given.legacy or (given.dictionary and kind is None):
+        if kind not in (None, "charuco"):
+            refuse_without_effect(["legacy"], f"with --kind {kind}")
+        kind = "charuco"
     with usage_errors(session):
-        kind: target.Kind = "charuco" if given.charuco else "checkerboard"
-        return target.Board(*target.parse_size(given.board), given.square_mm / 1000, kind)
+        wanted = recognise.Wanted(
+            target.parse_size(given.board) if given.board else None,
+            kind,
+            target.name_of_dictionary(given.dictionary) if given.dictionary else "",
+            given.ratio or 0.0,
+            True if given.legacy else None,
+            given.square_mm / 1000 if given.square_mm else None,
+        )
+        wanted.board()
+    return wanted
 
 
 def check_sources(session: Session, names: list[str]) -> list[Source]:
@@ -57,14 +72,15 @@ def check_sources(session: Session, names: list[str]) -> list[Source]:
 
 
 @contextlib.contextmanager
-def _ending_on_interrupt(active: bool) -> Iterator[list[int]]:
-    """While the block lasts, the first Ctrl-C does not end the program but fills the list."""
+def ending_on_interrupt(active: bool, end: Callable[[], None] = lambda: None) -> Iterator[list[int]]:
+    """While the block lasts, the first Ctrl-C does not end the program but fills the list and calls `end`."""
     caught: list[int] = []
     before = signal.getsignal(signal.SIGINT)
 
     def stop(number: int, _frame: object) -> None:
         caught.append(number)
         signal.signal(signal.SIGINT, before)
+        end()
 
     if active:
         signal.signal(signal.SIGINT, stop)
@@ -75,9 +91,9 @@ def _ending_on_interrupt(active: bool) -> Iterator[list[int]]:
 
 
 def collect(
-    session: Session, names: list[str], values: Mapping[str, Any], after: Callable[..., bool] | None = None
+    session: Session, names: list[str], values: Mapping[str, Any], camera_size: tuple[int, int] | None = None
 ) -> Seen:
-    """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera, a stream or `live`."""
+    """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera or a stream."""
     from avcli.calibration import gather
     from avcli.formats import footage
 
@@ -87,15 +103,23 @@ def collect(
     live = any(source.is_live for source in sources)
     total = None if live else footage.count_pictures(names, rate_hz)
     stream = session.open("-") if "-" in names else None
-    pictures = footage.pictures(names, rate_hz, stream=stream, size=values.get("size"))
-    with _ending_on_interrupt(live or after is not None) as caught, session.timing("look for boards"):
+    pictures = footage.pictures(
+        names,
+        rate_hz,
+        stream=stream,
+        stream_rate_hz=rate_hz if was_given("rate_hz") else None,
+        size=values.get("size"),
+        skip=lambda words: session.warn(f"left out: {words}"),
+    )
+    with ending_on_interrupt(live) as caught, session.timing("look for boards"):
         return gather.collect(
             session.progress(pictures, total, "looking for boards"),
             board,
             thorough=total is not None and total <= _FEW,
-            eager=live or after is not None,
+            eager=live,
+            size=camera_size,
             say=session.warn,
-            after=lambda *news: bool(after and after(*news)) or bool(caught),
+            after=lambda *_: bool(caught),
         )
 
 
@@ -103,7 +127,7 @@ def views_for(session: Session, names: list[str], values: Mapping[str, Any], cam
     """Look for a board in pictures of a known camera; exit 3 where none shows one, 1 at another size."""
     from avcli.calibration import fit
 
-    seen = collect(session, names, values)
+    seen = collect(session, names, values, camera_size=camera.size)
     try:
         seen.require_views()
     except fit.NoFit as error:

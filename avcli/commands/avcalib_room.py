@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import avcli.calibration.settings as settings
 from avcli.commands.avcalib_pictures import check_sources, read_camera, usage_errors, views_for, write_camera
-from avcli.commands.filter import Session, common
+from avcli.commands.filter import GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 
@@ -80,7 +81,7 @@ def undistort_command(
     metavar="FILE",
     help="CSV with the header u,v,x,y,z: pixels, and the room points in metres that are seen there.",
 )
-@from_settings(settings.BoardSettings, defaults={"board": "7x10"})
+@from_settings(settings.BoardSettings)
 @click.option("--at", nargs=3, type=float, metavar="X Y Z", help="Room position in m of the middle of the board.")
 @from_settings(settings.PlaceSettings)
 @from_settings(settings.PictureSettings)
@@ -104,11 +105,15 @@ def pose_command(
     else:
         if not at:
             session.usage("--at X Y Z is needed: the room position of the middle of the board")
+        if values["square_mm"] is None:
+            session.usage("--square MM is needed: without the size of the print there is no distance to it")
         seen = views_for(session, list(sources), values, camera)
         choices, views = place.board_choices(seen.board, seen.views, at, math.radians(given.yaw_deg)), len(seen.views)
     best, others = place.best(camera, choices, given.sigma_px, views)
     for line in place.words(best, others):
         session.warn(line)
+    if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):
+        raise GateNotMet(wrong)
     if session.output_path == "-":
         write_camera(session, best.camera_config())
         return
@@ -151,7 +156,7 @@ def microphones_command(
     with session.output() as write:
         write(result.record())
     if into_config and result.improves:
-        camera.write_microphones(session.config_path, session.config.raw, result.positions.tolist())
+        camera.write_microphones(session.config_path, session.config.raw, result.positions.tolist(), result.sd_m)
     elif into_config:
         session.warn(
             "config.json was not changed: the new positions do not explain held-out sound better than the old ones"
@@ -171,3 +176,26 @@ def _heard(session: Session, audio: tuple[str, ...]) -> Heard:
         middles, delays = tdoa.pair_delays(samples, rate, given, speed)
         parts.append((start + middles, delays))
     return microphones.joined(parts, len(given))
+
+
+def examine(session: Session, path: str, only: tuple[str, ...]) -> None:
+    """Examine a whole installation; exit 3 where a part is missing or wrong."""
+    from avcli.calibration import installation
+    from avcli.formats import experiment
+
+    unknown = [name for name in only if name not in installation.LOOKS]
+    if unknown:
+        session.usage(f"--part {unknown[0]} is unknown; known are {', '.join(installation.LOOKS)}")
+    name = Path(path) / "config.json" if Path(path).is_dir() else Path(path)
+    try:
+        config = experiment.read_config(name)
+    except FileNotFoundError:
+        session.usage(f"{name}: no such file")
+    parts = installation.examine(config, name.parent, only)
+    for part in parts:
+        session.warn(f"{part.name}: {part.state}: {part.text}")
+    with session.output() as write:
+        write(installation.record(parts))
+    bad = [part.name for part in parts if not part.is_good]
+    if bad:
+        raise GateNotMet(f"{name}: the installation is not complete: {', '.join(bad)}")

@@ -243,6 +243,13 @@ ERRORS = _written(
     bias_sd=(Numbers(3, bounds.DISTANCE), "standard deviations of these, m"),
     lasting_sd=(bounds.DISTANCE, "standard deviation of the error that does not average away, m"),
 )
+FALSE_PLACE = _written(
+    position=(Numbers(2, bounds.COORDINATE), "where, m"),
+    variance=(Number(above=0, most=1e12), "variance of its detections along each axis, m²"),
+    hits=(Number(above=0, most=1e12), "records with a false detection there, with the prior's worth"),
+    misses=(Number(above=0, most=1e12), "records without one"),
+    log_odds=(Number(-100, most=100), "log odds that nobody is there"),
+)
 _EXPLAINED_DETECTION = _written(
     position=(Numbers(2), "position without the sensor's bias, m"),
     unclaimed=(PROBABILITY, "probability that no known person caused it"),
@@ -298,6 +305,10 @@ EXPLAIN = Format(
         clusters=(ListOf(_CLUSTER), "people whose detections are assigned together"),
         existence_before=(MapOf(PROBABILITY), "probabilities of existence before this record, by label"),
         errors=(ERRORS, "what is known of the errors of the sensor"),
+        false_places=(
+            ListOf(FALSE_PLACE),
+            "places where the sensor probably detects somebody falsely, again and again",
+        ),
         born=(ListOf(_BIRTH), "new tracks"),
         died=(ListOf(_DEATH), "tracks that ended"),
     ),

@@ -7,7 +7,7 @@ import re
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Container, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 import numpy as np
 
 from avcli.formats.atomic import replacing, write_bytes
+from avcli.formats.camera import Camera
 from avcli.formats.media import (
     MediaError,
     decode_picture,
     encode_picture,
+    jpeg_end,
     quiet_decoders,
     read_picture,
     refuse_full_disk,
@@ -31,13 +33,15 @@ if TYPE_CHECKING:
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2", ".npy"}
 """Extensions of single pictures."""
+FOREIGN = {".heic", ".heif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"}
+"""Extensions of pictures that cannot be read."""
 VIDEOS = {
     ".mp4": "mp4v", ".m4v": "mp4v", ".mov": "mp4v", ".mkv": "mp4v", ".mpg": "mp4v", ".mpeg": "mp4v",
     ".avi": "MJPG", ".webm": "VP80", ".ogv": "VP80",
 }  # fmt: skip
 """Extensions of videos, and the codecs (FourCC) that we write them with."""
-_STREAM_RATE = 30.0
-"""Hz; a stream of JPEGs carries no times."""
+_USUAL_RATE = 30.0
+"""Hz, of a video that does not say."""
 _AHEAD = 3
 """Shots that are read ahead of the one in hand."""
 
@@ -99,8 +103,42 @@ class Source:
     def files(self) -> list[Path]:
         """Return the picture files of a picture or a folder, in the order of their names; of other kinds none."""
         if self.kind == "folder":
-            return sorted(path for path in Path(self.name).iterdir() if path.suffix.lower() in PICTURES)
+            return [Path(one.name) for one in self.members() if one.kind == "picture"]
         return [Path(self.name)] if self.kind == "picture" else []
+
+    def members(self) -> "list[Source]":
+        """Return the pictures and videos of a folder, in the order of their names; of other kinds the source itself."""
+        if self.kind != "folder":
+            return [self]
+        return [Source(str(path), "picture" if _is(path, PICTURES) else "video") for path in self._inside(_SEEN)]
+
+    def left_out(self) -> list[str]:
+        """Say what a folder holds beside pictures and videos: pictures that cannot be read, and folders with some."""
+        if self.kind != "folder":
+            return []
+        foreign = [f"{path}: {path.suffix[1:].upper()} cannot be read; convert it" for path in self._inside(FOREIGN)]
+        inner = sorted(path for path in Path(self.name).iterdir() if path.is_dir() and not path.name.startswith("."))
+        with_some = [f"{path}: a folder in a folder is not read; name it" for path in inner if _has_some(path)]
+        return [*foreign, *with_some]
+
+    def _inside(self, suffixes: Container[str]) -> list[Path]:
+        """The files with these extensions, without hidden ones (macOS puts "._a.jpg" by "a.jpg")."""
+        every = sorted(Path(self.name).iterdir())
+        return [path for path in every if _is(path, suffixes) and not path.name.startswith(".") and not path.is_dir()]
+
+
+_SEEN = PICTURES | VIDEOS.keys()
+
+
+def _is(path: Path, suffixes: Container[str]) -> bool:
+    return path.suffix.lower() in suffixes
+
+
+def _has_some(folder: Path) -> bool:
+    try:
+        return any(_is(path, _SEEN) for path in folder.iterdir())
+    except OSError:  # not ours to read
+        return False
 
 
 def source(name: str) -> Source:
@@ -164,46 +202,76 @@ def pictures(
     rate_hz: float | None = None,
     *,
     stream: BinaryIO | None = None,
+    stream_rate_hz: float | None = None,
     size: tuple[int, int] | None = None,
+    skip: Callable[[str], None] | None = None,
 ) -> Iterator[Picture]:
     """Yield the pictures of the sources with these names one after another.
 
     Args:
-        names: picture files, folders of them, videos (or "frame_%03d.png"), cameras, or "-" for JPEGs on `stream`.
+        names: picture files, folders of them and of videos, videos (or "frame_%03d.png"), cameras, or "-" for JPEGs on
+            `stream`.
         rate_hz: pictures per second to take from a video or a camera; None: all.
         stream: is read for "-"; None: standard input.
+        stream_rate_hz: pictures per second to take from `stream`, by the clock, since its pictures have no times; None:
+            all.
         size: width and height in px to ask of a camera.
+        skip: gets a sentence for each file that cannot be read, which is then left out.
 
     Raises:
-        MediaError: a source cannot be opened, or a picture file is broken.
+        MediaError: a source cannot be opened, or a picture file is broken; with `skip`, none of them gives a picture.
     """
-    number = 0
-    for one in map(source, names):
-        if one.kind == "stream":
-            yield from _stream_pictures(stream or sys.stdin.buffer, rate_hz)
-        elif one.kind == "camera":
-            yield from _camera_pictures(one.name, rate_hz, size)
-        elif one.kind in ("video", "file"):
-            yield from _video_pictures(one.name, rate_hz)
-        else:
-            files = one.files()
-            if not files:
-                raise MediaError(f"{one.name}: no pictures in this folder")
-            for path in files:
-                yield Picture(str(path), float(number), read_picture(path))
+    number, held = 0, list[str]()  # what is left out is said once there is a picture
+    for member in _members(names, foreign=skip is not None):
+        try:
+            if isinstance(member, str):
+                raise MediaError(member)
+            if member.kind == "picture":
+                found = iter([Picture(member.name, float(number), read_picture(member.name, whole=skip is not None))])
+            elif member.kind == "stream":
+                found = _stream_pictures(stream or sys.stdin.buffer, stream_rate_hz, skip or (lambda _: None))
+            elif member.kind == "camera":
+                found = camera_pictures(Camera(member.name, rate_hz, size))
+            else:
+                found = _video_pictures(member.name, rate_hz)
+            for picture in found:
+                while held and skip:
+                    skip(held.pop(0))
+                yield picture
                 number += 1
+        except MediaError as error:
+            if not skip or (isinstance(member, Source) and member.is_live):
+                raise
+            held.append(str(error))
+    if held and not number:
+        raise MediaError(held[0] + (f"; {len(held) - 1} more cannot be read either" if len(held) > 1 else ""))
+    while held and skip:
+        skip(held.pop(0))
+
+
+def _members(names: list[str], *, foreign: bool) -> Iterator[Source | str]:
+    """The sources, and in place of folders what they hold; a sentence for an empty one, and for `foreign` files."""
+    for one in map(source, names):
+        members, left_out = one.members(), one.left_out()
+        yield from left_out[: None if foreign else 0 if members else 1]
+        yield from members
+        if not members and not left_out:
+            yield f"{one.name}: no pictures in this folder"
 
 
 def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None:
     """Count the pictures that `pictures` will yield; None if the sources do not say."""
     total = 0
-    for one in map(source, names):
-        if one.is_live:
+    for member in (member for name in names for member in source(name).members()):
+        if member.is_live:
             return None
-        if one.kind in ("folder", "picture"):
-            total += len(one.files())
+        if member.kind == "picture":
+            total += 1
             continue
-        frames, fps = _length(one.name)
+        try:
+            frames, fps = _length(member.name)
+        except MediaError:
+            return None
         if not frames > 0:
             return None
         total += int(frames if not rate_hz or not fps > rate_hz else np.ceil(frames / fps * rate_hz))
@@ -246,7 +314,7 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
 
     capture = _open_video(source)
     fps = capture.get(cv2.CAP_PROP_FPS)
-    fps = fps if 0 < fps < 1000 else _STREAM_RATE
+    fps = fps if 0 < fps < 1000 else _USUAL_RATE
     frame, due, last = 0, 0.0, -1.0
     try:
         while capture.grab():
@@ -267,60 +335,44 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
         raise MediaError(f"{source}: the video has no picture that can be read")
 
 
-def _camera_pictures(source: str, rate_hz: float | None, size: tuple[int, int] | None) -> Iterator[Picture]:
-    """Newest pictures of a live camera: older ones in the driver's buffer are dropped."""
-    quiet_decoders()
-    import cv2
-
-    capture = cv2.VideoCapture(int(source.removeprefix("/dev/video")), cv2.CAP_V4L2)
-    if not capture.isOpened():
-        raise MediaError(f"{source}: the camera cannot be opened (absent, busy, or no permission)")
-    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-    if size:
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-    capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)  # a lens that refocuses is another lens
-    due = 0.0
-    try:
-        while capture.grab():
-            now = time.time()
-            if rate_hz and now < due:
-                continue
-            good, image = capture.retrieve()
-            if not good:
-                continue
-            if size and image.shape[1::-1] != tuple(size):
-                raise MediaError(f"{source}: gives {image.shape[1]} × {image.shape[0]} px, not {size[0]} × {size[1]}")
-            yield Picture(f"{source} at {now:.2f}", now, image[:, :, ::-1])
-            due = now + 1 / rate_hz if rate_hz else 0.0
-    finally:
-        capture.release()
+def camera_pictures(camera: Camera) -> Iterator[Picture]:
+    """Yield the pictures of a live camera, with Unix time."""
+    for now, image in camera.pictures():
+        yield Picture(f"{camera.name} at {now:.2f}", now, image)
 
 
-def _stream_pictures(stream: BinaryIO, rate_hz: float | None) -> Iterator[Picture]:
+def _stream_pictures(stream: BinaryIO, rate_hz: float | None, skip: Callable[[str], None]) -> Iterator[Picture]:
     """Pictures of a stream of JPEGs, such as "ffmpeg -f mjpeg -" and USB cameras send."""
-    buffer, number, due = b"", 0, 0.0
-    while chunk := stream.read1(1 << 16) if hasattr(stream, "read1") else stream.read(1 << 16):
-        buffer += chunk
-        while True:
-            begin = buffer.find(b"\xff\xd8\xff")
-            end = buffer.find(b"\xff\xd9", begin + 2) if begin >= 0 else -1
-            if end < 0:
-                if begin < 0:
-                    buffer = buffer[-2:]
-                elif len(buffer) > 1 << 27:
-                    raise MediaError("<stdin>: not a stream of JPEGs")
-                break
-            content, buffer = buffer[begin : end + 2], buffer[end + 2 :]
-            now, number = number / _STREAM_RATE, number + 1
-            if rate_hz and now < due - 1e-9:
-                continue
-            due = now + 1 / rate_hz if rate_hz else 0.0
-            image = decode_picture(content)
-            if image is not None:
-                yield Picture(f"<stdin> picture {number}", now, image)
+    number, thinned, due = 0, 0, 0.0
+    for content in _jpegs(stream):
+        number, now = number + 1, time.monotonic()
+        if rate_hz and now < due:
+            thinned += 1
+            continue
+        due = now + 1 / rate_hz if rate_hz else 0.0
+        image = decode_picture(content)
+        if image is None:
+            skip(f"<stdin>: picture {number} of the stream cannot be read")
+        else:
+            yield Picture(f"<stdin> picture {number}", float(number - 1), image)
+    if thinned:
+        skip(f"<stdin>: {thinned} of {number} pictures came sooner than {rate_hz:g} a second, and are left out")
     if number == 0:
         raise MediaError("<stdin>: no JPEG in this stream")
+
+
+def _jpegs(stream: BinaryIO) -> Iterator[bytes]:
+    """The JPEGs in a stream, one after another; what is between them is left out."""
+    buffer = b""
+    while chunk := stream.read1(1 << 16) if hasattr(stream, "read1") else stream.read(1 << 16):
+        buffer += chunk
+        while (begin := buffer.find(b"\xff\xd8\xff")) >= 0 and (end := jpeg_end(buffer, begin)) >= 0:
+            yield buffer[begin:end]
+            buffer = buffer[end:]
+        if begin < 0:
+            buffer = buffer[-2:]
+        elif len(buffer) > 1 << 27:
+            raise MediaError("<stdin>: not a stream of JPEGs")
 
 
 def decoded_ahead(shots: Iterable[UnreadShot], *, rgb: bool, depth: bool) -> Generator[UnreadShot, None, None]:

@@ -143,8 +143,12 @@ def is_depth(path: str | os.PathLike) -> bool:
     return head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
 
 
-def read_picture(path: str | os.PathLike) -> np.ndarray:
+def read_picture(path: str | os.PathLike, *, whole: bool = False) -> np.ndarray:
     """Read a picture file as it is (PNG, JPEG and what else OpenCV reads, or raw .npy).
+
+    Args:
+        path: of the file.
+        whole: refuse a picture whose end is missing; otherwise what is there is taken.
 
     Returns:
         (height, width[, 3 RGB or 4 RGBA]), in the type that the file holds: mostly uint8 or uint16.
@@ -153,6 +157,8 @@ def read_picture(path: str | os.PathLike) -> np.ndarray:
         MediaError: the file is missing, empty or not a picture.
     """
     content = read_bytes(path)
+    if whole and _is_cut_off(content):
+        raise MediaError(f"{path}: the end of the picture is missing")
     if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
         raise MediaError(f"{path}: a picture has at most {MOST_PIXELS} pixels, and this one has {size[0]} × {size[1]}")
     if content.startswith(b"\x93NUMPY"):
@@ -160,8 +166,39 @@ def read_picture(path: str | os.PathLike) -> np.ndarray:
     else:
         image = decode_picture(content)
     if image is None:
+        if content[4:8] == b"ftyp" and content[8:12] in _HEIC_BRANDS:
+            raise MediaError(f"{path}: a HEIC picture, which cannot be read; convert it to JPEG or PNG")
         raise MediaError(f"{path}: not a picture that can be read ({len(content)} bytes)")
     return image
+
+
+_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1"}
+"""ISO/IEC 23008-12, what the file type of a HEIC picture may be."""
+
+
+def _is_cut_off(content: bytes) -> bool:
+    """Whether a JPEG or PNG has no end."""
+    if content.startswith(b"\xff\xd8"):
+        return jpeg_end(content) < 0
+    return content.startswith(b"\x89PNG\r\n\x1a\n") and b"IEND" not in content[-4096:]
+
+
+def jpeg_end(content: bytes, begin: int = 0) -> int:
+    """Find where a JPEG that begins at `begin` ends; -1 where its end is missing.
+
+    Its header is stepped over, since it may hold another picture (ITU-T T.81, B.1.1): phones put a small one there.
+    """
+    place = begin + 2
+    while place + 4 <= len(content) and content[place] == 0xFF:
+        marker = content[place + 1]
+        if marker in (0xDA, 0xD9):  # the scan begins, or the picture ends
+            break
+        alone = marker == 0xFF or marker == 0x01 or 0xD0 <= marker <= 0xD7
+        place += 1 if marker == 0xFF else 2 if alone else 2 + int.from_bytes(content[place + 2 : place + 4], "big")
+    if place + 4 > len(content):
+        return -1
+    end = content.find(b"\xff\xd9", place)
+    return end + 2 if end >= 0 else -1
 
 
 def _raw_picture(content: bytes, path: str | os.PathLike) -> np.ndarray:

@@ -260,6 +260,9 @@ class Detections:
 
     def shows_less(self) -> bool:
         """Tell whether a detection has a direction or a range, in place of a position or beside a guess of it."""
+        count = len(self.positions)
+        if self.directions is _nan((count, 3)) and self.ranges is _nan((count,)):
+            return False
         return bool(np.isfinite(self.directions[:, 0]).any() or np.isfinite(self.ranges).any())
 
     def located(self) -> "Detections":

@@ -136,21 +136,21 @@ class Lens(ABC):
         """
         x, y, z = columns(points, 3)
         across = self._across(x, y, z)
-        m, slope = self._radius(across.s)
         with np.errstate(invalid="ignore", divide="ignore"):
+            m, slope = self._radius(across.s)
             ex, ey = (np.where(across.r > 0, part / across.r, 0.0) for part in (across.x, across.y))
             factor, rows_x, rows_y = self._by_point(across, z, ex, ey, m, slope)
             by_k = self._by_coefficients(across.s)
-        mx, my = across.x * factor, across.y * factor
-        scale = np.array(self.scale_px)[:, None]
-        pixels = _where_seen(across.seen, self.cx + scale[0] * mx, self.cy + scale[1] * my)
-        by_point = scale * np.stack([np.stack(rows_x, -1), np.stack(rows_y, -1)], -2)
-        by_parameter = np.zeros((*across.seen.shape, 2, len(self.names())))
-        by_parameter[..., 0, 2] = by_parameter[..., 1, 3] = 1.0
-        by_parameter[..., :2] = self._by_focal_lengths(x, y, mx, my, by_point)
-        own = slice(4, 4 + len(by_k))
-        by_parameter[..., 0, own] = scale[0] * np.stack([ex * k for k in by_k], -1)
-        by_parameter[..., 1, own] = scale[1] * np.stack([ey * k for k in by_k], -1)
+            mx, my = across.x * factor, across.y * factor
+            scale = np.array(self.scale_px)[:, None]
+            pixels = _where_seen(across.seen, self.cx + scale[0] * mx, self.cy + scale[1] * my)
+            by_point = scale * np.stack([np.stack(rows_x, -1), np.stack(rows_y, -1)], -2)
+            by_parameter = np.zeros((*across.seen.shape, 2, len(self.names())))
+            by_parameter[..., 0, 2] = by_parameter[..., 1, 3] = 1.0
+            by_parameter[..., :2] = self._by_focal_lengths(x, y, mx, my, by_point)
+            own = slice(4, 4 + len(by_k))
+            by_parameter[..., 0, own] = scale[0] * np.stack([ex * k for k in by_k], -1)
+            by_parameter[..., 1, own] = scale[1] * np.stack([ey * k for k in by_k], -1)
         hidden = ~across.seen[..., None, None]
         return pixels, np.where(hidden, np.nan, by_point), np.where(hidden, np.nan, by_parameter)
 

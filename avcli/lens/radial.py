@@ -23,12 +23,18 @@ class Radial:
         g: takes an array (...) and returns (value, slope), (...) each.
         s_max: end of the domain.
         y_max: g(s_max) where g cannot be evaluated there (a pole: infinity).
+        steps: Newton steps that all samples share before the bracketed solver gets the rest; more than one pays where
+            the slope of g goes up and down.
     """
 
     def __init__(
-        self, g: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], s_max: float, y_max: float | None = None
+        self,
+        g: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+        s_max: float,
+        y_max: float | None = None,
+        steps: int = 1,
     ) -> None:
-        self.g, self.s_max = g, s_max
+        self.g, self.s_max, self.steps = g, s_max, steps
         self.y_max = float(g(np.asarray(s_max, float))[0]) if y_max is None else y_max
         self.goes_far = self.y_max > 50
 
@@ -64,6 +70,22 @@ class Radial:
         y = np.asarray(y, float)
         if y.size < KNOTS:  # too few to pay for a table
             return self._bracketed_newton(y)
+        s = self.about(y)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            for _ in range(self.steps):
+                value, slope = self.g(s)
+                step = (value - y) / slope
+                s = np.clip(s - step, 0.0, self.s_max)
+                # Newton squares the error: a step below 1e-8 leaves 1e-16, unless the slope is near 0.
+                rough = ~((np.abs(step) < 1e-8 * (1 + s)) & (slope > 1e-3))
+                if not rough.any():
+                    break
+        if rough.any():
+            s[rough] = self._bracketed_newton(y[rough])
+        return s
+
+    def about(self, y: np.ndarray) -> np.ndarray:
+        """The inverse at y (...) >= 0 to the few digits that the table has; anything beyond y_max."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             w = y / (1 + y) if self.goes_far else np.sqrt(1 - y / self.y_max)
             w = np.where(np.isfinite(w), w, 0.0) * KNOTS
@@ -71,16 +93,7 @@ class Radial:
             w -= index
             c0, c1, c2, c3 = self._table.T
             s = c0[index] + w * (c1[index] + w * (c2[index] + w * c3[index]))
-            if self.goes_far:
-                s = s / (1 - s)
-            value, slope = self.g(s)
-            step = (value - y) / slope
-            s = np.clip(s - step, 0.0, self.s_max)
-            # Newton squares the error: a step below 1e-8 leaves 1e-16, unless the slope is near 0.
-            rough = ~((np.abs(step) < 1e-8 * (1 + s)) & (slope > 1e-3))
-        if rough.any():
-            s[rough] = self._bracketed_newton(y[rough])
-        return s
+            return s / (1 - s) if self.goes_far else s
 
     def _bracketed_newton(self, y: np.ndarray) -> np.ndarray:
         """Newton's method that bisects where it leaves its bracket or gains less than half (rtsafe, Press et al.)."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from avcli.lens.models import Angular
 
-_SHORT_OF_A_POLE = 1e-8  # rad; the image radius is infinite at it
+_SHORT_OF_A_POLE = 1e-7  # rad; the image radius is infinite at it
 
 
 def _steepest(alpha: float, beta: float) -> float:

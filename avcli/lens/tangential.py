@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.lens.models import FARTHEST_SLOPE, BrownConrady, KannalaBrandt, Lens, Perspective, columns
-from avcli.lens.radial import first_sign_change, fold_of_odd_polynomial
+from avcli.lens.radial import KNOTS, Radial, first_sign_change, fold_of_odd_polynomial
 
-_STEPS = 4  # Newton steps that all pixels share
-_MORE_STEPS = 60  # of the few that these do not bring home
+_STEPS = 6  # plain Newton steps
+_MORE_STEPS = 60  # careful ones
+_ENOUGH = 1e-7  # a step of Newton's method after which its square is no error
 
 
 @dataclass(frozen=True)
@@ -115,23 +116,21 @@ class Tangential(Lens):
         if not (self.p1 or self.p2):
             return super()._rays(mx, my, m)  # type: ignore[safe-super]
         radial = self._radial
+        reach = radial.y_max + 3 * math.hypot(self.p1, self.p2) * radial.s_max**2  # no point of the field lies farther
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            s = radial.inverse(np.minimum(m, (1 - 1e-6) * radial.y_max))
-            scale = np.where(m > 0, s / m, 1.0)
+            y = np.minimum(m, (1 - 1e-6) * radial.y_max)
+            scale = np.where(m > 0, (radial.about(y) if y.size >= KNOTS else radial.inverse(y)) / m, 1.0)
             qx, qy = mx * scale, my * scale
-            start_x, start_y = qx, qy
-            for _ in range(_STEPS):
+            for steps in range(_STEPS):
                 step_x, step_y, _, _ = self._newton(qx, qy, mx, my)
                 qx, qy = qx - step_x, qy - step_y
-                size = np.abs(step_x) + np.abs(step_y)
-                rough = ~(size < 1e-8)
-                if not rough.any():
+                rough = ~(np.maximum(np.abs(step_x), np.abs(step_y)) < _ENOUGH)
+                if steps and np.count_nonzero(rough) < 0.2 * rough.size:
                     break
             s = np.sqrt(qx * qx + qy * qy)
-            reach = radial.y_max + 3 * math.hypot(self.p1, self.p2) * radial.s_max**2
             rough = (rough | (s > radial.s_max)) & (m <= reach)
             if rough.any():
-                qx[rough], qy[rough] = self._carefully(start_x[rough], start_y[rough], mx[rough], my[rough])
+                qx[rough], qy[rough] = self._solved(mx[rough], my[rough], y[rough])
                 s = np.sqrt(qx * qx + qy * qy)
             rays = self._ray_of(qx, qy, s)
             rays[~((s <= radial.s_max) & (m <= reach))] = np.nan
@@ -143,18 +142,31 @@ class Tangential(Lens):
         """The step -dq of Newton's method for F(q) = w, and the error F(q) - w, all (n,)."""
         p1, p2 = self.p1, self.p2
         square = qx * qx + qy * qy
-        s = np.sqrt(square)
+        s = np.sqrt(square) + 1e-150  # no 0 / 0 on the axis
         m, slope = self._radius(s)
-        factor = np.where(s > 0, m / s, slope)
-        bend = np.where(s > 0, (slope - factor) / square, 0.0)
-        common = factor + 2 * (p2 * qx + p1 * qy)
+        factor = m / s
+        bend = (slope - factor) / (s * s)
+        common = factor + (2 * p2 * qx + 2 * p1 * qy)
         error_x, error_y = common * qx + p2 * square - wx, common * qy + p1 * square - wy
-        xx = common + qx * (bend * qx + 4 * p2)
-        yy = common + qy * (bend * qy + 4 * p1)
-        xy = bend * qx * qy + 2 * (p2 * qy + p1 * qx)
+        turn_x, turn_y = bend * qx, bend * qy
+        xx = common + qx * (turn_x + 4 * p2)
+        yy = common + qy * (turn_y + 4 * p1)
+        xy = turn_x * qy + (2 * p2 * qy + 2 * p1 * qx)
         inverse = 1.0 / (xx * yy - xy * xy)
         step_x, step_y = (yy * error_x - xy * error_y) * inverse, (xx * error_y - xy * error_x) * inverse
         return step_x, step_y, error_x, error_y
+
+    def _solved(self, wx: np.ndarray, wy: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solve F(q) = w (n,), starting where the radial lens has the radius y: careful steps where plain ones fail."""
+        scale = self._radial.inverse(y) / np.maximum(np.hypot(wx, wy), 1e-300)
+        qx, qy = wx * scale, wy * scale
+        for _ in range(_STEPS):
+            step_x, step_y, _, _ = self._newton(qx, qy, wx, wy)
+            qx, qy = qx - step_x, qy - step_y
+        lost = ~(np.abs(step_x) + np.abs(step_y) < _ENOUGH) | (np.hypot(qx, qy) > self._radial.s_max)
+        if lost.any():
+            qx[lost], qy[lost] = self._carefully(wx[lost] * scale[lost], wy[lost] * scale[lost], wx[lost], wy[lost])
+        return qx, qy
 
     def _carefully(
         self, qx: np.ndarray, qy: np.ndarray, wx: np.ndarray, wy: np.ndarray
@@ -245,6 +257,10 @@ class _RadialRational(Perspective):
     @cached_property
     def _slope_max(self) -> float:
         return self._radial_end
+
+    @cached_property
+    def _radial(self) -> Radial:
+        return Radial(self._radius, self._slope_max, steps=4)
 
     def _quotient(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """t = s^2, and the polynomials over and under the bar."""

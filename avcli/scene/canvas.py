@@ -79,7 +79,7 @@ class Canvas:
             "to_room": tuple(T[:3, :3].T.ravel()), "eye": tuple(T[:3, 3]), "room": (x, y, z),
             "lamps": [(0.28 * x, 0.5 * y, z), (0.72 * x, 0.5 * y, z)], "coarse": COARSE, "samples": samples,
         }  # fmt: skip
-        self._rays = self.ctx.texture(self.size, 2, dtype="f4")
+        self._rays = self.ctx.texture(self.size, 4 if "tangent" in self._lens else 2, dtype="f4")
         self.fill(self.program(shaders.FLAT_VERTEX, shaders.RAYS), self.ctx.framebuffer([self._rays]))
         self.use_rays()
 
@@ -89,7 +89,7 @@ class Canvas:
 
     def program(self, vertex: str, fragment: str, **uniforms: Any) -> moderngl.Program:
         """Compile a program and set those of its uniforms that it has; the lens's are always set."""
-        fragment = fragment.replace("TERMS", str(len(self._lens["series"])))
+        fragment = lens_shader.specialised(fragment, self._lens)
         program = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
         put(program, **self._lens, **uniforms, rays=_RAYS_UNIT)
         return program

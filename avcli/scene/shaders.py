@@ -5,8 +5,8 @@ from avcli.lens.shader import GLSL as LENS
 RAYS = (
     LENS
     + """
-out vec2 parts;
-void main() { parts = ray_parts(gl_FragCoord.xy - 0.5); }
+out vec4 ray;
+void main() { ray = stored_ray(gl_FragCoord.xy - 0.5); }
 """
 )
 

@@ -23,6 +23,7 @@ FIRST = itemgetter(0)
 Option = tuple[float, int]  # log weight, detection or MISSED
 Options = Mapping[int, Sequence[Option]]  # by row, best first
 Pair = tuple[int, int]  # row, detection or MISSED
+Chain = tuple[()] | tuple["Chain", Pair]  # pairs of the first labels, the last one outermost: shared, so not copied
 Association = tuple[float, tuple[Pair, ...], int]  # log weight, a pair for each label, bit set of used detections
 
 
@@ -128,9 +129,9 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
         if len(priors) > most:
             priors.sort(key=lambda prior: -prior[0])
             del priors[most:]
-    best = ranked(priors, options, BUDGET * most, -LOG_PRUNE)[:most]
+    best = ranked(priors, options, BUDGET * most, -LOG_PRUNE, most)
     top = best[0][0]
-    kept = [Hypothesis(*one) for one in best if one[0] - top > LOG_PRUNE]
+    kept = [Hypothesis(*one) for one in best]
     total = top + math.log(math.fsum(math.exp(h.weight - top) for h in kept))
     for hypothesis in kept:
         hypothesis.weight -= total
@@ -151,7 +152,11 @@ def _bits(used: int) -> list[int]:
 
 
 def ranked(
-    priors: Sequence[tuple[float, Joint]], options: Options, budget: int = 1000, span: float = 11.5
+    priors: Sequence[tuple[float, Joint]],
+    options: Options,
+    budget: int = 1000,
+    span: float = 11.5,
+    most: int | None = None,
 ) -> list[Association]:
     """Find the likeliest joint associations of several prior hypotheses, each detection used at most once.
 
@@ -165,17 +170,18 @@ def ranked(
         options: row -> [(log weight, detection or MISSED)], best first.
         budget: partial associations kept in a layer.
         span: nats.
+        most: associations to return, None: all.
 
     Returns:
-        [(log weight, ((row, detection), ...), bit set of the used detections)], best first.
+        [(log weight, ((row, detection), ...), bit set of the used detections)], best first, down to `span` nats below.
 
     >>> options = {0: [(-0.1, 0), (-2.0, -1)], 1: [(-0.2, 0), (-1.0, -1)]}  # both may have caused detection 0
     >>> [(round(weight, 1), pairs) for weight, pairs, _ in ranked([(0.0, (0, 1))], options)]
     [(-1.1, ((0, 0), (1, -1))), (-2.2, ((0, -1), (1, 0))), (-3.0, ((0, -1), (1, -1)))]
     """
     if len(priors[0][1]) == 1:
-        return _ranked_alone(priors, options, span)
-    beam: list[tuple[float, int, tuple[Pair, ...], int]] = []
+        return _ranked_alone(priors, options, span, most)
+    beam: list[tuple[float, int, Chain, int]] = []
     greedy: Association = (-math.inf, (), 0)
     for number, (weight, hypothesis) in enumerate(priors):
         bound = weight + math.fsum(options[row][0][0] for row in hypothesis if row >= 0)
@@ -183,25 +189,36 @@ def ranked(
         if bound > greedy[0]:
             greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
     floor = greedy[0] - span - 1e-9
+    widest = floor - max(beam, key=FIRST)[0]
     for depth in range(len(priors[0][1])):
-        grown, steps = [], _steps(priors, depth, options)
-        for bound, number, pairs, used in beam:
-            least = floor - bound
-            for loss, step, bit in steps[number]:
-                if loss < least:
-                    break
-                if not used & bit:
-                    grown.append((bound + loss, number, pairs, step, used | bit))
-        if len(grown) > budget:
-            grown.sort(key=FIRST, reverse=True)
-            del grown[budget:]
-        beam = [(bound, number, pairs + step, used) for bound, number, pairs, step, used in grown]
+        steps = _steps(priors, depth, options, widest)
+        beam = [
+            (bound + loss, number, (chain, pair), used | bit)
+            for bound, number, chain, used in beam
+            for loss, pair, bit in steps[number]
+            if not used & bit and bound + loss >= floor
+        ]
+        if len(beam) > budget:
+            beam.sort(key=FIRST, reverse=True)
+            del beam[budget:]
     beam.sort(key=FIRST, reverse=True)
     # all that the budget kept may have ended in conflicts
-    return [(weight, pairs, used) for weight, _, pairs, used in beam] or [greedy]
+    least = beam[0][0] - span if beam else math.inf
+    return [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least] or [greedy]
 
 
-def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span: float) -> list[Association]:
+def _in_order(chain: Chain) -> tuple[Pair, ...]:
+    """Return the pairs of a chain, first label first."""
+    pairs = []
+    while chain:
+        chain, pair = chain
+        pairs.append(pair)
+    return tuple(reversed(pairs))
+
+
+def _ranked_alone(
+    priors: Sequence[tuple[float, Joint]], options: Options, span: float, most: int | None
+) -> list[Association]:
     """The same for one person, with whom nobody competes."""
     alone: list[Association] = [
         (weight + gain, ((row, j),), 0 if j < 0 else 1 << j)
@@ -209,21 +226,23 @@ def _ranked_alone(priors: Sequence[tuple[float, Joint]], options: Options, span:
         for gain, j in (options[row] if row >= 0 else ((0.0, MISSED),))
     ]
     alone.sort(key=FIRST, reverse=True)
-    floor = alone[0][0] - span - 1e-9
-    return [one for one in alone if one[0] >= floor]
+    least = alone[0][0] - span
+    return [one for one in alone[:most] if one[0] >= least]
 
 
 def _steps(
-    priors: Sequence[tuple[float, Joint]], depth: int, options: Options
-) -> list[list[tuple[float, tuple[Pair], int]]]:
-    """For each prior: what its label number `depth` may do, and what each choice loses to the best one."""
-    moves: dict[int, list[tuple[float, tuple[Pair], int]]] = {ABSENT: [(0.0, ((ABSENT, MISSED),), 0)]}
+    priors: Sequence[tuple[float, Joint]], depth: int, options: Options, widest: float
+) -> list[list[tuple[float, Pair, int]]]:
+    """For each prior: what its label number `depth` may do, and what each choice loses to the best one, to `widest`."""
+    moves: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}
     steps = []
     for _, hypothesis in priors:
         row = hypothesis[depth]
         if row not in moves:
             best = options[row][0][0]
-            moves[row] = [(gain - best, ((row, j),), 0 if j < 0 else 1 << j) for gain, j in options[row]]
+            moves[row] = [
+                (gain - best, (row, j), 0 if j < 0 else 1 << j) for gain, j in options[row] if gain - best >= widest
+            ]
         steps.append(moves[row])
     return steps
 

@@ -65,13 +65,13 @@ class Undetected:
 
     def p_detect(self, scan: Scan) -> float:
         """Return the probability that the record's sensor detects one of them."""
-        return float(scan.p_newcomer * self.detectable[scan.column])
+        return scan.p_newcomer * self.detectable.item(scan.column)
 
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
         if not len(z):
             return []
-        anywhere, near_walls = (detection * self.detectable[column] * self.expected).tolist()
+        anywhere, near_walls = (detection * self.detectable.item(column) * self.expected).tolist()
         return (self.population.density(z, anywhere, near_walls) * self.entries.at(z) / self.entries.overall).tolist()
 
     def relax(self, rest: np.ndarray, mix: np.ndarray) -> None:
@@ -85,13 +85,6 @@ class Undetected:
             * self.entries.at(positions)
             / self.entries.overall
         )
-
-    def detected(self, scan: Scan, positions: np.ndarray, room: np.ndarray) -> np.ndarray:
-        """Return the densities (n,) per m² of detecting one of them at positions (n, 2) m with room (n,) for them."""
-        anywhere, near_walls = (self.p_detect(scan) * self.expected).tolist()
-        unseen = room * self.population.density(positions, anywhere, near_walls)
-        unseen *= self.entries.at(positions) / self.entries.overall
-        return unseen
 
     def detectable_at(self, positions: np.ndarray) -> np.ndarray:
         """Return the probabilities (n, S) that each sensor can detect one of them at positions (n, 2) m."""
@@ -113,7 +106,7 @@ def first_detections(
     people: Densities,
     tentative: Sequence[int],
     known: Sequence[int],
-    undetected: Undetected | UnseenMap,
+    body: float,
     poisson: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the densities, at the detections, of detecting a person without a label.
@@ -123,21 +116,23 @@ def first_detections(
         people: all densities.
         tentative: T rows of tentative people.
         known: rows of known people, beside whom there is no room for another.
-        undetected: people never detected before.
+        body: m, see `Population.body`.
         poisson: whether these may be born from one detection.
 
     Returns:
         (T, J) per m² of each tentative person, and (J,) per m² of people never detected before.
     """
-    rows, z = np.array(tentative, int), scan.z
-    if not len(z):
-        return np.zeros((len(rows), 0)), np.zeros(0)
-    positions = np.concatenate([z, people.mean.take(rows, 0)[:, 0, :2]])
-    spread = np.concatenate([scan.noise, people.cov.take(rows, 0)[:, 0, :2, :2]])
-    room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, undetected.population.body)
-    number = room[len(z) :] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
-    unseen = undetected.detected(scan, z, room[: len(z)])
-    return number[:, None] * scan.gain.take(rows, 0), unseen if poisson else 0.0 * unseen
+    z, count = scan.z, len(scan.z)
+    if not count:
+        return np.zeros((len(tentative), 0)), np.zeros(0)
+    positions, spread = z, scan.noise
+    if tentative:
+        positions = np.concatenate([z, people.mean[:, 0, :2].take(tentative, 0)])
+        spread = np.concatenate([spread, people.cov[:, 0, :2, :2].take(tentative, 0)])
+    room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, body)
+    number = room[count:] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
+    unseen = room[:count] * scan.newcomers if poisson else np.zeros(count)
+    return number[:, None] * scan.gain[tentative], unseen
 
 
 def _elbow_room(
@@ -149,10 +144,12 @@ def _elbow_room(
     """
     if not known or not len(positions):
         return np.ones(len(positions))
-    bodies = as_complex(people.centres(known))[:, 0]
-    apart, width = as_complex(positions) - bodies, 2 * body**2 + spread
-    taken = np.exp(-(apart * apart.conj()).real / width[:, None]) * people.existence.take(known)
-    return (1 - taken).prod(1)
+    bodies, width = people.centres(known), -2 * body**2 - spread
+    taken = squared_distance(positions, bodies)
+    taken /= width[:, None]
+    np.exp(taken, out=taken)
+    taken *= people.existence.take(known)
+    return np.multiply.reduce(1 - taken, 1)
 
 
 def other_detections(
@@ -240,8 +237,8 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
     n, able = len(js), detectable
     mean, cov, mode = gaussian.begin(scan.z[js], scan.noise[js] + scan.ahead**2 / 2 * np.eye(2), population.motion)
     able[:, scan.column] = 1.0
-    seen, lean = np.full(able.shape, NEVER), np.zeros(able.shape)
-    seen[:, scan.column], lean[:, scan.column] = time, 1.0
+    seen, lean, hits = np.full(able.shape, NEVER), np.zeros(able.shape), np.zeros(able.shape)
+    seen[:, scan.column], lean[:, scan.column], hits[:, scan.column] = time, 1.0, 1.0
     return Densities(
         mean=mean,
         cov=cov,
@@ -251,7 +248,8 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
         lean=lean,
         seen=seen,
         place=scan.z[js],
-        hits=np.ones(n, int),
+        hits=hits,
+        told=np.zeros(n),
         reach=uncertainty(cov[:, 0]),
         label=[-1] * n,
         node=[None] * n,
@@ -261,6 +259,15 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
 def uncertainty(cov: np.ndarray) -> np.ndarray:
     """Return the root mean square error (n,) in m of positions, of covariances (n, 4, 4)."""
     return np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
+
+
+def squared_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the squared distances (n, m) in m² of states or positions (n, 2 or more) and (m, 2 or more)."""
+    dx, dy = one[:, :1] - other[:, 0], one[:, 1:2] - other[:, 1]
+    dx *= dx
+    dy *= dy
+    dx += dy
+    return dx
 
 
 def as_complex(pairs: np.ndarray) -> np.ndarray:

@@ -27,7 +27,8 @@ class Densities:
         lean: (n, S) share of each sensor's lasting error that the position follows, see `errors`.
         seen: (n, S) s, when each sensor detected the person last, NEVER: never.
         place: (n, 2) m, where any sensor did so last.
-        hits: (n,) how often.
+        hits: (n, S) how often each sensor did so.
+        told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
@@ -43,6 +44,7 @@ class Densities:
     seen: np.ndarray
     place: np.ndarray
     hits: np.ndarray
+    told: np.ndarray
     reach: np.ndarray
     label: list[int]
     node: list[Node | None]
@@ -64,7 +66,8 @@ class Densities:
             lean=np.zeros((0, 0)),
             seen=np.zeros((0, 0)),
             place=np.zeros((0, 2)),
-            hits=np.zeros(0, int),
+            hits=np.zeros((0, 0)),
+            told=np.zeros(0),
             reach=np.zeros(0),
             label=[],
             node=[],
@@ -90,29 +93,30 @@ class Densities:
         """Return the mean states (n, 4) of n rows."""
         return (self.mode.take(rows, 0)[:, None] @ self.mean.take(rows, 0))[:, 0]
 
-    def merge(self, rows: Sequence[int], shares: Sequence[float]) -> None:
-        """Give the first of n rows the moments of all, model by model, weighted by n shares."""
-        share, first = np.array(shares) / math.fsum(shares), rows[0]
-        modes = self.mode.take(rows, 0)
+    def merge(self, groups: Sequence[Sequence[int]], shares: Sequence[Sequence[float]]) -> None:
+        """Give the first row of each group the moments of all its rows, model by model, weighted by their shares."""
+        rows, first = [row for group in groups for row in group], [group[0] for group in groups]
+        of = [k for k, group in enumerate(groups) for _ in group]
+        totals = [math.fsum(some) for some in shares]
+        share = np.zeros((len(groups), len(rows)))
+        share[of, range(len(rows))] = [one / totals[k] for k, some in enumerate(shares) for one in some]
+        modes, means = self.mode.take(rows, 0), self.mean.take(rows, 0).swapaxes(0, 1)
         self.mode[first] = mode = share @ modes
-        weight = (share[:, None] * modes / mode).T[:, None]  # (M, 1, n)
-        means = self.mean.take(rows, 0).swapaxes(0, 1)
-        self.mean[first] = mean = (weight @ means)[:, 0]
-        away = (means - mean[:, None]) * np.sqrt(weight).swapaxes(1, 2)
-        covs = self.cov.take(rows, 0).reshape(len(rows), -1, 16).swapaxes(0, 1)
-        self.cov[first] = (weight @ covs).reshape(-1, 4, 4) + away.swapaxes(1, 2) @ away
-        self.existence[first] = share @ self.existence.take(rows)
-        self.detectable[first] = share @ self.detectable.take(rows, 0)
-        self.lean[first] = share @ self.lean.take(rows, 0)
+        weight = share * modes.T[:, None] / mode.T[..., None]  # (M, groups, rows)
+        mean = weight @ means
+        away = means - mean.take(of, 1)
+        covs = self.cov.take(rows, 0).swapaxes(0, 1) + away[..., None] * away[..., None, :]
+        self.mean[first] = mean.swapaxes(0, 1)
+        cov = weight @ covs.reshape(len(covs), len(rows), 16)
+        self.cov[first] = cov.swapaxes(0, 1).reshape(len(groups), -1, 4, 4)
+        for column in (self.existence, self.detectable, self.lean):
+            column[first] = share @ column.take(rows, 0)
         if self.traits.size:
-            self._merge_traits(rows, share)
-
-    def _merge_traits(self, rows: Sequence[int], share: np.ndarray) -> None:
-        traits = self.traits.take(rows, 0)
-        mean = np.tensordot(share, traits, 1)
-        x, u = (traits[:, :2] - mean[:2]).swapaxes(0, 1)
-        mean[2:] += np.tensordot(share, np.stack([x * x, x * u, u * u], 1), 1)
-        self.traits[rows[0]] = mean
+            traits = self.traits.take(rows, 0)
+            trait = np.tensordot(share, traits, 1)
+            x, u = (traits - trait.take(of, 0))[:, :2].swapaxes(0, 1)
+            trait[:, 2:] += np.tensordot(share, np.stack([x * x, x * u, u * u], 1), 1)
+            self.traits[first] = trait
 
 
 _ARRAYS = [one.name for one in fields(Densities) if one.name not in ("label", "node")]

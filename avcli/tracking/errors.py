@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -64,6 +65,26 @@ class Between(NamedTuple):
         return Between(self.unshared.take(rows), self.shared.take(rows))
 
 
+class Sure(NamedTuple):
+    """The detections of one record whose people are sure; nothing is computed of them before it is learnt from them.
+
+    Attributes:
+        weight: K probabilities that these people caused them.
+        rows: K densities.
+        js: K detections.
+        again: records in which a lasting error is about the same.
+        scan: the record.
+        people: all densities before it.
+    """
+
+    weight: list[float]
+    rows: list[int]
+    js: list[int]
+    again: float
+    scan: Scan
+    people: Densities
+
+
 class Pairs(NamedTuple):
     """K detections of one sensor, and the people who surely caused them as they were predicted.
 
@@ -89,6 +110,22 @@ class Pairs(NamedTuple):
     lean: np.ndarray
     unshared: np.ndarray
 
+    @staticmethod
+    def of(sure: Sequence[Sure]) -> Pairs:
+        """Gather those of several records of one sensor."""
+        starts = accumulate([len(one.people) for one in sure], initial=0)
+        rows = [start + row for start, one in zip(starts, sure, strict=False) for row in one.rows]
+        starts = accumulate([len(one.scan.z) for one in sure], initial=0)
+        js = [start + j for start, one in zip(starts, sure, strict=False) for j in one.js]
+        of_people = ((one.people.mean, one.people.cov, one.people.mode, one.people.lean) for one in sure)
+        mean, cov, mode, lean = (np.concatenate(one).take(rows, 0) for one in zip(*of_people, strict=True))
+        of_scans = ((one.scan.z, one.scan.noise, one.scan.floor) for one in sure)
+        z, noise, floor = (np.concatenate(one).take(js, 0) for one in zip(*of_scans, strict=True))
+        unshared = np.concatenate([one.scan.between.unshared for one in sure]).take(rows)
+        weight = np.array([weight for one in sure for weight in one.weight])
+        again = np.array([one.again for one in sure for _ in one.rows])
+        return Pairs(weight, again, z, noise, floor, mean, cov, mode, lean, unshared)
+
 
 class Errors:
     """What is known of the errors of each sensor, in order of the tracker's columns.
@@ -112,7 +149,7 @@ class Errors:
         self.information, self.evidence = np.zeros((0, 0)), np.zeros(0)  # of all biases, from detections
         self.memory, self.rest = np.zeros(0), np.zeros(0)  # s and m² of the lasting errors without the biases
         self.last: list[float] = []  # s, of each sensor's last record
-        self.waiting: list[list[Pairs]] = []  # of each sensor: what it has not learnt from yet
+        self.waiting: list[list[Sure]] = []  # of each sensor: what it has not learnt from yet
         self.count: list[int] = []  # of pairs in them
         self.learnt = self.settled = -math.inf  # s
         self._settle()
@@ -164,38 +201,38 @@ class Errors:
             return z, noise, np.zeros(0)
         on_told, on_floor = self.factor[column].tolist()
         xx, xy, yy = noise[:, 0, 0], noise[:, 0, 1], noise[:, 1, 1]
-        half = np.hypot((xx - yy) / 2, xy)
-        most = (xx + yy) / 2 + half
-        least = np.maximum(most - 2 * half, 0.0)
+        half, middle = np.hypot((xx - yy) / 2, xy), (xx + yy) / 2
+        least = np.maximum(middle - half, 0.0)
         floor = np.minimum(least, self.sensors[column].floor ** 2)
-        scaled = on_told * (noise - floor[:, None, None] * gaussian.EYE2)
-        if on_told < 1 and (most > WIDE).any():  # what was hardly observed does not become exact
+        scaled = on_told * noise + ((on_floor - on_told) * floor)[:, None, None] * gaussian.EYE2
+        if on_told < 1 and max((middle + half).tolist()) > WIDE:  # what was hardly observed does not become exact
+            most = middle + half
             along = (noise - least[:, None, None] * gaussian.EYE2) / np.maximum(2 * half, 1e-12)[:, None, None]
             scaled += np.where(most > WIDE, (1 - on_told) * (most - floor), 0.0)[:, None, None] * along
-        floor = on_floor * floor
-        return z - self.bias[column, :2], scaled + floor[:, None, None] * gaussian.EYE2, floor
+        return z - self.bias[column, :2], scaled, on_floor * floor
 
     def ahead(self, column: int) -> float:
         """Return how far in front of the body's axis a sensor localizes people, m."""
-        return float(self.bias[column, 2])
+        return self.bias.item(column, 2)
 
     def predict(self, people: Densities, dt: float) -> None:
         """Let lasting errors change for dt s: as far as they do, what they were is noise of the positions."""
         keep = np.exp(-dt / self.memory)
-        gone = self.variance(people.lean * np.sqrt(1 - keep * keep))[:, None]
+        gone = ((people.lean * people.lean) @ ((1 - keep * keep) * self.lasting))[:, None]
         people.cov[..., 0, 0] += gone
         people.cov[..., 1, 1] += gone
         people.lean = people.lean * keep
 
     def variance(self, lean: np.ndarray) -> np.ndarray:
         """Return the variance (n,) m² per axis of positions by lasting errors that they follow by shares (n, S)."""
-        return (lean * lean * self.lasting).sum(-1)
+        return (lean * lean) @ self.lasting
 
     def between(self, lean: np.ndarray, column: int) -> Between:
         """Compute what lasting errors add where densities with shares lean (n, S) meet one sensor's detections."""
-        spread = self.variance(lean)
-        own = self.lasting[column] * lean[:, column]
-        return Between(spread + (self.lasting[column] - 2 * own), spread - own)
+        spread, lasting = self.variance(lean), self.lasting.item(column)
+        own = lasting * lean[:, column]
+        shared = spread - own
+        return Between(shared + (lasting - own), shared)
 
     # --- learning -----------------------------------------------------------------------------------------------------
 
@@ -215,29 +252,18 @@ class Errors:
         weight, rows, js = _certain(groups, scan)
         waiting = self.waiting[column]
         if rows:
-            again = 1 + 2 * float(self.memory[column]) / max(dt, 1e-3)
-            pairs = Pairs(
-                np.array(weight),
-                np.full(len(rows), again),
-                scan.z.take(js, 0),
-                scan.noise.take(js, 0),
-                scan.floor.take(js),
-                people.mean.take(rows, 0),
-                people.cov.take(rows, 0),
-                people.mode.take(rows, 0),
-                people.lean.take(rows, 0),
-                scan.between.unshared.take(rows),
-            )
-            waiting.append(pairs)
+            again = 1 + 2 * self.memory.item(column) / max(dt, 1e-3)
+            waiting.append(Sure(weight, rows, js, again, scan, people))
             self.count[column] += len(rows)
         if waiting and self.count[column] >= (SOON if self.worth[column] < ENOUGH else LATER):
             self.waiting[column], self.count[column] = [], 0
-            self._learn(time, column, Pairs(*map(np.concatenate, zip(*waiting, strict=True))))
+            self._learn(time, column, Pairs.of(waiting))
 
     def _learn(self, time: float, column: int, pairs: Pairs) -> None:
         """Learn from detections of one sensor since it learnt the last time."""
         mean, cov = gaussian.moments(pairs.mean, pairs.cov, pairs.mode)
-        speed = np.sqrt(np.square(mean[:, 2:]).sum(1) + cov[:, 2, 2] + cov[:, 3, 3] + 1e-12)
+        vx, vy = mean[:, 2], mean[:, 3]
+        speed = np.sqrt(vx * vx + vy * vy + cov[:, 2, 2] + cov[:, 3, 3] + 1e-12)
         heading = mean[:, 2:] / speed[:, None]  # as far as it is known, at most 1 long
         innovation = pairs.z - mean[:, :2] - self.bias[column, 2] * heading
         s = cov[:, :2, :2] + pairs.noise + pairs.unshared[:, None, None] * gaussian.EYE2
@@ -253,13 +279,13 @@ class Errors:
         det = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 1, 0]
         inverse = s[:, ::-1, ::-1] * gaussian.COFACTOR / det[:, None, None]
         excess = inverse @ (innovation[:, :, None] * innovation[:, None] - s) @ inverse  # 0 in the mean if all is right
-        told = 2 + (excess * (pairs.noise - pairs.floor[:, None, None] * gaussian.EYE2)).sum((1, 2))
-        floor = 2 + pairs.floor * (excess[:, 0, 0] + excess[:, 1, 1])
-        new = float(pairs.weight.sum())
-        before = float(self.worth[column]) * KEEP**new
-        squares = np.array([pairs.weight @ told, pairs.weight @ floor]) / 2
-        factor = self.factor[column] * (before + squares) / (before + new)
-        self.factor[column], self.worth[column] = factor.clip(LEAST, MOST), before + new
+        all_told, floor = (excess * pairs.noise).sum((1, 2)), pairs.floor * (excess[:, 0, 0] + excess[:, 1, 1])
+        new, on_told, on_floor = (pairs.weight @ np.column_stack([np.ones(len(s)), all_told - floor, floor])).tolist()
+        before = self.worth.item(column) * KEEP**new
+        for k, off in enumerate((on_told, on_floor)):
+            factor = self.factor.item(column, k) * (before + new + off / 2) / (before + new)
+            self.factor[column, k] = min(max(factor, LEAST), MOST)
+        self.worth[column] = before + new
 
     def _learn_bias(
         self,
@@ -280,7 +306,8 @@ class Errors:
         parts[:, 0, :, 0] = parts[:, 1, :, 1] = lean
         parts[..., 2] = lean[:, None] * heading[:, :, None]
         of = parts.reshape(2 * len(lean), -1)
-        weight = np.repeat(pairs.weight / (variance + pairs.unshared * pairs.again), 2)[:, None] * of
+        weight = pairs.weight / (variance + pairs.unshared * pairs.again)
+        weight = (weight[:, None, None, None] * parts).reshape(of.shape)
         unbiased = innovation.ravel() + of @ (self.bias.ravel() - self.prior)  # by the prior's bias
         keep = math.exp((self.learnt - time) / DRIFT)
         self.information = self.information * keep + weight.T @ of

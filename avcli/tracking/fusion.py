@@ -225,6 +225,8 @@ class Fusion:
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
         for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
             self._update(at, sensors[column], parts)
+        for text in self.tracker.news() if isinstance(self.tracker, Learning) else ():
+            self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
         return [self._identified(now, self.tracker.tracks(now))]
@@ -324,29 +326,28 @@ class Fusion:
         before, self.shown = self.shown, time
         if self.settings.show == "observed":
             tracks = [one for one in tracks if one.last_seen > before]
-        n, numbers, ears = len(tracks), self.numbers, self.ears
-        last = np.array([one.last_seen for one in tracks])
-        states = np.array([one.state for one in tracks]).reshape(n, 4)
+        n, numbers, ears, origin = len(tracks), self.numbers, self.ears, self.origin or 0.0
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
-        positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
         speaking = [math.nan] * n
+        states = np.array([one.state for one in tracks]).reshape(n, 4)
+        positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
+        covariances[:, :2, :2] = np.array([one.cov for one in tracks]).reshape(n, 4, 4)[:, :2, :2]
         for k, one in enumerate(tracks):
-            covariances[k, :2, :2] = one.cov[:2, :2]
-            if one.label not in numbers:
-                numbers[one.label] = len(numbers)
+            numbers.setdefault(one.label, len(numbers))
             if ears and one.detectable:
                 speaking[k] = max([one.detectable.get(name, 0.0) for name in ears])
         covariances[:, 1, 0], covariances[:, 2, 2] = covariances[:, 0, 1], HEIGHT_VARIANCE
+        last = [one.last_seen for one in tracks]
         return Identified(
-            timestamp=(self.origin or 0.0) + time,
+            timestamp=origin + time,
             ids=np.array([numbers[one.label] for one in tracks], np.int64),
             positions=positions,
             speaking=np.array(speaking),
             velocities=velocities,
             covariances=covariances,
             existence=np.array([one.existence for one in tracks]),
-            observed=(last > before).astype(float),
-            last_seen=np.where(np.isfinite(last), (self.origin or 0.0) + last, np.nan),
+            observed=np.array([float(one > before) for one in last]),
+            last_seen=np.array([origin + one if math.isfinite(one) else math.nan for one in last]),
         )
 
 

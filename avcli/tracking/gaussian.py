@@ -68,17 +68,23 @@ def predict(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, motion: Motion,
     """
     f, q, switch = motion.step(dt)
     if mode.shape[1] > 1:
-        joint = mode[:, :, None] * switch  # (n, from, to)
         after = mode @ switch
-        weight = (joint / after[:, None]).transpose(0, 2, 1)  # (n, to, from)
+        weight = mode[:, None] * switch.T / after[..., None]  # (n, to, from)
         mixed = weight @ mean
         spread = (mean[:, None] - mixed[:, :, None]) * np.sqrt(weight)[..., None]  # (n, to, from, 4)
-        cov = (weight @ cov.reshape(*cov.shape[:2], 16)).reshape(cov.shape) + spread.transpose(0, 1, 3, 2) @ spread
+        cov = (weight @ cov.reshape(*cov.shape[:2], 16)).reshape(cov.shape) + spread.swapaxes(2, 3) @ spread
         mean, mode = mixed, after
     moved = (f @ mean[..., None])[..., 0]
     half = f @ cov
-    cov = half @ f.transpose(0, 2, 1) + q
-    return Prediction(moved, (cov + cov.swapaxes(-1, -2)) / 2, mode, half.swapaxes(-1, -2), mean)
+    cov = half @ f.swapaxes(1, 2).copy() + q  # a product with a transposed view takes twice as long
+    return Prediction(moved, symmetric(cov), mode, half.swapaxes(2, 3), mean)
+
+
+def symmetric(cov: np.ndarray) -> np.ndarray:
+    """Return covariances (..., k, k) without what rounding made of their symmetry; the argument is lost."""
+    cov = cov + cov.swapaxes(-1, -2)
+    cov *= 0.5
+    return cov
 
 
 def expected_detection(mean: np.ndarray, cov: np.ndarray, mouth_offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -189,19 +195,22 @@ def update(
     Returns:
         mean, cov and mode after the update.
     """
-    position, noise = mean[..., :2], noise[:, None]
+    position, spread = mean[..., :2], noise
+    if unshared is not None:
+        spread = spread + unshared[:, None, None] * EYE2
+    noise, spread = noise[:, None], spread[:, None]
     if mouth_offset:
         position, unknown = expected_detection(mean, cov, mouth_offset)
-        noise = noise + unknown[..., None, None] * EYE2
-    d = (z[:, None] - position)[..., None]
-    s = cov[..., :2, :2] + noise
-    if unshared is not None:
-        s = s + unshared[:, None, None, None] * EYE2
-    det = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] * s[..., 1, 0]
-    inverse = s[..., ::-1, ::-1] * COFACTOR / det[..., None, None]
-    gain = cov[..., :, :2] @ inverse  # (n, M, 4, 2)
+        blur = unknown[..., None, None] * EYE2
+        noise, spread = noise + blur, spread + blur
+    s = cov[..., :2, :2] + spread
+    xx, xy, yy = s[..., 0, 0], s[..., 0, 1], s[..., 1, 1]
+    det = xx * yy - xy * xy
+    inverse = s[..., ::-1, ::-1] * (COFACTOR / det[..., None, None])
+    gain = cov[..., :2] @ inverse  # (n, M, 4, 2)
     if shared is not None:
         gain[..., :2, :] += np.maximum(shared[:, None], LEAST_SHARED * cov[..., 0, 0])[..., None, None] * inverse
+    d = (z[:, None] - position)[..., None]
     if mode.shape[1] > 1:
         if likelihood is None:
             log = -0.5 * ((d.swapaxes(-1, -2) @ inverse @ d)[..., 0, 0] + np.log(det))
@@ -210,8 +219,7 @@ def update(
         mode = mode / np.add.reduce(mode, 1, keepdims=True) + 1e-12
     mean = mean + (gain @ d)[..., 0]
     keep = cov - gain @ cov[..., :2, :]
-    cov = keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2)
-    return mean, (cov + cov.swapaxes(-1, -2)) / 2, mode
+    return mean, symmetric(keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2).copy()), mode
 
 
 def within(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -226,8 +234,10 @@ def within(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, centre: np.ndarr
         centre: (n, 2) m.
         radius: (n,) m.
     """
-    second = cov[..., 0, 0] + cov[..., 1, 1] + np.square(mean[..., :2] - centre[:, None]).sum(-1)
-    return np.minimum(-(mode * np.expm1(-np.square(radius)[:, None] / second)).sum(1), 1.0)
+    away = mean[..., :2] - centre[:, None]
+    away *= away
+    second = cov[..., 0, 0] + cov[..., 1, 1] + away[..., 0] + away[..., 1]
+    return np.minimum(-np.add.reduce(mode * np.expm1((radius * -radius)[:, None] / second), 1), 1.0)
 
 
 def moments(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

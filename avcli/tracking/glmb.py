@@ -38,9 +38,10 @@ from avcli.tracking.births import (
 )
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
+from avcli.tracking.false_places import FalsePlaces
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT, Cluster
-from avcli.tracking.learning import SURE_HITS, Habits
+from avcli.tracking.learning import Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
@@ -53,6 +54,7 @@ from avcli.tracking.unseen import UnseenMap
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
+PRUNED = 100  # new labels, after which notes about old ones are dropped
 
 
 class Labelled(NamedTuple):
@@ -119,7 +121,8 @@ class GLMB:
         self.detectable, self.turnover = np.zeros(0), np.zeros(0)  # of each sensor: see `rates.Hiding`
         self.last_record: list[float] = []  # s
         self.errors = Errors(settings.learn)
-        self.next_label = 0
+        self.false_places = FalsePlaces(settings.learn)
+        self.next_label, self.pruned = 0, PRUNED  # and that at which what is known of labels is pruned next
         self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
         self.retired: dict[int, End] = {}
         self.lost: set[int] = set()  # rows after a record, see `unseen.UnseenMap.lost`
@@ -135,12 +138,15 @@ class GLMB:
         self.sensors.append(sensor)
         self.rates.append(Rates(sensor))
         self.errors.add(sensor)
+        self.false_places.add()
         if sensor.name in self.known:
             self.rates[-1].restore(self.known[sensor.name])
+            self.false_places.restore(-1, self.known[sensor.name].get("false_places", []))
         people = self.people
         people.lean = np.column_stack([people.lean, np.zeros(len(people))])
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
+        people.hits = np.column_stack([people.hits, np.zeros(len(people))])
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
         else:
@@ -152,9 +158,18 @@ class GLMB:
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it: numbers and lists of numbers."""
         sensors = {
-            name: {**self.rates[k].state(), "errors": self.errors.described(k)} for name, k in self.column.items()
+            name: {
+                **self.rates[k].state(),
+                "errors": self.errors.described(k),
+                "false_places": self.false_places.state(k),
+            }
+            for name, k in self.column.items()
         }
         return {**self.habits.state(), "sensors": {**self.known, **sensors}}
+
+    def news(self) -> list[str]:
+        """Return sentences for the user about what was learnt since the last call and takes somebody away."""
+        return self.false_places.news([one.name for one in self.sensors])
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another run in the same room has learnt, before the first record.
@@ -178,17 +193,17 @@ class GLMB:
         self.time = time
         population, people = self.population, self.people
         self.habits.wait(time, dt)
-        survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
         self.undetected.predict(dt)
         if len(people):
             prediction.evade(people, self.labelled_rows, self.likely_rows, population, dt)
             before = people.mean, people.cov, people.mode
+            survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
             step = gaussian.predict(*before, population.motion, dt)
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
-            lasting = self.errors.variance(people.lean)
+            lean = people.lean
             self.errors.predict(people, dt)
             if self.record:
-                people.node = Node.steps(people, before, step, survival, lasting, time)
+                people.node = Node.steps(people, before, step, survival, self.errors.variance(lean), time)
             people.existence = people.existence * survival
         if self.sensors:
             mix, rest = np.exp(-dt * self.turnover), self.detectable
@@ -221,7 +236,7 @@ class GLMB:
         settings, rates = self.settings, self.rates[scan.column]
         poisson = settings.birth == "poisson"
         from_tentative, from_undetected = first_detections(
-            scan, self.people, tentative, self.likely_rows, self.undetected, poisson
+            scan, self.people, tentative, self.likely_rows, self.population.body, poisson
         )
         if shown is not None:
             from_undetected[shown.columns()] = 0.0  # they are in the cells
@@ -233,12 +248,18 @@ class GLMB:
         others = other_detections if shown is None else partial.other_detections
         room, twice = others(scan, unclaimed, real, self.population.body)
         birth = [b * left for b, left in zip(birth, room, strict=True)]
+        if shown is None:
+            self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
         background = [c + b + t for c, b, t in zip(scan.clutter, birth, twice, strict=True)]
         existence = [b / whole for b, whole in zip(birth, background, strict=True)]
-        false = [u * c / whole for u, c, whole in zip(unclaimed, scan.clutter, background, strict=True)]
+        false = [
+            u * (c - local) / whole
+            for u, c, local, whole in zip(unclaimed, scan.clutter, scan.local, background, strict=True)
+        ]
         if settings.learn:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
+        self.habits.clutter = [one.clutter for one in self.rates]
         rates.learn_score(scan.odds, [1 - f for f in false])
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)
@@ -252,7 +273,10 @@ class GLMB:
             known = self.labelled()
             before = {str(one.label): one.existence for one in known}
             errors = self.errors.described(scan.column)
-            account = journal.account(self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors)
+            false_places = self.false_places.state(scan.column)
+            account = journal.account(
+                self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors, false_places
+            )
             journal.add_features(account, scan, self.people.label, self.likely_rows)
             rows = [one.row for one in known]
             leaving = self.habits.leaving(self.people.mean.take(rows, 0)[:, 0])
@@ -299,7 +323,8 @@ class GLMB:
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
-        clutters = [clutter * factor for factor in rates.clutter_factors(odds)]
+        local = self.false_places.density(column, z)
+        clutters = [clutter * factor + more for factor, more in zip(rates.clutter_factors(odds), local, strict=True)]
         reach, covered = detectable, None
         if sensor.coverage and not sensor.coverage.whole:
             covered = sensor.coverage.at(people.mean[..., :2].reshape(-1, 2)).reshape(people.mode.shape)
@@ -313,7 +338,7 @@ class GLMB:
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
         p_sensor = rates.detection * (1 - blindness.probability)
-        p_newcomer = rates.detection * (1 - blindness.probability * (1 - blindness.left))
+        open_eyed = 1 - blindness.probability * (1 - blindness.left)
         p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
@@ -330,8 +355,11 @@ class GLMB:
             existence,
             detectable,
             clutters,
+            max(rates.clutter, 1e-9),
+            local,
             p_sensor,
-            p_newcomer,
+            rates.detection * open_eyed,
+            [one * open_eyed for one in new],
             p_detect,
             evidence,
             covered,
@@ -406,7 +434,7 @@ class GLMB:
             (row, math.exp(group.hypotheses[0].weight))
             for group in groups
             for row, j in group.hypotheses[0].pairs
-            if j >= 0 and people.hits[row] >= SURE_HITS
+            if j >= 0 and self.habits.sure(people, row)
         ]
         if not detected:
             return
@@ -449,12 +477,21 @@ class GLMB:
         row_of = want.rows()
         if scan.partial is not None:
             revealed = partial.gathered(scan.partial, people, revealed, row_of)
-        self._bear(revealed, groups, row_of, want.fresh_rows())
+        self._bear(scan, revealed, groups, row_of, want.fresh_rows())
         self._recluster(groups, row_of)
         self.habits.confirm(self.people, self.likely_rows)
+        if self.next_label >= self.pruned:
+            self.pruned = self.next_label + PRUNED
+            self.habits.forget(self.people.label)
+            self.false_places.forget(self.people.label)
 
     def _bear(
-        self, revealed: Sequence[Birth], groups: list[Group], row_of: dict[Pair, int], fresh_rows: dict[int, int]
+        self,
+        scan: Scan,
+        revealed: Sequence[Birth],
+        groups: list[Group],
+        row_of: dict[Pair, int],
+        fresh_rows: dict[int, int],
     ) -> None:
         """Make the people whom a record revealed tentative or, where it is sure enough, labelled."""
         taken = {label for group in groups for label in group.labels}
@@ -463,8 +500,10 @@ class GLMB:
             j = birth.detection
             row = row_of[birth.source, j] if birth.source >= 0 else fresh_rows[j]
             self.people.existence[row] = birth.existence
+            if birth.source < 0:
+                self.people.told[row] = logit(birth.existence) + math.log(scan.expected_clutter)
             if birth.number >= PROMOTE and birth.placed:
-                self._promote(row, j, groups, users, taken)
+                self._promote(scan, row, j, groups, users, taken)
                 row_of[row, BORN] = row
             else:
                 self.people.existence[row] = birth.number
@@ -472,7 +511,15 @@ class GLMB:
         if self.looked:
             self.tentative = partial.merged(self.people, self.tentative)
 
-    def _promote(self, row: int, j: int, groups: list[Group], users: Mapping[int, Group], taken: set[int]) -> None:
+    def _promote(
+        self,
+        scan: Scan,
+        row: int,
+        j: int,
+        groups: list[Group],
+        users: Mapping[int, Group],
+        taken: set[int],
+    ) -> None:
         """Give a tentative person a label, in the hypotheses that do not use its detection j otherwise.
 
         users: by detection, the group that has hypotheses that use it.
@@ -489,6 +536,9 @@ class GLMB:
                     people.label[other] = -1
         taken.add(label)
         people.label[row] = label
+        if scan.partial is None:
+            noise = float(scan.noise[j, 0, 0] + scan.noise[j, 1, 1]) / 2
+            self.false_places.began(scan.column, label, scan.z[j].tolist(), noise, label == self.next_label - 1)
         self.born.append({"label": label, "detection": j, "existence": float(people.existence[row])})
         self.retired.pop(label, None)
         if self.features.width:
@@ -553,7 +603,9 @@ class GLMB:
             return
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
         if meant >= 0.5:
-            if not lost:
+            if self.false_places.doubts().get(label, 0.0) > 0.5:
+                self.habits.was_false(label)
+            elif not lost:
                 self.habits.ended(label, people, best)
             if self.features.width:
                 self.gallery.leave(label, self._person(best), self.features)
@@ -614,8 +666,9 @@ class GLMB:
         cov[:, 0, 0] += lasting
         cov[:, 1, 1] += lasting
         detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
-        tracks = []
+        tracks, doubts = [], self.false_places.doubts()
         for k, (label, _, existence) in enumerate(present):
+            existence *= 1 - doubts.get(label, 0.0)
             if existence * near[k] > min(least, THERE):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], existence * near[k], able, last[k]))

@@ -74,17 +74,15 @@ class Cluster:
         if len(self.hypotheses) == 1:
             return [[at] for at in range(count)]
         shares = np.array(self.shares)
-        indicators: list[list[bool]] = []
         owners: list[int] = []
+        own: list[int] = []
         for at, rows in enumerate(zip(*self.hypotheses, strict=True)):
             distinct = set(rows)
             if len(distinct) > 1:  # a label with the same row in all hypotheses depends on no other
-                indicators += [[row == one for row in rows] for one in sorted(distinct)]
                 owners += [at] * len(distinct)
-        held, owner = (
-            np.array(indicators, float).reshape(-1, len(shares)),
-            np.array(owners)[:, None] == np.arange(count),
-        )
+                own += sorted(distinct)
+        held = (np.array(self.hypotheses).T[owners] == np.array(own)[:, None]).astype(float)
+        owner = np.array(owners)[:, None] == np.arange(count)
         alone = held @ shares
         linked = (owner.T @ abs(held * shares @ held.T - alone[:, None] * alone) @ owner > 2 * INDEPENDENT).tolist()
         parts, left = [], set(range(count))
@@ -113,8 +111,8 @@ class Cluster:
         same = {ABSENT: ABSENT}
         for group in groups:
             same.update(dict.fromkeys(group, group[0]))
-            if len(group) > 1:
-                people.merge(group, [shares[row] for row in group])
+        several = [group for group in groups if len(group) > 1]
+        people.merge(several, [[shares[row] for row in group] for group in several])
         return self.replaced(self.labels, [tuple([same[row] for row in joint]) for joint in self.hypotheses])
 
     def decided(self, people: Densities, features: Features | None = None) -> Cluster:

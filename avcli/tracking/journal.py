@@ -25,6 +25,7 @@ def account(
     birth: Sequence[float],
     before: dict[str, float],
     errors: dict[str, Any],
+    false_places: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """Describe one record before births and deaths are known; explain.schema.json has the keys.
 
@@ -38,6 +39,7 @@ def account(
         birth: J densities per m² of detections of new people.
         before: label -> existence before the record.
         errors: what is known of the errors of its sensor, see `errors.Errors.described`.
+        false_places: where it detects somebody falsely again and again, see `false_places.FalsePlaces.state`.
     """
     people, clusters = {}, []
     for group in groups:
@@ -67,6 +69,7 @@ def account(
         "clusters": clusters,
         "existence_before": before,
         "errors": errors,
+        "false_places": false_places,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from avcli.tracking.places import Places
 
 # Expected events that the prior is worth, in the whole area and at one place.
 EXITS, ENTRIES = (1.0, 1.0), (3.0, 1.0)
-SURE_HITS = 3  # detections after which a track certainly was a person
+SURE_HITS, SURE = 3, 5.0  # detections, and nats, from which on a track certainly was a person
 AT_START = 1.0  # s; who is detected first before was there already
 REFRESH = 1.0  # s between two computations of the maps
 MEMORY = 1800.0  # s, over which what was learnt is forgotten
@@ -34,6 +34,7 @@ class Habits:
         self.population, self.learn = population, learn
         self.exits, self.entries = Places(population.area, *EXITS), Places(population.area, *ENTRIES)
         self._fresh: dict[int, np.ndarray] = {}  # label -> where it began, until it certainly is a person
+        self._came: dict[int, np.ndarray] = {}  # label -> where it was counted as having come
         self._gone: dict[int, np.ndarray] = {}  # label -> where it was counted as having left
         cells = self.entries.centres().reshape(-1, 2)
         self._arrivals = population.density(cells, *population.birth_rate).reshape(self.entries.shape)
@@ -44,6 +45,7 @@ class Habits:
         self._stays: list[tuple[np.ndarray, list[float]]] = []
         self._now = 0.0
         self._refreshed = 0.0
+        self.clutter: list[float] = []  # false detections expected in a record of each sensor
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it."""
@@ -115,28 +117,42 @@ class Habits:
         if self.learn and self._begin is not None and time > self._begin + AT_START:
             self._fresh[label] = position.copy()
 
+    def sure(self, people: Densities, row: int) -> bool:
+        """Return whether the detections of a row certainly were a person's, by what is known of clutter now."""
+        hits = people.hits[row].tolist()
+        false = math.fsum(n * math.log(clutter) for n, clutter in zip(hits, self.clutter, strict=True))
+        return sum(hits) >= SURE_HITS and people.told[row] - false > SURE
+
     def confirm(self, people: Densities, rows: Iterable[int]) -> None:
         """Count the arrival of those of some rows who are certainly people by now."""
         if not self._fresh:
             return
         for row in rows:
-            if people.hits[row] >= SURE_HITS and (place := self._fresh.pop(people.label[row], None)) is not None:
+            if self.sure(people, row) and (place := self._fresh.pop(people.label[row], None)) is not None:
+                self._came[people.label[row]] = place
                 self._happen(self.entries, place)
 
     def ended(self, label: int, people: Densities, row: int) -> None:
         """Note that a label hardly exists any more, whose best density is a row."""
         self._fresh.pop(label, None)
-        if self.learn and people.hits[row] >= SURE_HITS:
+        if self.learn and self.sure(people, row):
             self._gone[label] = people.place[row].copy()
             self._happen(self.exits, self._gone[label])
+
+    def was_false(self, label: int) -> None:
+        """Note that a label was no person."""
+        self._fresh.pop(label, None)
+        if (place := self._came.pop(label, None)) is not None:
+            self._happen(self.entries, place, -1.0)
 
     def came_back(self, label: int) -> None:
         """Note that somebody who was counted as having left was only hidden."""
         if (place := self._gone.pop(label, None)) is not None:
             self._happen(self.exits, place, -1.0)
 
-    def keep(self, labels: Sequence[int]) -> None:
+    def forget(self, labels: Iterable[int]) -> None:
         """Forget about labels other than these."""
-        if len(self._gone) > len(labels):
-            wanted = set(labels)
-            self._gone = {label: place for label, place in self._gone.items() if label in wanted}
+        wanted = set(labels)
+        for noted in (self._fresh, self._came, self._gone):
+            for label in noted.keys() - wanted:
+                del noted[label]

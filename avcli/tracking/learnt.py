@@ -9,7 +9,7 @@ from typing import Any
 import orjson
 
 from avcli.formats import atomic, bounds
-from avcli.formats.descriptions import ERRORS, Format
+from avcli.formats.descriptions import ERRORS, FALSE_PLACE, Format
 from avcli.formats.schema import Invalid, Key, Kind, ListOf, MapOf, Number, Numbers, Object, OrNull
 
 _MOST = 1e12
@@ -48,6 +48,10 @@ _SENSOR = _required(
     ),
     errors=(ERRORS, "how exact it is"),
 )
+_SENSOR.keys = {
+    **_SENSOR.keys,
+    "false_places": Key(ListOf(FALSE_PLACE), "places where it detects somebody falsely, again and again", default=[]),
+}
 LEARNT = Format(
     "learnt",
     "What the tracker has learnt of a room and its sensors (avfuse --learn)",

@@ -99,24 +99,28 @@ class Population:
 
     def leaving(self, states: np.ndarray) -> np.ndarray:
         """Return the rate (n,) per second at which people in states (n, 4) m and m/s leave the room."""
-        near = self._near_walls(states)
-        if not np.count_nonzero(near):
-            return np.full(len(states), 1 / self.stay)
-        walks = np.minimum(np.hypot(states[:, 2], states[:, 3]) * (near / WALK), 1.0)
-        return np.maximum(walks / self.pass_by, 1 / self.stay)
+        rates = [1 / self.stay] * len(states)
+        for k, near in enumerate(self.near_walls(states)):
+            if near:
+                walks = min(math.hypot(*states[k, 2:].tolist()) / WALK, 1.0)
+                rates[k] = max(walks / self.pass_by, rates[k])
+        return np.array(rates)
 
     def density(self, positions: np.ndarray, anywhere: float, near_walls: float) -> np.ndarray:
         """Return the density (n,) per m² at positions (n, 2) m of so many people anywhere and so many near walls."""
         spread = anywhere / self.surface
         near = spread + near_walls / self.strip
-        (cx, cy), (mx, my) = self.centre.tolist(), self.middle.tolist()
-        return np.array(
-            [near if abs(x - cx) > mx or abs(y - cy) > my else spread for x, y in positions.tolist()], float
-        )
+        return np.array([near if one else spread for one in self.near_walls(positions)])
 
-    def _near_walls(self, positions: np.ndarray) -> np.ndarray:
-        away = abs(positions[:, :2] - self.centre) > self.middle
-        return away[:, 0] | away[:, 1]
+    def near_walls(self, positions: np.ndarray) -> list[bool]:
+        """Tell of n positions (n, 2 or more) m whether they are within `edge` of a wall, or beyond it."""
+        (cx, cy), (mx, my) = self._core
+        return [abs(x - cx) > mx or abs(y - cy) > my for x, y, *_ in positions.tolist()]
+
+    @cached_property
+    def _core(self) -> list[list[float]]:
+        """Centre and half the sides of the part of the area that is not near the walls, m: numbers, not arrays."""
+        return [self.centre.tolist(), self.middle.tolist()]
 
 
 class Track(NamedTuple):

@@ -398,7 +398,8 @@ def cells(
         lean=np.zeros(able.shape),
         seen=np.full(able.shape, NEVER),
         place=at[:, :2].copy(),
-        hits=np.zeros(n, int),
+        hits=np.zeros(able.shape),
+        told=np.zeros(n),
         reach=births.uncertainty(cov[:, 0]),
         label=[-1] * n,
         node=[None] * n,
@@ -548,7 +549,7 @@ def gathered(
             kept += [birth._replace(placed=False) for birth in some]
             continue
         if len(at) > 1:
-            people.merge([rows[k] for k in at], [some[k].number for k in at])
+            people.merge([[rows[k] for k in at]], [[some[k].number for k in at]])
         _, cov = gaussian.moments(people.mean[rows[:1]], people.cov[rows[:1]], people.mode[rows[:1]])
         placed = float(np.linalg.eigvalsh(cov[0, :2, :2])[1]) < PLACED_SD**2
         existence = math.fsum(some[k].existence for k in at)
@@ -581,7 +582,7 @@ def merged(people: Densities, tentative: Sequence[int]) -> list[int]:
         if len(group) > 1:
             group = [row, *(other for other in group if other != row)]
             numbers = people.existence.take(group).tolist()
-            people.merge(group, numbers)
+            people.merge([group], [numbers])
             people.existence[row] = math.fsum(numbers)
         left.append(row)
     return sorted(left)

@@ -60,8 +60,9 @@ def picture(
     partly = {name: area for name, area in coverage.items() if not area.whole}
     scale = float((np.array(BOX) / (population.corners[1] - population.corners[0])).min())
     sides = np.maximum(np.round(scale * (population.corners[1] - population.corners[0])), 1).astype(int)
+    false = [one for known in state["sensors"].values() for one in known.get("false_places") or []]
     legend = TOP + int(sides[1]) + 80
-    table = legend + LINE * (len(partly) + 2) + 30
+    table = legend + LINE * (len(partly) + 2 + bool(false)) + 30
     canvas = np.full((table + LINE * (len(state["sensors"]) + 2) + 20, WIDTH, 3), WHITE, np.uint8)
     titles = (
         ("Where people come", "people per hour and m²"),
@@ -76,10 +77,12 @@ def picture(
         frame = canvas[TOP : TOP + sides[1], left : left + sides[0]]
         low, high = bounds(rates)
         _paint(frame, np.log(rates / low) / math.log(high / low), places, population.corners, partly)
+        for one in false:
+            _cross(frame, _pixel(frame, population.corners, one["position"]))
         cv2.rectangle(canvas, (left - 1, TOP - 1), (left + int(sides[0]), TOP + int(sides[1])), INK)
         _axes(canvas, population.corners, left, sides)
         _bar(canvas, left + int(sides[0]) + 24, int(sides[1]), low, high)
-    _legend(canvas, list(partly), legend)
+    _legend(canvas, list(partly), legend, bool(false))
     _table(canvas, state["sensors"], table, hidden)
     return cv2.imencode(".png", canvas)[1].tobytes()
 
@@ -134,8 +137,13 @@ def _paint(
         cv2.drawContours(frame, cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0], -1, colour, 2)
     for (at_x, at_y), number in zip(places.centres().reshape(-1, 2), places.happened.ravel(), strict=True):
         if number > 0.5:
-            where = round((at_x - low[0]) / size[0] * columns), round(rows - (at_y - low[1]) / size[1] * rows)
-            _ring(frame, where, number)
+            _ring(frame, _pixel(frame, corners, (at_x, at_y)), number)
+
+
+def _pixel(frame: np.ndarray, corners: np.ndarray, position: Sequence[float]) -> tuple[int, int]:
+    """Return where a position (2,) m is in a map."""
+    (x, y), (rows, columns) = (np.array(position) - corners[0]) / (corners[1] - corners[0]), frame.shape[:2]
+    return round(float(x) * columns), round(rows - float(y) * rows)
 
 
 def _ring(image: np.ndarray, where: tuple[int, int], number: float) -> None:
@@ -145,6 +153,13 @@ def _ring(image: np.ndarray, where: tuple[int, int], number: float) -> None:
     radius = min(round(4 * math.sqrt(number)), 40)
     cv2.circle(image, where, radius, INK, 3, cv2.LINE_AA)
     cv2.circle(image, where, radius, WHITE, 1, cv2.LINE_AA)
+
+
+def _cross(image: np.ndarray, where: tuple[int, int]) -> None:
+    import cv2
+
+    cv2.drawMarker(image, where, INK, cv2.MARKER_TILTED_CROSS, 16, 4, cv2.LINE_AA)
+    cv2.drawMarker(image, where, WHITE, cv2.MARKER_TILTED_CROSS, 14, 2, cv2.LINE_AA)
 
 
 def _hatching(rows: int, columns: int) -> np.ndarray:
@@ -188,8 +203,8 @@ def _bar(canvas: np.ndarray, left: int, height: int, low: float, high: float) ->
         _write(canvas, f"{one:g}", (left + 28, at + 5), 14)
 
 
-def _legend(canvas: np.ndarray, partly: Sequence[str], top: int) -> None:
-    """Say what rings and outlines mean."""
+def _legend(canvas: np.ndarray, partly: Sequence[str], top: int, false: bool) -> None:
+    """Say what rings, outlines and, if there are any, crosses mean."""
     import cv2
 
     _ring(canvas, (LEFT + 12, top - 5), 1.0)
@@ -205,6 +220,10 @@ def _legend(canvas: np.ndarray, partly: Sequence[str], top: int) -> None:
         cv2.line(canvas, (LEFT, at - 5), (LEFT + 42, at - 5), INK, 5, cv2.LINE_AA)
         cv2.line(canvas, (LEFT + 1, at - 5), (LEFT + 41, at - 5), colour, 2, cv2.LINE_AA)
         _write(canvas, f"what is seen by {name}", (LEFT + 56, at), 15)
+    if false:
+        at = top + (len(partly) + 2) * LINE
+        _cross(canvas, (LEFT + 20, at - 5))
+        _write(canvas, "a sensor detects somebody here falsely, again and again", (LEFT + 56, at), 15)
 
 
 def _table(canvas: np.ndarray, sensors: Mapping[str, Mapping[str, Any]], top: int, hidden: bool) -> None:

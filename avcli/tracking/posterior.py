@@ -118,7 +118,14 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
         new.existence[old:], new.detectable[old:, column], new.seen[old:, column] = 1.0, 1.0, time
         centre, spread = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])
         new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)
-        new.hits[old:] += 1
+        new.hits[old:, column] += 1
+        new.told[old:] += told(scan, rows, js)
         if scan.evidence:
             new.traits[old:] = features.update(new.traits[old:], scan.evidence, rows, js)
     return new
+
+
+def told(scan: Scan, rows: Sequence[int], js: Sequence[int]) -> np.ndarray:
+    """Return by how many nats (n,) detections are likelier of people in some rows than of clutter of 1 in a record."""
+    caused = np.array(scan.p_detect).take(rows) * scan.gain[rows, js]
+    return np.log(np.maximum(caused * (scan.expected_clutter / np.array(scan.clutter).take(js)), 1e-300))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from avcli.tracking.births import as_complex
+from avcli.tracking.births import as_complex, squared_distance
 from avcli.tracking.densities import Densities
 from avcli.tracking.model import Population
 
@@ -35,12 +35,14 @@ def evade(people: Densities, rows: Sequence[int], known: Sequence[int], populati
     rate, stand = population.evade, population.motion.stand
     if len(known) < 2 or stand < 0 or not rate:
         return
-    own = as_complex(people.centres(rows))
-    other = own.take(np.searchsorted(rows, known), 0)
+    centres = people.centres(rows)
+    own = as_complex(centres)
+    at = np.searchsorted(rows, known)
+    reach = BUMP + 2 * SOON * max(abs(own[:, 1]).tolist())
+    if np.count_nonzero(squared_distance(centres, centres.take(at, 0)) < reach * reach) == len(at):
+        return  # each is near to itself alone
+    other = own.take(at, 0)
     position, velocity = (own[:, None] - other).transpose(2, 0, 1)
-    fastest = 2 * max(abs(own[:, 1]).tolist())
-    if np.count_nonzero(abs(position) < BUMP + SOON * fastest) == len(other):  # each is near to itself alone
-        return
     soon = -(position * velocity.conj()).real / (np.square(abs(velocity)) + 1e-9)  # seconds until they are nearest
     bump = abs(soon - (SOON - JUST) / 2) < (SOON + JUST) / 2
     bump &= abs(position + velocity * np.maximum(soon, 0.0)) < BUMP

@@ -13,6 +13,7 @@ from avcli.tracking.settings import SENSORS, Sensor
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
 PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 20.0, 4.0
 KEEP = 0.995  # weight of what was learnt before, for each record
+SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
@@ -40,7 +41,9 @@ class Rates:
 
     def learn(self, clutter: float, hits: float, misses: float) -> None:
         """Learn from one record: its expected false detections, people detected, detectable people missed."""
-        self.clutter_sum, self.clutter_count = self.clutter_sum * KEEP + clutter, self.clutter_count * KEEP + 1
+        surprises = clutter > self.clutter + SURPRISE * math.sqrt(self.clutter + 1)  # what was learnt cannot be right
+        keep = REVISED if surprises else KEEP
+        self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self._estimate()
 

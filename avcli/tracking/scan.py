@@ -47,8 +47,11 @@ class Scan:
         existence: n probabilities.
         detectable: n probabilities that the sensor can detect the person.
         clutter: J densities per m² of false detections.
+        expected_clutter: number of them, without those of places that are false again and again.
+        local: J densities per m² of false detections of such places; `clutter` includes them.
         p_sensor: probability that it detects a detectable person who was known before the sensor may have gone blind.
         p_newcomer: the same of a person who came since.
+        newcomers: J densities per m² of detecting a person never detected before, where there is room for another.
         p_detect: n probabilities that it detects the person, if that person exists.
         covered: (n, M) shares of the detection probability at each person, by motion model; None: all of it.
         partial: what its detections show, None: all show positions.
@@ -70,8 +73,11 @@ class Scan:
     existence: list[float]
     detectable: list[float]
     clutter: list[float]
+    expected_clutter: float
+    local: list[float]
     p_sensor: float
     p_newcomer: float
+    newcomers: list[float]
     p_detect: list[float]
     evidence: Evidence | None = None
     covered: np.ndarray | None = None
@@ -111,9 +117,9 @@ def likelihoods(
 
 def possible(gain: np.ndarray) -> Likelihoods:
     """Return for each density the detections with a likelihood (n, J) that is not 0, and these."""
+    if gain.size <= DENSE:
+        return [[(j, one) for j, one in enumerate(row) if one] for row in gain.tolist()]
     found: Likelihoods = [[] for _ in range(len(gain))]
-    if not gain.size:
-        return found
     row, j = gain.nonzero()
     for i, one in zip(row.tolist(), zip(j.tolist(), gain[row, j].tolist(), strict=True), strict=True):
         found[i].append(one)

@@ -109,6 +109,9 @@ class Learning(Protocol):
     def state(self) -> dict[str, Any]:
         """Return what was learnt: numbers, and lists and dictionaries of them."""
 
+    def news(self) -> list[str]:
+        """Return sentences for the user about what was learnt since the last call and takes somebody away."""
+
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another run in the same room has learnt, before the first record.
 

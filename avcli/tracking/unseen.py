@@ -113,10 +113,6 @@ class UnseenMap:
         able = self.entries.at(z) * self.able[column][at] / np.maximum(self.area[at], 1e-9)
         return (detection * self.share[column][at] * able).tolist()
 
-    def detected(self, scan: Scan, positions: np.ndarray, room: np.ndarray) -> np.ndarray:
-        """Return the densities (n,) per m² of detecting one of them at positions (n, 2) m with room (n,) for them."""
-        return room * self.arriving(positions, scan.p_newcomer, scan.column)
-
     def detectable_at(self, positions: np.ndarray) -> np.ndarray:
         """Return the probabilities (n, S) that each sensor can detect one of them at positions (n, 2) m."""
         rows, columns = self._cells(positions)

@@ -1,15 +1,15 @@
 """Error and run time of avcalib's fit beside the thesis's procedure, OpenCV with a good start, and mrcal.
 
     make bench-calibration [BENCH_FLAGS="--seeds 3 --quick"]
+    make bench-calibration BENCH_FLAGS="--only sets --sets FOLDER"     pictures of others, one folder a set (lens_sets)
 
 Writes calibration.md, calibration.jsonl and calibration.svg into --out. Errors are px over the whole picture against
 the true lens, after the rotation of the camera that suits best; times are CPU seconds of one process.
 """
 
 import argparse
+import contextlib
 import json
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -18,14 +18,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import lens_sets
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film, photograph
 
-from avcli.calibration import calibrate, corners, fit, opencv, quality, robust
+from avcli.calibration import calibrate, corners, fit, gather, opencv, quality, robust, target
 from avcli.calibration.corners import View
+from avcli.formats import footage
 from avcli.lens import KannalaBrandt, Lens
 
 Row = dict[str, Any]
@@ -199,26 +202,101 @@ def method_rows(seeds: int, quick: bool) -> Iterator[Row]:
                 yield row
 
 
-def mrcal_row(observations: fit.Observations) -> Row | None:
-    """mrcal's OPENCV8 lens on the same corners; None where mrcal is not installed."""
-    if not shutil.which("mrcal-calibrate-cameras"):
-        return None
+# --- real sets and speed ----------------------------------------------------------------------------------------------
+
+
+def speed_rows(quick: bool) -> Iterator[Row]:
+    """CPU seconds of one process from pictures to lens: avcalib's, and OpenCV's as its tutorial does it."""
+    cases = {"40 photographs, 1080p": (40, 1), "40 photographs, 12 megapixels": (40, 2)}
+    for name, (count, times) in ({} if quick else cases).items():
+        rng = np.random.default_rng(100)
+        lens, size = _enlarged(THESIS, times), (SIZE[0] * times, SIZE[1] * times)
+        filmed = film(count, rng, lens=lens, size=size)
+        pictures = [
+            photograph(R, t, rng, lens=lens, size=size, blur=0.8 * times)
+            for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+        ]
+        yield {"speed": name, "tool": "avcalib", **_our_time(pictures)}
+        yield {"speed": name, "tool": "OpenCV", **_opencv_time(pictures)}
     with tempfile.TemporaryDirectory() as folder:
-        table = Path(folder, "corners.vnl")
-        lines = ["# filename x y level"]
-        for view in range(observations.views):
-            rows = observations.view == view
-            lines += [f"frame{view:04d}.png {x:.6f} {y:.6f} 0" for x, y in observations.pixels[rows]]
-        table.write_text("\n".join(lines) + "\n")
-        command = [
-            "mrcal-calibrate-cameras", "--corners-cache", table, "--lensmodel", "LENSMODEL_OPENCV8", "--focal", "860",
-            "--object-spacing", str(BOARD.square_m), "--object-width-n", str(BOARD.inner[0]),
-            "--object-height-n", str(BOARD.inner[1]), "--imagersize", *map(str, SIZE), "--outdir", folder, "frame*.png",
-        ]  # fmt: skip
-        begin = time.perf_counter()
-        result = subprocess.run(list(map(str, command)), capture_output=True, text=True)
-        said = next((line for line in (result.stdout + result.stderr).splitlines() if "RMS" in line), "")
-        return {"wall_s": time.perf_counter() - begin, "rc": result.returncode, "said": said.strip()}
+        path = Path(folder, "film.mp4")
+        _write_film(path, 20 if quick else 300)
+        begin = time.process_time()
+        board = target.Board(BOARD.columns, BOARD.rows, BOARD.square_m)
+        seen = gather.collect(footage.pictures([str(path)], 2.0), board, thorough=False)
+        searched = time.process_time()
+        calibrate.calibrate_views(seen.board, seen.views)
+        yield {
+            "speed": "a film of five minutes, 1080p",
+            "tool": "avcalib",
+            "pictures": len(seen),
+            "views": len(seen.views),
+            "search_s": searched - begin,
+            "fit_s": time.process_time() - searched,
+        }
+
+
+def _enlarged(lens: KannalaBrandt, times: int) -> KannalaBrandt:
+    """The same lens with as many times the pixels along each side."""
+    core = {"fx": lens.fx * times, "fy": lens.fy * times}
+    core |= {name: (getattr(lens, name) + 0.5) * times - 0.5 for name in ("cx", "cy")}
+    return replace(lens, **core)
+
+
+def _our_time(pictures: list[np.ndarray]) -> Row:
+    begin = time.process_time()
+    seen = gather.collect(pictures, BOARD)
+    searched = time.process_time()
+    calibrate.calibrate_views(seen.board, seen.views)
+    ended = time.process_time()
+    return {
+        "pictures": len(pictures),
+        "views": len(seen.views),
+        "search_s": searched - begin,
+        "fit_s": ended - searched,
+    }
+
+
+def _opencv_time(pictures: list[np.ndarray]) -> Row:
+    """OpenCV: findChessboardCorners with its defaults, cornerSubPix in a window of 11 px, the fisheye fit."""
+    begin = time.process_time()
+    points, pixels, numbers = [], [], []
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
+    for picture in pictures:
+        found, corners_px = cv2.findChessboardCorners(picture, BOARD.inner)
+        if found:
+            exactly = cv2.cornerSubPix(picture, np.asarray(corners_px), (11, 11), (-1, -1), criteria)
+            points.append(BOARD.points)
+            pixels.append(exactly.reshape(-1, 2).astype(float))
+            numbers.append(np.full(len(BOARD.points), len(points) - 1))
+    searched = time.process_time()
+    n = len(points) * len(BOARD.points)
+    observations = fit.Observations(
+        np.concatenate(numbers), np.concatenate(points), np.concatenate(pixels), np.ones(n), BOARD.half_extent
+    )
+    height, width = pictures[0].shape
+    begin_fit = time.process_time()
+    with contextlib.suppress(fit.NoFit):
+        opencv.calibrate(observations, width, height, start=_enlarged(THESIS, width // SIZE[0]))
+    return {
+        "pictures": len(pictures),
+        "views": len(points),
+        "search_s": searched - begin,
+        "fit_s": time.process_time() - begin_fit,
+    }
+
+
+def _write_film(path: Path, seconds: int, rate: int = 30) -> None:
+    """Write a film of a board that moves: a photograph every two seconds, which drifts in between."""
+    rng = np.random.default_rng(101)
+    filmed = film(seconds // 2, rng)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), float(rate), SIZE)
+    for R, t in zip(filmed.rotations, filmed.translations, strict=True):
+        still = photograph(R, t, rng)
+        for frame in range(2 * rate):
+            moved = cv2.warpAffine(still, np.array([[1.0, 0, frame / 10], [0, 1, frame / 20]]), SIZE)
+            writer.write(cv2.cvtColor(moved, cv2.COLOR_GRAY2BGR))
+    writer.release()
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
@@ -241,6 +319,20 @@ def of(key: str, function: Callable[[list[float]], Any], form: str = "{:.3f}") -
         return form.format(function(values)) if values else "—"
 
     return column
+
+
+def sets_table(rows: list[Row]) -> str:
+    """Markdown: one line for each set and tool."""
+    columns = [
+        ("views kept of readable", lambda rows: f"{rows[0].get('kept', '—')}/{rows[0].get('readable', '—')}"),
+        ("held out px, all corners", of("held_out_px", np.mean)),
+        ("best 95 %", of("held_out_95_px", np.mean)),
+        ("actual over stated", of("honesty", np.mean, "{:.2f}")),
+        ("corners, CPU s", of("search_s", np.mean, "{:.1f}")),
+        ("fit, CPU s", of("fit_s", np.mean, "{:.2f}")),
+        ("verdict", lambda rows: str(rows[0].get("failed", rows[0].get("verdict", "")))),
+    ]
+    return table(rows, ["set", "tool"], columns)
 
 
 def plot(rows: list[Row], path: Path) -> None:
@@ -274,7 +366,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--quick", action="store_true", help="fewer sets")
-    parser.add_argument("--only", choices=["photographs", "methods"])
+    parser.add_argument("--only", choices=["photographs", "methods", "speed", "sets"])
+    parser.add_argument(
+        "--sets", type=Path, action="append", default=[], help="a folder of sets of pictures (lens_sets)"
+    )
+    parser.add_argument(
+        "--splits", type=int, default=50, help="random halves that tell whether a tool's error is honest"
+    )
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     parts = []
@@ -286,7 +384,7 @@ def main() -> None:
                 log.flush()
                 yield row
 
-        if options.only != "methods":
+        if options.only in (None, "photographs"):
             rows = list(collected(photograph_cases(options.seeds, options.views)))
             columns = [
                 ("seeds", lambda rows: str(len(rows))),
@@ -302,7 +400,7 @@ def main() -> None:
                 ("fit s", of("fit_s", np.min)),
             ]
             parts.append(f"## {options.views} photographs a seed\n\n" + table(rows, ["case"], columns))
-        if options.only != "photographs":
+        if options.only in (None, "methods"):
             rows = list(collected(method_rows(options.seeds, options.quick)))
             columns = [
                 ("mean error px", of("mean_px", np.median)),
@@ -316,8 +414,20 @@ def main() -> None:
             ]
             parts.append("## Corners with known noise\n\n" + table(rows, ["set", "method"], columns))
             plot(rows, options.out / "calibration.svg")
-            peer = mrcal_row(exact(film(40, np.random.default_rng(0)), noise=0.15, rng=np.random.default_rng(0)))
-            parts.append(f"mrcal: {peer or 'not installed, so not compared; its command line was never run here'}")
+        if options.only in (None, "speed"):
+            rows = list(collected(speed_rows(options.quick)))
+            columns = [
+                ("pictures", of("pictures", np.max, "{:.0f}")),
+                ("views", of("views", np.max, "{:.0f}")),
+                ("corners, CPU s", of("search_s", np.min, "{:.2f}")),
+                ("fit, CPU s", of("fit_s", np.min, "{:.2f}")),
+            ]
+            parts.append("## Speed\n\n" + table(rows, ["speed", "tool"], columns))
+        if options.only in (None, "sets"):
+            for folder in options.sets:
+                sets_in = sorted(path for path in folder.iterdir() if path.is_dir())
+                rows = list(collected(row for path in sets_in for row in lens_sets.set_rows(path, options.splits)))
+                parts.append(f"## Pictures of others: {folder.name}\n\n{lens_sets.TEXT}\n\n" + sets_table(rows))
     text = "\n\n".join(parts) + "\n"
     (options.out / "calibration.md").write_text(text)
     print(text)

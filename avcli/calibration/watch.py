@@ -1,0 +1,133 @@
+"""A page that shows the newest picture of a film, and how the filming goes."""
+
+import contextlib
+import ipaddress
+import json
+import secrets
+import threading
+from collections.abc import Iterator, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+
+_WAIT_S = 10.0
+"""How long a question about the state waits for a new one."""
+
+
+class Show:
+    """Call it with a picture (height, width, 3) uint8 RGB and the state (JSON's types) to show these.
+
+    Where the page is served to other machines, its address holds a key that cannot be guessed. On this machine alone
+    there is none, but a request must name this machine: a page from the network could otherwise have its own name
+    lead here, and read the camera.
+
+    Attributes:
+        port: of the page.
+        url: of the page.
+    """
+
+    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        self._new = threading.Condition()
+        self._jpeg, self._state, self._number, self._ended = b"", b"{}", 0, False
+        self._local = is_local(host)
+        self._key = "" if self._local else f"{secrets.token_urlsafe(9)}/"
+        self._page = resources.files(__package__).joinpath("watch.html").read_bytes()
+        show = self
+
+        class _Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                show._answer(self)
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self._server = ThreadingHTTPServer((host, port), _Handler)
+        self._server.daemon_threads = True
+        self.port = self._server.server_address[1]
+        name = _own_address() if host in ("0.0.0.0", "") else host
+        self.url = f"http://{name}:{self.port}/{self._key}"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+
+    def __call__(self, picture: np.ndarray, state: Mapping[str, Any] | None = None) -> None:
+        import cv2
+
+        jpeg = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+        with self._new:
+            self._jpeg, self._number = jpeg, self._number + 1
+            self._state = json.dumps({**(state or {}), "number": self._number}).encode()
+            self._new.notify_all()
+
+    def _answer(self, handler: BaseHTTPRequestHandler) -> None:
+        asked = urlsplit(handler.path)
+        host = handler.headers.get("Host", "").rpartition(":")[0].strip("[]")
+        if (self._local and not is_local(host)) or not asked.path.startswith(f"/{self._key}"):
+            handler.send_error(404)
+            return
+        what = asked.path.removeprefix(f"/{self._key}")
+        with contextlib.suppress(OSError):
+            if what == "picture":
+                _send(handler, "image/jpeg", self._jpeg)
+            elif what == "state":
+                known = parse_qs(asked.query).get("after", [""])[0]
+                _send(handler, "application/json", self._state_after(int(known) if known.isdecimal() else 0))
+            elif what == "":
+                _send(handler, "text/html; charset=utf-8", self._page)
+            else:
+                handler.send_error(404)
+
+    def _state_after(self, number: int) -> bytes:
+        """Wait for a newer state than the one with this number, for a while."""
+        with self._new:
+            self._new.wait_for(lambda: self._ended or self._number > number, _WAIT_S)
+            return self._state
+
+    def _end(self) -> None:
+        with self._new:
+            self._ended = True
+            self._new.notify_all()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def is_local(host: str) -> bool:
+    """Tell whether a host, by name or address, is this machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _send(handler: BaseHTTPRequestHandler, kind: str, content: bytes) -> None:
+    handler.send_response(200)
+    handler.send_header("Content-Type", kind)
+    handler.send_header("Content-Length", str(len(content)))
+    handler.send_header("Cache-Control", "no-store")
+    handler.send_header("Referrer-Policy", "no-referrer")
+    handler.end_headers()
+    handler.wfile.write(content)
+
+
+def _own_address() -> str:
+    """Address of this machine in its network, as a phone reaches it."""
+    import socket
+
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # sends nothing: only asks which way it would go
+        return str(probe.getsockname()[0])
+    return socket.gethostname()
+
+
+@contextlib.contextmanager
+def serving(port: int, host: str = "127.0.0.1") -> Iterator[Show]:
+    """Serve the page while the block lasts; OSError where the port is taken or the host is not this machine's."""
+    show = Show(port, host)
+    show._thread.start()
+    try:
+        yield show
+    finally:
+        show._end()
