@@ -152,7 +152,7 @@ def _map(result: Calibration, title: str, text: str, inside: str, scale: str = "
 
 
 def _rings(result: Calibration) -> str:
-    """Rings every 15 degrees from the axis, the one up to which the lens is trusted stronger, and the picture's circle."""
+    """Rings every 15 degrees from the axis, stronger where the lens ceases to be trusted, and the picture's circle."""
     lens, turn = result.solution.lens, np.linspace(0, 2 * np.pi, 121)
     circle = result.quality.circle
     paths = [] if circle is None else [_path("ring", circle.edge(120))]

@@ -215,7 +215,7 @@ def _board_offsets(observations: Observations, solution: Solution, square: float
     return np.where(np.isfinite(met).all((1, 2))[:, None, None], offsets, 0.0)
 
 
-# --- the board's own errors --------------------------------------------------------------------------------------------
+# --- the board's own errors -------------------------------------------------------------------------------------------
 
 
 def with_board_errors(observations: Observations, solution: Solution) -> tuple[Observations, Solution]:
@@ -305,7 +305,7 @@ def held_out(
         solution: the fit to the corners in `good`.
         good: (n,) bool, the corners that belong. The others take no part in a fit, but they count in `all_px`.
         of: (n,) bool, the corners whose RMS is asked for; None: those in `good`.
-        board_errors: also learn the board's errors (`with_board_errors`) from the other views; `observations` have none.
+        board_errors: also learn the board's errors (`with_board_errors`) from the other views.
         folds: how many parts; view i is in part i mod folds.
     """
     everywhere = posed(observations, solution, good)
