@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from avcli.tracking.model import Population
 from avcli.tracking.places import Places
 from avcli.tracking.scan import GATE, Scan
 from avcli.tracking.settings import Sensor
-
-if TYPE_CHECKING:
-    from avcli.tracking.unseen import UnseenMap
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density

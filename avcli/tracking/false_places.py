@@ -56,6 +56,7 @@ class FalsePlace:
         odds: log odds that it is false.
         label: of the track that is there, -1: none.
         told: whether `FalsePlaces.news` has named it, or another run has.
+        idle: records in which nothing was there, neither a detection nor a person, and that do not count yet.
     """
 
     x: float
@@ -66,6 +67,7 @@ class FalsePlace:
     odds: float = DOUBT
     label: int = -1
     told: bool = False
+    idle: int = 0
 
     @property
     def rate(self) -> float:
@@ -84,6 +86,14 @@ class FalsePlace:
             keep = ENOUGH / self.hits
             self.hits, self.misses = self.hits * keep, self.misses * keep
 
+    def settle(self) -> None:
+        """Count the idle records, all at once."""
+        if self.idle:
+            n, whole = self.idle, self.hits + self.misses
+            lost = math.lgamma(self.misses + n) - math.lgamma(self.misses)
+            self.odds += lost - math.lgamma(whole + n) + math.lgamma(whole)
+            self.misses, self.idle = self.misses + n, 0
+
     def weigh(self, nats: float) -> None:
         """Take in by how many nats a record is likelier if the place is false."""
         self.odds = min(self.odds + min(max(nats, -TELLS), TELLS), CERTAIN)
@@ -96,12 +106,13 @@ class FalsePlaces:
         """Begin without any; learn: whether to find some."""
         self.learns = learn
         self.of: list[list[FalsePlace]] = []
+        self._at: list[np.ndarray] = []  # of each sensor: (n,) m, x + iy of its places
         self._found: list[tuple[int, FalsePlace]] = []
         self.first: dict[int, tuple[float, float]] = {}  # label -> where it was detected first, m
 
     def add(self) -> None:
         """Let another sensor report from now on."""
-        self.of.append([])
+        self._keep(len(self.of), [])
 
     def state(self, column: int) -> list[dict[str, Any]]:
         """Return the places of a sensor that are probably false, as `restore` takes them and people read them."""
@@ -113,17 +124,29 @@ class FalsePlaces:
                 "misses": one.misses,
                 "log_odds": one.odds,
             }
-            for one in self.of[column]
+            for one in self._settled(column, 0.0)
             if one.odds > 0
         ]
 
     def restore(self, column: int, state: Iterable[Mapping[str, Any]]) -> None:
         """Go on from what another run has found of a sensor."""
-        self.of[column] = [
+        places = [
             FalsePlace(x, y, one["variance"], one["hits"], one["misses"], one["log_odds"], told=True)
             for one in state
             for x, y in [one["position"]]
         ]
+        self._keep(column, places)
+
+    def _keep(self, column: int, places: list[FalsePlace]) -> None:
+        self.of[column : column + 1] = [places]
+        self._at[column : column + 1] = [np.array([complex(one.x, one.y) for one in places])]
+
+    def _settled(self, column: int, least: float) -> list[FalsePlace]:
+        """Return the places of a sensor whose log odds are more than that, all records counted."""
+        found = [one for one in self.of[column] if one.odds > least]  # idle records only make them less
+        for one in found:
+            one.settle()
+        return found
 
     def news(self, names: Sequence[str]) -> list[str]:
         """Return a sentence on each place that has become rather sure since the last call; names: of the sensors."""
@@ -143,19 +166,27 @@ class FalsePlaces:
         """Return label -> probability that it is no person, but a false place; only of those where that may be."""
         return {
             one.label: one.probability
-            for places in self.of
-            for one in places
-            if one.odds > DOUBT and one.label >= 0 and not self._went(one.label, one)
+            for column in range(len(self.of))
+            for one in self._settled(column, DOUBT)
+            if one.label >= 0 and not self._went(one.label, one)
         }
+
+    def died(self, label: int) -> float:
+        """Note that a label hardly exists any more; returns the probability that it was no person, see `doubts`."""
+        doubt = self.doubts().get(label, 0.0)
+        for places in self.of:
+            for one in places:
+                one.label = -1 if one.label == label else one.label
+        return doubt
 
     def density(self, column: int, z: np.ndarray) -> list[float]:
         """Return the density (J,) per m² of false detections at positions (J, 2) m by these places."""
-        places = [one for one in self.of[column] if one.odds > DOUBT]
-        if not places or not len(z):
+        places = self._settled(column, DOUBT) if len(z) else []
+        if not places:
             return [0.0] * len(z)
         variance = np.array([one.variance for one in places])
         share = np.array([one.probability * one.rate for one in places]) / (2 * math.pi * variance)
-        square = _squares(z, np.array([(one.x, one.y) for one in places]))
+        square = np.square(z[:, None] - np.array([(one.x, one.y) for one in places])).sum(2)
         return (share * np.exp(-square / (2 * variance))).sum(1).tolist()
 
     def began(self, column: int, label: int, place: Sequence[float], variance: float, new: bool) -> None:
@@ -169,9 +200,10 @@ class FalsePlaces:
         if near:
             min(near, key=lambda one: _apart(one, x, y)).label = label
             return
-        if len(self.of[column]) >= MOST:
-            self.of[column].remove(min(self.of[column], key=lambda one: one.odds))
-        self.of[column].append(FalsePlace(x, y, variance, label=label))
+        places = self._settled(column, -math.inf)
+        if len(places) >= MOST:
+            places.remove(min(places, key=lambda one: one.odds))
+        self._keep(column, [*places, FalsePlace(x, y, variance, label=label)])
 
     def learn(
         self,
@@ -196,20 +228,57 @@ class FalsePlaces:
             self._confirm(scan, people, others, groups)
         if not places:
             return
-        labels, at = [people.label[row] for row in likely], np.array([(one.x, one.y) for one in places])
-        to_people, to_shown = _squares(at, people.centres(likely)[:, :2]).tolist(), _squares(at, scan.z).tolist()
-        for one, away, apart in zip(places, to_people, to_shown, strict=True):
-            k = labels.index(one.label) if one.label in labels else -1
-            if k >= 0 and away[k] > WENT**2:  # whoever was there is a person, who has left
-                one.label, k = -1, -1
-                one.odds = one.odds if one.odds > 0 else min(one.odds, DOUBT)
-            there = [i for i, square in enumerate(away) if square < NEAR**2 or i == k]
-            if not any(self._went(labels[i], one) for i in there):
-                self._weigh(one, scan, people, likely, birth, likely[k] if k >= 0 else -1, apart)
+        rows = np.array(likely, int)
+        centres = np.ascontiguousarray(people.mean.take(rows, 0)[:, 0, :2]).view(complex)[:, 0]
+        points = np.concatenate([np.ascontiguousarray(scan.z).view(complex)[:, 0], centres])
+        apart = abs(self._at[scan.column][:, None] - points)
+        far = max(NEAR, math.sqrt(GATE * max(one.variance for one in places)))
+        busy, n, lost = (apart < far).any(1).tolist(), len(scan.z), False
+        for k, one in enumerate(places):
+            if not busy[k] and one.label < 0:
+                one.idle += 1
+                continue
+            one.settle()
+            near = apart[k].tolist()
+            self._look(one, scan, people, likely, birth, near[:n], near[n:])
+            lost = lost or one.odds < GIVEN_UP
             if one.odds > SURE and not one.told:
                 one.told = True
                 self._found.append((scan.column, one))
-        self.of[scan.column] = [one for one in places if one.odds > GIVEN_UP]
+        if lost:
+            self._keep(scan.column, [one for one in places if one.odds >= GIVEN_UP])
+        elif any(busy):
+            self._keep(scan.column, places)
+
+    def _look(
+        self,
+        one: FalsePlace,
+        scan: Scan,
+        people: Densities,
+        likely: Sequence[int],
+        birth: Sequence[float],
+        shown: Sequence[float],
+        away: Sequence[float],
+    ) -> None:
+        """Weigh what a record shows at a place, unless somebody is there who went there.
+
+        Args:
+            one: the place.
+            scan, people, likely, birth: see `learn`.
+            shown: J distances in m of the detections.
+            away: distances in m of the likely people.
+        """
+        row = -1
+        for i, apart in zip(likely, away, strict=True):
+            mine = one.label >= 0 and people.label[i] == one.label
+            if mine and apart > WENT:  # whoever was there is a person, who has left
+                one.label = -1
+                one.odds = one.odds if one.odds > 0 else min(one.odds, DOUBT)
+            elif (mine or apart < NEAR) and self._went(people.label[i], one):
+                return
+            elif mine:
+                row = i
+        self._weigh(one, scan, people, likely, birth, row, shown)
 
     def _weigh(
         self,
@@ -219,7 +288,7 @@ class FalsePlaces:
         likely: Sequence[int],
         birth: Sequence[float],
         row: int,
-        apart: Sequence[float],
+        shown: Sequence[float],
     ) -> None:
         """Weigh what a record shows at a place.
 
@@ -227,9 +296,10 @@ class FalsePlaces:
             one: the place.
             scan, people, likely, birth: see `learn`.
             row: of the person who may be there, -1: none.
-            apart: J squared distances in m² from the place to the detections.
+            shown: J distances in m of the detections.
         """
-        square, j = min((square, j) for j, square in enumerate(apart)) if apart else (math.inf, -1)
+        apart, j = min((apart, j) for j, apart in enumerate(shown)) if shown else (math.inf, -1)
+        square = apart * apart
         if square >= GATE * one.variance:
             one.weigh(math.log(1 - one.rate) - (_beside(scan, row, likely, birth) if row >= 0 else 0.0))
             one.count(False)
@@ -285,11 +355,6 @@ def _beside(scan: Scan, row: int, likely: Sequence[int], birth: Sequence[float])
 
 def _apart(one: FalsePlace, x: float, y: float) -> float:
     return (one.x - x) ** 2 + (one.y - y) ** 2
-
-
-def _squares(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the squared distances (n, m) between places (n, 2) and (m, 2)."""
-    return np.square(one[:, None] - other).sum(2)
 
 
 def _normal(square: float, variance: float) -> float:

@@ -139,6 +139,7 @@ class Fusion:
         self.tracker = self.entry.make(self.settings, self.population, lag > 0, explain)
         if explain and not isinstance(self.tracker, Explainable):
             raise ValueError(f"the tracker {tracker} cannot explain its records")
+        self._news = self.tracker.news if isinstance(self.tracker, Learning) else None
         self.delayed = None
         if lag:
             if not isinstance(self.tracker, Smoothable):
@@ -225,7 +226,7 @@ class Fusion:
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
         for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
             self._update(at, sensors[column], parts)
-        for text in self.tracker.news() if isinstance(self.tracker, Learning) else ():
+        for text in self._news() if self._news else ():
             self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]

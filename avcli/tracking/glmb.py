@@ -259,7 +259,7 @@ class GLMB:
         if settings.learn:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
-        self.habits.clutter = [one.clutter for one in self.rates]
+        self.habits.log_clutter = [math.log(one.clutter) for one in self.rates]
         rates.learn_score(scan.odds, [1 - f for f in false])
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)
@@ -599,11 +599,12 @@ class GLMB:
         because = "its detections belong to others" if meant < 0.5 else "no sensor detects it any more"
         because = "it cannot be told from others who are out of sight" if lost and meant >= 0.5 else because
         self.died.append({"label": label, "existence": existence, "because": because})
+        doubt = self.false_places.died(label)
         if not rows:
             return
         best = max(rows, key=lambda row: (shares[row] * people.existence[row], -row))
         if meant >= 0.5:
-            if self.false_places.doubts().get(label, 0.0) > 0.5:
+            if doubt > 0.5:
                 self.habits.was_false(label)
             elif not lost:
                 self.habits.ended(label, people, best)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class Habits:
         self._stays: list[tuple[np.ndarray, list[float]]] = []
         self._now = 0.0
         self._refreshed = 0.0
-        self.clutter: list[float] = []  # false detections expected in a record of each sensor
+        self.log_clutter: list[float] = []  # of false detections expected in a record of each sensor
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it."""
@@ -120,8 +121,7 @@ class Habits:
     def sure(self, people: Densities, row: int) -> bool:
         """Return whether the detections of a row certainly were a person's, by what is known of clutter now."""
         hits = people.hits[row].tolist()
-        false = math.fsum(n * math.log(clutter) for n, clutter in zip(hits, self.clutter, strict=True))
-        return sum(hits) >= SURE_HITS and people.told[row] - false > SURE
+        return sum(hits) >= SURE_HITS and float(people.told[row]) - sum(map(mul, hits, self.log_clutter)) > SURE
 
     def confirm(self, people: Densities, rows: Iterable[int]) -> None:
         """Count the arrival of those of some rows who are certainly people by now."""
