@@ -92,11 +92,6 @@ class Calibration:
         return self.solution.covariance[: -fit.SHAPE, : -fit.SHAPE]
 
     @property
-    def inflation(self) -> float:
-        """How many times larger the lens's errors are than those of corners whose errors are all their own."""
-        return fit.inflation(self.observations, self.solution)
-
-    @property
     def verdict(self) -> str:
         """One sentence on how far the calibration can be trusted."""
         return self.quality.verdict
@@ -122,7 +117,7 @@ class Calibration:
                 "split_half_px": _finite(q.halves.actual_px),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
-                "inflation": _finite(self.inflation),
+                "inflation": _finite(q.inflation),
                 "held_out_all_px": _finite(self.held_out_all_px),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),

@@ -207,7 +207,7 @@ class Guide:
         except fit.NoFit:
             return
         some = seen.of_corners(self._good)
-        self.quality = quality.assess(some, self.solution, width, height, float("nan"), self._circle)
+        self.quality = quality.assess(some, self.solution, width, height, float("nan"), self._circle, 0)
 
     def _with_newest(self, seen: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
         """Fit the views again from the fit of all but the newest."""

@@ -277,7 +277,14 @@ def _straightened(result: Calibration, sample: np.ndarray | None) -> str:
     import cv2
 
     size = (result.width, result.height)
-    straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
+    straight = undistort.straighten(
+        result.lens,
+        size,
+        size,
+        ProjectionSettings(balance=0.5),
+        result.quality.theta_max_trusted,
+        result.quality.circle,
+    )
     image = undistort.resample(sample, straight)
     if result.width > 1280:
         image = cv2.resize(image, (1280, round(1280 * result.height / result.width)), interpolation=cv2.INTER_AREA)
