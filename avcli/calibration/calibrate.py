@@ -20,6 +20,7 @@ BOARD_GAIN = 0.02
 LEAST_FOR_ERRORS = 8
 """Views from which the board's errors are looked for."""
 
+_LEAST_CORNERS = 6
 DEFAULTS = FitSettings()
 
 
@@ -91,11 +92,6 @@ class Calibration:
         return self.solution.covariance[: -fit.SHAPE, : -fit.SHAPE]
 
     @property
-    def inflation(self) -> float:
-        """How many times larger the lens's errors are than those of corners whose errors are all their own."""
-        return fit.inflation(self.observations, self.solution)
-
-    @property
     def verdict(self) -> str:
         """One sentence on how far the calibration can be trusted."""
         return self.quality.verdict
@@ -121,7 +117,7 @@ class Calibration:
                 "split_half_px": _finite(q.halves.actual_px),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
-                "inflation": _finite(self.inflation),
+                "inflation": _finite(q.inflation),
                 "held_out_all_px": _finite(self.held_out_all_px),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
@@ -282,30 +278,49 @@ def judged(
     )
 
 
-def check(board: Board, views: list[View], lens: Lens) -> dict:
+def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
+    Args:
+        board, views: what was filmed.
+        lens: to be scored.
+        theta_trusted: rad; corners farther from the axis do not count, and their number is stated.
+
     Returns:
-        views, corners, rms_px (of all corners), median_px, worst_px (of a view), off_deg (of all corners, as an angle)
-        and theta_max_seen_deg.
+        views, corners, corners_beyond (where theta_trusted is stated), rms_px (of all corners up to there), median_px,
+        worst_px (of a view), off_deg (of those corners, as an angle) and theta_max_seen_deg.
+
+    Raises:
+        fit.NoFit: no view has enough corners up to there.
     """
     everything = observe(board, views)
     start = fit.start_from_rays(everything, lens)
     solution = fit.refine_poses(everything, start, 20)
     everything = robust.polished(everything, solution, board, views)
+    theta = quality.seen_angles(lens, everything.pixels)
+    known = ~(theta > theta_trusted)
+    if not known.all():
+        enough = everything.per_view(known.astype(int)) >= _LEAST_CORNERS
+        if not enough.any():
+            raise fit.NoFit(
+                f"no picture has {_LEAST_CORNERS} corners within the {np.rad2deg(theta_trusted):.1f} degrees from the "
+                "axis up to which the lens is known"
+            )
+        everything, solution = everything.of_corners(known & enough[everything.view]), solution.of_views(enough)
     solution = fit.refine_poses(everything, solution, 20)
     each = fit.view_rms(everything, solution)
     corners_of = np.bincount(everything.view)
     return {
-        "views": len(views),
+        "views": everything.views,
         "corners": len(everything.pixels),
+        **({} if np.isinf(theta_trusted) else {"corners_beyond": int((~known).sum())}),
         "rms_px": float(np.sqrt((each**2 * corners_of).sum() / corners_of.sum())),
         "median_px": float(np.median(each)),
         "worst_px": float(each.max()),
         "off_deg": float(
             np.rad2deg(place.off_angle(lens.unproject(everything.pixels), _in_camera(everything, solution)))
         ),
-        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(quality.seen_angles(lens, everything.pixels)))),
+        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(theta))),
     }
 
 

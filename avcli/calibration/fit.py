@@ -367,8 +367,8 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
 def by_view(observations: Observations, solution: Solution) -> Views:
     """What each view says about the unknowns in `solution.free`, at the solution and with its robust weights.
 
-    The view's pose is eliminated. So are the board's errors, if there are any: they are held by BOARD_ERROR, and what
-    the lens owes to them is not known better than they are.
+    The view's pose is eliminated. So are the board's errors, if there are any: what the lens owes to them is not known
+    better than they are.
     """
     o = observations
     residual, common, own = _linearise(o, solution)
@@ -419,18 +419,20 @@ def _without_board_errors(
     """
     points, corner = np.unique(o.points, axis=0, return_inverse=True)
     size, p = 3 * len(points), common.shape[-1]
-    held, between = np.eye(size) * (variance / error_prior(o) ** 2), np.zeros((size, p))
-    normal = held.copy()
+    held = np.eye(size) * (variance / error_prior(o) ** 2)
+    normal, own_place, shared = held.copy(), np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, p))
+    np.add.at(own_place, corner, np.einsum("nia,nib->nab", by_error, by_error))
+    np.add.at(shared, corner, np.einsum("nia,nib->nab", by_error, common))
     for rows in np.split(np.arange(len(o.view)), o.starts[1:]):
-        Q = np.linalg.qr(own[rows].reshape(-1, own.shape[-1]))[0]
+        Q = np.linalg.qr(own[rows].reshape(-1, own.shape[-1]))[0].reshape(len(rows), 2, -1)
+        along = np.einsum("nia,nib->nab", by_error[rows], Q)  # what the pose takes of it
+        flat = along.reshape(-1, Q.shape[-1])
         columns = (3 * corner[rows][:, None] + np.arange(3)).ravel()
-        apart = np.zeros((len(rows), 2, len(rows), 3))
-        apart[np.arange(len(rows)), :, np.arange(len(rows))] = by_error[rows]
-        wide = apart.reshape(2 * len(rows), -1)
-        wide -= Q @ (Q.T @ wide)
-        normal[np.ix_(columns, columns)] += wide.T @ wide
-        between[columns] += wide.T @ common[rows].reshape(-1, p)
-    gain = np.linalg.solve(normal, between).reshape(len(points), 3, p)
+        normal[np.ix_(columns, columns)] -= flat @ flat.T
+        shared[corner[rows]] -= along @ np.einsum("nib,nia->ba", Q, common[rows])
+    place = np.arange(size).reshape(-1, 3)
+    normal[place[:, :, None], place[:, None, :]] += own_place
+    gain = np.linalg.solve(normal, shared.reshape(size, p)).reshape(len(points), 3, p)
     learned = size - float(np.trace(np.linalg.solve(normal, held)))
     return common - by_error @ gain[corner], learned
 
@@ -441,12 +443,6 @@ def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarr
     out = np.zeros((len(solution.parameters),) * 2)
     out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
     return out, float(np.sqrt(views.variance))
-
-
-def inflation(observations: Observations, solution: Solution) -> float:
-    """How many times larger the errors of the unknowns are than if each corner's error were its own; at least 1."""
-    views = by_view(observations, solution)
-    return uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views))
 
 
 # --- the whole fit ----------------------------------------------------------------------------------------------------

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration import fit, nextview, quality, robust
+from avcli.calibration import field, fit, nextview, quality, robust
 from avcli.calibration.calibrate import calibrate_views, observe
+from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.gather import Seen, is_duplicate
 from avcli.calibration.settings import FitSettings
@@ -111,6 +112,7 @@ class Guide:
         """
         self.settings = settings or FitSettings()
         self.quality: quality.Quality | None = None
+        self._circle: Circle | None = None
         self.counts: np.ndarray | None = None
         self.proposal: nextview.Proposal | None = None
         self.state = State("hold the board in front of the camera", 0, (), found=False, there=False, enough=False)
@@ -145,6 +147,8 @@ class Guide:
 
     def after(self, seen: Seen, grey: np.ndarray, view: View | None) -> bool:
         """Learn from the newest picture, (height, width) uint8, and tell whether enough is known."""
+        if len(seen.views) != self._known:
+            self._circle = seen.light.circle
         hint = self.take(seen.board, seen.views, view, grey.shape[1], grey.shape[0])
         if hint:
             self._say(hint)
@@ -183,8 +187,8 @@ class Guide:
 
     @property
     def mean_px(self) -> float:
-        """Mean expected error over the picture, px; infinite before it is known."""
-        return self.quality.mean_sd_px if self.quality else float("inf")
+        """Mean expected error over the lit picture, px; infinite before it is known."""
+        return float(np.nanmean(self.quality.field.sd_px)) if self.quality else float("inf")
 
     def _learn(self, board: Board, views: list[View]) -> None:
         """Fit the views so far: from the fit before where there is one, since only one view is new."""
@@ -202,7 +206,8 @@ class Guide:
                 self.solution, self._good = robust.fit_robustly(seen, width, height, model=self._model)
         except fit.NoFit:
             return
-        self.quality = quality.assess(seen.of_corners(self._good), self.solution, width, height, float("nan"))
+        some = seen.of_corners(self._good)
+        self.quality = quality.assess(some, self.solution, width, height, float("nan"), self._circle, 0)
 
     def _with_newest(self, seen: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
         """Fit the views again from the fit of all but the newest."""
@@ -222,7 +227,15 @@ class Guide:
             self.proposal = nextview.first(board, lens, width, height)
             return
         seen = observe(board, views).of_corners(self._good)
-        self.proposal = nextview.propose(board, self.solution, seen, width, height, avoid=self._avoid)
+        self.proposal = nextview.propose(
+            board,
+            self.solution,
+            seen,
+            width,
+            height,
+            avoid=self._avoid,
+            lit=lambda pixels: field.lit(pixels, self._circle),
+        )
 
     def _is_there(self, board: Board, view: View) -> bool:
         assert self.proposal is not None
@@ -243,7 +256,7 @@ class Guide:
         saturated = self._known >= 3 * LEAST_VIEWS and (self.proposal is None or self.proposal.gain < _SMALL_GAIN)
         if not (self.mean_px <= self._limit_px(width) or saturated):
             return False
-        if calibrate_views(board, views, self.settings).quality.refusals:
+        if calibrate_views(board, views, self.settings, self._circle).quality.refusals:
             self._confirm_at = self._known + 3
             return False
         return True
@@ -265,7 +278,7 @@ class Guide:
         return f"hold the board {self.proposal.words}"
 
     def _bars(self, views: list[View], width: int) -> tuple[Bar, ...]:
-        covered = 0.0 if self.counts is None else float((self.counts > 0).mean())
+        covered = self._covered
         tilt = near = 0.0
         if self.solution is not None and len(self.solution.rotations) > 1:
             normals = self.solution.rotations[:, :, 2]
@@ -291,8 +304,17 @@ class Guide:
             ),
         )
 
+    @property
+    def _covered(self) -> float:
+        """Fraction of the lit picture in which corners were seen."""
+        if self.counts is None:
+            return 0.0
+        if self.quality is not None:
+            return 1 - self.quality.empty
+        return float((self.counts > 0).mean())
+
     def _covered_text(self) -> str:
-        covered = 0.0 if self.counts is None else float((self.counts > 0).mean())
+        covered = self._covered
         known = f", expected error {self.mean_px:.2f} px" if np.isfinite(self.mean_px) else ""
         return f"{100 * covered:.0f} % of the picture covered{known}"
 

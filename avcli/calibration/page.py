@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from avcli.calibration import fit, report, undistort
+from avcli.calibration import fit, quality, report, undistort
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.gather import Seen
 from avcli.calibration.settings import ProjectionSettings
@@ -83,11 +83,19 @@ def _figures(result: Calibration, seen: Seen) -> str:
         ("Corners", f"{len(result.observations.pixels)}"),
         ("Residual (RMS)", f"{q.rms_px:.3f} px"),
         ("Residual of pictures held out", held_out),
-        ("Expected error, mean", f"{_mean_px(result):.3f} px"),
-        ("Corners were seen up to", f"{np.rad2deg(q.theta_max_observed):.1f}° from the axis"),
+        ("Expected error, mean", f"{q.mean_sd_px:.3f} px"),
+        ("Halves of the pictures differ by", _halves(q)),
+        ("Trusted up to", f"{np.rad2deg(q.theta_max_trusted):.1f}° from the axis"),
+        ("Corners were seen up to", f"{np.rad2deg(q.theta_max_observed):.1f}°"),
         ("The picture reaches", f"{np.rad2deg(q.theta_max_picture):.1f}°"),
     ]
     return _table(rows)
+
+
+def _halves(q: quality.Quality) -> str:
+    if not np.isfinite(q.halves.ratio):
+        return "unknown: too few pictures"
+    return f"{q.halves.actual_px:.3f} px, {q.halves.ratio:.2f} times what is stated"
 
 
 def _parameters(result: Calibration) -> str:
@@ -110,10 +118,6 @@ def _table(rows: list[tuple[str, str]]) -> str:
 # --- over the picture -------------------------------------------------------------------------------------------------
 
 
-def _mean_px(result: Calibration) -> float:
-    return float(np.nanmean(result.quality.field_sd_px))
-
-
 def _maps(result: Calibration) -> list[str]:
     q = result.quality
     return [
@@ -121,8 +125,8 @@ def _maps(result: Calibration) -> list[str]:
             result,
             "Expected error",
             "How far the lens may be wrong: one standard deviation.",
-            _field(result, q.field.pixels, q.field_sd_px),
-            _scale(q.field_sd_px),
+            _field(result, q.field.pixels, q.field.sd_px),
+            _scale(q.field.sd_px),
         ),
         _map(
             result,
@@ -148,16 +152,21 @@ def _map(result: Calibration, title: str, text: str, inside: str, scale: str = "
 
 
 def _rings(result: Calibration) -> str:
-    """Rings every 15 degrees from the axis, those up to which corners were seen stronger."""
+    """Rings every 15 degrees from the axis, stronger where the lens ceases to be trusted, and the picture's circle."""
     lens, turn = result.solution.lens, np.linspace(0, 2 * np.pi, 121)
-    paths = []
-    for angle in [*range(15, int(np.rad2deg(lens.theta_max)), 15), np.rad2deg(result.quality.theta_max_observed)]:
+    circle = result.quality.circle
+    paths = [] if circle is None else [_path("ring", circle.edge(120))]
+    for angle in [*range(15, int(np.rad2deg(lens.theta_max)), 15), np.rad2deg(result.quality.theta_max_trusted)]:
         s, c = np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))
         ring = lens.project(np.stack([s * np.cos(turn), s * np.sin(turn), np.full(121, c)], -1))
         if np.isfinite(ring).all():
             kind = "seen" if isinstance(angle, float) else "ring"
-            paths.append(f'<path class="{kind}" d="M{"L".join(f"{u:.0f} {v:.0f}" for u, v in ring)}"/>')
+            paths.append(_path(kind, ring))
     return "\n".join(paths)
+
+
+def _path(kind: str, points: np.ndarray) -> str:
+    return f'<path class="{kind}" d="M{"L".join(f"{u:.0f} {v:.0f}" for u, v in points)}Z"/>'
 
 
 def _field(result: Calibration, pixels: np.ndarray, sd_px: np.ndarray) -> str:
@@ -268,7 +277,14 @@ def _straightened(result: Calibration, sample: np.ndarray | None) -> str:
     import cv2
 
     size = (result.width, result.height)
-    straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
+    straight = undistort.straighten(
+        result.lens,
+        size,
+        size,
+        ProjectionSettings(balance=0.5),
+        result.quality.theta_max_trusted,
+        result.quality.circle,
+    )
     image = undistort.resample(sample, straight)
     if result.width > 1280:
         image = cv2.resize(image, (1280, round(1280 * result.height / result.width)), interpolation=cv2.INTER_AREA)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import field, fit
+from avcli.calibration import field, fit, uncertainty
 from avcli.calibration.circle import Circle
 from avcli.calibration.field import Field, Halves, seen_angles
 
@@ -40,6 +40,7 @@ class Quality:
         held_out_rms_px: see robust.held_out; NaN where there are too few views.
         sd: (P,) standard deviations of fit.Solution.parameters, by views: fx fy cx cy px, coefficients, b0 b1 m, b2.
         field: expected errors over the picture.
+        inflation: how many times larger `sd` is, all in all, than if the errors of the corners were all their own.
         halves: the stated uncertainty put to the test; see `field.split_halves`.
         circle: where light reaches the picture; None: everywhere.
         counts, lit_cells: see `coverage`; and (rows, columns) bool, which of the cells light reaches.
@@ -56,6 +57,7 @@ class Quality:
     held_out_rms_px: float
     sd: np.ndarray
     field: Field
+    inflation: float
     halves: Halves
     circle: Circle | None
     counts: np.ndarray
@@ -123,6 +125,7 @@ def assess(
     height: int,
     held_out: float,
     circle: Circle | None = None,
+    splits: int = 50,
 ) -> Quality:
     """Judge a fit by its covariance and by where its boards were, not by its RMS, which is small for bad sets too.
 
@@ -131,6 +134,7 @@ def assess(
         width, height: px, of the pictures.
         held_out: px, the held-out RMS.
         circle: where light reaches the pictures; None: everywhere.
+        splits: into how many random halves the views are split to test the stated errors; 0: they are not tested.
     """
     lens = solution.lens
     error = np.linalg.norm(fit.residuals(observations, solution), axis=1)
@@ -149,6 +153,7 @@ def assess(
         held_out_rms_px=held_out,
         sd=np.sqrt(np.maximum(np.diag(solution.covariance), 0)),
         field=field.measured(observations, solution, width, height, circle),
+        inflation=1.0,
         halves=Halves(),
         circle=circle,
         counts=counts,
@@ -161,8 +166,14 @@ def assess(
         refusals=(),
         advice=(),
     )
-    tested = field.split_halves(observations, solution, quality.field.pixels[quality.trusted])
-    quality = replace(quality, halves=tested)
+    views = fit.by_view(observations, solution)
+    quality = replace(
+        quality,
+        inflation=uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)),
+        halves=field.split_halves(
+            observations, solution, quality.field.pixels[quality.trusted], splits=splits, views=views
+        ),
+    )
     refusals = _refusals(quality, observations, solution)
     return replace(quality, refusals=refusals, advice=_advice(quality, refusals))
 

@@ -181,6 +181,13 @@ def _draw_sample(axis: Axes, result: Calibration, sample: np.ndarray | None) -> 
     if sample is None:
         return
     size = (result.width, result.height)
-    straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
+    straight = undistort.straighten(
+        result.lens,
+        size,
+        size,
+        ProjectionSettings(balance=0.5),
+        result.quality.theta_max_trusted,
+        result.quality.circle,
+    )
     axis.imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
     axis.set_title(f"a straightened picture, {_degrees(straight.fov)} wide")

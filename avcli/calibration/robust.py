@@ -305,8 +305,7 @@ def held_out(
         solution: the fit to the corners in `good`.
         good: (n,) bool, the corners that belong. The others take no part in a fit, but they count in `all_px`.
         of: (n,) bool, the corners whose RMS is asked for; None: those in `good`.
-        board_errors: also learn the board's errors (`with_board_errors`) from the other views; `observations` have
-            none.
+        board_errors: also learn the board's errors (`with_board_errors`) from the other views.
         folds: how many parts; view i is in part i mod folds.
     """
     everywhere = posed(observations, solution, good)

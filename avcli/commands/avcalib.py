@@ -199,7 +199,7 @@ def check_command(
     directory of an experiment. Lens, limits, room, pose, microphones, doors and background are examined: what is there,
     whether it is plausible, and how it was measured.
     """
-    from avcli.calibration import calibrate, place
+    from avcli.calibration import calibrate, fit, place
 
     if not sources:
         refuse_without_effect([*settings_of(settings.BoardSettings), "rate_hz", "fail_over_px"], "without SOURCE")
@@ -208,7 +208,11 @@ def check_command(
     refuse_without_effect(["parts"], "with SOURCE")
     known = read_camera(session, camera)
     seen = views_for(session, list(sources), values, known)
-    score = calibrate.check(seen.board, seen.views, known.lens)
+    trusted = known.theta_trusted if "theta_max_trusted_deg" in known.values else math.inf
+    try:
+        score = calibrate.check(seen.board, seen.views, known.lens, trusted)
+    except fit.NoFit as error:
+        raise GateNotMet(str(error)) from None
     with session.output() as write:
         write({"pictures": len(seen), **score})
     if wrong := place.refusal(math.radians(score["off_deg"]), "board", score["rms_px"]):
