@@ -116,7 +116,7 @@ def test_every_lens_model_comes_back_from_exact_corners(model):
     solution, good = robust.fit_robustly(observations, *SIZE, model=model)
     assert good.mean() > 0.95
     assert type(solution.lens) is variants()[model]
-    assert np.abs(fit.residuals(observations, solution)).max() < 0.02
+    assert np.abs(fit.residuals(observations, solution)).max() < 1e-3
     on_axis = [lens.project_jacobian([0.0, 0.0, 1.0])[1][:, :2] for lens in (solution.lens, true)]
     assert np.abs(on_axis[0] - on_axis[1]).max() < 0.5
     assert np.abs(solution.parameters[2:4] - [true.cx, true.cy]).max() < 0.5
@@ -125,7 +125,7 @@ def test_every_lens_model_comes_back_from_exact_corners(model):
 @pytest.mark.parametrize(("true", "chosen"), [("ucm", Unified), ("kannala_brandt+tangential", TangentialKannalaBrandt)])
 def test_auto_takes_the_simplest_model_that_fits(true, chosen):
     rng = np.random.default_rng(5)
-    seen = exact(film(8, rng, lens=TRUE[true]), lens=TRUE[true])
+    seen = exact(film(12, rng, lens=TRUE[true]), lens=TRUE[true])
     seen = replace(seen, pixels=seen.pixels + rng.normal(0, 0.1, seen.pixels.shape))
     solution, good = robust.fit_robustly(seen, *SIZE)
     held_out = robust.held_out(seen, solution, good)
