@@ -73,7 +73,9 @@ class FitSettings:
 
     lens_model: str = setting(
         "kannala_brandt",
-        "Lens model to fit, as in config.json. kannala_brandt suits fisheyes, brown_conrady ordinary lenses.",
+        "Lens model to fit, as in config.json. kannala_brandt suits fisheyes, brown_conrady ordinary lenses. "
+        "kannala_brandt+tangential and brown_conrady+tangential also fit p1 and p2. auto: try all models, and take the "
+        "simplest that held-out pictures cannot tell from the best.",
         unit="MODEL",
         only="avcli",
     )
