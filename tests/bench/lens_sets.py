@@ -197,7 +197,7 @@ def set_rows(folder: Path, splits: int) -> Iterator[Row]:
     try:
         case = read_case(folder)
     except (fit.NoFit, ValueError) as error:
-        yield {**base, "tool": "avcalib", "failed": str(error)[:160]}
+        yield {**base, "tool": "avcalib", "failed": str(error).replace(f"{folder.parent}/", "")[:160]}
         return
     base |= {"pictures": case.pictures, "readable": case.corners.views}
     for tool, run in TOOLS.items():
