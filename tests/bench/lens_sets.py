@@ -164,7 +164,7 @@ def ours(case: Case, views: np.ndarray) -> tuple[lens_measures.AnyLens, np.ndarr
 
 
 def opencv_search(folder: Path, board: target.Board) -> Row:
-    """Corners as OpenCV's tutorial finds them (findChessboardCorners, cornerSubPix in a window of 11 px); CPU seconds."""
+    """Corners as OpenCV's tutorial finds them (findChessboardCorners, cornerSubPix, window of 11 px); CPU seconds."""
     if board.kind != "checkerboard":
         return {}
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
