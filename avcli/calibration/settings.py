@@ -138,6 +138,12 @@ class ConvertSettings:
         choices=("avcli", "opencv", "ros", "kalibr", "colmap", "mrcal"),
         default_text="by the name of the output",
     )
+    model: str | None = setting(
+        None,
+        "Lens model of the other tool to use, by its name there, such as OPENCV8.",
+        unit="MODEL",
+        default_text="the same lens, else the nearest one",
+    )
     camera: str | None = setting(None, "Which camera of a file that has several, such as cam1.", unit="NAME")
     fisheye: bool | None = setting(
         None,
