@@ -58,7 +58,14 @@ def test_the_guide_stops_when_enough_is_known(shots):
     assert image.shape == (540, 960, 3)
     assert state.enough
     record = json.loads(json.dumps(state.record()))
-    assert [bar["name"] for bar in record["bars"]] == ["coverage", "tilt", "distance", "sharpness", "certainty"]
+    assert [bar["name"] for bar in record["bars"]] == [
+        "coverage",
+        "trust",
+        "tilt",
+        "distance",
+        "sharpness",
+        "certainty",
+    ]
     assert all(0 <= bar["value"] <= 1 for bar in record["bars"])
     assert record["bars"][-1]["value"] == 1
 

@@ -16,7 +16,7 @@ from avcli.tracking.scan import GATE, Scan
 from avcli.tracking.settings import Sensor
 
 if TYPE_CHECKING:
-    from avcli.tracking.unseen import UnseenMap
+    pass
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density
