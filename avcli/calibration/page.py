@@ -10,6 +10,7 @@ import numpy as np
 
 from avcli.calibration import fit, report, undistort
 from avcli.calibration.calibrate import Calibration
+from avcli.calibration.circle import Circle
 from avcli.calibration.gather import Seen
 from avcli.calibration.quality import Quality
 from avcli.calibration.settings import ProjectionSettings
@@ -126,7 +127,7 @@ def _maps(result: Calibration) -> list[str]:
             result,
             "Expected error",
             "How far the lens may be wrong (standard deviation). It is trusted within the strong dashes.",
-            _field(q.field.pixels, q.field.sd_px),
+            _field(q),
             _scale(q.field.sd_px),
         ),
         _map(
@@ -156,22 +157,30 @@ def _rings(result: Calibration) -> str:
     """Rings every 15° from the axis, a stronger one up to which the lens is trusted, and the edge of the light."""
     lens, turn = result.solution.lens, np.linspace(0, 2 * np.pi, 121)
     paths = []
-    for angle in [*range(15, int(np.rad2deg(lens.theta_max)), 15), np.rad2deg(result.quality.theta_max_trusted)]:
+    q = result.quality
+    for angle in [
+        *range(15, int(np.rad2deg(min(lens.theta_max, q.theta_max_picture))), 15),
+        np.rad2deg(q.theta_max_trusted),
+    ]:
         s, c = np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))
         ring = lens.project(np.stack([s * np.cos(turn), s * np.sin(turn), np.full(121, c)], -1))
         if np.isfinite(ring).all():
             kind = "seen" if isinstance(angle, float) else "ring"
             paths.append(f'<path class="{kind}" d="M{"L".join(f"{u:.0f} {v:.0f}" for u, v in ring)}"/>')
-    circle = result.quality.circle
-    if circle is not None:
-        paths.append(f'<circle class="light" cx="{circle.x:.1f}" cy="{circle.y:.1f}" r="{circle.radius:.1f}"/>')
+    if q.circle is not None:
+        paths.append(f'<circle class="light" {_round(q.circle)}/>')
     return "\n".join(paths)
 
 
-def _field(pixels: np.ndarray, sd_px: np.ndarray) -> str:
-    """The expected error as a small picture that the browser smooths, transparent where there is none."""
+def _round(circle: Circle) -> str:
+    return f'cx="{circle.x:.1f}" cy="{circle.y:.1f}" r="{circle.radius:.1f}"'
+
+
+def _field(q: Quality) -> str:
+    """The expected error as a small picture that the browser smooths, within the light."""
     import cv2
 
+    pixels, sd_px = q.field.pixels, q.field.sd_px
     low, high = _limits(sd_px)
     known = np.isfinite(sd_px)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -181,8 +190,10 @@ def _field(pixels: np.ndarray, sd_px: np.ndarray) -> str:
     step = np.diff(pixels[0, :2, 0])[0], np.diff(pixels[:2, 0, 1])[0]
     x, y = pixels[0, 0] - np.array(step) / 2
     rows, columns = sd_px.shape
+    clip = "" if q.circle is None else f'<clipPath id="light"><circle {_round(q.circle)}/></clipPath>\n'
+    within = ' clip-path="url(#light)"' if clip else ""
     return (
-        f'<image x="{x:.1f}" y="{y:.1f}" width="{columns * step[0]:.1f}" height="{rows * step[1]:.1f}" '
+        f'{clip}<image{within} x="{x:.1f}" y="{y:.1f}" width="{columns * step[0]:.1f}" height="{rows * step[1]:.1f}" '
         f'preserveAspectRatio="none" href="{_embedded(image, ".png")}"/>'
     )
 
