@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from avcli.calibration import fit, quality, report, undistort
+from avcli.calibration import fit, report, undistort
 from avcli.calibration.calibrate import Calibration
+from avcli.calibration.circle import Circle
 from avcli.calibration.gather import Seen
+from avcli.calibration.quality import Quality
 from avcli.calibration.settings import ProjectionSettings
 from avcli.formats.media import encode_picture
 
@@ -80,22 +82,22 @@ def _figures(result: Calibration, seen: Seen) -> str:
         ("Camera", f"{result.width} × {result.height} px, {result.camera_config()['lens_model']}"),
         ("Board", result.board.words),
         ("Pictures", f"{int(result.kept.sum())} used of {len(result.kept)} with a board, {len(seen)} in all"),
-        ("Corners", f"{len(result.observations.pixels)}"),
+        ("Corners", f"{len(result.observations.pixels)} used, {int(result.dropped.sum())} left out"),
         ("Residual (RMS)", f"{q.rms_px:.3f} px"),
         ("Residual of pictures held out", held_out),
-        ("Expected error, mean", f"{q.mean_sd_px:.3f} px"),
-        ("Halves of the pictures differ by", _halves(q)),
-        ("Trusted up to", f"{np.rad2deg(q.theta_max_trusted):.1f}° from the axis"),
-        ("Corners were seen up to", f"{np.rad2deg(q.theta_max_observed):.1f}°"),
+        ("Expected error, mean", f"{q.mean_sd_px:.3f} px, where the lens is trusted"),
+        ("Halves of the pictures", _halves(q)),
+        ("Corners were seen up to", f"{np.rad2deg(q.theta_max_observed):.1f}° from the axis"),
+        ("The lens is trusted up to", f"{np.rad2deg(q.theta_max_trusted):.1f}°"),
         ("The picture reaches", f"{np.rad2deg(q.theta_max_picture):.1f}°"),
     ]
     return _table(rows)
 
 
-def _halves(q: quality.Quality) -> str:
+def _halves(q: Quality) -> str:
     if not np.isfinite(q.halves.ratio):
-        return "unknown: too few pictures"
-    return f"{q.halves.actual_px:.3f} px, {q.halves.ratio:.2f} times what is stated"
+        return "too few to compare"
+    return f"differ by {q.halves.actual_px:.3f} px, {q.halves.ratio:.2f} times what is stated"
 
 
 def _parameters(result: Calibration) -> str:
@@ -124,8 +126,8 @@ def _maps(result: Calibration) -> list[str]:
         _map(
             result,
             "Expected error",
-            "How far the lens may be wrong: one standard deviation.",
-            _field(result, q.field.pixels, q.field.sd_px),
+            "How far the lens may be wrong (standard deviation). It is trusted within the strong dashes.",
+            _field(q),
             _scale(q.field.sd_px),
         ),
         _map(
@@ -152,27 +154,33 @@ def _map(result: Calibration, title: str, text: str, inside: str, scale: str = "
 
 
 def _rings(result: Calibration) -> str:
-    """Rings every 15 degrees from the axis, stronger where the lens ceases to be trusted, and the picture's circle."""
+    """Rings every 15° from the axis, a stronger one up to which the lens is trusted, and the edge of the light."""
     lens, turn = result.solution.lens, np.linspace(0, 2 * np.pi, 121)
-    circle = result.quality.circle
-    paths = [] if circle is None else [_path("ring", circle.edge(120))]
-    for angle in [*range(15, int(np.rad2deg(lens.theta_max)), 15), np.rad2deg(result.quality.theta_max_trusted)]:
+    paths = []
+    q = result.quality
+    for angle in [
+        *range(15, int(np.rad2deg(min(lens.theta_max, q.theta_max_picture))), 15),
+        np.rad2deg(q.theta_max_trusted),
+    ]:
         s, c = np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))
         ring = lens.project(np.stack([s * np.cos(turn), s * np.sin(turn), np.full(121, c)], -1))
         if np.isfinite(ring).all():
             kind = "seen" if isinstance(angle, float) else "ring"
-            paths.append(_path(kind, ring))
+            paths.append(f'<path class="{kind}" d="M{"L".join(f"{u:.0f} {v:.0f}" for u, v in ring)}"/>')
+    if q.circle is not None:
+        paths.append(f'<circle class="light" {_round(q.circle)}/>')
     return "\n".join(paths)
 
 
-def _path(kind: str, points: np.ndarray) -> str:
-    return f'<path class="{kind}" d="M{"L".join(f"{u:.0f} {v:.0f}" for u, v in points)}Z"/>'
+def _round(circle: Circle) -> str:
+    return f'cx="{circle.x:.1f}" cy="{circle.y:.1f}" r="{circle.radius:.1f}"'
 
 
-def _field(result: Calibration, pixels: np.ndarray, sd_px: np.ndarray) -> str:
-    """The expected error as a small picture that the browser smooths, transparent where there is none."""
+def _field(q: Quality) -> str:
+    """The expected error as a small picture that the browser smooths, within the light."""
     import cv2
 
+    pixels, sd_px = q.field.pixels, q.field.sd_px
     low, high = _limits(sd_px)
     known = np.isfinite(sd_px)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -182,8 +190,10 @@ def _field(result: Calibration, pixels: np.ndarray, sd_px: np.ndarray) -> str:
     step = np.diff(pixels[0, :2, 0])[0], np.diff(pixels[:2, 0, 1])[0]
     x, y = pixels[0, 0] - np.array(step) / 2
     rows, columns = sd_px.shape
+    clip = "" if q.circle is None else f'<clipPath id="light"><circle {_round(q.circle)}/></clipPath>\n'
+    within = ' clip-path="url(#light)"' if clip else ""
     return (
-        f'<image x="{x:.1f}" y="{y:.1f}" width="{columns * step[0]:.1f}" height="{rows * step[1]:.1f}" '
+        f'{clip}<image{within} x="{x:.1f}" y="{y:.1f}" width="{columns * step[0]:.1f}" height="{rows * step[1]:.1f}" '
         f'preserveAspectRatio="none" href="{_embedded(image, ".png")}"/>'
     )
 
@@ -277,14 +287,7 @@ def _straightened(result: Calibration, sample: np.ndarray | None) -> str:
     import cv2
 
     size = (result.width, result.height)
-    straight = undistort.straighten(
-        result.lens,
-        size,
-        size,
-        ProjectionSettings(balance=0.5),
-        result.quality.theta_max_trusted,
-        result.quality.circle,
-    )
+    straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
     image = undistort.resample(sample, straight)
     if result.width > 1280:
         image = cv2.resize(image, (1280, round(1280 * result.height / result.width)), interpolation=cv2.INTER_AREA)

@@ -282,19 +282,3 @@ def _places(q: Quality) -> str:
     if len(names) == 4 or not names:
         return "near the corners of the picture" if names else "closer, larger and more tilted"
     return f"at the {', the '.join(names[:-1])} and the {names[-1]}" if len(names) > 1 else f"at the {names[0]}"
-
-
-def next_view(q: Quality) -> str:
-    """Say where to hold the board next: where the projection is known worst of all that is lit."""
-    sd = q.field.sd_px
-    rows, columns = (np.array_split(np.arange(side), 3) for side in sd.shape)
-    names = [["top left", "top", "top right"], ["left", "middle", "right"], ["bottom left", "bottom", "bottom right"]]
-    worst, place = -1.0, "middle"
-    for i, ys in enumerate(rows):
-        for j, xs in enumerate(columns):
-            part = sd[np.ix_(ys, xs)]
-            known = part[np.isfinite(part)]
-            if known.size and known.mean() > worst:
-                worst, place = float(known.mean()), names[i][j]
-    lean = ", tilted" if q.tilt < np.deg2rad(25) else ""
-    return f"hold the board at the {place}{lean} (expected error there {worst:.2f} px)"
