@@ -152,7 +152,7 @@ class FalsePlaces:
         """Return a sentence on each place that has become rather sure since the last call; names: of the sensors."""
         found, self._found = self._found, []
         return [
-            f"sensor {names[column]}: detections at ({one.x:.2f}, {one.y:.2f}) m come as if by chance, in "
+            f"sensor {names[column]!r}: detections at ({one.x:.2f}, {one.y:.2f}) m come as if by chance, in "
             f"{one.rate:.0%} of its records, and nobody went there: taken for false ones"
             for column, one in found
         ]
