@@ -164,12 +164,12 @@ class FalsePlaces:
 
     def doubts(self) -> dict[int, float]:
         """Return label -> probability that it is no person, but a false place; only of those where that may be."""
-        return {
-            one.label: one.probability
-            for column in range(len(self.of))
-            for one in self._settled(column, DOUBT)
-            if one.label >= 0 and not self._went(one.label, one)
-        }
+        doubts: dict[int, float] = {}
+        for column in range(len(self.of)):
+            for one in self._settled(column, DOUBT):
+                if one.label >= 0 and not self._went(one.label, one):
+                    doubts[one.label] = max(one.probability, doubts.get(one.label, 0.0))
+        return doubts
 
     def died(self, label: int) -> float:
         """Note that a label hardly exists any more; returns the probability that it was no person, see `doubts`."""
