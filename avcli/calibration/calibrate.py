@@ -128,6 +128,8 @@ class Calibration:
                 "corners": len(self.observations.pixels),
                 "corners_dropped": int(self.dropped[self.kept].sum()),
                 "board": str(self.board),
+                "board_errors_squares": float(np.sqrt((self.observations.errors**2).sum(1).mean()))
+                / self.board.square_m,
                 **self._board_config(),
             },
         }
