@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, spacing
+from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, sharpness, shutter, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
@@ -38,6 +38,7 @@ class Calibration:
         view_rms_px: (views,) residual of each given view under the lens: of the corners that the fit used, and of all
             corners where the view was not kept.
         quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
+        shutter: what a rolling shutter explains.
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN where not tried.
@@ -52,6 +53,7 @@ class Calibration:
     dropped: np.ndarray
     view_rms_px: np.ndarray
     quality: quality.Quality
+    shutter: shutter.Shutter
     held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
@@ -124,9 +126,14 @@ class Calibration:
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
+                "smear_median_px": _finite(sharpness.median_smear(self.views)),
+                "rolling_shutter_ratio": _finite(self.shutter.ratio),
+                "readout_motion_px": _finite(self.shutter.typical_px),
                 "corners_dropped": int(self.dropped[self.kept].sum()),
                 **({"tried_rms_px": {one.name: one.held_out_px for one in self.tried}} if self.tried else {}),
                 "board": str(self.board),
+                "board_errors_squares": float(np.sqrt((self.observations.errors**2).sum(1).mean()))
+                / self.board.square_m,
                 **self._board_config(),
             },
         }
@@ -212,19 +219,20 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
     solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     flat = chosen = robust.held_out(everything, solution, good)
-    shaped = robust.HeldOut(float("nan"), float("nan"))
+    flat_px, shaped_px, printed_px = flat.rms_px, float("nan"), float("nan")
     if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
         # From all corners again: a flat board may have made good ones of a bowed board look bad.
         start = fit.fit(everything, robust.posed(everything, solution, good), board_shape=True)
         bent, bent_good = robust.refit_robustly(everything, start, np.ones(len(good), bool), board_shape=True)
-        flat = robust.held_out(everything, solution, good, of=good & bent_good)
-        shaped = robust.held_out(everything, bent, bent_good, of=good & bent_good)
-        if settings.board_shape == "yes" or shaped.rms_px < (1 - BOARD_GAIN) * flat.rms_px:
+        shaped = robust.held_out(everything, bent, bent_good)
+        flat_px, shaped_px = flat.of(good & bent_good), shaped.of(good & bent_good)
+        if settings.board_shape == "yes" or shaped_px < (1 - BOARD_GAIN) * flat_px:
             solution, good, chosen = bent, bent_good, shaped
-    printed, board_errors = robust.HeldOut(float("nan"), float("nan")), False
+    board_errors = False
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
         printed = robust.held_out(everything, solution, good, board_errors=True)
-        if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
+        printed_px = printed.rms_px
+        if printed_px < (1 - BOARD_GAIN) * chosen.rms_px:
             chosen, board_errors = printed, True
     tried: tuple[choose.Tried, ...] = ()
     if settings.lens_model == choose.AUTO:
@@ -233,9 +241,9 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
         everything, solution = robust.fit_board(everything, solution, good)
     return replace(
         judged(board, views, everything, solution, good, chosen, circle),
-        flat_px=flat.rms_px,
-        shaped_px=shaped.rms_px,
-        printed_px=printed.rms_px,
+        flat_px=flat_px,
+        shaped_px=shaped_px,
+        printed_px=printed_px,
         tried=tried,
     )
 
@@ -276,6 +284,9 @@ def judged(
     everywhere = robust.posed(everything, solution, good)
     rms = fit.view_rms(everything, everywhere)
     rms[kept] = fit.view_rms(some, solution)
+    measured = shutter.measure(some, solution, views[0].height)
+    judgement = quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle)
+    moving = sharpness.refusals(views) + shutter.refusals(measured)
     return Calibration(
         board=board,
         views=tuple(views),
@@ -284,7 +295,8 @@ def judged(
         kept=kept,
         dropped=everything.per_view((~good).astype(int)),
         view_rms_px=rms,
-        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle),
+        quality=replace(judgement, refusals=judgement.refusals + moving),
+        shutter=measured,
         held_out_all_px=held_out.all_px,
         flat_px=held_out.rms_px,
     )
