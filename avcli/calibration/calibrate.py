@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import fit, gather, opencv, place, quality, robust, spacing
+from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
@@ -41,6 +41,7 @@ class Calibration:
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN where not tried.
+        tried: the lens models that were tried, the best first; empty where the model was given.
     """
 
     board: Board
@@ -55,6 +56,7 @@ class Calibration:
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
     printed_px: float = float("nan")
+    tried: tuple[choose.Tried, ...] = ()
 
     @property
     def lens(self) -> Lens:
@@ -123,6 +125,7 @@ class Calibration:
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
                 "corners_dropped": int(self.dropped[self.kept].sum()),
+                **({"tried_rms_px": {one.name: one.held_out_px for one in self.tried}} if self.tried else {}),
                 "board": str(self.board),
                 **self._board_config(),
             },
@@ -188,12 +191,14 @@ def calibrate_views(
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
         ValueError: the lens model is unknown.
     """
-    if settings.lens_model not in variants():
-        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}")
+    if settings.lens_model not in (*variants(), choose.AUTO):
+        raise ValueError(
+            f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}, {choose.AUTO}"
+        )
     if not board.ratio_known:
         some = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(12, len(views))).astype(int))]
         size = views[0].width, views[0].height
-        board = spacing.measured(board, lambda board: observe(board, some), size, settings.lens_model)
+        board = spacing.measured(board, lambda board: observe(board, some), size, choose.first(settings.lens_model))
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
@@ -203,7 +208,8 @@ def calibrate_views(
 
 def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
     coarse = observe(board, views)
-    solution, good = robust.fit_robustly(coarse, views[0].width, views[0].height, model=settings.lens_model)
+    size = views[0].width, views[0].height
+    solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     flat = chosen = robust.held_out(everything, solution, good)
     shaped = robust.HeldOut(float("nan"), float("nan"))
@@ -215,16 +221,22 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
         shaped = robust.held_out(everything, bent, bent_good, of=good & bent_good)
         if settings.board_shape == "yes" or shaped.rms_px < (1 - BOARD_GAIN) * flat.rms_px:
             solution, good, chosen = bent, bent_good, shaped
-    printed = robust.HeldOut(float("nan"), float("nan"))
+    printed, board_errors = robust.HeldOut(float("nan"), float("nan")), False
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
         printed = robust.held_out(everything, solution, good, board_errors=True)
         if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
-            everything, solution, chosen = *robust.fit_board(everything, solution, good), printed
+            chosen, board_errors = printed, True
+    tried: tuple[choose.Tried, ...] = ()
+    if settings.lens_model == choose.AUTO:
+        solution, chosen, tried = choose.choose(everything, solution, good, chosen, *size, board_errors=board_errors)
+    if board_errors:
+        everything, solution = robust.fit_board(everything, solution, good)
     return replace(
         judged(board, views, everything, solution, good, chosen, circle),
         flat_px=flat.rms_px,
         shaped_px=shaped.rms_px,
         printed_px=printed.rms_px,
+        tried=tried,
     )
 
 

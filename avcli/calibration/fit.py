@@ -448,10 +448,11 @@ def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarr
 # --- the whole fit ----------------------------------------------------------------------------------------------------
 
 
-def free_parameters(lens: Lens, board_shape: bool = False, first: int | None = None) -> np.ndarray:
-    """Which common unknowns to fit, (P,) bool: those of the lens (its `first` ones), and the board's shape or not."""
-    count = len(lens.names())
-    return np.append(np.arange(count) < (count if first is None else first), [board_shape] * SHAPE)
+def free_parameters(lens: Lens, board_shape: bool = False, few: bool = False) -> np.ndarray:
+    """Which common unknowns to fit, (P,) bool: those of the lens (a `few`: one coefficient); the board's shape or not."""
+    names = lens.names()
+    freed = (*names[:4], lens.leading) if few else names
+    return np.array([name in freed for name in names] + [board_shape] * SHAPE)
 
 
 def start_from_rays(observations: Observations, lens: Lens, shape: np.ndarray | None = None) -> Solution:
@@ -508,7 +509,7 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
         )
     if not start.free.any():
-        start = refine(observations, start, free_parameters(start.like, first=5), 5.0, 15, 1e-4)
+        start = refine(observations, start, free_parameters(start.like, few=True), 5.0, 15, 1e-4)
         start = refine(observations, start, lens_only, 2.0, 25, 1e-5)
         start = _reseeded(observations, start)
     solution = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)

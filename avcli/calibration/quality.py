@@ -203,15 +203,32 @@ def lit_cells(shape: tuple[int, ...], width: int, height: int, circle: Circle | 
     return light.reshape(rows, 4, columns, 4).mean((1, 3)) >= 0.5
 
 
+def _focal_sd(solution: fit.Solution) -> float:
+    """Relative standard deviation of the focal length on the axis, the larger of across and down.
+
+    That is fx and fy of most models. Of the double sphere model it is fx / (1 + xi), far better known than fx and xi.
+    """
+    count = len(solution.parameters) - fit.SHAPE
+
+    def on_axis(parameters: np.ndarray) -> np.ndarray:
+        lens = replace(solution, parameters=parameters).lens
+        return np.log(lens.project_jacobian(np.array([0.0, 0.0, 1.0]))[1][[0, 1], [0, 1]])
+
+    p = solution.parameters
+    steps = np.diag(1e-6 * np.maximum(1.0, np.abs(p)))[:count]
+    slopes = np.stack([(on_axis(p + h) - on_axis(p - h)) / (2 * h.sum()) for h in steps], -1)
+    variances = np.einsum("ia,ab,ib->i", slopes, solution.covariance[:count, :count], slopes)
+    return float(np.sqrt(np.maximum(variances, 0)).max())
+
+
 def _refusals(q: Quality, observations: fit.Observations, solution: fit.Solution) -> tuple[str, ...]:
     reasons = []
-    fx, fy = solution.parameters[:2]
     if observations.views < LEAST_VIEWS:
         reasons.append(
             f"{observations.views} different view{'s' if observations.views != 1 else ''} of the board cannot "
             f"determine a lens: film at least {LEAST_VIEWS}, better 20, from different sides"
         )
-    relative = max(q.sd[0] / fx, q.sd[1] / fy)
+    relative = _focal_sd(solution)
     if not relative <= FOCAL_SD_LIMIT:
         shown = f"± {100 * relative:.1f} %" if relative < 10 else "not known at all"
         reasons.append(

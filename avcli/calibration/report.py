@@ -8,6 +8,7 @@ from avcli.calibration import field, fit, quality, undistort
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.gather import Seen
 from avcli.calibration.settings import ProjectionSettings
+from avcli.lens import name_of
 
 Axes = Any
 """matplotlib's Axes and Figure: matplotlib has no types of its own."""
@@ -36,6 +37,12 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         f"{np.rad2deg(quality.TRUST_LIMIT):g}° up to {_degrees(q.theta_max_trusted)}, the picture reaches "
         f"{_degrees(q.theta_max_picture)}, the lens model is one-to-one up to {_degrees(lens.theta_max)}",
     ]
+    if result.tried:
+        errors = ", ".join(f"{one.name} {one.held_out_px:.3f}" for one in result.tried)
+        lines.append(
+            f"lens model {name_of(lens)}, {len(lens.names())} parameters: the simplest that held-out pictures cannot "
+            f"tell from the best; RMS of each, px: {errors}"
+        )
     if q.trusted.any():
         lines.append(
             f"expected error of the projection up to {_degrees(q.theta_max_trusted)}: mean {q.mean_sd_px:.3f} px, "

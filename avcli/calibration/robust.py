@@ -5,7 +5,7 @@ starts again from where the lens expects it, and is looked for there (`polished`
 its corners are bad.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -283,10 +283,12 @@ class HeldOut:
     Attributes:
         rms_px: RMS residual of the corners that belong; NaN where there are too few views.
         all_px: the same of every corner of every view, whatever is wrong with it.
+        squared: (n,) px², the squared residual of each corner; empty where there are too few views.
     """
 
     rms_px: float
     all_px: float
+    squared: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def held_out(
@@ -329,4 +331,5 @@ def held_out(
         there = fit.refine_poses(held, there, 8, solution.delta_px)
         rest = (fit.residuals(held, there) ** 2).sum(1)
         squared[test[observations.view]] = np.nan_to_num(rest, nan=100.0**2)
-    return HeldOut(float(np.sqrt(squared[good if of is None else of].mean())), float(np.sqrt(squared.mean())))
+    rms = np.sqrt(squared[good if of is None else of].mean())
+    return HeldOut(float(rms), float(np.sqrt(squared.mean())), squared)

@@ -115,6 +115,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
 
 def _check_options(session: Session, values: dict[str, Any]) -> None:
     """Refuse, before any picture is read, what cannot be done or has no effect."""
+    from avcli.calibration.choose import AUTO
     from avcli.lens import variants
 
     procedure, plot, model = values["procedure"], values["plot"], values["lens_model"]
@@ -122,8 +123,8 @@ def _check_options(session: Session, values: dict[str, Any]) -> None:
         name for name, (_, known) in settings_of(settings.FitSettings).items() if known.only not in ("", procedure)
     ]
     refuse_without_effect(foreign, f"with --procedure {procedure}")
-    if model not in variants():
-        session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}")
+    if model not in (*variants(), AUTO):
+        session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}, {AUTO}")
     if plot and not plot.lower().endswith((".png", ".svg", ".pdf")):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
 
