@@ -172,6 +172,8 @@ def test_a_report_in_pictures(pictures, tmp_path):
     assert text.count("<meter") == 8
     assert 'name="viewport"' in text
     assert text.index("Trust this calibration up to") < text.index("What to film next") < text.index("<svg")
+    assert all(f"board_{number:02d}.png" in text for number in range(8))
+    assert "times what is stated" in text
     assert "http" not in text
     assert run("avcalib", "calibrate", pictures, "--plot", tmp_path / "report.doc").returncode == 2
 
