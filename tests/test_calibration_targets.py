@@ -9,7 +9,7 @@ from calibration_boards import field_error, film, photograph, printed
 from conftest import run
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, circles, corners, drawing, gather, recognise
+from avcli.calibration import calibrate, circles, corners, drawing, fit, gather, recognise
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.target import Board
 from avcli.formats.media import write_png
@@ -168,6 +168,20 @@ def test_nothing_is_recognised_in_noise():
     rng = np.random.default_rng(0)
     for picture in (rng.integers(0, 256, (540, 960)).astype(np.uint8), np.full((540, 960), 128, np.uint8)):
         assert recognise.look(picture, Wanted()) is None
+
+
+def test_blotches_are_no_board():
+    import cv2
+
+    rng = np.random.default_rng(0)
+    pictures = [
+        cv2.normalize(cv2.GaussianBlur(rng.integers(0, 256, (300, 400)).astype(np.uint8), (0, 0), 2), None, 0, 255, 32)
+        for _ in range(12)
+    ]
+    seen = gather.collect(pictures, Wanted())
+    assert not seen.is_known
+    with pytest.raises(fit.NoFit, match="none of the 12 pictures shows a whole board that is known"):
+        seen.require_views()
 
 
 def test_targets_on_the_command_line(tmp_path):

@@ -23,6 +23,8 @@ _MISSES = 8
 _GUESS_AFTER = (4, 12)
 """Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
+_SELDOM = 4
+"""Where the first pictures show no board that is known, one is recognised in every fourth of the others alone."""
 _NAMED = 5
 """Pictures that a message names before it counts the others."""
 
@@ -347,7 +349,7 @@ class _Search:
     def end(self) -> None:
         """After the last picture: recognise or try with what there is, and settle how many rows the board has."""
         if not self.seen.is_known:
-            self.recognise(at_last=True)
+            self.recognise(at_last=len(self.seen) <= _GUESS_AFTER[0])
         else:
             self.try_another_size()
         seen = self.seen
@@ -401,7 +403,9 @@ class _Search:
                             item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
                         )
                         board = self.sought
-                        waiting.append((picture, board, pool.submit(look, picture.image, board, self.thorough)))
+                        rest = isinstance(board, Wanted) and number >= _GUESS_AFTER[-1] and number % _SELDOM
+                        seen = pool.submit(look, picture.image, None if rest else board, self.thorough)
+                        waiting.append((picture, board, seen))
                         if self.eager or len(waiting) >= _THREADS:
                             yield oldest()
                 except MediaError as error:  # what came before is still good
@@ -415,9 +419,11 @@ class _Search:
                 raise failure
 
 
-def look(image: np.ndarray, board: Board | Wanted, thorough: bool) -> tuple[np.ndarray, Found]:
+def look(image: np.ndarray, board: Board | Wanted | None, thorough: bool) -> tuple[np.ndarray, Found]:
     """Look at a picture as a camera gives it: the picture in grey, and the view of the board, or the board it shows."""
     grey = corners.to_grey(image)
+    if board is None:
+        return grey, None
     if isinstance(board, Wanted):
         return grey, recognise.look(grey, board)
     return grey, corners.find(grey, board, thorough=thorough)

@@ -15,6 +15,9 @@ _NOMINAL_M = 0.095
 _AGREE = 2
 """Pictures that must show the same board; one may show a tiled floor or another print."""
 _MOST_ROWS = 40
+_MOST_BENT = 0.15
+"""Median of the second difference of neighbouring corners over the distance of the outer two. It is at most 0.136 on
+derlunz, dyf and fish_1, and mostly more in blotches."""
 _LEAST_CORNERS = 16
 """Inner corners of a checkerboard that is recognised without being told: noise may look like a smaller one."""
 
@@ -94,11 +97,28 @@ def look(grey: np.ndarray, wanted: Wanted) -> Board | None:
         if wanted.size and saddles.find_board(grey, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
             return Board(*wanted.size, scaled=False)
         for inner in saddles.sizes(grey, _LEAST_CORNERS)[:1]:
+            if min(inner) < 3 or not _is_regular(grey, inner):
+                break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)
     if kind == "checkerboard":
         return None
     found = circles.recognise(grey)
     return found if found is None or kind in (None, found.kind) else None
+
+
+def _is_regular(grey: np.ndarray, inner: tuple[int, int]) -> bool:
+    """Whether the corners of a grid lie on smooth lines, as those of a print do and those of mere texture seldom."""
+    found = saddles.find_board(grey, inner)
+    if found is None:
+        return False
+    grid = np.full((inner[0] * inner[1], 2), np.nan)
+    grid[found[0]] = found[1]
+    bends = []
+    for lines in (grid.reshape(inner[1], inner[0], 2), grid.reshape(inner[1], inner[0], 2).swapaxes(0, 1)):
+        before, here, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
+        chord = np.linalg.norm(after - before, axis=2)
+        bends.append(np.linalg.norm(before - 2 * here + after, axis=2) / np.maximum(chord, 1e-9))
+    return bool(np.nanmedian(np.concatenate([one.ravel() for one in bends])) < _MOST_BENT)
 
 
 def agreed(seen: Sequence[Board], *, at_last: bool = False) -> Board | None:
