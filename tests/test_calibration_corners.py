@@ -42,7 +42,7 @@ def test_polish_halves_the_error_and_knows_what_is_left(shots):
     views = [corners.find(picture, BOARD) for picture in pictures]
     before = calibrate.observe(BOARD, views)
     start = fit.refine_poses(before, fit.start_from_rays(before, HALF), 10)
-    after = calibrate.polished(before, start, np.ones(3, bool), BOARD, views)
+    after = robust.polished(before, start, BOARD, views)
     pairs = [[error(o.pixels[o.view == i], true[i]) for i in range(3)] for o in (before, after)]
     assert np.mean(pairs[1]) < 0.6 * np.mean(pairs[0])
     assert np.mean(pairs[1]) < 0.025

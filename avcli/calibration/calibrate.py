@@ -127,6 +127,8 @@ class Calibration:
                 "corners_dropped": int(self.dropped[self.kept].sum()),
                 **({"tried_rms_px": {one.name: one.held_out_px for one in self.tried}} if self.tried else {}),
                 "board": str(self.board),
+                "board_errors_squares": float(np.sqrt((self.observations.errors**2).sum(1).mean()))
+                / self.board.square_m,
                 **self._board_config(),
             },
         }

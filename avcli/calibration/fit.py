@@ -80,6 +80,18 @@ class Observations:
         """Sum (n, ...) values over the corners of each view: (views, ...)."""
         return np.add.reduceat(values, self.starts, axis=0)
 
+    def gram(self, columns: np.ndarray) -> np.ndarray:
+        """Products of (n, 2, m) columns with each other, summed over the corners of each view: (views, m, m)."""
+        counts = np.bincount(self.view)
+        most, m = int(counts.max()), columns.shape[2]
+        if (counts == most).all():
+            stacked = columns.reshape(self.views, 2 * most, m)
+        else:
+            stacked = np.zeros((self.views, most, 2, m))
+            stacked[self.view, np.arange(len(self.view)) - self.starts[self.view]] = columns
+            stacked = stacked.reshape(self.views, 2 * most, m)
+        return stacked.transpose(0, 2, 1) @ stacked
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -227,6 +239,12 @@ def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarr
     return residual * scale[:, None], common * scale[:, None, None], own * scale[:, None, None]
 
 
+def by_pose(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n, 2) px, and the derivatives of the projections to a turn (rad) and a shift (m) of the board: (n, 2, 6)."""
+    residual, _, own = _linearise(replace(observations, sigma=np.ones(len(observations.sigma))), solution)
+    return residual, own
+
+
 def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
     """Cost and weight of each residual vector (n, 2): quadratic up to `delta`, linear beyond (Huber 1964)."""
     size = np.linalg.norm(residual, axis=1)
@@ -250,16 +268,14 @@ class _Normal(NamedTuple):
 
 def _normal_equations(observations: Observations, solution: Solution, delta: float) -> _Normal:
     residual, common, own = _linearise(observations, solution)
-    common = common[:, :, solution.free]
     cost, weight = _huber(residual, delta)
-    weighted = own * weight[:, None, None]
-    o = observations
-    A = np.einsum("nia,nib,n->ab", common, common, weight, optimize=True)
-    B = o.per_view(np.einsum("nia,nib->nab", weighted, common))
-    C = o.per_view(np.einsum("nia,nib->nab", weighted, own))
-    g = np.einsum("nia,ni,n->a", common, residual, weight, optimize=True)
-    h = o.per_view(np.einsum("nia,ni->na", weighted, residual))
-    return _Normal(float(cost.sum()), A, B, C, g, h)
+    columns = (
+        np.concatenate([common[:, :, solution.free], own, residual[:, :, None]], 2) * np.sqrt(weight)[:, None, None]
+    )
+    G = observations.gram(columns)
+    k = columns.shape[2] - 7
+    A, g = G[:, :k, :k].sum(0), G[:, :k, -1].sum(0)
+    return _Normal(float(cost.sum()), A, G[:, k:-1, :k], G[:, k:-1, k:-1], g, G[:, k:-1, -1])
 
 
 def _moved(solution: Solution, common: np.ndarray, own: np.ndarray) -> Solution:
@@ -336,12 +352,9 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
     def normal(trial: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         residual, _, own = _linearise(observations, trial)
         cost, weight = _huber(residual, delta)
-        weighted = own * weight[:, None, None]
-        return (
-            observations.per_view(cost),
-            observations.per_view(np.einsum("nia,nib->nab", weighted, own)),
-            observations.per_view(np.einsum("nia,ni->na", weighted, residual)),
-        )
+        columns = np.concatenate([own, residual[:, :, None]], 2) * np.sqrt(weight)[:, None, None]
+        G = observations.gram(columns)
+        return observations.per_view(cost), G[:, :6, :6], G[:, :6, 6]
 
     cost, C, h = normal(solution)
     for _ in range(iterations):

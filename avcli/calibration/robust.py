@@ -170,8 +170,7 @@ def polished(
     if board.has_circles:
         R, t = everywhere.rotations[observations.view], everywhere.translations[observations.view]
         measured = np.concatenate([view.pixels for view in views])
-        flat = fit.surface(observations.points, everywhere.shape, observations.half_extent)
-        off = circles.offsets(flat, R, t, everywhere.lens, board.diameter_m / 2)
+        off = circles.offsets(fit.places(observations, everywhere), R, t, everywhere.lens, board.diameter_m / 2)
         return replace(observations, pixels=measured - off)
     seen, origins = observations.pixels, np.concatenate([view.origins for view in views])
     if good is not None and not good.all():
