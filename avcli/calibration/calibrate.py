@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, spacing
+from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, sharpness, shutter, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
@@ -38,6 +38,7 @@ class Calibration:
         view_rms_px: (views,) residual of each given view under the lens: of the corners that the fit used, and of all
             corners where the view was not kept.
         quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
+        shutter: what a rolling shutter explains.
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN where not tried.
@@ -52,6 +53,7 @@ class Calibration:
     dropped: np.ndarray
     view_rms_px: np.ndarray
     quality: quality.Quality
+    shutter: shutter.Shutter
     held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
@@ -124,6 +126,9 @@ class Calibration:
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
+                "smear_median_px": _finite(sharpness.median_smear(self.views)),
+                "rolling_shutter_ratio": _finite(self.shutter.ratio),
+                "readout_motion_px": _finite(self.shutter.typical_px),
                 "corners_dropped": int(self.dropped[self.kept].sum()),
                 **({"tried_rms_px": {one.name: one.held_out_px for one in self.tried}} if self.tried else {}),
                 "board": str(self.board),
@@ -278,6 +283,9 @@ def judged(
     everywhere = robust.posed(everything, solution, good)
     rms = fit.view_rms(everything, everywhere)
     rms[kept] = fit.view_rms(some, solution)
+    measured = shutter.measure(some, solution, views[0].height)
+    judgement = quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle)
+    moving = sharpness.refusals(views) + shutter.refusals(measured)
     return Calibration(
         board=board,
         views=tuple(views),
@@ -286,7 +294,8 @@ def judged(
         kept=kept,
         dropped=everything.per_view((~good).astype(int)),
         view_rms_px=rms,
-        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle),
+        quality=replace(judgement, refusals=judgement.refusals + moving),
+        shutter=measured,
         held_out_all_px=held_out.all_px,
         flat_px=held_out.rms_px,
     )

@@ -3,11 +3,12 @@
 A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import circles, markers, saddles
+from avcli.calibration import circles, markers, saddles, sharpness
+from avcli.calibration.sharpness import Blur
 from avcli.calibration.target import Board
 
 _KEEP_WIDTH = 1280
@@ -26,6 +27,7 @@ class View:
         patches: (n, 2 PATCH + 1, 2 PATCH + 1) uint8, the picture around each corner.
         origins: (n, 2) px, the pixel of each patch's middle.
         width, height: px, of the picture.
+        blur: of the edges between the corners; None where it cannot be told.
     """
 
     ids: np.ndarray
@@ -34,6 +36,7 @@ class View:
     origins: np.ndarray
     width: int
     height: int
+    blur: Blur | None = None
 
 
 def to_grey(image: np.ndarray) -> np.ndarray:
@@ -79,7 +82,13 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
         found = circles.find(grey, board)
     else:
         found = _find_checkerboard(grey, board.inner, thorough)
-    return view_of(grey, *found) if found else None
+    if not found:
+        return None
+    view = view_of(grey, *found)
+    if board.kind not in ("checkerboard", "charuco"):
+        return view
+    cells = np.stack([view.ids % board.inner[0], view.ids // board.inner[0]], -1)
+    return replace(view, blur=sharpness.blur(grey, cells, view.pixels, min(0.35, board.clear[1])))
 
 
 def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:

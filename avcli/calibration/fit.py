@@ -240,7 +240,7 @@ def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarr
 
 
 def by_pose(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (n, 2) px, and the derivatives of the projections to a turn (rad) and a shift (m) of the board: (n, 2, 6)."""
+    """Residuals (n, 2) px, and how the projections follow a turn (rad) and a shift (m) of the board, (n, 2, 6)."""
     residual, _, own = _linearise(replace(observations, sigma=np.ones(len(observations.sigma))), solution)
     return residual, own
 

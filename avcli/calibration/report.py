@@ -1,10 +1,11 @@
 """The report on a calibration: in words, and in a picture."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from avcli.calibration import field, fit, quality, undistort
+from avcli.calibration import field, fit, quality, sharpness, shutter, undistort
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.gather import Seen
 from avcli.calibration.settings import ProjectionSettings
@@ -60,7 +61,30 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         )
     if result.solution.shape.any():
         lines += _shape_in_words(result)
+    lines += (
+        sharpness.advice(result.views, seen.names) + shutter.advice(result.shutter) + _left_out_in_words(result, seen)
+    )
     return [*lines, *q.advice, f"Verdict: {q.verdict}"]
+
+
+def _left_out_in_words(result: Calibration, seen: Seen) -> list[str]:
+    """Which corners and pictures do not fit."""
+    lines = []
+    some = [i for i in np.flatnonzero(result.kept) if result.dropped[i]]
+    if some:
+        lines.append(
+            f"corners that do not fit are left out: {int(result.dropped[some].sum())} in {_listed(seen, some)}; with "
+            f"every corner of every picture the held-out RMS is {result.held_out_all_px:.3f} px"
+        )
+    out = list(np.flatnonzero(~result.kept))
+    if out:
+        lines.append(f"most corners do not fit, so the whole picture is left out: {_listed(seen, out)}")
+    return lines
+
+
+def _listed(seen: Seen, views: Sequence[np.integer]) -> str:
+    more = f" and {len(views) - 5} more" if len(views) > 5 else ""
+    return ", ".join(seen.names[i] for i in views[:5]) + more
 
 
 def _shape_in_words(result: Calibration) -> list[str]:

@@ -1,6 +1,8 @@
 """How blurred a picture of a board is, from the edges between its corners: out of focus, or smeared by motion."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +16,12 @@ _GAUSSIAN = 1.349
 """From the quarter to the three quarters of a step that is blurred by a Gaussian, in standard deviations."""
 _MOTION = 2.0
 """Length of a uniform motion over the distance from the quarter to the three quarters of a step across it."""
+
+
+SMEARED_PX = 5.0
+"""Smear from which a picture is named."""
+TOO_SMEARED_PX = 10.0
+"""Median smear from which no lens is believed: at 15 px the focal length errs by more than is stated."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +78,50 @@ def blur(grey: np.ndarray, cells: np.ndarray, pixels: np.ndarray, clear: float =
     return Blur(float(most), float(least), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
 
 
+class HasBlur(Protocol):
+    """Anything with a `blur`, as a view."""
+
+    @property
+    def blur(self) -> Blur | None: ...
+
+
+def smears(views: Sequence[HasBlur]) -> np.ndarray:
+    """Length of the motion in each view, (views,) px; NaN where it is not known."""
+    return np.array([np.nan if view.blur is None else view.blur.smear_px for view in views])
+
+
+def median_smear(views: Sequence[HasBlur]) -> float:
+    """Median length of the motion, px; NaN where it is known of no view."""
+    known = smears(views)
+    return float(np.nanmedian(known)) if np.isfinite(known).any() else float("nan")
+
+
+def refusals(views: Sequence[HasBlur]) -> tuple[str, ...]:
+    """Say why the pictures are too blurred; empty where they are not."""
+    median = median_smear(views)
+    if not median > TOO_SMEARED_PX:
+        return ()
+    return (
+        f"motion smears the pictures by {median:.0f} px (median): hold the board still, bring more light, or expose "
+        "shorter",
+    )
+
+
+def advice(views: Sequence[HasBlur], names: Sequence[str]) -> list[str]:
+    """Name the pictures that motion smears most."""
+    length = np.nan_to_num(smears(views))
+    worst = [i for i in np.argsort(-length, kind="stable") if length[i] > SMEARED_PX]
+    if not worst:
+        return []
+    listed = ", ".join(f"{names[i]} ({length[i]:.0f} px)" for i in worst[:5])
+    more = f" and {len(worst) - 5} more" if len(worst) > 5 else ""
+    are = "picture is" if len(worst) == 1 else "pictures are"
+    return [f"{len(worst)} {are} smeared by motion: {listed}{more}; hold the board still, or expose shorter"]
+
+
 def _edges(cells: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middles of the edges between neighbours, the way along each, and the way across to the next edge, (m, 2) px."""
-    place = {cell: at for cell, at in zip(map(tuple, cells.tolist()), pixels, strict=True)}
+    place = dict(zip(map(tuple, cells.tolist()), pixels, strict=True))
     found = []
     for (u, v), here in place.items():
         for du, dv in ((1, 0), (0, 1)):
@@ -122,7 +171,7 @@ def _width(
 
 
 def _crossing(step: np.ndarray, level: float) -> np.ndarray:
-    """Where each row (n, m), noisy but rising, passes a level: the mean of its first and its last passage, in samples."""
+    """Where each row (n, m), noisy but rising, passes a level, in samples: the mean of its first and last passage."""
     above = step > level
     m = step.shape[1]
     first = np.clip(above.argmax(1), 1, m - 1)

@@ -7,20 +7,22 @@ import numpy as np
 from avcli.calibration import fit
 from avcli.calibration.fit import Observations, Solution
 
-CERTAIN = 2.0
-"""Rows must explain this many times as much of the residuals as columns do. Global shutters gave at most 1.5."""
+CERTAIN = 1.7
+"""Ratio from which the shutter is rolling: cameras at rest gave at most 1.25, a motion of 1 px gives 1.8."""
+TOO_FAR_PX = 2.0
+"""Median motion during the readout from which no lens is believed: at 2 px the focal length errs by 5 stated sd."""
 _LEAST_CORNERS = 12
 
 
 @dataclass(frozen=True)
 class Shutter:
-    """What motion during the readout explains.
+    """What a motion during the readout explains.
 
     Attributes:
-        ratio: of the squared residuals that a motion from row to row explains, over those that the same motion from
-            column to column does; about 1 with a global shutter, whatever the noise and the errors of the lens model.
-        motion_px: (views,) how far the board's corners moved between the first and the last row of the picture (RMS);
-            noise adds to it. NaN where too few corners were seen.
+        ratio: what a shift from row to row explains of the squared residuals, over what shifts with the square of the
+            place do, for each unknown. Noise gives 1; errors of the lens and the board give both.
+        motion_px: (views,) how far the board moved between the first and the last row of the picture; noise adds to it.
+            NaN where too few corners were seen.
     """
 
     ratio: float
@@ -31,13 +33,18 @@ class Shutter:
         """Whether the boards are bent as a rolling shutter bends them."""
         return self.ratio > CERTAIN
 
+    @property
+    def typical_px(self) -> float:
+        """Median of the motions, px; NaN where none is known."""
+        return float(np.nanmedian(self.motion_px)) if np.isfinite(self.motion_px).any() else float("nan")
+
 
 def measure(observations: Observations, solution: Solution, height: int) -> Shutter:
-    """Fit a motion to each view: the pose changes in proportion to the row (Hedborg et al. 2012).
+    """Fit to each view a shift that grows with the row, beside its pose (Hedborg et al. 2012 fit the whole motion).
 
-    A motion of the board as it is read shifts each corner by its derivative to the pose times the row. The same with
-    columns in place of rows is no effect that a camera has: it tells how much six more unknowns a view explain by
-    themselves. Motion and readout time have the same effect, so that neither is known alone.
+    A board that moves while the rows are read is sheared and stretched, which no pose does. Other errors of a lens or a
+    board bend it in curves as well: they are the measure of what chance explains. Only the product of motion and
+    readout time can be known, so no rows a millisecond are stated.
 
     Args:
         observations, solution: the corners that belong, and the fit to them.
@@ -67,3 +74,23 @@ def measure(observations: Observations, solution: Solution, height: int) -> Shut
                 change = np.linalg.lstsq(free, left, rcond=0.05)[0]
                 motion[view] = np.linalg.norm(change) * height / place.std(0).max()
     return Shutter(float(explained[0] / explained[1]) if explained[1] > 0 else 1.0, motion)
+
+
+def refusals(found: Shutter) -> tuple[str, ...]:
+    """Say why a rolling shutter spoils the lens; empty where it does not."""
+    if not (found.is_rolling and found.typical_px > TOO_FAR_PX):
+        return ()
+    return (
+        f"the board moved by {found.typical_px:.1f} px (median) while the rows of a picture were read (rolling "
+        "shutter): hold camera and board still",
+    )
+
+
+def advice(found: Shutter) -> list[str]:
+    """Say that the shutter is rolling, if the pictures show it."""
+    if not found.is_rolling:
+        return []
+    return [
+        f"the shutter is rolling: the board moved by about {found.typical_px:.1f} px (median) while a picture was "
+        "read; hold camera and board still"
+    ]

@@ -155,7 +155,7 @@ def _write_details(path: str | None, seen: Seen, result: Calibration | None) -> 
     from avcli.formats.atomic import write_bytes
 
     if path:
-        rows = seen.records(result.kept, result.view_rms_px) if result else seen.records()
+        rows = seen.records(result.kept, result.view_rms_px, result.dropped) if result else seen.records()
         write_bytes(path, b"".join(map(records.encode, rows)))
 
 
