@@ -219,19 +219,20 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
     solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     flat = chosen = robust.held_out(everything, solution, good)
-    shaped = robust.HeldOut(float("nan"), float("nan"))
+    flat_px, shaped_px, printed_px = flat.rms_px, float("nan"), float("nan")
     if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
         # From all corners again: a flat board may have made good ones of a bowed board look bad.
         start = fit.fit(everything, robust.posed(everything, solution, good), board_shape=True)
         bent, bent_good = robust.refit_robustly(everything, start, np.ones(len(good), bool), board_shape=True)
-        flat = robust.held_out(everything, solution, good, of=good & bent_good)
-        shaped = robust.held_out(everything, bent, bent_good, of=good & bent_good)
-        if settings.board_shape == "yes" or shaped.rms_px < (1 - BOARD_GAIN) * flat.rms_px:
+        shaped = robust.held_out(everything, bent, bent_good)
+        flat_px, shaped_px = flat.of(good & bent_good), shaped.of(good & bent_good)
+        if settings.board_shape == "yes" or shaped_px < (1 - BOARD_GAIN) * flat_px:
             solution, good, chosen = bent, bent_good, shaped
-    printed, board_errors = robust.HeldOut(float("nan"), float("nan")), False
+    board_errors = False
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
         printed = robust.held_out(everything, solution, good, board_errors=True)
-        if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
+        printed_px = printed.rms_px
+        if printed_px < (1 - BOARD_GAIN) * chosen.rms_px:
             chosen, board_errors = printed, True
     tried: tuple[choose.Tried, ...] = ()
     if settings.lens_model == choose.AUTO:
@@ -240,9 +241,9 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
         everything, solution = robust.fit_board(everything, solution, good)
     return replace(
         judged(board, views, everything, solution, good, chosen, circle),
-        flat_px=flat.rms_px,
-        shaped_px=shaped.rms_px,
-        printed_px=printed.rms_px,
+        flat_px=flat_px,
+        shaped_px=shaped_px,
+        printed_px=printed_px,
         tried=tried,
     )
 

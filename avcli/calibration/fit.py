@@ -344,8 +344,13 @@ def _is_possible(solution: Solution) -> bool:
     return bool(finite and abs(p[-1]) < 0.5 and solution.lens.is_possible)
 
 
-def refine_poses(observations: Observations, start: Solution, iterations: int, delta: float = np.inf) -> Solution:
-    """Levenberg-Marquardt on the poses alone, each view by itself, the lens and the board held."""
+def refine_poses(
+    observations: Observations, start: Solution, iterations: int, delta: float = np.inf, gain: float = 1e-12
+) -> Solution:
+    """Levenberg-Marquardt on the poses alone, each view by itself, the lens and the board held.
+
+    Stops when no step lowers the cost of its view by more than `gain` of it.
+    """
     solution = replace(start, free=np.zeros(len(start.parameters), bool))
     damping = np.full(observations.views, 1e-3)
 
@@ -368,11 +373,12 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
             rotations=np.where(pick[..., None], trial.rotations, solution.rotations),
             translations=np.where(pick, trial.translations, solution.translations),
         )
-        moved = better & (cost - found[0] > 1e-12 * cost)
+        moved = better & (cost - found[0] > gain * cost)
+        waiting = ~better & (damping <= 1e3)
         cost, h = np.where(better, found[0], cost), np.where(pick, found[2], h)
         C = np.where(pick[..., None], found[1], C)
         damping = np.where(better, damping / 6, damping * 6)
-        if not moved.any() and (damping > 1e3).all():
+        if not moved.any() and not waiting.any():
             break
     return solution
 
