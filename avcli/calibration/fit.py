@@ -468,7 +468,7 @@ def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarr
 
 
 def free_parameters(lens: Lens, board_shape: bool = False, few: bool = False) -> np.ndarray:
-    """Which common unknowns to fit, (P,) bool: those of the lens (a `few`: one coefficient); the board's shape or not."""
+    """Which common unknowns to fit, (P,) bool: the lens's (a `few`: one coefficient), and the board's shape or not."""
     names = lens.names()
     freed = (*names[:4], lens.leading) if few else names
     return np.array([name in freed for name in names] + [board_shape] * SHAPE)
