@@ -61,6 +61,12 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         )
     if result.solution.shape.any():
         lines += _shape_in_words(result)
+    if result.observations.errors.any():
+        rms = np.sqrt((result.observations.errors**2).sum(1).mean()) / result.board.square_m
+        lines.append(
+            f"the corners are {100 * rms:.2f} % of a square (RMS) from where the print should have them; with this the "
+            f"held-out RMS is {result.printed_px:.3f} px"
+        )
     lines += (
         sharpness.advice(result.views, seen.names) + shutter.advice(result.shutter) + _left_out_in_words(result, seen)
     )
