@@ -169,7 +169,9 @@ def test_a_report_in_pictures(pictures, tmp_path):
     assert "expected error of the projection" in plot.read_text()
     text = page.read_text()
     assert "data:image/png;base64," in text
-    assert text.count("<tr>") == 9
+    assert text.count("<meter") == 8
+    assert 'name="viewport"' in text
+    assert text.index("Trust this calibration up to") < text.index("What to film next") < text.index("<svg")
     assert "http" not in text
     assert run("avcalib", "calibrate", pictures, "--plot", tmp_path / "report.doc").returncode == 2
 

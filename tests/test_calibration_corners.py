@@ -1,12 +1,15 @@
 """Boards: drawing, finding, refining."""
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
-from calibration_boards import BOARD, exact, film, photograph
+from calibration_boards import BOARD, THESIS, exact, film, photograph
 
-from avcli.calibration import calibrate, corners, drawing, fit, gather, target
+from avcli.calibration import calibrate, corners, drawing, fit, gather, robust, sharpness, shutter, target
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
@@ -42,7 +45,7 @@ def test_polish_halves_the_error_and_knows_what_is_left(shots):
     views = [corners.find(picture, BOARD) for picture in pictures]
     before = calibrate.observe(BOARD, views)
     start = fit.refine_poses(before, fit.start_from_rays(before, HALF), 10)
-    after = calibrate.polished(before, start, np.ones(3, bool), BOARD, views)
+    after = robust.polished(before, start, BOARD, views)
     pairs = [[error(o.pixels[o.view == i], true[i]) for i in range(3)] for o in (before, after)]
     assert np.mean(pairs[1]) < 0.6 * np.mean(pairs[0])
     assert np.mean(pairs[1]) < 0.025
@@ -183,3 +186,84 @@ def test_what_is_drawn_is_what_opencv_knows():
     ours = texture(board, 56)[56:-56, 56:-56] > 0.5
     theirs = board.charuco().generateImage((5 * 56, 7 * 56), marginSize=0) > 127
     assert (ours == theirs).mean() > 0.999
+
+
+# --- blur and shutter -------------------------------------------------------------------------------------------------
+
+
+def smeared(picture, length, angle):
+    """The picture as a uniform motion by `length` px smears it."""
+    steps = np.linspace(-0.5, 0.5, 4 * length) * length
+    moved = [
+        cv2.warpAffine(
+            picture.astype(np.float32),
+            np.array([[1, 0, s * np.cos(angle)], [0, 1, s * np.sin(angle)]]),
+            picture.shape[::-1],
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        for s in steps
+    ]
+    return np.rint(np.mean(moved, axis=0)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 2.5])
+def test_the_length_and_direction_of_a_motion_are_measured(shots, angle):
+    for picture in shots[1]:
+        sharp = corners.find(picture, BOARD).blur
+        assert sharp.smear_px < 3
+        blur = corners.find(smeared(picture, 9, angle), BOARD).blur
+        assert blur.smear_px == pytest.approx(9, abs=1)
+        assert abs(np.sin(blur.angle - angle)) < 0.15
+        assert blur.least_px < 1.7
+
+
+def test_smeared_pictures_are_named_and_too_many_refused():
+    def of(length):
+        return SimpleNamespace(blur=sharpness.Blur(np.hypot(length / 2 / 1.349, 0.8), 0.8, 0.0))
+
+    views = [of(1), of(15), of(1)]
+    assert sharpness.advice(views, ["a", "b", "c"])[0].startswith("1 picture is smeared by motion: b (15 px)")
+    assert sharpness.refusals(views) == ()
+    assert "15 px" in sharpness.refusals([of(15)] * 3)[0]
+    assert sharpness.refusals([SimpleNamespace(blur=None)]) == ()
+
+
+@pytest.mark.parametrize("motion", [0.0, 4.0])
+def test_a_rolling_shutter_is_told_from_noise(motion):
+    rng = np.random.default_rng(101)
+    filmed = film(20, rng)
+    pixels = []
+    for R, t in zip(filmed.rotations, filmed.translations, strict=True):
+        velocity = rng.standard_normal(3)
+        velocity *= motion / THESIS.fx * np.linalg.norm(t) / np.linalg.norm(velocity)
+        points = np.column_stack([BOARD.points, np.zeros(len(BOARD.points))]) @ R.T + t
+        seen = THESIS.project(points)
+        for _ in range(3):
+            seen = THESIS.project(points + (seen[:, 1:] / 1080 - 0.5) * velocity)
+        pixels.append(seen)
+    noisy = np.concatenate(pixels) + 0.1 * rng.standard_normal((20 * 35, 2))
+    observations = replace(exact(filmed), pixels=noisy)
+    solution, good = robust.fit_robustly(observations, 1920, 1080)
+    found = shutter.measure(observations.of_corners(good), solution, 1080)
+    assert found.is_rolling == (motion > 0)
+    assert bool(shutter.refusals(found)) == (motion > 0)
+    if motion:
+        assert found.typical_px == pytest.approx(0.7 * motion, rel=0.3)
+
+
+# --- corners that walked ----------------------------------------------------------------------------------------------
+
+
+def test_a_corner_that_walked_is_looked_for_where_the_lens_expects_it():
+    rng = np.random.default_rng(104)
+    filmed = film(10, rng, lens=HALF, size=HALF_SIZE)
+    views = []
+    for R, t in zip(filmed.rotations, filmed.translations, strict=True):
+        view = corners.find(photograph(R, t, rng, lens=HALF, size=HALF_SIZE), BOARD)
+        pixels = view.pixels.copy()
+        pixels[rng.integers(35, size=2)] += rng.choice([-4, 4], 2)
+        views.append(replace(view, pixels=pixels))
+    found = calibrate.calibrate_views(BOARD, views)
+    assert found.kept.all()
+    assert found.dropped.sum() <= 1
+    assert found.quality.rms_px < 0.05

@@ -162,6 +162,15 @@ def test_a_camera_info_message_is_read() -> None:
     assert camera.lens == BrownConrady(500, 501, 320, 240, 0.1, -0.2, 0.01)
 
 
+def test_a_model_of_the_other_tool_is_chosen_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({**lens_config(ORDINARY), "image_width_px": 1920, "image_height_px": 1080}))
+    assert " OPENCV " in run(path, 0, "--to", "colmap", "--model", "opencv")
+    assert " FULL_OPENCV " in run(path, 0, "--to", "colmap")
+    assert "SPLINED" in run(path, 0, "--to", "mrcal", "--model", "splined")
+    assert "it has PINHOLE, OPENCV" in run(path, 2, "--to", "colmap", "--model", "splined")
+
+
 def test_nothing_of_the_old_lens_stays_in_a_config(tmp_path: Path) -> None:
     old = {"camera_config": {**lens_config(FISHEYE), "theta_max_observed_deg": 70.0, "camera_position_m": [1, 2, 2.5]}}
     (tmp_path / "config.json").write_text(json.dumps(old))

@@ -7,7 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli import pose
-from avcli.calibration import place
+from avcli.calibration import place, undistort
+from avcli.calibration.camera import KnownCamera
+from avcli.calibration.circle import Circle
+from avcli.calibration.field import seen_angles
 from avcli.calibration.target import Board
 from avcli.lens import BrownConrady, KannalaBrandt
 
@@ -105,3 +108,65 @@ def test_too_little_is_refused():
         place.locate(THESIS, seen(THESIS, CEILING, line), line)
     with pytest.raises(ValueError, match="outside the field"):
         place.locate(THESIS, np.array([[5000.0, 500]] * 4), np.eye(4)[:, :3])
+
+
+# --- the lens's error -------------------------------------------------------------------------------------------------
+
+
+def test_the_pose_inherits_the_error_of_the_lens():
+    """Poses under lenses drawn from the covariance scatter as the stated covariance says."""
+    rng = np.random.default_rng(5)
+    points = visible(THESIS, CEILING, rng, 40, True)
+    covariance = np.diag(np.array([2.0, 2.0, 1.5, 1.5, 1e-3, 1e-4, 1e-5, 1e-6]) ** 2)
+    pixels = seen(THESIS, CEILING, points)
+    places = []
+    for _ in range(40):
+        wrong = KannalaBrandt(*(THESIS.parameters[:8] + np.sqrt(np.diag(covariance)) * rng.standard_normal(8)))
+        places.append(place.locate(wrong, pixels, points, 0.1).T_room_camera[:3, 3])
+    count = len(THESIS.parameters)
+    whole = np.zeros((count, count))
+    whole[:8, :8] = covariance
+    stated = place.locate(THESIS, pixels, points, 0.1, lens_covariance=whole).covariance
+    alone = place.locate(THESIS, pixels, points, 0.1).covariance
+    ratio = np.std(places, axis=0) / np.sqrt(np.diag(stated)[3:])
+    assert ((ratio > 0.65) & (ratio < 1.4)).all()
+    assert np.diag(stated)[3:].min() > np.diag(alone)[3:].min()
+    shared = place.locate(THESIS, pixels, points, 0.1, shared=3.0).covariance
+    assert np.allclose(shared, 9 * alone)
+
+
+def camera(**values):
+    return KnownCamera(THESIS, (1920, 1080), values, "camera.json")
+
+
+def test_points_beyond_the_trusted_angle_are_left_out_and_counted():
+    points = visible(THESIS, CEILING, np.random.default_rng(6), 40, True)
+    pixels = seen(THESIS, CEILING, points)
+    angle = np.rad2deg(seen_angles(THESIS, pixels))
+    limit = float(np.median(angle))
+    found, _ = place.best(camera(theta_max_trusted_deg=limit), [(pixels, points)])
+    assert found.beyond == (angle > limit).sum() > 0
+    assert "beyond the angle" in " ".join(place.words(found, []))
+    assert np.abs(found.T_room_camera - CEILING).max() < 1e-6
+    with pytest.raises(ValueError, match="up to which the lens is known"):
+        place.best(camera(theta_max_trusted_deg=float(np.sort(angle)[2])), [(pixels, points)])
+
+
+def test_many_pictures_of_one_board_at_one_place_say_no_more_than_one():
+    points = visible(THESIS, CEILING, np.random.default_rng(7), 30, True)
+    pixels = seen(THESIS, CEILING, points)
+    one, _ = place.best(camera(), [(pixels, points)], 0.2, views=1)
+    four, _ = place.best(camera(), [(np.tile(pixels, (4, 1)), np.tile(points, (4, 1)))], 0.2, views=4)
+    assert np.allclose(four.covariance, one.covariance, rtol=1e-6)
+
+
+def test_a_straightened_picture_ends_where_the_lens_is_no_longer_trusted():
+    wide = undistort.ProjectionSettings(projection="whole", fov_deg=170.0)
+    whole = undistort.straighten(THESIS, (1920, 1080), (340, 200), wide)
+    limited = undistort.straighten(THESIS, (1920, 1080), (340, 200), wide, np.deg2rad(50), Circle(960.0, 540.0, 700.0))
+    assert (limited.is_cut, whole.is_cut) == (True, False)
+    shown = limited.sources[np.isfinite(limited.sources).all(2)]
+    assert np.rad2deg(seen_angles(THESIS, shown)).max() <= 50 + 1e-6
+    assert np.hypot(*(shown - [960, 540]).T).max() <= 700
+    filled = undistort.straighten(THESIS, (1920, 1080), (320, 180), theta_max=np.deg2rad(40))
+    assert np.isfinite(filled.sources).all()

@@ -47,7 +47,7 @@ def test_independent_errors_alone_would_state_far_too_little():
     o, solution = filmed(0, 24, 1.0)
     views = fit.by_view(o, solution)
     assert np.sqrt(np.diag(uncertainty.covariance(views)) / np.diag(uncertainty.noise(views))).min() > 1.5
-    assert fit.inflation(o, solution) > 2
+    assert uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)) > 2
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.5])

@@ -7,6 +7,7 @@ from detection_people import KB8, cast, ceiling_view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre, separate
 from avcli.detection.gate import Gate
 from avcli.detection.monocular import locate_box
@@ -15,6 +16,8 @@ from avcli.detection.overlay import draw
 from avcli.detection.view import View
 from avcli.lens import BrownConrady, Division, KannalaBrandt
 from avcli.pose import camera_pose
+
+CEILING = camera_pose([2.33, 2.33, 2.5], [90, 0, 0])
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +93,33 @@ def test_rays_beyond_the_lens_are_none():
     assert np.isfinite(fold.unproject(np.array([[960 + 510.0, 540.0]]))).all()
     narrow = View(fold.lens, camera_pose([0, 0, 2.5], [90, 0, 0]), (1920, 1080), theta_max=0.5)
     assert np.isnan(narrow.unproject(np.array([[960 + 510.0, 540.0]]))).all()
+
+
+def test_what_light_does_not_reach_has_no_ray():
+    lit = View(KannalaBrandt(300.0, 300.0, 511.5, 511.5), CEILING, (1024, 1024), circle=(500.0, 520.0, 400.0))
+    pixels = np.array([[500.0, 520.0], [890.0, 520.0], [910.0, 520.0], [np.nan, 0.0]])
+    assert np.isfinite(lit.unproject(pixels)).all(1).tolist() == [True, True, False, False]
+    assert lit.inside(pixels).tolist() == [True, True, False, False]
+    assert np.isfinite(lit.rays).all(2).mean() == pytest.approx(np.pi * 400**2 / 1024**2, rel=0.01)
+
+
+@pytest.mark.parametrize("method", ["depth", "monocular"])
+def test_people_beyond_the_trusted_angle_stay_and_are_less_certain(method):
+    known = View(KannalaBrandt(300.0, 300.0, 511.5, 511.5), CEILING, (1024, 1024), theta_trusted=np.deg2rad(50))
+
+    def person(radius):
+        covariance = np.diag([0.01, 0.01, 0.25])
+        return Person(known.origin + np.array([radius, 0.0, -1.6]), covariance, 0.9, np.zeros(4), 1.7, method)
+
+    near, far, farther = (beyond_trust(person(radius), known) for radius in (1.0, 3.0, 6.0))
+    assert near.covariance[0, 0] == 0.01
+    excess = np.arctan2(3.0, 1.6) - np.deg2rad(50)
+    distance = np.hypot(3.0, 1.6)
+    along = distance * 0.2 * excess * (1 if method == "depth" else distance / 1.6)
+    assert far.covariance[0, 0] == pytest.approx(0.01 + along**2)
+    assert far.covariance[1, 1] == pytest.approx(0.01 + (distance * 0.2 * excess) ** 2)
+    assert farther.covariance[0, 0] > far.covariance[0, 0]
+    assert np.linalg.eigvalsh(farther.covariance).min() > 0
 
 
 # --- depth ------------------------------------------------------------------------------------------------------------

@@ -174,6 +174,17 @@ def test_angles_that_calibration_saw_limit_the_lens():
     assert config(camera_config__theta_max_observed_deg=40.0).camera.theta_max == pytest.approx(math.radians(40))
 
 
+def test_rays_beyond_the_trusted_angle_are_used_and_known_to_be_extrapolated():
+    limits = {"camera_config__theta_max_observed_deg": 38.0, "camera_config__theta_max_trusted_deg": 35.0}
+    camera = config(**limits, camera_config__theta_max_valid_deg=50.0).camera
+    assert (camera.theta_max, camera.theta_trusted) == pytest.approx((camera.lens.theta_max, math.radians(35)), abs=0.5)
+    assert config().camera.theta_trusted == math.pi
+    assert config().camera.circle is None
+    assert config(camera_config__image_circle_px=[960, 540, 500]).camera.circle == (960, 540, 500)
+    with pytest.raises(experiment.ConfigError, match="the radius must be above 0"):
+        _ = config(camera_config__image_circle_px=[960, 540, 0]).camera
+
+
 # --- records ----------------------------------------------------------------------------------------------------------
 
 

@@ -457,6 +457,30 @@ def test_every_registered_lens_has_an_example():
     assert set(variants().values()) <= {type(lens) for lens in EXAMPLES}
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"lens_model": "kannala_brandt", "k1": -0.02, "p1": 0.01, "p2": -0.01},
+        {"lens_model": "rational", "k1": 0.1, "k4": 0.3, "p1": 0.01},
+        {"lens_model": "double_sphere", "xi": -0.2, "alpha": 0.59},
+    ],
+    ids=lambda values: values["lens_model"],
+)
+def test_a_scene_is_drawn_through_the_lens(values):
+    from avcli.scene.film import simulate
+
+    camera = {
+        "fx_px": 60.0, "fy_px": 60.0, "cx_px": 79.5, "cy_px": 59.5, "image_width_px": 160, "image_height_px": 120,
+        "camera_position_m": [2.33, 2.33, 2.5], **values,
+    }  # fmt: skip
+    scene = simulate({"camera_config": camera, "duration_s": 0.0})
+    next(scene.shots())
+    at = np.array([[79.0, 59.0], [50.0, 59.0], [110.0, 50.0], [79.0, 30.0], [70.0, 85.0]])
+    rays = scene.config.camera.lens.unproject(at)
+    down = scene.background[at[:, 1].astype(int), at[:, 0].astype(int)] * 1e-4 * rays[:, 2]
+    np.testing.assert_allclose(down, 2.5, atol=2e-4)
+
+
 def test_a_lens_is_registered_in_one_place():
     """One entry of LENSES: the program then reads it from a config, lists it in errors, and draws through it."""
     camera = {

@@ -95,6 +95,22 @@ def test_densities_that_are_alike_become_one_with_the_moments_of_both():
     np.testing.assert_allclose(spread[0], outer)
 
 
+def test_groups_that_are_merged_together_are_as_if_each_was_merged_alone():
+    rng = np.random.default_rng(5)
+
+    def crowd():
+        states = np.random.default_rng(6).normal(size=(6, 4))
+        return people(states, [0, 0, 1, 1, 1, 2])
+
+    groups, shares = [[0, 1], [4, 2, 3]], [rng.random(2).tolist(), rng.random(3).tolist()]
+    together, alone = crowd(), crowd()
+    together.merge(groups, shares)
+    for group, some in zip(groups, shares, strict=True):
+        alone.merge([group], [some])
+    for name in ("mean", "cov", "mode", "existence", "detectable", "lean"):
+        np.testing.assert_allclose(getattr(together, name), getattr(alone, name), atol=1e-14)
+
+
 @pytest.mark.parametrize("labels", [[0, 1], [0, 0]], ids=["two people", "two places"])
 def test_two_people_and_places_far_apart_never_merge(labels):
     crowd = people([[1, 1, 0, 0], [1, 1, 0, 0] if labels[1] else [1.3, 1, 0, 0]], labels)

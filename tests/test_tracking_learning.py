@@ -96,6 +96,26 @@ def test_clutter_and_detection_are_learnt_to_their_values():
     assert rates.detection == pytest.approx(0.6, rel=0.01)
 
 
+def test_clutter_far_above_what_was_learnt_is_learnt_in_a_few_records():
+    rates = Rates(sensor("ceiling"))
+    for _ in range(200):
+        rates.learn(0.0, 1.0, 0.0)
+    for _ in range(5):
+        rates.learn(20.0, 1.0, 0.0)
+    assert rates.clutter > 10
+
+
+def test_tracks_that_clutter_began_do_not_count_as_people_who_left():
+    """Twelve false detections in a record of 4.66 m x 4.66 m, and nobody: three by chance make a track."""
+    rng, nan = np.random.default_rng(0), np.full((12, 3, 3), np.nan)
+    fusion = Fusion(Settings(), population=Population())
+    for k in range(80):
+        at = np.column_stack([rng.uniform(0, 4.66, (12, 2)), np.zeros(12)])
+        record = Detections(k / 10, "ceiling", at, nan, np.full(12, np.nan), "camera")
+        fusion.step(k / 10, [(k / 10, "ceiling", record)])
+    assert np.sum(fusion.state()["exits"]["happened"]) < 4  # 22 when three detections were enough
+
+
 def test_how_people_hide_is_learnt_from_people_who_come_back():
     """Who is hidden for 4 s every 20 s is detected 10 times a second in between."""
     hiding, sure = Hiding(sensor("ceiling")), np.ones(1)

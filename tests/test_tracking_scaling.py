@@ -1,6 +1,7 @@
 """The work of the tracker: in proportion to what is near to each other, bounded in a flood, and the same result."""
 
 import math
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import association, gaussian, scan
 from avcli.tracking.association import competing, ranked
 from avcli.tracking.densities import Densities
@@ -77,6 +79,39 @@ def test_groups_are_the_connected_parts(wants):
         while more := {k for k in group - reach if any(set(wants[k]) & set(wants[one]) for one in reach)}:
             reach |= more
         assert reach == group
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_the_first_ranked_associations_are_those_of_the_whole_list(seed, most):
+    rng = np.random.default_rng(seed)
+    options = {
+        row: sorted([(-rng.exponential(2), -1), *((rng.normal(0, 2), j) for j in range(3))], reverse=True)
+        for row in range(4)
+    }
+    priors = [(-rng.exponential(), tuple(rng.permutation(4)[:3].tolist())) for _ in range(3)]
+    whole = ranked(priors, options, span=6.0)
+    assert ranked(priors, options, span=6.0, most=most) == whole[:most]
+    assert whole[-1][0] >= whole[0][0] - 6.0
+    assert [len(pairs) for _, pairs, _ in whole] == [3] * len(whole)
+    assert all(row in {r for _, prior in priors for r in prior} for _, pairs, _ in whole for row, _ in pairs)
+
+
+def test_one_person_costs_few_calls():
+    sensors = [sensor("ceiling"), sensor("ring", MICROPHONES)]
+    tracker, calls, noise = GLMB(Settings(), Population(), sensors), 0, 0.01 * np.eye(2)[None]
+
+    def count(frame, event, arg):
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    for k in range(60):
+        if k == 30:
+            sys.setprofile(count)
+        for name in ("ceiling", "ring"):
+            tracker.update(k / 10, name, np.array([[1 + k / 20, 2.0]]), noise)
+        tracker.tracks(k / 10)
+    sys.setprofile(None)
+    assert calls / 30 < 950  # of Python and of C, operators on arrays not counted: 840 when this was written
 
 
 def test_a_large_cluster_keeps_fewer_hypotheses(monkeypatch):

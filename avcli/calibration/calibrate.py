@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import fit, gather, opencv, place, quality, robust, spacing
+from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, sharpness, shutter, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.recognise import Wanted
@@ -20,6 +20,7 @@ BOARD_GAIN = 0.02
 LEAST_FOR_ERRORS = 8
 """Views from which the board's errors are looked for."""
 
+_LEAST_CORNERS = 6
 DEFAULTS = FitSettings()
 
 
@@ -37,9 +38,11 @@ class Calibration:
         view_rms_px: (views,) residual of each given view under the lens: of the corners that the fit used, and of all
             corners where the view was not kept.
         quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
+        shutter: what a rolling shutter explains.
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried.
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN where not tried.
+        tried: the lens models that were tried, the best first; empty where the model was given.
     """
 
     board: Board
@@ -50,10 +53,12 @@ class Calibration:
     dropped: np.ndarray
     view_rms_px: np.ndarray
     quality: quality.Quality
+    shutter: shutter.Shutter
     held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
     printed_px: float = float("nan")
+    tried: tuple[choose.Tried, ...] = ()
 
     @property
     def lens(self) -> Lens:
@@ -91,11 +96,6 @@ class Calibration:
         return self.solution.covariance[: -fit.SHAPE, : -fit.SHAPE]
 
     @property
-    def inflation(self) -> float:
-        """How many times larger the lens's errors are than those of corners whose errors are all their own."""
-        return fit.inflation(self.observations, self.solution)
-
-    @property
     def verdict(self) -> str:
         """One sentence on how far the calibration can be trusted."""
         return self.quality.verdict
@@ -121,13 +121,19 @@ class Calibration:
                 "split_half_px": _finite(q.halves.actual_px),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
-                "inflation": _finite(self.inflation),
+                "inflation": _finite(q.inflation),
                 "held_out_all_px": _finite(self.held_out_all_px),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
+                "smear_median_px": _finite(sharpness.median_smear(self.views)),
+                "rolling_shutter_ratio": _finite(self.shutter.ratio),
+                "readout_motion_px": _finite(self.shutter.typical_px),
                 "corners_dropped": int(self.dropped[self.kept].sum()),
+                **({"tried_rms_px": {one.name: one.held_out_px for one in self.tried}} if self.tried else {}),
                 "board": str(self.board),
+                "board_errors_squares": float(np.sqrt((self.observations.errors**2).sum(1).mean()))
+                / self.board.square_m,
                 **self._board_config(),
             },
         }
@@ -192,12 +198,14 @@ def calibrate_views(
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
         ValueError: the lens model is unknown.
     """
-    if settings.lens_model not in variants():
-        raise ValueError(f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}")
+    if settings.lens_model not in (*variants(), choose.AUTO):
+        raise ValueError(
+            f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}, {choose.AUTO}"
+        )
     if not board.ratio_known:
         some = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(12, len(views))).astype(int))]
         size = views[0].width, views[0].height
-        board = spacing.measured(board, lambda board: observe(board, some), size, settings.lens_model)
+        board = spacing.measured(board, lambda board: observe(board, some), size, choose.first(settings.lens_model))
     if settings.procedure == "thesis":
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
@@ -207,28 +215,36 @@ def calibrate_views(
 
 def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
     coarse = observe(board, views)
-    solution, good = robust.fit_robustly(coarse, views[0].width, views[0].height, model=settings.lens_model)
+    size = views[0].width, views[0].height
+    solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     flat = chosen = robust.held_out(everything, solution, good)
-    shaped = robust.HeldOut(float("nan"), float("nan"))
+    flat_px, shaped_px, printed_px = flat.rms_px, float("nan"), float("nan")
     if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
         # From all corners again: a flat board may have made good ones of a bowed board look bad.
         start = fit.fit(everything, robust.posed(everything, solution, good), board_shape=True)
         bent, bent_good = robust.refit_robustly(everything, start, np.ones(len(good), bool), board_shape=True)
-        flat = robust.held_out(everything, solution, good, of=good & bent_good)
-        shaped = robust.held_out(everything, bent, bent_good, of=good & bent_good)
-        if settings.board_shape == "yes" or shaped.rms_px < (1 - BOARD_GAIN) * flat.rms_px:
+        shaped = robust.held_out(everything, bent, bent_good)
+        flat_px, shaped_px = flat.of(good & bent_good), shaped.of(good & bent_good)
+        if settings.board_shape == "yes" or shaped_px < (1 - BOARD_GAIN) * flat_px:
             solution, good, chosen = bent, bent_good, shaped
-    printed = robust.HeldOut(float("nan"), float("nan"))
+    board_errors = False
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
         printed = robust.held_out(everything, solution, good, board_errors=True)
-        if printed.rms_px < (1 - BOARD_GAIN) * chosen.rms_px:
-            everything, solution, chosen = *robust.fit_board(everything, solution, good), printed
+        printed_px = printed.rms_px
+        if printed_px < (1 - BOARD_GAIN) * chosen.rms_px:
+            chosen, board_errors = printed, True
+    tried: tuple[choose.Tried, ...] = ()
+    if settings.lens_model == choose.AUTO:
+        solution, chosen, tried = choose.choose(everything, solution, good, chosen, *size, board_errors=board_errors)
+    if board_errors:
+        everything, solution = robust.fit_board(everything, solution, good)
     return replace(
         judged(board, views, everything, solution, good, chosen, circle),
-        flat_px=flat.rms_px,
-        shaped_px=shaped.rms_px,
-        printed_px=printed.rms_px,
+        flat_px=flat_px,
+        shaped_px=shaped_px,
+        printed_px=printed_px,
+        tried=tried,
     )
 
 
@@ -268,6 +284,9 @@ def judged(
     everywhere = robust.posed(everything, solution, good)
     rms = fit.view_rms(everything, everywhere)
     rms[kept] = fit.view_rms(some, solution)
+    measured = shutter.measure(some, solution, views[0].height)
+    judgement = quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle)
+    moving = sharpness.refusals(views) + shutter.refusals(measured)
     return Calibration(
         board=board,
         views=tuple(views),
@@ -276,36 +295,56 @@ def judged(
         kept=kept,
         dropped=everything.per_view((~good).astype(int)),
         view_rms_px=rms,
-        quality=quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle),
+        quality=replace(judgement, refusals=judgement.refusals + moving),
+        shutter=measured,
         held_out_all_px=held_out.all_px,
         flat_px=held_out.rms_px,
     )
 
 
-def check(board: Board, views: list[View], lens: Lens) -> dict:
+def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
+    Args:
+        board, views: what was filmed.
+        lens: to be scored.
+        theta_trusted: rad; corners farther from the axis do not count, and their number is stated.
+
     Returns:
-        views, corners, rms_px (of all corners), median_px, worst_px (of a view), off_deg (of all corners, as an angle)
-        and theta_max_seen_deg.
+        views, corners, corners_beyond (where theta_trusted is stated), rms_px (of all corners up to there), median_px,
+        worst_px (of a view), off_deg (of those corners, as an angle) and theta_max_seen_deg.
+
+    Raises:
+        fit.NoFit: no view has enough corners up to there.
     """
     everything = observe(board, views)
     start = fit.start_from_rays(everything, lens)
     solution = fit.refine_poses(everything, start, 20)
     everything = robust.polished(everything, solution, board, views)
+    theta = quality.seen_angles(lens, everything.pixels)
+    known = ~(theta > theta_trusted)
+    if not known.all():
+        enough = everything.per_view(known.astype(int)) >= _LEAST_CORNERS
+        if not enough.any():
+            raise fit.NoFit(
+                f"no picture has {_LEAST_CORNERS} corners within the {np.rad2deg(theta_trusted):.1f} degrees from the "
+                "axis up to which the lens is known"
+            )
+        everything, solution = everything.of_corners(known & enough[everything.view]), solution.of_views(enough)
     solution = fit.refine_poses(everything, solution, 20)
     each = fit.view_rms(everything, solution)
     corners_of = np.bincount(everything.view)
     return {
-        "views": len(views),
+        "views": everything.views,
         "corners": len(everything.pixels),
+        **({} if np.isinf(theta_trusted) else {"corners_beyond": int((~known).sum())}),
         "rms_px": float(np.sqrt((each**2 * corners_of).sum() / corners_of.sum())),
         "median_px": float(np.median(each)),
         "worst_px": float(each.max()),
         "off_deg": float(
             np.rad2deg(place.off_angle(lens.unproject(everything.pixels), _in_camera(everything, solution)))
         ),
-        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(quality.seen_angles(lens, everything.pixels)))),
+        "theta_max_seen_deg": float(np.rad2deg(np.nanmax(theta))),
     }
 
 

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
 
+from avcli.calibration.circle import Circle
 from avcli.formats import experiment
 from avcli.lens import Lens
 
@@ -32,6 +34,35 @@ class KnownCamera:
     def theta_max(self) -> float:
         """Largest angle from the axis at which the lens is one-to-one, rad, as the camera_config states it."""
         return math.radians(float(self.values.get("theta_max_valid_deg", 180.0)))
+
+    @property
+    def theta_trusted(self) -> float:
+        """Largest angle from the axis up to which the rays are known well, rad; `theta_max` where it is not stated."""
+        return min(self.theta_max, math.radians(float(self.values.get("theta_max_trusted_deg", 180.0))))
+
+    @property
+    def circle(self) -> Circle | None:
+        """Where the lens lights the pictures; None: everywhere."""
+        stated = self.values.get("image_circle_px")
+        return Circle(*stated) if stated else None
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(parameters, parameters) of the lens's parameters, in the order of its keys; 0 where it is not stated."""
+        count = len(self.lens.parameters)
+        stated = self._calibration.get("covariance")
+        found = np.zeros((count, count)) if stated is None else np.array(stated, float)
+        return found if found.shape == (count, count) and np.isfinite(found).all() else np.zeros((count, count))
+
+    @property
+    def inflation(self) -> float:
+        """How many times larger errors shared within a view made the lens's error; 1 where it is not stated."""
+        return max(float(self._calibration.get("inflation") or 1.0), 1.0)
+
+    @property
+    def _calibration(self) -> Mapping[str, Any]:
+        stated = self.values.get("calibration")
+        return stated if isinstance(stated, Mapping) else {}
 
     def require_size(self, size: tuple[int, int] | None, name: str = "the pictures") -> None:
         """Check that pictures of `size` (width, height) px are this camera's.

@@ -3,11 +3,12 @@
 A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import circles, markers, saddles
+from avcli.calibration import circles, markers, saddles, sharpness
+from avcli.calibration.sharpness import Blur
 from avcli.calibration.target import Board
 
 _KEEP_WIDTH = 1280
@@ -26,6 +27,7 @@ class View:
         patches: (n, 2 PATCH + 1, 2 PATCH + 1) uint8, the picture around each corner.
         origins: (n, 2) px, the pixel of each patch's middle.
         width, height: px, of the picture.
+        blur: of the edges between the corners; None where it cannot be told.
     """
 
     ids: np.ndarray
@@ -34,6 +36,7 @@ class View:
     origins: np.ndarray
     width: int
     height: int
+    blur: Blur | None = None
 
 
 def to_grey(image: np.ndarray) -> np.ndarray:
@@ -79,7 +82,13 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
         found = circles.find(grey, board)
     else:
         found = _find_checkerboard(grey, board.inner, thorough)
-    return view_of(grey, *found) if found else None
+    if not found:
+        return None
+    view = view_of(grey, *found)
+    if board.kind not in ("checkerboard", "charuco"):
+        return view
+    cells = np.stack([view.ids % board.inner[0], view.ids // board.inner[0]], -1)
+    return replace(view, blur=sharpness.blur(grey, cells, view.pixels, min(0.35, board.clear[1])))
 
 
 def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
@@ -204,7 +213,7 @@ def polish(
         reach: squares from the corner that are used, less than 1.
         clear: squares from the nearer edge that are used; less than 1 leaves out what is printed in the squares.
         half: px from the corner that are used.
-        rounds: Gauss-Newton steps.
+        rounds: Gauss-Newton steps of the corners that have not settled after three.
 
     Returns:
         pixels (n, 2), and the standard deviation of each corner's error along one axis, (n,) px; the corner as it was
@@ -215,8 +224,13 @@ def polish(
     for begin in range(0, n, 512):
         part = slice(begin, begin + 512)
         out[part], sd[part] = _polish_some(
-            patches[part], pixels[part], origins[part], to_board[part], reach, clear, half, rounds
+            patches[part], pixels[part], origins[part], to_board[part], reach, clear, half, 3, 0.005
         )
+        slow = begin + np.flatnonzero(~np.isfinite(sd[part]))
+        if len(slow):
+            out[slow], sd[slow] = _polish_some(
+                patches[slow], pixels[slow], origins[slow], to_board[slow], reach, clear, half, rounds, 0.05
+            )
     return out, sd
 
 
@@ -229,14 +243,17 @@ def _polish_some(
     clear: float,
     half: int,
     rounds: int,
+    still: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     n = len(pixels)
     span = np.arange(-half, half + 1)
     middle = slice(PATCH - half, PATCH + half + 1)
-    grey = patches[:, middle, middle].reshape(n, -1).astype(np.float64)
-    dv, du = (a.ravel().astype(float) for a in np.meshgrid(span, span, indexing="ij"))
-    base = origins - pixels
-    shift, blur = np.zeros((n, 2)), np.full(n, 0.8)
+    # Single precision is enough for grey levels; what is solved is double.
+    grey = patches[:, middle, middle].reshape(n, -1).astype(np.float32)
+    dv, du = (a.ravel().astype(np.float32) for a in np.meshgrid(span, span, indexing="ij"))
+    base = (origins - pixels).astype(np.float32)
+    to_board = to_board.astype(np.float32)
+    shift, blur = np.zeros((n, 2), np.float32), np.full(n, 0.8, np.float32)
     mask = np.zeros(0)
     linear = to_board[:, :, :2]
     slope = np.linalg.norm(linear, axis=2)[:, :, None]
@@ -247,7 +264,7 @@ def _polish_some(
         x, y = np.moveaxis(to_board @ terms, 1, 0)
         if not mask.size:
             near, far = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
-            mask = ((far < reach) & (near < clear)).astype(float)
+            mask = ((far < reach) & (near < clear)).astype(np.float32)
         width = blur[:, None] * slope[:, :, 0][..., None].transpose(1, 0, 2)
         ex, gx = _edge(x / width[0])
         ey, gy = _edge(y / width[1])
@@ -264,16 +281,16 @@ def _polish_some(
         contrast = gain[:, 3:]
         by_shift = np.stack([-(dx * jx + dy * jy) * contrast, -(dx * kx + dy * ky) * contrast], 1)
         design = np.concatenate([light, by_shift, (by_blur * contrast)[:, None]], 1)
-        left = grey - np.einsum("nap,na->np", light, gain)
+        left = grey - (gain[:, None] @ light)[:, 0]
         weighted = design * mask[:, None]
-        normal = np.einsum("nap,nbp->nab", weighted, design)
+        normal = (weighted @ design.transpose(0, 2, 1)).astype(float)
         normal += 1e-9 * np.einsum("naa->na", normal)[..., None] * np.eye(7) + 1e-9 * np.eye(7)
-        step = np.linalg.solve(normal, np.einsum("nap,np->na", weighted, left)[..., None])[..., 0]
-        shift += np.clip(step[:, 4:6], -0.5, 0.5)
-        blur = np.clip(blur + np.clip(step[:, 6], -0.3, 0.3), 0.3, 4.0)
-    count = mask.sum(1)
+        step = np.linalg.solve(normal, (weighted @ left[..., None]).astype(float))[..., 0]
+        shift += np.clip(step[:, 4:6], -0.5, 0.5).astype(np.float32)
+        blur = np.clip(blur + np.clip(step[:, 6], -0.3, 0.3), 0.3, 4.0).astype(np.float32)
+    count = mask.sum(1).astype(float)
     noise = np.sqrt((mask * left**2).sum(1) / np.maximum(count - 7, 1))
-    settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, 4:6], axis=1) < 0.05)
+    settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, 4:6], axis=1) < still)
     clear_enough = (count >= 24) & (np.abs(gain[:, 3]) > 3 * noise)
     inverse = np.linalg.inv(normal)
     sd = noise * np.sqrt((inverse[:, 4, 4] + inverse[:, 5, 5]) / 2)
@@ -289,6 +306,6 @@ def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _weighted_lstsq(design: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
     weighted = design * weight[:, None]
-    normal = np.einsum("nap,nbp->nab", weighted, design)
+    normal = (weighted @ design.transpose(0, 2, 1)).astype(float)
     normal += 1e-9 * np.eye(normal.shape[-1])
-    return np.linalg.solve(normal, np.einsum("nap,np->na", weighted, target)[..., None])[..., 0]
+    return np.linalg.solve(normal, (weighted @ target[..., None]).astype(float))[..., 0].astype(np.float32)

@@ -186,6 +186,7 @@ def split_halves(
     splits: int = 50,
     refit: bool = False,
     seed: int = 0,
+    views: uncertainty.Views | None = None,
 ) -> Halves:
     """Test the stated uncertainty: fit the lens to random halves of the views, compare what they differ by and state.
 
@@ -198,22 +199,23 @@ def split_halves(
         refit: fit each half, and the board's errors, from the solution on until it stands; otherwise one Gauss-Newton
             step from it, which differs by a tenth of a standard deviation and costs milliseconds.
         seed: of the splits.
+        views: fit.by_view of both; None computes it.
 
     Returns:
         Halves; its ratio is NaN with fewer than eight views, or without a pixel that the lens images.
     """
     rays = solution.lens.unproject(pixels)
     rays = rays[np.isfinite(rays).all(1)]
-    if observations.views < LEAST_FOR_HALVES or not len(rays):
+    if not splits or observations.views < LEAST_FOR_HALVES or not len(rays):
         return Halves()
     moved, _ = sensitivity(solution.lens, observations.pixels, rays)
     count = moved.shape[-1]
     lens_of_free = np.flatnonzero(solution.free) < count
     moved = moved[:, :, np.flatnonzero(solution.free)[lens_of_free]].reshape(-1, lens_of_free.sum())
-    views = fit.by_view(observations, solution)
+    all_views = fit.by_view(observations, solution) if views is None else views
 
     def half(keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = views.of(keep)
+        own = all_views.of(keep)
         step = own.step
         if refit:
             some = observations.of_views(keep)

@@ -80,6 +80,18 @@ class Observations:
         """Sum (n, ...) values over the corners of each view: (views, ...)."""
         return np.add.reduceat(values, self.starts, axis=0)
 
+    def gram(self, columns: np.ndarray) -> np.ndarray:
+        """Products of (n, 2, m) columns with each other, summed over the corners of each view: (views, m, m)."""
+        counts = np.bincount(self.view)
+        most, m = int(counts.max()), columns.shape[2]
+        if (counts == most).all():
+            stacked = columns.reshape(self.views, 2 * most, m)
+        else:
+            stacked = np.zeros((self.views, most, 2, m))
+            stacked[self.view, np.arange(len(self.view)) - self.starts[self.view]] = columns
+            stacked = stacked.reshape(self.views, 2 * most, m)
+        return stacked.transpose(0, 2, 1) @ stacked
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -227,6 +239,12 @@ def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarr
     return residual * scale[:, None], common * scale[:, None, None], own * scale[:, None, None]
 
 
+def by_pose(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n, 2) px, and how the projections follow a turn (rad) and a shift (m) of the board, (n, 2, 6)."""
+    residual, _, own = _linearise(replace(observations, sigma=np.ones(len(observations.sigma))), solution)
+    return residual, own
+
+
 def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
     """Cost and weight of each residual vector (n, 2): quadratic up to `delta`, linear beyond (Huber 1964)."""
     size = np.linalg.norm(residual, axis=1)
@@ -250,16 +268,14 @@ class _Normal(NamedTuple):
 
 def _normal_equations(observations: Observations, solution: Solution, delta: float) -> _Normal:
     residual, common, own = _linearise(observations, solution)
-    common = common[:, :, solution.free]
     cost, weight = _huber(residual, delta)
-    weighted = own * weight[:, None, None]
-    o = observations
-    A = np.einsum("nia,nib,n->ab", common, common, weight, optimize=True)
-    B = o.per_view(np.einsum("nia,nib->nab", weighted, common))
-    C = o.per_view(np.einsum("nia,nib->nab", weighted, own))
-    g = np.einsum("nia,ni,n->a", common, residual, weight, optimize=True)
-    h = o.per_view(np.einsum("nia,ni->na", weighted, residual))
-    return _Normal(float(cost.sum()), A, B, C, g, h)
+    columns = (
+        np.concatenate([common[:, :, solution.free], own, residual[:, :, None]], 2) * np.sqrt(weight)[:, None, None]
+    )
+    G = observations.gram(columns)
+    k = columns.shape[2] - 7
+    A, g = G[:, :k, :k].sum(0), G[:, :k, -1].sum(0)
+    return _Normal(float(cost.sum()), A, G[:, k:-1, :k], G[:, k:-1, k:-1], g, G[:, k:-1, -1])
 
 
 def _moved(solution: Solution, common: np.ndarray, own: np.ndarray) -> Solution:
@@ -328,20 +344,22 @@ def _is_possible(solution: Solution) -> bool:
     return bool(finite and abs(p[-1]) < 0.5 and solution.lens.is_possible)
 
 
-def refine_poses(observations: Observations, start: Solution, iterations: int, delta: float = np.inf) -> Solution:
-    """Levenberg-Marquardt on the poses alone, each view by itself, the lens and the board held."""
+def refine_poses(
+    observations: Observations, start: Solution, iterations: int, delta: float = np.inf, gain: float = 1e-12
+) -> Solution:
+    """Levenberg-Marquardt on the poses alone, each view by itself, the lens and the board held.
+
+    Stops when no step lowers the cost of its view by more than `gain` of it.
+    """
     solution = replace(start, free=np.zeros(len(start.parameters), bool))
     damping = np.full(observations.views, 1e-3)
 
     def normal(trial: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         residual, _, own = _linearise(observations, trial)
         cost, weight = _huber(residual, delta)
-        weighted = own * weight[:, None, None]
-        return (
-            observations.per_view(cost),
-            observations.per_view(np.einsum("nia,nib->nab", weighted, own)),
-            observations.per_view(np.einsum("nia,ni->na", weighted, residual)),
-        )
+        columns = np.concatenate([own, residual[:, :, None]], 2) * np.sqrt(weight)[:, None, None]
+        G = observations.gram(columns)
+        return observations.per_view(cost), G[:, :6, :6], G[:, :6, 6]
 
     cost, C, h = normal(solution)
     for _ in range(iterations):
@@ -355,11 +373,12 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
             rotations=np.where(pick[..., None], trial.rotations, solution.rotations),
             translations=np.where(pick, trial.translations, solution.translations),
         )
-        moved = better & (cost - found[0] > 1e-12 * cost)
+        moved = better & (cost - found[0] > gain * cost)
+        waiting = ~better & (damping <= 1e3)
         cost, h = np.where(better, found[0], cost), np.where(pick, found[2], h)
         C = np.where(pick[..., None], found[1], C)
         damping = np.where(better, damping / 6, damping * 6)
-        if not moved.any() and (damping > 1e3).all():
+        if not moved.any() and not waiting.any():
             break
     return solution
 
@@ -367,8 +386,8 @@ def refine_poses(observations: Observations, start: Solution, iterations: int, d
 def by_view(observations: Observations, solution: Solution) -> Views:
     """What each view says about the unknowns in `solution.free`, at the solution and with its robust weights.
 
-    The view's pose is eliminated. So are the board's errors, if there are any: they are held by BOARD_ERROR, and what
-    the lens owes to them is not known better than they are.
+    The view's pose is eliminated. So are the board's errors, if there are any: what the lens owes to them is not known
+    better than they are.
     """
     o = observations
     residual, common, own = _linearise(o, solution)
@@ -419,18 +438,20 @@ def _without_board_errors(
     """
     points, corner = np.unique(o.points, axis=0, return_inverse=True)
     size, p = 3 * len(points), common.shape[-1]
-    held, between = np.eye(size) * (variance / error_prior(o) ** 2), np.zeros((size, p))
-    normal = held.copy()
+    held = np.eye(size) * (variance / error_prior(o) ** 2)
+    normal, own_place, shared = held.copy(), np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, p))
+    np.add.at(own_place, corner, np.einsum("nia,nib->nab", by_error, by_error))
+    np.add.at(shared, corner, np.einsum("nia,nib->nab", by_error, common))
     for rows in np.split(np.arange(len(o.view)), o.starts[1:]):
-        Q = np.linalg.qr(own[rows].reshape(-1, own.shape[-1]))[0]
+        Q = np.linalg.qr(own[rows].reshape(-1, own.shape[-1]))[0].reshape(len(rows), 2, -1)
+        along = np.einsum("nia,nib->nab", by_error[rows], Q)  # what the pose takes of it
+        flat = along.reshape(-1, Q.shape[-1])
         columns = (3 * corner[rows][:, None] + np.arange(3)).ravel()
-        apart = np.zeros((len(rows), 2, len(rows), 3))
-        apart[np.arange(len(rows)), :, np.arange(len(rows))] = by_error[rows]
-        wide = apart.reshape(2 * len(rows), -1)
-        wide -= Q @ (Q.T @ wide)
-        normal[np.ix_(columns, columns)] += wide.T @ wide
-        between[columns] += wide.T @ common[rows].reshape(-1, p)
-    gain = np.linalg.solve(normal, between).reshape(len(points), 3, p)
+        normal[np.ix_(columns, columns)] -= flat @ flat.T
+        shared[corner[rows]] -= along @ np.einsum("nib,nia->ba", Q, common[rows])
+    place = np.arange(size).reshape(-1, 3)
+    normal[place[:, :, None], place[:, None, :]] += own_place
+    gain = np.linalg.solve(normal, shared.reshape(size, p)).reshape(len(points), 3, p)
     learned = size - float(np.trace(np.linalg.solve(normal, held)))
     return common - by_error @ gain[corner], learned
 
@@ -443,19 +464,14 @@ def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarr
     return out, float(np.sqrt(views.variance))
 
 
-def inflation(observations: Observations, solution: Solution) -> float:
-    """How many times larger the errors of the unknowns are than if each corner's error were its own; at least 1."""
-    views = by_view(observations, solution)
-    return uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views))
-
-
 # --- the whole fit ----------------------------------------------------------------------------------------------------
 
 
-def free_parameters(lens: Lens, board_shape: bool = False, first: int | None = None) -> np.ndarray:
-    """Which common unknowns to fit, (P,) bool: those of the lens (its `first` ones), and the board's shape or not."""
-    count = len(lens.names())
-    return np.append(np.arange(count) < (count if first is None else first), [board_shape] * SHAPE)
+def free_parameters(lens: Lens, board_shape: bool = False, few: bool = False) -> np.ndarray:
+    """Which common unknowns to fit, (P,) bool: the lens's (a `few`: one coefficient), and the board's shape or not."""
+    names = lens.names()
+    freed = (*names[:4], lens.leading) if few else names
+    return np.array([name in freed for name in names] + [board_shape] * SHAPE)
 
 
 def start_from_rays(observations: Observations, lens: Lens, shape: np.ndarray | None = None) -> Solution:
@@ -512,7 +528,7 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
         )
     if not start.free.any():
-        start = refine(observations, start, free_parameters(start.like, first=5), 5.0, 15, 1e-4)
+        start = refine(observations, start, free_parameters(start.like, few=True), 5.0, 15, 1e-4)
         start = refine(observations, start, lens_only, 2.0, 25, 1e-5)
         start = _reseeded(observations, start)
     solution = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)

@@ -173,12 +173,15 @@ class Seen:
         """Take back the last pictures, none of which has a view."""
         del self._pictures[len(self._pictures) - count :]
 
-    def records(self, kept: np.ndarray | None = None, rms_px: np.ndarray | None = None) -> Iterator[dict]:
+    def records(
+        self, kept: np.ndarray | None = None, rms_px: np.ndarray | None = None, dropped: np.ndarray | None = None
+    ) -> Iterator[dict]:
         """Yield a record for each picture; one that shows the board has its corners.
 
         Args:
             kept: (views,) bool, which views the fit used; None: there is no fit.
             rms_px: (views,) residual of each view.
+            dropped: (views,) how many of its corners the fit did not use.
         """
         for number, picture in enumerate(self._pictures):
             name = picture["picture"].encode("utf-8", "replace").decode()  # a file's name may be no UTF-8
@@ -187,6 +190,10 @@ class Seen:
             if index is not None:
                 view, why = self.views[index], "no fit"
                 row["corner_ids"], row["corners_px"] = view.ids, view.pixels
+                if view.blur is not None:
+                    row["blur_px"], row["smear_px"] = view.blur.least_px, view.blur.smear_px
+                if dropped is not None:
+                    row["corners_dropped"] = int(dropped[index])
                 if kept is not None and rms_px is not None:
                     used = bool(kept[index])
                     row["rms_px"] = float(rms_px[index])

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration import fit, nextview, quality, robust
+from avcli.calibration import field, fit, nextview, quality, robust
 from avcli.calibration.calibrate import calibrate_views, observe
+from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
 from avcli.calibration.gather import Seen, is_duplicate
 from avcli.calibration.settings import FitSettings
@@ -15,7 +16,9 @@ from avcli.formats.footage import Picture
 from avcli.lens import LENSES, KannalaBrandt
 
 ENOUGH = 1 / 6400
-"""Mean expected error over the picture that is enough, over the picture's width: 0.3 px of 1920."""
+"""Mean expected error that is enough, over the picture's width: 0.3 px of 1920."""
+ENOUGH_PART = 0.8
+"""Part of the lit picture in which the lens must be trusted: whole boards do not get into the corners."""
 LEAST_VIEWS = 8
 """Views before which nothing is enough, whatever the fit says of itself."""
 _AFRESH = 8
@@ -85,7 +88,8 @@ class Guide:
 
     Attributes:
         quality: of the fit to the views so far; None before the fourth.
-        counts: (rows, columns) corners seen in each cell of the picture; None before the first view.
+        counts, lit_cells: (rows, columns) corners seen in each cell of the picture, and which of the cells light
+            reaches; None before the first view.
         solution: the fit to the views so far; None before the first view.
         proposal: where to hold the board next; None before the first picture, and where no place is left.
         state: for the person.
@@ -112,6 +116,8 @@ class Guide:
         self.settings = settings or FitSettings()
         self.quality: quality.Quality | None = None
         self.counts: np.ndarray | None = None
+        self.lit_cells: np.ndarray | None = None
+        self._circle: Circle | None = None
         self.proposal: nextview.Proposal | None = None
         self.state = State("hold the board in front of the camera", 0, (), found=False, there=False, enough=False)
         self._enough_px, self._say, self._show, self._stops = enough_px, say, show, stops
@@ -145,7 +151,7 @@ class Guide:
 
     def after(self, seen: Seen, grey: np.ndarray, view: View | None) -> bool:
         """Learn from the newest picture, (height, width) uint8, and tell whether enough is known."""
-        hint = self.take(seen.board, seen.views, view, grey.shape[1], grey.shape[0])
+        hint = self.take(seen.board, seen.views, view, grey.shape[1], grey.shape[0], seen.light.circle)
         if hint:
             self._say(hint)
         if self._show:
@@ -154,7 +160,15 @@ class Guide:
 
     # --- what is known
 
-    def take(self, board: Board, views: list[View], view: View | None, width: int, height: int) -> str | None:
+    def take(
+        self,
+        board: Board,
+        views: list[View],
+        view: View | None,
+        width: int,
+        height: int,
+        circle: Circle | None = None,
+    ) -> str | None:
         """Learn from the views so far; return a hint when something is new.
 
         Args:
@@ -162,8 +176,9 @@ class Guide:
             views: all views that differ, in order.
             view: of the newest picture; None where it shows no board.
             width, height: px, of the pictures.
+            circle: where light reaches them; None: everywhere.
         """
-        self._looks += 1
+        self._looks, self._circle = self._looks + 1, circle
         if board != self._board:  # it has only now been recognised
             self._board, self.quality, self.solution, self._known = board, None, None, -1
         new = len(views) != self._known
@@ -183,7 +198,7 @@ class Guide:
 
     @property
     def mean_px(self) -> float:
-        """Mean expected error over the picture, px; infinite before it is known."""
+        """Mean expected error where the lens is trusted, px; infinite before it is known."""
         return self.quality.mean_sd_px if self.quality else float("inf")
 
     def _learn(self, board: Board, views: list[View]) -> None:
@@ -191,6 +206,7 @@ class Guide:
         width, height = views[0].width, views[0].height
         seen = observe(board, views)
         self.counts = quality.coverage(seen.pixels, width, height)
+        self.lit_cells = quality.lit_cells(self.counts.shape, width, height, self._circle)
         try:
             if len(views) < quality.LEAST_VIEWS:
                 self.solution = fit.scan_focal(seen, width, height, self._model)
@@ -202,7 +218,8 @@ class Guide:
                 self.solution, self._good = robust.fit_robustly(seen, width, height, model=self._model)
         except fit.NoFit:
             return
-        self.quality = quality.assess(seen.of_corners(self._good), self.solution, width, height, float("nan"))
+        some = seen.of_corners(self._good)
+        self.quality = quality.assess(some, self.solution, width, height, float("nan"), self._circle, 0)
 
     def _with_newest(self, seen: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
         """Fit the views again from the fit of all but the newest."""
@@ -222,7 +239,10 @@ class Guide:
             self.proposal = nextview.first(board, lens, width, height)
             return
         seen = observe(board, views).of_corners(self._good)
-        self.proposal = nextview.propose(board, self.solution, seen, width, height, avoid=self._avoid)
+        circle = self._circle
+        self.proposal = nextview.propose(
+            board, self.solution, seen, width, height, lambda pixels: field.lit(pixels, circle), self._avoid
+        )
 
     def _is_there(self, board: Board, view: View) -> bool:
         assert self.proposal is not None
@@ -241,9 +261,9 @@ class Guide:
         if q is None or q.refusals or self._known < self._confirm_at:
             return False
         saturated = self._known >= 3 * LEAST_VIEWS and (self.proposal is None or self.proposal.gain < _SMALL_GAIN)
-        if not (self.mean_px <= self._limit_px(width) or saturated):
+        if not saturated and (self.mean_px > self._limit_px(width) or q.trusted_part < ENOUGH_PART):
             return False
-        if calibrate_views(board, views, self.settings).quality.refusals:
+        if calibrate_views(board, views, self.settings, self._circle).quality.refusals:
             self._confirm_at = self._known + 3
             return False
         return True
@@ -255,7 +275,7 @@ class Guide:
 
     def _hint(self, view: View | None, *, there: bool, enough: bool) -> str:
         if enough:
-            return f"enough: the expected error over the picture is {self.mean_px:.2f} px"
+            return f"enough: the expected error is {self.mean_px:.2f} px"
         if view is not None and self._why == "blurred":
             return "hold the board still: the picture is blurred, or bring more light"
         if there and self._why == "moving":
@@ -265,7 +285,7 @@ class Guide:
         return f"hold the board {self.proposal.words}"
 
     def _bars(self, views: list[View], width: int) -> tuple[Bar, ...]:
-        covered = 0.0 if self.counts is None else float((self.counts > 0).mean())
+        covered, trusted = self._covered, self.quality.trusted_part if self.quality else 0.0
         tilt = near = 0.0
         if self.solution is not None and len(self.solution.rotations) > 1:
             normals = self.solution.rotations[:, :, 2]
@@ -276,7 +296,8 @@ class Guide:
         limit, mean = self._limit_px(width), self.mean_px
         sharp = self._width_px if views and np.isfinite(self._width_px) else np.nan
         return (
-            Bar("coverage", min(covered / 0.8, 1.0), f"{100 * covered:.0f} % of the picture"),
+            Bar("coverage", min(covered / ENOUGH_PART, 1.0), f"corners in {100 * covered:.0f} % of the picture"),
+            Bar("trust", min(trusted / ENOUGH_PART, 1.0), f"known in {100 * trusted:.0f} % of the picture"),
             Bar("tilt", min(tilt / 25.0, 1.0), f"± {tilt:.0f}°"),
             Bar("distance", min(np.log(max(near, 1.0)) / np.log(2.0), 1.0), f"1 : {max(near, 1.0):.1f}"),
             Bar(
@@ -291,10 +312,16 @@ class Guide:
             ),
         )
 
+    @property
+    def _covered(self) -> float:
+        """Fraction of the lit picture where corners were seen."""
+        if self.counts is None or self.lit_cells is None or not self.lit_cells.any():
+            return 0.0
+        return float((self.counts[self.lit_cells] > 0).mean())
+
     def _covered_text(self) -> str:
-        covered = 0.0 if self.counts is None else float((self.counts > 0).mean())
         known = f", expected error {self.mean_px:.2f} px" if np.isfinite(self.mean_px) else ""
-        return f"{100 * covered:.0f} % of the picture covered{known}"
+        return f"{100 * self._covered:.0f} % of the picture covered{known}"
 
 
 def _count(views: int) -> str:

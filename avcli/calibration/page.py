@@ -10,7 +10,9 @@ import numpy as np
 
 from avcli.calibration import fit, report, undistort
 from avcli.calibration.calibrate import Calibration
+from avcli.calibration.circle import Circle
 from avcli.calibration.gather import Seen
+from avcli.calibration.quality import Quality
 from avcli.calibration.settings import ProjectionSettings
 from avcli.formats.media import encode_picture
 
@@ -80,14 +82,22 @@ def _figures(result: Calibration, seen: Seen) -> str:
         ("Camera", f"{result.width} × {result.height} px, {result.camera_config()['lens_model']}"),
         ("Board", result.board.words),
         ("Pictures", f"{int(result.kept.sum())} used of {len(result.kept)} with a board, {len(seen)} in all"),
-        ("Corners", f"{len(result.observations.pixels)}"),
+        ("Corners", f"{len(result.observations.pixels)} used, {int(result.dropped.sum())} left out"),
         ("Residual (RMS)", f"{q.rms_px:.3f} px"),
         ("Residual of pictures held out", held_out),
-        ("Expected error, mean", f"{_mean_px(result):.3f} px"),
+        ("Expected error, mean", f"{q.mean_sd_px:.3f} px, where the lens is trusted"),
+        ("Halves of the pictures", _halves(q)),
         ("Corners were seen up to", f"{np.rad2deg(q.theta_max_observed):.1f}° from the axis"),
+        ("The lens is trusted up to", f"{np.rad2deg(q.theta_max_trusted):.1f}°"),
         ("The picture reaches", f"{np.rad2deg(q.theta_max_picture):.1f}°"),
     ]
     return _table(rows)
+
+
+def _halves(q: Quality) -> str:
+    if not np.isfinite(q.halves.ratio):
+        return "too few to compare"
+    return f"differ by {q.halves.actual_px:.3f} px, {q.halves.ratio:.2f} times what is stated"
 
 
 def _parameters(result: Calibration) -> str:
@@ -110,19 +120,15 @@ def _table(rows: list[tuple[str, str]]) -> str:
 # --- over the picture -------------------------------------------------------------------------------------------------
 
 
-def _mean_px(result: Calibration) -> float:
-    return float(np.nanmean(result.quality.field_sd_px))
-
-
 def _maps(result: Calibration) -> list[str]:
     q = result.quality
     return [
         _map(
             result,
             "Expected error",
-            "How far the lens may be wrong: one standard deviation.",
-            _field(result, q.field.pixels, q.field_sd_px),
-            _scale(q.field_sd_px),
+            "How far the lens may be wrong (standard deviation). It is trusted within the strong dashes.",
+            _field(q),
+            _scale(q.field.sd_px),
         ),
         _map(
             result,
@@ -148,22 +154,33 @@ def _map(result: Calibration, title: str, text: str, inside: str, scale: str = "
 
 
 def _rings(result: Calibration) -> str:
-    """Rings every 15 degrees from the axis, those up to which corners were seen stronger."""
+    """Rings every 15° from the axis, a stronger one up to which the lens is trusted, and the edge of the light."""
     lens, turn = result.solution.lens, np.linspace(0, 2 * np.pi, 121)
     paths = []
-    for angle in [*range(15, int(np.rad2deg(lens.theta_max)), 15), np.rad2deg(result.quality.theta_max_observed)]:
+    q = result.quality
+    for angle in [
+        *range(15, int(np.rad2deg(min(lens.theta_max, q.theta_max_picture))), 15),
+        np.rad2deg(q.theta_max_trusted),
+    ]:
         s, c = np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))
         ring = lens.project(np.stack([s * np.cos(turn), s * np.sin(turn), np.full(121, c)], -1))
         if np.isfinite(ring).all():
             kind = "seen" if isinstance(angle, float) else "ring"
             paths.append(f'<path class="{kind}" d="M{"L".join(f"{u:.0f} {v:.0f}" for u, v in ring)}"/>')
+    if q.circle is not None:
+        paths.append(f'<circle class="light" {_round(q.circle)}/>')
     return "\n".join(paths)
 
 
-def _field(result: Calibration, pixels: np.ndarray, sd_px: np.ndarray) -> str:
-    """The expected error as a small picture that the browser smooths, transparent where there is none."""
+def _round(circle: Circle) -> str:
+    return f'cx="{circle.x:.1f}" cy="{circle.y:.1f}" r="{circle.radius:.1f}"'
+
+
+def _field(q: Quality) -> str:
+    """The expected error as a small picture that the browser smooths, within the light."""
     import cv2
 
+    pixels, sd_px = q.field.pixels, q.field.sd_px
     low, high = _limits(sd_px)
     known = np.isfinite(sd_px)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -173,8 +190,10 @@ def _field(result: Calibration, pixels: np.ndarray, sd_px: np.ndarray) -> str:
     step = np.diff(pixels[0, :2, 0])[0], np.diff(pixels[:2, 0, 1])[0]
     x, y = pixels[0, 0] - np.array(step) / 2
     rows, columns = sd_px.shape
+    clip = "" if q.circle is None else f'<clipPath id="light"><circle {_round(q.circle)}/></clipPath>\n'
+    within = ' clip-path="url(#light)"' if clip else ""
     return (
-        f'<image x="{x:.1f}" y="{y:.1f}" width="{columns * step[0]:.1f}" height="{rows * step[1]:.1f}" '
+        f'{clip}<image{within} x="{x:.1f}" y="{y:.1f}" width="{columns * step[0]:.1f}" height="{rows * step[1]:.1f}" '
         f'preserveAspectRatio="none" href="{_embedded(image, ".png")}"/>'
     )
 

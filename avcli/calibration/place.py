@@ -1,6 +1,6 @@
 """The pose of a camera of known lens, from pixels whose places in the room are known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from avcli import pose
 from avcli.calibration.camera import KnownCamera
 from avcli.calibration.corners import View
+from avcli.calibration.field import seen_angles
 from avcli.calibration.fit import cross_matrix, rotation_from_vector
 from avcli.calibration.target import Board
 from avcli.lens import Lens
@@ -33,6 +34,7 @@ class Place:
         residuals: (n, 2) px, seen minus predicted.
         sigma_px: standard deviation of a pixel along one axis that the covariance assumes.
         off: rad, root of the mean square of the angles between the rays of the pixels and where their points are.
+        beyond: how many points were left out, since they lie beyond the angle up to which the lens is known.
     """
 
     T_room_camera: np.ndarray
@@ -41,6 +43,7 @@ class Place:
     residuals: np.ndarray
     sigma_px: float
     off: float
+    beyond: int = 0
 
     def camera_config(self) -> dict:
         """The pose as keys of config.json's camera_config."""
@@ -52,7 +55,15 @@ class Place:
         }
 
 
-def locate(lens: Lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float | None = None) -> Place:
+def locate(
+    lens: Lens,
+    pixels: np.ndarray,
+    points: np.ndarray,
+    sigma_px: float | None = None,
+    *,
+    lens_covariance: np.ndarray | None = None,
+    shared: float = 1.0,
+) -> Place:
     """Find the pose of a camera that sees room points (n, 3) m at pixels (n, 2), n >= 4; beyond 90 degrees too.
 
     Rotations are tried all over; for each the position follows linearly from ray × (R p + t) = 0. The best are polished
@@ -62,6 +73,8 @@ def locate(lens: Lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float |
         lens: any model of avcli.lens.
         pixels, points: what was seen, and where it is.
         sigma_px: standard deviation of a pixel; None takes it from the residuals, at least 0.1 px.
+        lens_covariance: (parameters, parameters) of the lens's parameters, whose error the pose inherits; None: 0.
+        shared: how many times larger errors that the pixels share make the pose's error (standard deviation).
 
     Raises:
         ValueError: there are fewer than four points, they lie on a line, or the lens images none of the pixels.
@@ -78,12 +91,17 @@ def locate(lens: Lens, pixels: np.ndarray, points: np.ndarray, sigma_px: float |
     starts = _starts(rays, points)
     R, t, _ = min((_polish(lens, pixels, points, *start) for start in starts), key=lambda one: one[2])
     residuals, jacobian = _residuals(lens, pixels, points, R, t)
+    by_lens = np.nan_to_num(lens.project_jacobian(points @ R.T + t)[2]).reshape(2 * len(points), -1)
     freedom = max(2 * len(points) - 6, 1)
     if sigma_px is None:
         sigma_px = max(float(np.sqrt((residuals**2).sum() / freedom)), 0.1)
     J = jacobian.reshape(-1, 6)
     # From a turn and shift of the points in the camera's frame to the camera's own in the room.
-    inner = sigma_px**2 * np.linalg.pinv(J.T @ J)
+    inverse = np.linalg.pinv(J.T @ J)
+    inner = (shared * sigma_px) ** 2 * inverse
+    if lens_covariance is not None:
+        follows = inverse @ J.T @ by_lens
+        inner += follows @ lens_covariance @ follows.T
     change = np.zeros((6, 6))
     change[:3, :3] = -R.T
     change[3:, :3] = -R.T @ cross_matrix(t)
@@ -232,7 +250,7 @@ def board_choices(
 
 
 def best(
-    camera: KnownCamera, choices: list[tuple[np.ndarray, np.ndarray]], sigma_px: float | None = None
+    camera: KnownCamera, choices: list[tuple[np.ndarray, np.ndarray]], sigma_px: float | None = None, views: int = 0
 ) -> tuple[Place, list[Place]]:
     """Locate a camera, and choose the pose that is nearest to the one that its camera_config states, if it does.
 
@@ -240,15 +258,34 @@ def best(
         camera: what is known of the camera.
         choices: pixels (n, 2) and room points (n, 3) m; several where it is unclear which is which (board_choices).
         sigma_px: see `locate`.
+        views: how many pictures of one board at one place the points come from; what is wrong with the board there is
+            the same in all of them, so that many say no more than one. 0: points that were measured one by one.
 
     Returns:
         The pose, and the others that fit as well if the right one is unknown.
     """
-    found = [locate(camera.lens, pixels, points, sigma_px) for pixels, points in choices]
-    known = camera.values.get("camera_position_m")
-    if not known:
+    found = []
+    for pixels, points in choices:
+        seen = seen_angles(camera.lens, pixels)
+        known = ~(seen > camera.theta_trusted)
+        if known.sum() < 4 <= len(known):
+            raise ValueError(
+                f"only {known.sum()} of {len(known)} points lie within the {np.rad2deg(camera.theta_trusted):.1f} "
+                "degrees from the axis up to which the lens is known; a pose needs 4"
+            )
+        at = locate(
+            camera.lens,
+            pixels[known],
+            points[known],
+            sigma_px,
+            lens_covariance=camera.covariance,
+            shared=camera.inflation * np.sqrt(views) if views else 1.0,
+        )
+        found.append(replace(at, beyond=int((~known).sum())))
+    stated = camera.values.get("camera_position_m")
+    if not stated:
         return found[0], found[1:]
-    T = pose.camera_pose(known, camera.values.get("camera_rotation_deg", [90.0, 0.0, 0.0]))
+    T = pose.camera_pose(stated, camera.values.get("camera_rotation_deg", [90.0, 0.0, 0.0]))
     return min(found, key=lambda one: float(np.abs(one.T_room_camera - T).sum())), []
 
 
@@ -288,6 +325,10 @@ def words(place: Place, others: list[Place]) -> list[str]:
         "camera_position_m into config.json, or use a board with one odd and one even count"
         for other in others
     ]
+    if place.beyond:
+        lines.append(
+            f"{place.beyond} more points lie beyond the angle up to which the lens is known, and were left out"
+        )
     bad = np.flatnonzero(error > max(5.0, 4 * float(np.median(error))))
     if len(bad):
         lines.append(f"these points do not fit (counted from 1): {', '.join(map(str, bad + 1))}; check them")

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import field, fit
+from avcli.calibration import field, fit, uncertainty
 from avcli.calibration.circle import Circle
 from avcli.calibration.field import Field, Halves, seen_angles
 
@@ -40,6 +40,7 @@ class Quality:
         held_out_rms_px: see robust.held_out; NaN where there are too few views.
         sd: (P,) standard deviations of fit.Solution.parameters, by views: fx fy cx cy px, coefficients, b0 b1 m, b2.
         field: expected errors over the picture.
+        inflation: how many times larger `sd` is, all in all, than if the errors of the corners were all their own.
         halves: the stated uncertainty put to the test; see `field.split_halves`.
         circle: where light reaches the picture; None: everywhere.
         counts, lit_cells: see `coverage`; and (rows, columns) bool, which of the cells light reaches.
@@ -56,6 +57,7 @@ class Quality:
     held_out_rms_px: float
     sd: np.ndarray
     field: Field
+    inflation: float
     halves: Halves
     circle: Circle | None
     counts: np.ndarray
@@ -123,6 +125,7 @@ def assess(
     height: int,
     held_out: float,
     circle: Circle | None = None,
+    splits: int = 50,
 ) -> Quality:
     """Judge a fit by its covariance and by where its boards were, not by its RMS, which is small for bad sets too.
 
@@ -131,6 +134,7 @@ def assess(
         width, height: px, of the pictures.
         held_out: px, the held-out RMS.
         circle: where light reaches the pictures; None: everywhere.
+        splits: into how many random halves the views are split to test the stated errors; 0: they are not tested.
     """
     lens = solution.lens
     error = np.linalg.norm(fit.residuals(observations, solution), axis=1)
@@ -149,6 +153,7 @@ def assess(
         held_out_rms_px=held_out,
         sd=np.sqrt(np.maximum(np.diag(solution.covariance), 0)),
         field=field.measured(observations, solution, width, height, circle),
+        inflation=1.0,
         halves=Halves(),
         circle=circle,
         counts=counts,
@@ -161,8 +166,14 @@ def assess(
         refusals=(),
         advice=(),
     )
-    tested = field.split_halves(observations, solution, quality.field.pixels[quality.trusted])
-    quality = replace(quality, halves=tested)
+    views = fit.by_view(observations, solution)
+    quality = replace(
+        quality,
+        inflation=uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)),
+        halves=field.split_halves(
+            observations, solution, quality.field.pixels[quality.trusted], splits=splits, views=views
+        ),
+    )
     refusals = _refusals(quality, observations, solution)
     return replace(quality, refusals=refusals, advice=_advice(quality, refusals))
 
@@ -192,15 +203,32 @@ def lit_cells(shape: tuple[int, ...], width: int, height: int, circle: Circle | 
     return light.reshape(rows, 4, columns, 4).mean((1, 3)) >= 0.5
 
 
+def _focal_sd(solution: fit.Solution) -> float:
+    """Relative standard deviation of the focal length on the axis, the larger of across and down.
+
+    That is fx and fy of most models. Of the double sphere model it is fx / (1 + xi), far better known than fx and xi.
+    """
+    count = len(solution.parameters) - fit.SHAPE
+
+    def on_axis(parameters: np.ndarray) -> np.ndarray:
+        lens = replace(solution, parameters=parameters).lens
+        return np.log(lens.project_jacobian(np.array([0.0, 0.0, 1.0]))[1][[0, 1], [0, 1]])
+
+    p = solution.parameters
+    steps = np.diag(1e-6 * np.maximum(1.0, np.abs(p)))[:count]
+    slopes = np.stack([(on_axis(p + h) - on_axis(p - h)) / (2 * h.sum()) for h in steps], -1)
+    variances = np.einsum("ia,ab,ib->i", slopes, solution.covariance[:count, :count], slopes)
+    return float(np.sqrt(np.maximum(variances, 0)).max())
+
+
 def _refusals(q: Quality, observations: fit.Observations, solution: fit.Solution) -> tuple[str, ...]:
     reasons = []
-    fx, fy = solution.parameters[:2]
     if observations.views < LEAST_VIEWS:
         reasons.append(
             f"{observations.views} different view{'s' if observations.views != 1 else ''} of the board cannot "
             f"determine a lens: film at least {LEAST_VIEWS}, better 20, from different sides"
         )
-    relative = max(q.sd[0] / fx, q.sd[1] / fy)
+    relative = _focal_sd(solution)
     if not relative <= FOCAL_SD_LIMIT:
         shown = f"± {100 * relative:.1f} %" if relative < 10 else "not known at all"
         reasons.append(
@@ -254,19 +282,3 @@ def _places(q: Quality) -> str:
     if len(names) == 4 or not names:
         return "near the corners of the picture" if names else "closer, larger and more tilted"
     return f"at the {', the '.join(names[:-1])} and the {names[-1]}" if len(names) > 1 else f"at the {names[0]}"
-
-
-def next_view(q: Quality) -> str:
-    """Say where to hold the board next: where the projection is known worst of all that is lit."""
-    sd = q.field.sd_px
-    rows, columns = (np.array_split(np.arange(side), 3) for side in sd.shape)
-    names = [["top left", "top", "top right"], ["left", "middle", "right"], ["bottom left", "bottom", "bottom right"]]
-    worst, place = -1.0, "middle"
-    for i, ys in enumerate(rows):
-        for j, xs in enumerate(columns):
-            part = sd[np.ix_(ys, xs)]
-            known = part[np.isfinite(part)]
-            if known.size and known.mean() > worst:
-                worst, place = float(known.mean()), names[i][j]
-    lean = ", tilted" if q.tilt < np.deg2rad(25) else ""
-    return f"hold the board at the {place}{lean} (expected error there {worst:.2f} px)"

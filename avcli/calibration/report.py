@@ -1,13 +1,15 @@
 """The report on a calibration: in words, and in a picture."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from avcli.calibration import field, fit, quality, undistort
+from avcli.calibration import field, fit, quality, sharpness, shutter, undistort
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.gather import Seen
 from avcli.calibration.settings import ProjectionSettings
+from avcli.lens import name_of
 
 Axes = Any
 """matplotlib's Axes and Figure: matplotlib has no types of its own."""
@@ -36,6 +38,12 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         f"{np.rad2deg(quality.TRUST_LIMIT):g}° up to {_degrees(q.theta_max_trusted)}, the picture reaches "
         f"{_degrees(q.theta_max_picture)}, the lens model is one-to-one up to {_degrees(lens.theta_max)}",
     ]
+    if result.tried:
+        errors = ", ".join(f"{one.name} {one.held_out_px:.3f}" for one in result.tried)
+        lines.append(
+            f"lens model {name_of(lens)}, {len(lens.names())} parameters: the simplest that held-out pictures cannot "
+            f"tell from the best; RMS of each, px: {errors}"
+        )
     if q.trusted.any():
         lines.append(
             f"expected error of the projection up to {_degrees(q.theta_max_trusted)}: mean {q.mean_sd_px:.3f} px, "
@@ -53,7 +61,30 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         )
     if result.solution.shape.any():
         lines += _shape_in_words(result)
+    lines += (
+        sharpness.advice(result.views, seen.names) + shutter.advice(result.shutter) + _left_out_in_words(result, seen)
+    )
     return [*lines, *q.advice, f"Verdict: {q.verdict}"]
+
+
+def _left_out_in_words(result: Calibration, seen: Seen) -> list[str]:
+    """Which corners and pictures do not fit."""
+    lines = []
+    some = [i for i in np.flatnonzero(result.kept) if result.dropped[i]]
+    if some:
+        lines.append(
+            f"corners that do not fit are left out: {int(result.dropped[some].sum())} in {_listed(seen, some)}; with "
+            f"every corner of every picture the held-out RMS is {result.held_out_all_px:.3f} px"
+        )
+    out = list(np.flatnonzero(~result.kept))
+    if out:
+        lines.append(f"most corners do not fit, so the whole picture is left out: {_listed(seen, out)}")
+    return lines
+
+
+def _listed(seen: Seen, views: Sequence[np.integer]) -> str:
+    more = f" and {len(views) - 5} more" if len(views) > 5 else ""
+    return ", ".join(seen.names[i] for i in views[:5]) + more
 
 
 def _shape_in_words(result: Calibration) -> list[str]:
@@ -181,6 +212,13 @@ def _draw_sample(axis: Axes, result: Calibration, sample: np.ndarray | None) -> 
     if sample is None:
         return
     size = (result.width, result.height)
-    straight = undistort.straighten(result.lens, size, size, ProjectionSettings(balance=0.5))
+    straight = undistort.straighten(
+        result.lens,
+        size,
+        size,
+        ProjectionSettings(balance=0.5),
+        result.quality.theta_max_trusted,
+        result.quality.circle,
+    )
     axis.imshow(undistort.resample(sample, straight), cmap="gray", vmin=0, vmax=255)
     axis.set_title(f"a straightened picture, {_degrees(straight.fov)} wide")

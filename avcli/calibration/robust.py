@@ -5,7 +5,7 @@ starts again from where the lens expects it, and is looked for there (`polished`
 its corners are bad.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -170,8 +170,7 @@ def polished(
     if board.has_circles:
         R, t = everywhere.rotations[observations.view], everywhere.translations[observations.view]
         measured = np.concatenate([view.pixels for view in views])
-        flat = fit.surface(observations.points, everywhere.shape, observations.half_extent)
-        off = circles.offsets(flat, R, t, everywhere.lens, board.diameter_m / 2)
+        off = circles.offsets(fit.places(observations, everywhere), R, t, everywhere.lens, board.diameter_m / 2)
         return replace(observations, pixels=measured - off)
     seen, origins = observations.pixels, np.concatenate([view.origins for view in views])
     if good is not None and not good.all():
@@ -281,12 +280,26 @@ class HeldOut:
     """Error on pictures that took no part.
 
     Attributes:
-        rms_px: RMS residual of the corners that belong; NaN where there are too few views.
-        all_px: the same of every corner of every view, whatever is wrong with it.
+        squared: (n,) squared residual of every corner; NaN where there are too few views.
+        good: (n,) bool, which corners belong.
     """
 
-    rms_px: float
-    all_px: float
+    squared: np.ndarray
+    good: np.ndarray
+
+    @property
+    def rms_px(self) -> float:
+        """RMS residual of the corners that belong, px; NaN where there are too few views."""
+        return self.of(self.good)
+
+    @property
+    def all_px(self) -> float:
+        """RMS residual of every corner of every view, whatever is wrong with it, px."""
+        return float(np.sqrt(self.squared.mean()))
+
+    def of(self, some: np.ndarray) -> float:
+        """RMS residual of some corners (n,) bool, px."""
+        return float(np.sqrt(self.squared[some].mean())) if some.any() else float("nan")
 
 
 def held_out(
@@ -294,7 +307,6 @@ def held_out(
     solution: Solution,
     good: np.ndarray,
     *,
-    of: np.ndarray | None = None,
     board_errors: bool = False,
     folds: int = 5,
 ) -> HeldOut:
@@ -304,30 +316,28 @@ def held_out(
         observations: the corners of every view that shows the board.
         solution: the fit to the corners in `good`.
         good: (n,) bool, the corners that belong. The others take no part in a fit, but they count in `all_px`.
-        of: (n,) bool, the corners whose RMS is asked for; None: those in `good`.
-        board_errors: also learn the board's errors (`with_board_errors`) from the other views; `observations` have
-            none.
+        board_errors: also learn the board's errors (`with_board_errors`) from the other views.
         folds: how many parts; view i is in part i mod folds.
     """
     everywhere = posed(observations, solution, good)
     kept = observations.views_of(good)
     folds = min(folds, observations.views)
     if folds < 2:
-        return HeldOut(float("nan"), float("nan"))
+        return HeldOut(np.full(len(good), np.nan), good)
     part = np.arange(observations.views) % folds
     squared = np.zeros(len(good))
     for fold in range(folds):
         train, test = (part != fold) & kept, part == fold
         seen = observations.of_corners(good & train[observations.view])
         if 2 * len(seen.pixels) <= solution.free.sum() + 6 * seen.views:
-            return HeldOut(float("nan"), float("nan"))
+            return HeldOut(np.full(len(good), np.nan), good)
         learned = fit.refine(seen, everywhere.of_views(train), solution.free, solution.delta_px, 6, 1e-4)
         held = observations.of_views(test)
         if board_errors:
             seen, learned = with_board_errors(seen, learned)
             held = replace(held, errors=errors_of(seen, held))
         there = replace(everywhere.of_views(test), parameters=learned.parameters)
-        there = fit.refine_poses(held, there, 8, solution.delta_px)
+        there = fit.refine_poses(held, there, 8, solution.delta_px, 1e-5)
         rest = (fit.residuals(held, there) ** 2).sum(1)
         squared[test[observations.view]] = np.nan_to_num(rest, nan=100.0**2)
-    return HeldOut(float(np.sqrt(squared[good if of is None else of].mean())), float(np.sqrt(squared.mean())))
+    return HeldOut(squared, good)

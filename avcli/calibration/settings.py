@@ -73,7 +73,9 @@ class FitSettings:
 
     lens_model: str = setting(
         "kannala_brandt",
-        "Lens model to fit, as in config.json. kannala_brandt suits fisheyes, brown_conrady ordinary lenses.",
+        "Lens model to fit, as in config.json. kannala_brandt suits fisheyes, brown_conrady ordinary lenses. "
+        "kannala_brandt+tangential and brown_conrady+tangential also fit p1 and p2. auto: try all models, and take the "
+        "simplest that held-out pictures cannot tell from the best.",
         unit="MODEL",
         only="avcli",
     )
@@ -135,6 +137,12 @@ class ConvertSettings:
         "Format to write. avcli: a camera_config.",
         choices=("avcli", "opencv", "ros", "kalibr", "colmap", "mrcal"),
         default_text="by the name of the output",
+    )
+    model: str | None = setting(
+        None,
+        "Lens model of the other tool to use, by its name there, such as OPENCV8.",
+        unit="MODEL",
+        default_text="the same lens, else the nearest one",
     )
     camera: str | None = setting(None, "Which camera of a file that has several, such as cam1.", unit="NAME")
     fisheye: bool | None = setting(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.calibration.camera import KnownCamera
+from avcli.calibration.circle import Circle
 from avcli.calibration.settings import ProjectionSettings
 from avcli.formats.footage import Picture
 from avcli.lens import Lens
@@ -24,12 +25,14 @@ class Straightened:
         projection: see ProjectionSettings.
         fov: rad, from the left edge to the right.
         focal_px: px; of a perspective picture its pinhole's focal length, of the others px a radian.
+        is_cut: whether something that the fisheye picture shows stays black, since the lens is not trusted there.
     """
 
     sources: np.ndarray
     projection: str
     fov: float
     focal_px: float
+    is_cut: bool = False
 
     def camera_config(self) -> dict:
         """Describe the straightened pictures; a perspective one as a camera_config of config.json."""
@@ -58,6 +61,7 @@ def straighten(
     size: tuple[int, int],
     settings: ProjectionSettings = DEFAULTS,
     theta_max: float = np.inf,
+    circle: Circle | None = None,
 ) -> Straightened:
     """Map a straightened picture's pixels to the fisheye picture's.
 
@@ -69,6 +73,7 @@ def straighten(
         source_size, size: width and height of the fisheye and of the straightened picture, px.
         settings: the projection and its width.
         theta_max: rad; beyond it the lens is not trusted and the picture stays black.
+        circle: where light reaches the fisheye picture; what lies outside stays black.
 
     Raises:
         ValueError: the field of view does not suit the projection.
@@ -80,9 +85,9 @@ def straighten(
         raise ValueError(f"a {projection} picture cannot be {np.rad2deg(fov):.0f} degrees wide, only up to {most}")
     if fov is None:
         if projection == "perspective":
-            fov = 2 * np.arctan(_perspective_reach(lens, source_size, size, settings.balance))
+            fov = 2 * np.arctan(_perspective_reach(lens, source_size, size, settings.balance, theta_max))
         else:
-            fov = min(2 * _reach(lens, source_size), 2 * np.pi)
+            fov = min(2 * min(_reach(lens, source_size), theta_max), 2 * np.pi)
     width, height = size
     x, y = np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2
     if projection == "perspective":
@@ -101,9 +106,14 @@ def straighten(
             rays[np.abs(down) > np.pi / 2] = np.nan
     flat = rays.reshape(-1, 3)
     sources = lens.project(flat)
+    shown = (sources >= -0.5).all(1) & (sources <= np.array(source_size) - 0.5).all(1)
+    if circle is not None:
+        sources[~circle.holds(sources)] = np.nan
+        shown &= np.isfinite(sources).all(1)
     outside = np.arctan2(np.hypot(flat[:, 0], flat[:, 1]), flat[:, 2]) > theta_max
     sources[outside] = np.nan
-    return Straightened(sources.reshape(height, width, 2), projection, float(fov), float(focal))
+    cut = bool((shown & outside).any())
+    return Straightened(sources.reshape(height, width, 2), projection, float(fov), float(focal), cut)
 
 
 def straightened(
@@ -159,12 +169,16 @@ def _reach(lens: Lens, source_size: tuple[int, int]) -> float:
     return float(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]).max())
 
 
-def _perspective_reach(lens: Lens, source_size: tuple[int, int], size: tuple[int, int], balance: float) -> float:
+def _perspective_reach(
+    lens: Lens, source_size: tuple[int, int], size: tuple[int, int], balance: float, theta_max: float
+) -> float:
     """Half width of a perspective picture at distance 1: between the largest that is filled and all that is shown."""
     rim = _rim(size) - (np.array(size) - 1) / 2
     plane = np.column_stack([rim / (size[0] / 2), np.ones(len(rim))])
 
     def filled(reach: float) -> bool:
+        if np.arctan(reach * np.hypot(*plane[:, :2].T).max()) > theta_max:
+            return False
         seen = lens.project(plane * [reach, reach, 1])
         with np.errstate(invalid="ignore"):
             return bool(((seen >= -0.5) & (seen <= np.array(source_size) - 0.5)).all())

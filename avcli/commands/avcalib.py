@@ -115,6 +115,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
 
 def _check_options(session: Session, values: dict[str, Any]) -> None:
     """Refuse, before any picture is read, what cannot be done or has no effect."""
+    from avcli.calibration.choose import AUTO
     from avcli.lens import variants
 
     procedure, plot, model = values["procedure"], values["plot"], values["lens_model"]
@@ -122,8 +123,8 @@ def _check_options(session: Session, values: dict[str, Any]) -> None:
         name for name, (_, known) in settings_of(settings.FitSettings).items() if known.only not in ("", procedure)
     ]
     refuse_without_effect(foreign, f"with --procedure {procedure}")
-    if model not in variants():
-        session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}")
+    if model not in (*variants(), AUTO):
+        session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}, {AUTO}")
     if plot and not plot.lower().endswith((".png", ".svg", ".pdf")):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
 
@@ -154,7 +155,7 @@ def _write_details(path: str | None, seen: Seen, result: Calibration | None) -> 
     from avcli.formats.atomic import write_bytes
 
     if path:
-        rows = seen.records(result.kept, result.view_rms_px) if result else seen.records()
+        rows = seen.records(result.kept, result.view_rms_px, result.dropped) if result else seen.records()
         write_bytes(path, b"".join(map(records.encode, rows)))
 
 
@@ -199,7 +200,7 @@ def check_command(
     directory of an experiment. Lens, limits, room, pose, microphones, doors and background are examined: what is there,
     whether it is plausible, and how it was measured.
     """
-    from avcli.calibration import calibrate, place
+    from avcli.calibration import calibrate, fit, place
 
     if not sources:
         refuse_without_effect([*settings_of(settings.BoardSettings), "rate_hz", "fail_over_px"], "without SOURCE")
@@ -208,7 +209,11 @@ def check_command(
     refuse_without_effect(["parts"], "with SOURCE")
     known = read_camera(session, camera)
     seen = views_for(session, list(sources), values, known)
-    score = calibrate.check(seen.board, seen.views, known.lens)
+    trusted = known.theta_trusted if "theta_max_trusted_deg" in known.values else math.inf
+    try:
+        score = calibrate.check(seen.board, seen.views, known.lens, trusted)
+    except fit.NoFit as error:
+        raise GateNotMet(str(error)) from None
     with session.output() as write:
         write({"pictures": len(seen), **score})
     if wrong := place.refusal(math.radians(score["off_deg"]), "board", score["rms_px"]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 import click
@@ -24,6 +25,7 @@ def convert_command(
     session: Session,
     source: str,
     to: str | None,
+    model: str | None,
     camera: str | None,
     fisheye: bool | None,
     max_error_px: float,
@@ -54,10 +56,11 @@ def convert_command(
         session.usage(f"--size {size[0]}x{size[1]}, but {source} says {chosen.size[0]}x{chosen.size[1]}")
     chosen = replace(chosen, size=chosen.size or size)
     with session.timing("convert"):
-        try:
-            found = exchange.write(chosen, to, xml=session.output_path.lower().endswith(".xml"))
-        except exchange.NotConvertible as error:
-            raise GateNotMet(f"{source}: {error}") from None
+        with usage_errors(session) if model else contextlib.nullcontext():
+            try:
+                found = exchange.write(chosen, to, xml=session.output_path.lower().endswith(".xml"), model=model)
+            except exchange.NotConvertible as error:
+                raise GateNotMet(f"{source}: {error}") from None
     for line in exchange.words(chosen, found, to):
         session.warn(line)
     if found.rms_px > max_error_px:

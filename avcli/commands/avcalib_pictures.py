@@ -110,6 +110,7 @@ def collect(
         stream_rate_hz=rate_hz if was_given("rate_hz") else None,
         size=values.get("size"),
         skip=lambda words: session.warn(f"left out: {words}"),
+        grey=True,
     )
     with ending_on_interrupt(live) as caught, session.timing("look for boards"):
         return gather.collect(

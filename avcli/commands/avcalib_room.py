@@ -29,10 +29,18 @@ if TYPE_CHECKING:
 )
 @from_settings(settings.ProjectionSettings)
 @click.option("--size", type=Size(), help="Size of the new pictures in px.  [default: as the camera's]")
+@click.option(
+    "--extrapolate", is_flag=True, help="Also show what lies beyond the angle up to which the lens is trusted."
+)
 @from_settings(settings.PictureSettings, defaults={"rate_hz": None})
 @common()
 def undistort_command(
-    session: Session, sources: tuple[str, ...], target: str, size: tuple[int, int] | None, **values: Any
+    session: Session,
+    sources: tuple[str, ...],
+    target: str,
+    size: tuple[int, int] | None,
+    extrapolate: bool,
+    **values: Any,
 ) -> None:
     """Straighten pictures and videos. The camera_config of the new pictures goes to the output.
 
@@ -49,13 +57,19 @@ def undistort_command(
     camera, kinds = read_camera(session), check_sources(session, names)
     size, single = size or camera.size, len(kinds) == 1 and kinds[0].kind != "folder"
     with usage_errors(session):
-        straight = undistort.straighten(camera.lens, camera.size, size, given, camera.theta_max)
+        limit = camera.theta_max if extrapolate else camera.theta_trusted
+        straight = undistort.straighten(camera.lens, camera.size, size, given, limit, camera.circle)
         sink = footage.Sink(target, size, rate_hz or footage.frame_rate(names[0]) or 10.0, single=single)
     total = footage.count_pictures(names, rate_hz)
     pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
     with sink, session.timing("straighten"):
         for picture, new in undistort.straightened(pictures, camera, straight):
             sink.write(picture, new)
+    if straight.is_cut:
+        session.warn(
+            f"what lies beyond {math.degrees(limit):.1f} degrees from the axis is black: the lens is not known there"
+            + ("" if extrapolate else " (--extrapolate shows it)")
+        )
     with session.output() as write:
         write(straight.camera_config())
 
@@ -87,15 +101,15 @@ def pose_command(
     if points:
         refuse_without_effect([*settings_of(settings.BoardSettings), "at", "yaw_deg", "rate_hz"], "with --points")
         with session.open(points) as stream:
-            choices = [place.parse_points(stream.read(), points)]
+            choices, views = [place.parse_points(stream.read(), points)], 0
     else:
         if not at:
             session.usage("--at X Y Z is needed: the room position of the middle of the board")
         if values["square_mm"] is None:
             session.usage("--square MM is needed: without the size of the print there is no distance to it")
         seen = views_for(session, list(sources), values, camera)
-        choices = place.board_choices(seen.board, seen.views, at, math.radians(given.yaw_deg))
-    best, others = place.best(camera, choices, given.sigma_px)
+        choices, views = place.board_choices(seen.board, seen.views, at, math.radians(given.yaw_deg)), len(seen.views)
+    best, others = place.best(camera, choices, given.sigma_px, views)
     for line in place.words(best, others):
         session.warn(line)
     if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):

@@ -48,7 +48,11 @@ _COORDINATE, _PLACE = bounds.COORDINATE, bounds.VECTOR
 _ANGLE = Number(0, most=360)
 _HEIGHT = Number(0, most=100)
 
-_COEFFICIENTS: dict[str, Kind] = {"xi": Number(above=-1, most=1), "alpha": Number(0, most=1), "beta": Number(above=0)}
+_COEFFICIENTS: dict[str, Kind] = {
+    "xi": Number(above=-1, most=1),
+    "alpha": Number(0, most=1),
+    "beta": Number(above=0, most=100),
+}
 """What a coefficient of a lens may be, where it is not any number."""
 
 

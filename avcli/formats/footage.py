@@ -205,6 +205,7 @@ def pictures(
     stream_rate_hz: float | None = None,
     size: tuple[int, int] | None = None,
     skip: Callable[[str], None] | None = None,
+    grey: bool = False,
 ) -> Iterator[Picture]:
     """Yield the pictures of the sources with these names one after another.
 
@@ -217,6 +218,7 @@ def pictures(
             all.
         size: width and height in px to ask of a camera.
         skip: gets a sentence for each file that cannot be read, which is then left out.
+        grey: the brightness of JPEG files is enough, which is quicker.
 
     Raises:
         MediaError: a source cannot be opened, or a picture file is broken; with `skip`, none of them gives a picture.
@@ -227,7 +229,8 @@ def pictures(
             if isinstance(member, str):
                 raise MediaError(member)
             if member.kind == "picture":
-                found = iter([Picture(member.name, float(number), read_picture(member.name, whole=skip is not None))])
+                image = read_picture(member.name, whole=skip is not None, grey=grey)
+                found = iter([Picture(member.name, float(number), image)])
             elif member.kind == "stream":
                 found = _stream_pictures(stream or sys.stdin.buffer, stream_rate_hz, skip or (lambda _: None))
             elif member.kind == "camera":

@@ -143,12 +143,13 @@ def is_depth(path: str | os.PathLike) -> bool:
     return head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
 
 
-def read_picture(path: str | os.PathLike, *, whole: bool = False) -> np.ndarray:
+def read_picture(path: str | os.PathLike, *, whole: bool = False, grey: bool = False) -> np.ndarray:
     """Read a picture file as it is (PNG, JPEG and what else OpenCV reads, or raw .npy).
 
     Args:
         path: of the file.
         whole: refuse a picture whose end is missing; otherwise what is there is taken.
+        grey: the brightness of a JPEG is enough, which is quicker.
 
     Returns:
         (height, width[, 3 RGB or 4 RGBA]), in the type that the file holds: mostly uint8 or uint16.
@@ -164,7 +165,7 @@ def read_picture(path: str | os.PathLike, *, whole: bool = False) -> np.ndarray:
     if content.startswith(b"\x93NUMPY"):
         image: np.ndarray | None = _raw_picture(content, path)
     else:
-        image = decode_picture(content)
+        image = decode_picture(content, grey=grey)
     if image is None:
         if content[4:8] == b"ftyp" and content[8:12] in _HEIC_BRANDS:
             raise MediaError(f"{path}: a HEIC picture, which cannot be read; convert it to JPEG or PNG")
@@ -234,15 +235,20 @@ def stated_size(content: bytes) -> tuple[int, int] | None:
     return None
 
 
-def decode_picture(content: bytes) -> np.ndarray | None:
-    """Decode the content of a picture file, (height, width[, 3 RGB or 4 RGBA]); None where it is not a picture."""
+def decode_picture(content: bytes, *, grey: bool = False) -> np.ndarray | None:
+    """Decode the content of a picture file, (height, width[, 3 RGB or 4 RGBA]); None where it is not a picture.
+
+    With `grey` a JPEG gives its brightness only, (height, width).
+    """
     quiet_decoders()
     import cv2
 
     if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
         return None
     try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        only = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        kind = only if grey and content.startswith(b"\xff\xd8") else cv2.IMREAD_UNCHANGED
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), kind)
     except cv2.error:
         return None
     return None if image is None else swapped(image)

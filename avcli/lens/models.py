@@ -47,6 +47,7 @@ class Lens(ABC):
         cx, cy: where the axis meets the image, px.
         text: of each model in `LENSES`, what it is: a few words for the schema and the manual.
         start: of each model, coefficients of a lens from which a fit may start; missing ones are 0.
+        leading: of each model, the coefficient that a fit frees before the others.
 
     A model adds its own coefficients, without unit, as further fields. One with a default of 0 may be left out of
     config.json; one without a default may not.
@@ -54,6 +55,7 @@ class Lens(ABC):
 
     text: ClassVar[str]
     start: ClassVar[tuple[float, ...]] = ()
+    leading: ClassVar[str] = "k1"
     fx: float
     fy: float
     cx: float

@@ -35,6 +35,7 @@ class Unified(Angular):
 
     text = "the unified camera model"
     start: ClassVar[tuple[float, ...]] = (0.5,)
+    leading: ClassVar[str] = "alpha"
 
     alpha: float
 
@@ -119,6 +120,7 @@ class DoubleSphere(Angular):
 
     text = "the double sphere model"
     start: ClassVar[tuple[float, ...]] = (0.0, 0.5)
+    leading: ClassVar[str] = "alpha"
 
     xi: float
     alpha: float

@@ -217,7 +217,7 @@ def _parsed(
         raise Invalid(reason, ("camera_config",))
     if duration * camera.frame_rate_hz > 1e7:
         raise Invalid(f"must give at most 10 million frames, found {duration:g} s", ("duration_s",))
-    pieces, warnings = [], []
+    pieces, warnings = [], _extrapolation(camera, name)
     for index, piece in enumerate(values["furniture"] or ()):
         try:
             pieces.append(furniture.build(piece, load_mesh))
@@ -238,6 +238,20 @@ def _parsed(
     filled = {"name": title, "duration_s": duration, **sections}
     filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
     return Scenario(filled, title, duration, config, solids, tuple(people), tuple(warnings))
+
+
+def _extrapolation(camera: experiment.Camera, name: str) -> list[str]:
+    """Say where the pictures show what the calibration of the camera does not know."""
+    x, y = np.linspace(0, camera.width_px - 1, 65), np.linspace(0, camera.height_px - 1, 65)
+    rays = camera.lens.unproject(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
+    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    trusted, widest = np.rad2deg(camera.theta_trusted), np.rad2deg(np.nanmax(angle, initial=0.0))
+    if widest <= trusted + 0.05:
+        return []
+    return [
+        f"{name}: the pictures are drawn up to {widest:.1f} degrees from the axis; beyond {trusted:.1f} the lens is "
+        "extrapolated, and another one than the real camera's"
+    ]
 
 
 def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

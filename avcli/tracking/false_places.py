@@ -152,7 +152,7 @@ class FalsePlaces:
         """Return a sentence on each place that has become rather sure since the last call; names: of the sensors."""
         found, self._found = self._found, []
         return [
-            f"sensor {names[column]}: detections at ({one.x:.2f}, {one.y:.2f}) m come as if by chance, in "
+            f"sensor {names[column]!r}: detections at ({one.x:.2f}, {one.y:.2f}) m come as if by chance, in "
             f"{one.rate:.0%} of its records, and nobody went there: taken for false ones"
             for column, one in found
         ]
@@ -164,12 +164,12 @@ class FalsePlaces:
 
     def doubts(self) -> dict[int, float]:
         """Return label -> probability that it is no person, but a false place; only of those where that may be."""
-        return {
-            one.label: one.probability
-            for column in range(len(self.of))
-            for one in self._settled(column, DOUBT)
-            if one.label >= 0 and not self._went(one.label, one)
-        }
+        doubts: dict[int, float] = {}
+        for column in range(len(self.of)):
+            for one in self._settled(column, DOUBT):
+                if one.label >= 0 and not self._went(one.label, one):
+                    doubts[one.label] = max(one.probability, doubts.get(one.label, 0.0))
+        return doubts
 
     def died(self, label: int) -> float:
         """Note that a label hardly exists any more; returns the probability that it was no person, see `doubts`."""

@@ -259,7 +259,7 @@ class GLMB:
         if settings.learn:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
-        self.habits.log_clutter = [math.log(one.clutter) for one in self.rates]
+        self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
         rates.learn_score(scan.odds, [1 - f for f in false])
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)

@@ -207,10 +207,10 @@ def method_rows(seeds: int, quick: bool) -> Iterator[Row]:
 
 def speed_rows(quick: bool) -> Iterator[Row]:
     """CPU seconds of one process from pictures to lens: avcalib's, and OpenCV's as its tutorial does it."""
-    cases = {"40 photographs, 1080p": (40, 1), "40 photographs, 12 megapixels": (40, 2)}
+    cases = {"40 photographs, 1080p": (40, 1.0), "40 photographs, 12 megapixels": (40, 2.4)}
     for name, (count, times) in ({} if quick else cases).items():
         rng = np.random.default_rng(100)
-        lens, size = _enlarged(THESIS, times), (SIZE[0] * times, SIZE[1] * times)
+        lens, size = _enlarged(THESIS, times), (round(SIZE[0] * times), round(SIZE[1] * times))
         filmed = film(count, rng, lens=lens, size=size)
         pictures = [
             photograph(R, t, rng, lens=lens, size=size, blur=0.8 * times)
@@ -236,7 +236,7 @@ def speed_rows(quick: bool) -> Iterator[Row]:
         }
 
 
-def _enlarged(lens: KannalaBrandt, times: int) -> KannalaBrandt:
+def _enlarged(lens: KannalaBrandt, times: float) -> KannalaBrandt:
     """The same lens with as many times the pixels along each side."""
     core = {"fx": lens.fx * times, "fy": lens.fy * times}
     core |= {name: (getattr(lens, name) + 0.5) * times - 0.5 for name in ("cx", "cy")}
@@ -277,7 +277,7 @@ def _opencv_time(pictures: list[np.ndarray]) -> Row:
     height, width = pictures[0].shape
     begin_fit = time.process_time()
     with contextlib.suppress(fit.NoFit):
-        opencv.calibrate(observations, width, height, start=_enlarged(THESIS, width // SIZE[0]))
+        opencv.calibrate(observations, width, height, start=_enlarged(THESIS, width / SIZE[0]))
     return {
         "pictures": len(pictures),
         "views": len(points),

@@ -117,18 +117,21 @@ def halves(views: int, splits: int, seed: int = 0) -> list[tuple[np.ndarray, np.
 
 
 def honesty(actual: list[np.ndarray], stated: list[np.ndarray]) -> float:
-    """Root mean square of the differences between halves over that of what both state; 1 is honest, more is boastful.
+    """Root mean square, over the splits, of actual over stated difference of halves; 1 is honest, more is boastful.
+
+    The 5 % of pixels that a tool itself states worst are left out: one pixel next to a pole outweighs all others.
 
     Args:
         actual: of each split, (n,) px between the lenses of its halves.
         stated: of each split, (n,) px, the root of the sum of both variances (u and v together).
     """
-    both = [np.isfinite(a) & np.isfinite(s) for a, s in zip(actual, stated, strict=True)]
-    if not any(b.any() for b in both):
-        return float("nan")
-    top = np.mean([np.mean(a[b] ** 2) for a, b in zip(actual, both, strict=True) if b.any()])
-    bottom = np.mean([np.mean(s[b] ** 2) for s, b in zip(stated, both, strict=True) if b.any()])
-    return float(np.sqrt(top / bottom))
+    ratios = []
+    for apart_px, stated_px in zip(actual, stated, strict=True):
+        both = np.isfinite(apart_px) & np.isfinite(stated_px)
+        both &= stated_px <= np.quantile(stated_px[both], 0.95) if both.any() else both
+        if both.any():
+            ratios.append(np.mean(apart_px[both] ** 2) / np.mean(stated_px[both] ** 2))
+    return float(np.sqrt(np.mean(ratios))) if ratios else float("nan")
 
 
 def cross_matrix(v: np.ndarray) -> np.ndarray:

@@ -142,7 +142,7 @@ class Written(NamedTuple):
         return f"the nearest lens: {self.rms_px:.2g} px RMS and at most {self.max_px:.2g} px away, {angle}"
 
 
-def write(camera: Camera, kind: str, *, xml: bool = False) -> Written:
+def write(camera: Camera, kind: str, *, xml: bool = False, model: str | None = None) -> Written:
     """Write a camera in a format.
 
     The first model of the format that has exactly the camera's lens is taken, else the one that comes nearest over the
@@ -152,14 +152,15 @@ def write(camera: Camera, kind: str, *, xml: bool = False) -> Written:
         camera: with its picture's size.
         kind: a name in FORMATS.
         xml: XML in place of YAML, for OpenCV.
+        model: the only lens model to take, by the tool's name for it; mrcal's "splined" is one.
 
     Raises:
         NotConvertible: no model of the format images the whole field.
-        ValueError: the lens images no pixel, or the size is not known.
+        ValueError: the lens images no pixel, the size is not known, or the format has no such model.
     """
     if camera.size is None:
         raise ValueError("the size of the camera's pictures is not known")
-    form = FORMATS[kind]
+    form = FORMATS[kind] if model is None else _only(FORMATS[kind], model)
     seen = nearest.field(camera.lens, camera.size, camera.theta_max)
     choice, lens, rms, largest = _best(camera, form, seen)
     lost = (*camera.lost, *(("its pose",) if camera.T_reference_camera is not None and not form.has_pose else ()))
@@ -182,6 +183,17 @@ def words(camera: Camera, found: Written, kind: str) -> list[str]:
     if kind == "avcli" and "theta_max_observed_deg" not in camera.known:
         lines.append("the file does not say up to which angle the lens was seen; far from the axis it may be a guess")
     return lines
+
+
+def _only(form: Format, model: str) -> Format:
+    """A format with one of its lens models alone."""
+    names = [choice.name.removeprefix("LENSMODEL_") for choice in form.choices]
+    wanted = model.upper().removeprefix("LENSMODEL_")
+    chosen = tuple(choice for choice, name in zip(form.choices, names, strict=True) if name.upper() == wanted)
+    if not chosen and not (form.spline and wanted == "SPLINED"):
+        known = ", ".join([*names, *(["splined"] if form.spline else [])])
+        raise ValueError(f"{form.text} has no lens model {model!r} here; it has {known}")
+    return replace(form, choices=chosen, spline=form.spline and wanted == "SPLINED")
 
 
 def _best(camera: Camera, form: "Format", seen: nearest.Field) -> tuple[Choice, Projection, float, float]:

@@ -1,0 +1,109 @@
+"""Which lens model suits a camera: the simplest that pictures held out of the fit cannot tell from the best."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.calibration import fit, robust
+from avcli.lens import Lens, Perspective, variants
+
+AUTO = "auto"
+"""The name, in place of a model's, that asks for the choice."""
+START = "kannala_brandt"
+"""The model that the corners are refined with before the choice."""
+_NO_CANDIDATES = ("division",)  # the thesis's virtual lens
+_WIDEST_SLOPES = np.deg2rad(80.0)
+"""Angle beyond which a seen corner rules out the models that bend slopes: the slope there grows without bound."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A lens model that was tried.
+
+    Attributes:
+        name: in avcli.lens.variants().
+        parameters: how many the lens has.
+        held_out_px: RMS residual of pictures held out of the fit.
+        worse_px2, worse_sd_px2: how much larger than that of the best model the sum of its squared residuals is, and
+            the standard deviation of that, over views.
+    """
+
+    name: str
+    parameters: int
+    held_out_px: float
+    worse_px2: float
+    worse_sd_px2: float
+
+    @property
+    def is_as_good(self) -> bool:
+        """Whether the views cannot tell it from the best: within one standard error (Breiman et al. 1984)."""
+        return self.worse_px2 <= self.worse_sd_px2
+
+
+def first(name: str) -> str:
+    """The model to fit first where `name` is asked for: itself, or START where it is AUTO."""
+    return START if name == AUTO else name
+
+
+def choose(
+    observations: fit.Observations,
+    solution: fit.Solution,
+    good: np.ndarray,
+    held_out: robust.HeldOut,
+    width: int,
+    height: int,
+    *,
+    board_errors: bool,
+) -> tuple[fit.Solution, robust.HeldOut, tuple[Tried, ...]]:
+    """Choose the lens model with the fewest parameters among those that held-out views cannot tell from the best.
+
+    Args:
+        observations: the corners of every view that shows the board.
+        solution: the fit of the model START to the corners in `good`, with or without the board's shape.
+        good: (n,) bool; every model is judged by the same corners.
+        held_out: of `solution`.
+        width, height: px, of the pictures.
+        board_errors: whether the board's errors are learnt beside each model; `observations` have none.
+
+    Returns:
+        the solution with the model that was chosen, its held-out error, and what was tried, the best first.
+    """
+    found = {START: (solution, held_out)}
+    some = observations.of_corners(good)
+    shape = bool(solution.free[-fit.SHAPE :].any())
+    for name in _candidates(solution.lens, some):
+        try:
+            other = fit.fit(some, fit.scan_focal(some, width, height, name))
+            if shape:
+                other = fit.fit(some, other, board_shape=True)
+        except (fit.NoFit, np.linalg.LinAlgError):
+            continue
+        error = robust.held_out(observations, other, good, board_errors=board_errors)
+        if np.isfinite(error.rms_px):
+            found[name] = other, error
+    if not np.isfinite(held_out.rms_px):  # too few views to hold any out
+        return solution, held_out, ()
+    best = min((error for _, error in found.values()), key=lambda error: error.squared[good].sum())
+    view = observations.view[good]
+    tried = []
+    for name, (other, error) in found.items():
+        worse = np.bincount(view, (error.squared - best.squared)[good])[np.unique(view)]
+        spread = float(np.sqrt(len(worse)) * worse.std(ddof=1))
+        rms = float(np.sqrt(error.squared[good].mean()))
+        tried.append(Tried(name, len(other.lens.names()), rms, float(worse.sum()), spread))
+    tried.sort(key=lambda one: one.held_out_px)
+    chosen = min((one for one in tried if one.is_as_good), key=lambda one: (one.parameters, one.held_out_px))
+    return *found[chosen.name], tuple(tried)
+
+
+def _candidates(lens: Lens, observations: fit.Observations) -> Iterator[str]:
+    rays = lens.unproject(observations.pixels)
+    seen = np.nanmax(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    for name, model in variants().items():
+        if (
+            name != START
+            and name not in _NO_CANDIDATES
+            and not (issubclass(model, Perspective) and seen > _WIDEST_SLOPES)
+        ):
+            yield name
