@@ -5,7 +5,7 @@ starts again from where the lens expects it, and is looked for there (`polished`
 its corners are bad.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 

@@ -55,12 +55,11 @@ def convert_command(
     if chosen.size is not None and size is not None and size != chosen.size:
         session.usage(f"--size {size[0]}x{size[1]}, but {source} says {chosen.size[0]}x{chosen.size[1]}")
     chosen = replace(chosen, size=chosen.size or size)
-    with session.timing("convert"):
-        with usage_errors(session) if model else contextlib.nullcontext():
-            try:
-                found = exchange.write(chosen, to, xml=session.output_path.lower().endswith(".xml"), model=model)
-            except exchange.NotConvertible as error:
-                raise GateNotMet(f"{source}: {error}") from None
+    with session.timing("convert"), usage_errors(session) if model else contextlib.nullcontext():
+        try:
+            found = exchange.write(chosen, to, xml=session.output_path.lower().endswith(".xml"), model=model)
+        except exchange.NotConvertible as error:
+            raise GateNotMet(f"{source}: {error}") from None
     for line in exchange.words(chosen, found, to):
         session.warn(line)
     if found.rms_px > max_error_px:
