@@ -127,12 +127,13 @@ def test_found_positions_go_into_a_config_and_all_else_stays(tmp_path):
             "mic_positions_m": [{"object_id": 1, "position": [0, 0, 0]}, [1, 1, 1]],
         },
     }
-    camera.write_microphones(tmp_path / "config.json", raw, [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3]])
+    camera.write_microphones(tmp_path / "config.json", raw, [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3]], 0.004)
     assert json.loads((tmp_path / "config.json").read_text()) == {
         "session_id": "a",
         "microphone_config": {
             "audio_bit_depth": 24,
             "mic_positions_m": [{"object_id": 1, "position": [0.1, 0.2, 0.3]}, [1.1, 1.2, 1.3]],
+            "calibration": {"sd_m": 0.004},
         },
     }
     assert raw["microphone_config"]["mic_positions_m"][1] == [1, 1, 1]

@@ -492,7 +492,7 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     OpenCV starts from max(width, height) / pi instead, which asserts or ends in nonsense on most wide lenses.
     """
     few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, 12)).round().astype(int))
-    sample = observations.of_views(few)
+    sample = _thinned(observations.of_views(few))
     sides = np.array([width, height], float)
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
 
@@ -514,6 +514,14 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
         a, b = high - 0.618 * (high - low), low + 0.618 * (high - low)
         low, high = (low, b) if score(a) < score(b) else (a, high)
     return refine_poses(observations, start_from_rays(observations, centred((low + high) / 2)), 6)
+
+
+def _thinned(observations: Observations, most: int = 24) -> Observations:
+    """At most so many corners of each view, spread over the board."""
+    keep = np.zeros(len(observations.view), bool)
+    for start, count in zip(observations.starts, np.bincount(observations.view), strict=True):
+        keep[start + np.linspace(0, count - 1, min(count, most)).round().astype(int)] = True
+    return observations.of_corners(keep)
 
 
 def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:

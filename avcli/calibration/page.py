@@ -101,13 +101,14 @@ def _halves(q: Quality) -> str:
 
 
 def _parameters(result: Calibration) -> str:
-    """What was fitted, with its standard deviation."""
-    s = result.solution
+    """The lens, with standard deviations. What is known of the board is said in words."""
+    s, lens = result.solution, slice(None, -fit.SHAPE)
     rows = []
-    for name, value, sd, is_free in zip(s.names, s.parameters, result.quality.sd, s.free, strict=True):
+    for name, value, sd, is_free in zip(
+        s.names[lens], s.parameters[lens], result.quality.sd[lens], s.free[lens], strict=True
+    ):
         if is_free:
-            unit = {"b0": " m", "b1": " m", "b2": ""}.get(name, " px" if name in ("fx", "fy", "cx", "cy") else "")
-            digits = 2 if unit == " px" else 5
+            unit, digits = (" px", 2) if name in ("fx", "fy", "cx", "cy") else ("", 5)
             rows.append((name, f"{value:.{digits}f} ± {sd:.{digits}f}{unit}"))
     return _table(rows)
 
