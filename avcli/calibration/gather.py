@@ -382,6 +382,11 @@ class _Search:
         grey = corners.to_grey(picture.image)
         return grey, corners.find(grey, board or self.seen.board, thorough=self.thorough)
 
+    @property
+    def is_thorough(self) -> bool:
+        """Whether to look thoroughly: not where none of many pictures showed a board."""
+        return self.thorough and (bool(self.seen.views) or len(self.seen) < _GUESS_AFTER[-1])
+
     def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
         """Yield what is seen in each picture, in order; threads look at several pictures at once.
 
@@ -392,7 +397,7 @@ class _Search:
         def oldest() -> Look:
             picture, board, found = waiting.popleft()
             current = self.sought
-            return picture, *(found.result() if board is current else look(picture.image, current, self.thorough))
+            return picture, *(found.result() if board is current else look(picture.image, current, self.is_thorough))
 
         with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
             failure = None
@@ -404,7 +409,7 @@ class _Search:
                         )
                         board = self.sought
                         rest = isinstance(board, Wanted) and number >= _GUESS_AFTER[-1] and number % _SELDOM
-                        seen = pool.submit(look, picture.image, None if rest else board, self.thorough)
+                        seen = pool.submit(look, picture.image, None if rest else board, self.is_thorough)
                         waiting.append((picture, board, seen))
                         if self.eager or len(waiting) >= _THREADS:
                             yield oldest()
