@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import zygote
 from hypothesis import HealthCheck, settings
 
 # On a busy machine examples take long to make; that is no fault of a test.
@@ -39,24 +38,16 @@ def shared_data() -> Path:
 
 
 def run(*command, stdin: bytes | str | None = b"", cwd=None, timeout=HANG_S, env=None) -> subprocess.CompletedProcess:
-    """Run one of our commands, or a command of the system, as a process; stdout is bytes, stderr text.
-
-    With `env`, variables beside those of this process, a new interpreter starts.
-    """
-    given = stdin.encode() if isinstance(stdin, str) else stdin
-    if command[0] in COMMANDS and env is None and given is not None:
-        line = [str(BIN / command[0]), *map(str, command[1:])]
-        result = zygote.run(line, given, None if cwd is None else str(cwd), timeout)
-    else:
-        first = str(BIN / command[0]) if command[0] in COMMANDS else command[0]
-        result = subprocess.run(
-            [first, *map(str, command[1:])],
-            input=given,
-            capture_output=True,
-            cwd=cwd,
-            timeout=timeout,
-            env={**os.environ, **(env or {})},
-        )
+    """Run one of our commands as a real process; stdout is bytes, stderr text."""
+    first = str(BIN / command[0]) if command[0] in COMMANDS else command[0]
+    result = subprocess.run(
+        [first, *map(str, command[1:])],
+        input=stdin.encode() if isinstance(stdin, str) else stdin,
+        capture_output=True,
+        cwd=cwd,
+        timeout=timeout,
+        env={**os.environ, **(env or {})},
+    )
     result.stderr = result.stderr.decode()
     return result
 
