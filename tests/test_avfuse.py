@@ -142,9 +142,9 @@ def test_live_a_track_leaves_with_its_record_and_a_frozen_sensor_does_not_freeze
 
 @pytest.mark.slow
 def test_fifos_give_what_files_give_though_one_branch_delivers_at_its_end(experiment):
-    """A common source, 150 s: the microphones' branch writes nothing before its end, and no pipe holds so much."""
+    """A common source, 60 s: the microphones' branch writes nothing before its end, and no pipe holds so much."""
     video = experiment / "video.jsonl"
-    video.write_text("".join(line(k / 10, [[1 + k % 30 / 10, 2.0]], note="x" * 200) for k in range(1500)))
+    video.write_text("".join(line(k / 10, [[1 + k % 30 / 10, 2.0]], note="x" * 200) for k in range(600)))
     as_audio = "sed 's/video/audio/; s/camera/microphones/'"
     script = f"""
         set -e; mkfifo truth v.fifo a.fifo
@@ -157,7 +157,7 @@ def test_fifos_give_what_files_give_though_one_branch_delivers_at_its_end(experi
     """
     result = run("bash", "-c", script, BIN / "avfuse", cwd=experiment)
     assert (result.returncode, result.stderr) == (0, "")
-    assert (experiment / "files.jsonl").read_text().count("\n") == 1500
+    assert (experiment / "files.jsonl").read_text().count("\n") == 600
 
 
 def test_a_source_that_keeps_the_others_waiting_is_named(experiment):
@@ -489,6 +489,7 @@ def test_stone_soup_is_asked_for_by_name():
 def test_an_explanation_is_as_its_schema_says(tmp_path):
     schema = json.loads((ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
     rng, lines = np.random.default_rng(4), []
     for k in range(120):  # two people, one of whom vanishes; the other is silent at times; false detections
         places = [[0.5 + 0.03 * k, 1.0]] + ([[3.0, 3.0]] if k < 30 else [])
@@ -502,7 +503,7 @@ def test_an_explanation_is_as_its_schema_says(tmp_path):
     records = [json.loads(text) for text in path.read_text().splitlines()]
     assert len(records) == len(lines)
     for record in records:
-        jsonschema.validate(record, schema)
+        validator.validate(record)
         assert set(record) == set(schema["properties"])
     said = {what["most_likely"] for record in records for what in record["people"]}
     assert "missed" in said

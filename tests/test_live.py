@@ -304,7 +304,7 @@ import sys, time
 from avcli.formats import media
 
 def hang(path):
-    print("reading", flush=True)
+    print("reading\n", end="", flush=True)  # in one write: another thread reads ahead
     time.sleep(3600)
 
 media.read_depth = hang
