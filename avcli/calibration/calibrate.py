@@ -240,7 +240,7 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
     if board_errors:
         everything, solution = robust.fit_board(everything, solution, good)
     return replace(
-        judged(board, views, everything, solution, good, chosen, circle),
+        judged(board, views, everything, solution, good, chosen, circle, print_tested=np.isfinite(printed_px)),
         flat_px=flat_px,
         shaped_px=shaped_px,
         printed_px=printed_px,
@@ -267,6 +267,8 @@ def judged(
     good: np.ndarray,
     held_out: robust.HeldOut | None = None,
     circle: Circle | None = None,
+    *,
+    print_tested: bool = False,
 ) -> Calibration:
     """Put a solution together with its uncertainty.
 
@@ -277,6 +279,7 @@ def judged(
         good: (n,) bool.
         held_out: None computes it.
         circle: where light reaches the pictures; None: everywhere.
+        print_tested: whether the print's own errors were looked for. If not, they would pass for a rolling shutter.
     """
     some = everything.of_corners(good)
     held_out = held_out or robust.held_out(everything, solution, good)
@@ -284,7 +287,7 @@ def judged(
     everywhere = robust.posed(everything, solution, good)
     rms = fit.view_rms(everything, everywhere)
     rms[kept] = fit.view_rms(some, solution)
-    measured = shutter.measure(some, solution, views[0].height)
+    measured = shutter.measure(some, solution, views[0].height) if print_tested else shutter.unknown(some.views)
     judgement = quality.assess(some, solution, views[0].width, views[0].height, held_out.rms_px, circle)
     moving = sharpness.refusals(views) + shutter.refusals(measured)
     return Calibration(

@@ -9,6 +9,9 @@ from avcli.calibration.fit import Observations, Solution
 
 CERTAIN = 1.7
 """Ratio from which the shutter is rolling: cameras at rest gave at most 1.25, a motion of 1 px gives 1.8."""
+AT_REST = 1.25
+"""The largest ratio of a camera at rest; a ratio must be above it by CLEAR standard deviations."""
+CLEAR = 3.0
 TOO_FAR_PX = 2.0
 """Median motion during the readout from which no lens is believed: at 2 px the focal length errs by 5 stated sd."""
 _LEAST_CORNERS = 12
@@ -21,22 +24,29 @@ class Shutter:
     Attributes:
         ratio: what a shift from row to row explains of the squared residuals, over what shifts with the square of the
             place do, for each unknown. Noise gives 1; errors of the lens and the board give both.
+        sd: standard deviation of the ratio's logarithm, from how much the views disagree; infinite where too few tell.
         motion_px: (views,) how far the board moved between the first and the last row of the picture; noise adds to it.
             NaN where too few corners were seen.
     """
 
     ratio: float
+    sd: float
     motion_px: np.ndarray
 
     @property
     def is_rolling(self) -> bool:
         """Whether the boards are bent as a rolling shutter bends them."""
-        return self.ratio > CERTAIN
+        return bool(self.ratio > max(CERTAIN, AT_REST * np.exp(CLEAR * self.sd)))
 
     @property
     def typical_px(self) -> float:
         """Median of the motions, px; NaN where none is known."""
         return float(np.nanmedian(self.motion_px)) if np.isfinite(self.motion_px).any() else float("nan")
+
+
+def unknown(views: int) -> Shutter:
+    """Say nothing of the shutter of so many views."""
+    return Shutter(float("nan"), float("inf"), np.full(views, np.nan))
 
 
 def measure(observations: Observations, solution: Solution, height: int) -> Shutter:
@@ -53,7 +63,7 @@ def measure(observations: Observations, solution: Solution, height: int) -> Shut
     residual, by_pose = fit.by_pose(observations, solution)
     length = np.linalg.norm(residual, axis=1) / observations.sigma
     root = np.sqrt(np.minimum(1.0, solution.delta_px / np.maximum(length, 1e-12))) / observations.sigma
-    explained = np.zeros(2)
+    explained = np.zeros((observations.views, 2))
     motion = np.full(observations.views, np.nan)
     for view, rows in enumerate(np.split(np.arange(len(length)), observations.starts[1:])):
         if len(rows) < _LEAST_CORNERS:
@@ -69,11 +79,21 @@ def measure(observations: Observations, solution: Solution, height: int) -> Shut
             free = design - own @ (own.T @ design)
             fitted, size, _ = np.linalg.svd(free, full_matrices=False)
             fitted = fitted[:, size > 0.05 * np.linalg.norm(design, axis=0).max()]
-            explained[which] += np.sum((fitted.T @ left) ** 2) / max(fitted.shape[1], 1)
+            explained[view, which] = np.sum((fitted.T @ left) ** 2) / max(fitted.shape[1], 1)
             if which == 0:
                 change = np.linalg.lstsq(free, left, rcond=0.05)[0]
                 motion[view] = np.linalg.norm(change) * height / place.std(0).max()
-    return Shutter(float(explained[0] / explained[1]) if explained[1] > 0 else 1.0, motion)
+    return Shutter(*_ratio(explained), motion)
+
+
+def _ratio(explained: np.ndarray) -> tuple[float, float]:
+    """Ratio of the sums of the two columns (views, 2), and the sd of its logarithm by leaving out each view in turn."""
+    told = explained[explained.all(1)]
+    total, count = told.sum(0), len(told)
+    if count < 2:
+        return 1.0, float("inf")
+    without = np.log(np.divide(*(total - told).T))
+    return float(total[0] / total[1]), float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()))
 
 
 def refusals(found: Shutter) -> tuple[str, ...]:
