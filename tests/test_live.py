@@ -299,7 +299,7 @@ def test_a_camera_is_live(folder):
 
 # --- a picture that hangs ---------------------------------------------------------------------------------------------
 
-HANGING = """
+HANGING = r"""
 import sys, time
 from avcli.formats import media
 
