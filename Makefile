@@ -18,7 +18,7 @@
 #: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv
 #:   SCENE_FLAGS AUDIO_FLAGS DETECT_AUDIO_FLAGS DETECT_VIDEO_FLAGS FUSE_FLAGS EVAL_FLAGS: options of the stages
 #:   TEST_FLAGS BENCH_FLAGS FIT_FLAGS: options of pytest, of a benchmark, of a fit
-#: A target runs again exactly the stages whose inputs or options have changed: make s3 FUSE_FLAGS='--lag inf'
+#: A target runs again exactly the stages whose inputs, options or code have changed: make s3 FUSE_FLAGS='--lag inf'
 
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -73,7 +73,16 @@ $(READY): pyproject.toml .ci/setup
 	@PYTHON='$(PYTHON)' .ci/setup '$(VENV)'
 
 # --- an experiment ----------------------------------------------------------------------------------------------------
-# Each stage depends on its options: DIR/.options/STAGE holds them, and is written again only when they change.
+# Each stage depends on its options: DIR/.options/STAGE holds them, and is written again only when they change. It depends
+# on its code too: what an older version has made is not scored as if today's had made it.
+
+code_of = $(shell find avcli/*.py avcli/commands avcli/formats avcli/lens avcli/$1 -type f ! -name '*.pyc')
+SCENE_CODE := $(call code_of,scene)
+AUDIO_CODE := $(call code_of,acoustics)
+DETECT_AUDIO_CODE := $(call code_of,localization)
+DETECT_VIDEO_CODE := $(call code_of,detection)
+FUSE_CODE := $(call code_of,tracking)
+EVAL_CODE := $(call code_of,metrics)
 
 export SCENE_OPTIONS = $(SCENARIO) --seed $(SEED) $(SCENE_FLAGS)
 export AUDIO_OPTIONS = --seed $(SEED) $(AUDIO_FLAGS)
@@ -103,38 +112,38 @@ $(OUT)/%/.options/eval: FORCE
 # What to simulate in a directory: the user's file where the directory has its name, else the built-in scenario.
 scenario = $(if $(filter $(NAME),$1),$(SCENARIO),$1)
 
-$(OUT)/%-audio/scene.jsonl: $(OUT)/%-audio/.options/scene $(SCENARIO_FILE) | $(READY)
+$(OUT)/%-audio/scene.jsonl: $(OUT)/%-audio/.options/scene $(SCENARIO_FILE) $(SCENE_CODE) | $(READY)
 	$(BIN)/avsim-scene $(call scenario,$*) -C $(@D) --no-video --seed $(SEED) $(SCENE_FLAGS) -o $@
 
-$(OUT)/%/scene.jsonl: $(OUT)/%/.options/scene $(SCENARIO_FILE) | $(READY)
+$(OUT)/%/scene.jsonl: $(OUT)/%/.options/scene $(SCENARIO_FILE) $(SCENE_CODE) | $(READY)
 	$(BIN)/avsim-scene $(call scenario,$*) -C $(@D) --seed $(SEED) $(SCENE_FLAGS) -o $@
 
-$(OUT)/%/audio.jsonl: $(OUT)/%/scene.jsonl $(OUT)/%/.options/audio
+$(OUT)/%/audio.jsonl: $(OUT)/%/scene.jsonl $(OUT)/%/.options/audio $(AUDIO_CODE)
 	$(BIN)/avsim-audio -C $(@D) --seed $(SEED) $(AUDIO_FLAGS) $< -o $@
 
-$(OUT)/%/localization/audio_localizations.jsonl: $(OUT)/%/audio.jsonl $(OUT)/%/.options/detect-audio
+$(OUT)/%/localization/audio_localizations.jsonl: $(OUT)/%/audio.jsonl $(OUT)/%/.options/detect-audio $(DETECT_AUDIO_CODE)
 	@mkdir -p $(@D)
 	$(BIN)/avdetect-audio -C $(OUT)/$* --seed $(SEED) $(DETECT_AUDIO_FLAGS) $< -o $@
 
-$(OUT)/%/localization/video_localizations.jsonl: $(OUT)/%/scene.jsonl $(OUT)/%/.options/detect-video
+$(OUT)/%/localization/video_localizations.jsonl: $(OUT)/%/scene.jsonl $(OUT)/%/.options/detect-video $(DETECT_VIDEO_CODE)
 	@mkdir -p $(@D)
 	$(BIN)/avdetect-video -C $(OUT)/$* $(DETECT_VIDEO_FLAGS) $< -o $@
 
-$(OUT)/%/tracking/audio_tracking.jsonl: $(OUT)/%/localization/audio_localizations.jsonl $(OUT)/%/.options/fuse
+$(OUT)/%/tracking/audio_tracking.jsonl: $(OUT)/%/localization/audio_localizations.jsonl $(OUT)/%/.options/fuse $(FUSE_CODE)
 	@mkdir -p $(@D)
 	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $(filter %.jsonl,$^) -o $@
 
-$(OUT)/%/tracking/video_tracking.jsonl: $(OUT)/%/localization/video_localizations.jsonl $(OUT)/%/.options/fuse
+$(OUT)/%/tracking/video_tracking.jsonl: $(OUT)/%/localization/video_localizations.jsonl $(OUT)/%/.options/fuse $(FUSE_CODE)
 	@mkdir -p $(@D)
 	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $(filter %.jsonl,$^) -o $@
 
 $(OUT)/%/tracking/audio_video_tracking.jsonl: $(OUT)/%/localization/audio_localizations.jsonl \
-                                              $(OUT)/%/localization/video_localizations.jsonl $(OUT)/%/.options/fuse
+                                              $(OUT)/%/localization/video_localizations.jsonl $(OUT)/%/.options/fuse $(FUSE_CODE)
 	@mkdir -p $(@D)
 	$(BIN)/avfuse -C $(OUT)/$* $(FUSE_FLAGS) $(filter %.jsonl,$^) -o $@
 
 $(OUT)/%/metrics.jsonl: $(OUT)/%/tracking/audio_tracking.jsonl $(OUT)/%/tracking/video_tracking.jsonl \
-                        $(OUT)/%/tracking/audio_video_tracking.jsonl $(OUT)/%/.options/eval
+                        $(OUT)/%/tracking/audio_video_tracking.jsonl $(OUT)/%/.options/eval $(EVAL_CODE)
 	$(BIN)/aveval --experiments $(@D) --compare-thesis --html $(@D)/report.html --format jsonl $(EVAL_FLAGS) -o $@
 
 $(SCENARIOS): %: $(OUT)/%/metrics.jsonl

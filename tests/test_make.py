@@ -62,6 +62,14 @@ def test_nothing_is_done_twice_and_a_changed_option_redoes_what_depends_on_it(ma
     assert stages(make("s1", "SEED=3", "EVAL_FLAGS=--d0 1")) == ["aveval"]
 
 
+def test_changed_code_redoes_the_stage_and_what_depends_on_it(make):
+    make("s1")
+    assert stages(make("s1", "-W", "avcli/tracking/glmb.py")) == ["aveval", "avfuse"]
+    assert stages(make("s1", "-W", "avcli/metrics/hota.py")) == ["aveval"]
+    assert len(stages(make("s1", "-W", "avcli/lens/models.py"))) == 6
+
+
+
 def test_an_own_scenario(make, tmp_path):
     mine = tmp_path / "mine.json"
     mine.write_text("{}")
