@@ -69,7 +69,6 @@ def test_changed_code_redoes_the_stage_and_what_depends_on_it(make):
     assert len(stages(make("s1", "-W", "avcli/lens/models.py"))) == 6
 
 
-
 def test_an_own_scenario(make, tmp_path):
     mine = tmp_path / "mine.json"
     mine.write_text("{}")

@@ -23,6 +23,7 @@ class _Usual:
     size: tuple[int, int]
 
 
+MOST_COUNT = 100  # of squares, tags or circles each way
 KINDS: dict[str, _Usual] = {
     "checkerboard": _Usual("checkerboard", "squares", "", 1.0, (7, 10)),
     "charuco": _Usual("ChArUco board", "squares", "5X5_250", 0.75, (7, 10)),
@@ -73,6 +74,8 @@ class Board:
         least = 3 if usual.unit == "squares" else 2
         if self.columns < least or self.rows < least:
             raise ValueError(f"a board of {self} {usual.unit} is too small; it needs at least {least}x{least}")
+        if max(self.columns, self.rows) > MOST_COUNT:
+            raise ValueError(f"a board of {self} {usual.unit} is too large; it may have up to {MOST_COUNT} each way")
         if not 0 < self.square_m < np.inf:
             raise ValueError(f"the side of a square must be above 0 mm and finite, found {self.square_m * 1000:g} mm")
         if self.markers:

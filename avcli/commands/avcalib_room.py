@@ -74,7 +74,7 @@ def undistort_command(
         write(straight.camera_config())
 
 
-@click.command("pose", epilog="Example: avcalib pose floor.png -C lab --at 2.1 2.5 0")
+@click.command("pose", epilog="Example: avcalib pose a.png -C lab --board 7x10 --square 95 --at 2 2.5 0")
 @click.argument("sources", nargs=-1, metavar="[SOURCE]...")
 @click.option(
     "--points",

@@ -23,8 +23,22 @@ def _steepest(alpha: float, beta: float) -> float:
     return -math.sqrt(ratio * ratio * beta / (1 - ratio * ratio * (1 - beta)))
 
 
+class _Sphere(Angular):
+    """What these models share: they fold where alpha is above one half."""
+
+    alpha: float
+
+    @cached_property
+    def radius_max(self) -> float:
+        return float(self._radius(np.asarray(self.theta_max))[0])
+
+    @property
+    def has_fold(self) -> bool:
+        return self.alpha > 0.5
+
+
 @dataclass(frozen=True)
-class Unified(Angular):
+class Unified(_Sphere):
     """The unified camera model: u = fx x / (alpha rho + (1 - alpha) z) + cx, rho being the distance of the point.
 
     alpha is from 0 (a pinhole) to 1 (an orthographic fisheye); 0.5 is stereographic. The omni model of Mei and Rives
@@ -52,14 +66,6 @@ class Unified(Angular):
         """The largest angle from the axis that is imaged, rad: where the radius stops growing, or is infinite."""
         angle = math.acos(_steepest(self.alpha, self._beta))
         return angle if self.alpha > 0.5 else angle - _SHORT_OF_A_POLE
-
-    @cached_property
-    def radius_max(self) -> float:
-        return float(self._radius(np.asarray(self.theta_max))[0])
-
-    @property
-    def has_fold(self) -> bool:
-        return self.alpha > 0.5
 
     def _radius(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         sine, cosine = np.sin(s), np.cos(s)
@@ -109,7 +115,7 @@ class ExtendedUnified(Unified):
 
 
 @dataclass(frozen=True)
-class DoubleSphere(Angular):
+class DoubleSphere(_Sphere):
     """The double sphere model: u = fx x / (alpha d + (1 - alpha) k) + cx, k = xi rho + z, d^2 = x^2 + y^2 + k^2.
 
     rho is the distance of the point. On the axis a pixel is (1 + xi) / fx rad wide. xi is above -1 and at most 1, alpha
@@ -135,14 +141,6 @@ class DoubleSphere(Angular):
         second = math.acos(_steepest(self.alpha, 1.0))  # as seen from the second centre, xi behind the first
         angle = second + math.asin(self.xi * math.sin(second))
         return angle if self.alpha > 0.5 else angle - _SHORT_OF_A_POLE
-
-    @cached_property
-    def radius_max(self) -> float:
-        return float(self._radius(np.asarray(self.theta_max))[0])
-
-    @property
-    def has_fold(self) -> bool:
-        return self.alpha > 0.5
 
     def _parts(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """sin(s), k, d, and the denominator of the projection."""
