@@ -552,6 +552,8 @@ def valid(kind):
         return [valid(kind.item)] * (kind.least or 1)
     if isinstance(kind, schemas.Choice):
         return kind.choices[0]
+    if isinstance(kind, schemas.Named):
+        return kind.names[0]
     if isinstance(kind, schemas.Numbers):
         return [valid(kind.item)] * kind.count
     for value in VALUES:

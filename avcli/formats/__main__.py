@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from avcli import materials
 from avcli.formats.descriptions import RECORDS, Format
 from avcli.formats.experiment import CONFIG
 from avcli.formats.schema import Either, Key, Kind, ListOf, MapOf, Object, Variants
@@ -87,13 +88,25 @@ def _with_key_lists(page: str) -> str:
     return page
 
 
+def _with_materials(page: str) -> str:
+    """Return the manual page with its list of materials written anew."""
+    begin, end = '.\\" materials, written by make formats\n', '.\\" end of materials\n'
+    before, _, rest = page.partition(begin)
+    after = rest.partition(end)[2]
+    lines = [".Bl -tag -width Ds -compact"]
+    for name, material in materials.table().items():
+        lines += [f".It Cm {name}", f"{material.text[:1].upper()}{material.text[1:]}."]
+    text = "\n".join([*lines, ".El", ""])
+    return f"{before}{begin}{text}{end}{after}"
+
+
 def main() -> int:
     """Write or check the files; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m avcli.formats", description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file would change")
     check = parser.parse_args().check
     files = {SCHEMAS / f"{described.name}.schema.json": json_schema(described) for described in FORMATS}
-    files[MANUAL] = _with_key_lists(MANUAL.read_text())
+    files[MANUAL] = _with_materials(_with_key_lists(MANUAL.read_text()))
     files[SCORES_MANUAL] = with_score_list(SCORES_MANUAL.read_text())
     files[TRACKERS_MANUAL] = with_trackers(TRACKERS_MANUAL.read_text())
     stale = [path for path, text in files.items() if not path.exists() or path.read_text() != text]

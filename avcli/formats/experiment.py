@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import orjson
 
-from avcli import lens, pose
-from avcli.formats import atomic, bounds
+from avcli import lens, materials, pose
+from avcli.formats import atomic, bounds, room_keys
 from avcli.formats.descriptions import PROBABILITY, Format
 from avcli.formats.records import format_timestamp
 from avcli.formats.schema import (
@@ -173,6 +173,7 @@ _ROOM = Object(
             "energy absorption of all walls, or of each in the order x0 x1 y0 y1 z0 z1",
         ),
         "speed_of_sound_m_s": Key(bounds.SPEED_OF_SOUND, "speed of sound, m/s", default=SPEED_OF_SOUND_M_S),
+        **room_keys.KEYS,
     }
 )
 _COVERS = Object(
@@ -281,12 +282,16 @@ class Room:
         reverberation_time_s: T60 in s, None where it is not stated.
         absorption: (6,) energy absorption of the walls x0 x1 y0 y1 z0 z1, None where it is not stated.
         speed_of_sound_m_s: m/s.
+        surfaces: what they are made of, None where it is not stated.
+        fittings: windows, doors, lamps, skirting and daylight.
     """
 
     dimensions: np.ndarray
     reverberation_time_s: float | None
     absorption: np.ndarray | None
     speed_of_sound_m_s: float
+    surfaces: materials.Surfaces | None
+    fittings: room_keys.Fittings
 
 
 class Config:
@@ -389,11 +394,17 @@ class Config:
         """The room: its size, its reverberation and its speed of sound."""
         values = self._section("room_config", _ROOM)
         absorption = values["absorption"]
+        try:
+            fittings = room_keys.fittings(values)
+        except Invalid as error:
+            raise self._error(error.within("room_config")) from None
         return Room(
             dimensions=np.array(values["room_dimensions_m"]),
             reverberation_time_s=values["reverberation_time_s"],
             absorption=None if absorption is None else np.broadcast_to(absorption, 6).astype(float),
             speed_of_sound_m_s=values["speed_of_sound_m_s"],
+            surfaces=materials.surfaces(values),
+            fittings=fittings,
         )
 
     def states(self, section: str, key: str) -> bool:

@@ -300,6 +300,34 @@ class Choice:
 
 
 @dataclass(eq=False)
+class Named:
+    """One of many names, such as a material; an error shows the nearest instead of all.
+
+    Attributes:
+        what: the names are of, with its article.
+        names: all that are known.
+    """
+
+    what: str
+    names: tuple[str, ...]
+
+    def read(self, value: Any) -> str:
+        if isinstance(value, str) and value in self.names:
+            return value
+        import difflib
+
+        near = difflib.get_close_matches(value, self.names, 1, 0.4) if isinstance(value, str) else []
+        hint = f"; the nearest is {near[0]}" if near else f"; known are {', '.join(self.names)}"
+        raise Invalid(f"must be {self.words()}, found {shown(value)}{hint}")
+
+    def schema(self) -> dict[str, Any]:
+        return {"type": "string", "pattern": f"^({'|'.join(self.names)})$"}  # an enum would fill a page each time
+
+    def words(self) -> str:
+        return f"the name of {self.what}"
+
+
+@dataclass(eq=False)
 class Timestamp:
     """A time in seconds: a number, or text that holds one; at most so large, before or after 0."""
 
@@ -694,7 +722,8 @@ class Either:
             try:
                 return kind.read(value)
             except Invalid as error:
-                if error.path:  # its outside fits, so that what is wrong inside is what to name
+                # Its outside fits, so that what is wrong inside is what to name.
+                if error.path or (isinstance(kind, Named) and isinstance(value, str)):
                     inner = error
         raise inner or _refuse(self, value)
 

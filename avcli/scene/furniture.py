@@ -6,25 +6,28 @@ from typing import Any
 
 import numpy as np
 
+from avcli import materials
 from avcli.formats import bounds
-from avcli.formats.schema import Choice, Invalid, Key, Number, Numbers, Object, Text, Variants
+from avcli.formats.room_keys import COLOR, MATERIAL
+from avcli.formats.schema import Invalid, Key, Numbers, Object, Text, Variants
 
 BOX, CYLINDER, BALL, TRIANGLE = range(4)
 PAINT, WOOD, PLASTIC, METAL, CLOTH, CARD = range(6)
-_MATERIALS = {"paint": PAINT, "wood": WOOD, "plastic": PLASTIC, "metal": METAL, "cloth": CLOTH, "card": CARD}
+_PLAIN = ("paint", "wood", "plastic", "metal", "cloth", "card")  # which have the colour of their piece alone
+MATERIALS = (*_PLAIN, *(name for name in materials.table() if name not in _PLAIN))
+"""The names of all materials, in the order of the numbers that Solids have."""
 _LARGEST_MESH = 200_000
-_GREY, _WOOD = [0.62, 0.63, 0.62], [0.72, 0.53, 0.34]
+_GREY, _WOOD = (0.62, 0.63, 0.62), (0.72, 0.53, 0.34)
 _LENGTH = bounds.LENGTH
 
 
-def _kind(place: tuple[int, str], color: list[float], material: str = "", turns: str = "", **own: Key) -> Object:
+def _kind(place: tuple[int, str], material: str, turns: str = "", **own: Key) -> Object:
     """Describe a kind of furniture: where it stands, its own keys, and those that it shares with others."""
     keys = {"position_m": Key(Numbers(place[0], bounds.COORDINATE), f"position {place[1]}, m", required=True), **own}
     if turns:
         keys["rotation_deg"] = Key(bounds.DEGREES, turns, default=0.0)
-    if material:
-        keys["material"] = Key(Choice(tuple(_MATERIALS)), "material of its surface", default=material)
-    keys["color"] = Key(Numbers(3, Number(least=0, most=1)), "colour, sRGB fractions", default=color)
+    keys["material"] = Key(MATERIAL, "material of its surface", default=material)
+    keys["color"] = Key(COLOR, "colour, sRGB fractions; default: that of the material")
     return Object(keys, closed=True)
 
 
@@ -33,30 +36,25 @@ _SIZE = "size along its own axes, m"
 PIECE = Variants(
     {
         "table": _kind(
-            (2, "on the floor"), _WOOD, turns=_TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[1.4, 0.7, 0.74])
+            (2, "on the floor"), "wood", _TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[1.4, 0.7, 0.74])
         ),
-        "chair": _kind((2, "on the floor"), [0.17, 0.21, 0.28], turns=f"{_TURNS}; at 0 it faces +x"),
-        "box": _kind(
-            (3, "of its middle"), _GREY, "paint", _TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, required=True)
-        ),
+        "chair": _kind((2, "on the floor"), "plastic", f"{_TURNS}; at 0 it faces +x"),
+        "box": _kind((3, "of its middle"), "paint", _TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, required=True)),
         "panel": _kind(
             (3, "of its middle"),
-            _GREY,
             "card",
             _TURNS,
             size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[0.8, 0.8, 0.02]),
         ),
         "cylinder": _kind(
             (3, "of its middle"),
-            _GREY,
             "paint",
             radius_m=Key(_LENGTH, "radius, m", required=True),
             height_m=Key(_LENGTH, "height, m", required=True),
         ),
-        "sphere": _kind((3, "of its middle"), _GREY, "plastic", radius_m=Key(_LENGTH, "radius, m", required=True)),
+        "sphere": _kind((3, "of its middle"), "plastic", radius_m=Key(_LENGTH, "radius, m", required=True)),
         "mesh": _kind(
             (3, "of its origin"),
-            _GREY,
             "paint",
             _TURNS,
             path=Key(Text(), "path of a file that trimesh reads, relative to the scenario's file", required=True),
@@ -80,7 +78,7 @@ class Solids:
         centre: (n, 3); a triangle's first corner.
         axes: (n, 3, 3) rows are a solid's own axes; rows 0 and 1 of a triangle are its other corners.
         half: (n, 3) half sizes along these axes.
-        material: (n,) PAINT, WOOD...
+        material: (n,) index into MATERIALS.
         colour: (n, 3) sRGB fractions.
     """
 
@@ -131,13 +129,12 @@ def build(piece: Mapping[str, Any], load_mesh: Callable[[str], np.ndarray] | Non
     turn = np.deg2rad(piece.get("rotation_deg", 0.0))
     cos, sin = np.cos(turn), np.sin(turn)
     axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    place, colour = np.array(piece["position_m"]), np.array(piece["color"])
+    place, colour, material = np.array(piece["position_m"]), _colour(piece), MATERIALS.index(piece["material"])
     match piece["kind"]:
         case "table":
-            return _table(place, axes, piece["size_m"], colour)
+            return _table(place, axes, piece["size_m"], material, colour)
         case "chair":
-            return _chair(place, axes, colour)
-    material = _MATERIALS[piece["material"]]
+            return _chair(place, axes, material, colour)
     match piece["kind"]:
         case "cylinder":
             half = np.array([piece["radius_m"], piece["radius_m"], piece["height_m"] / 2])
@@ -148,6 +145,15 @@ def build(piece: Mapping[str, Any], load_mesh: Callable[[str], np.ndarray] | Non
             corners = _triangles(piece["path"], load_mesh) * piece["scale"] @ axes + place
             return _mesh(corners, material, colour)
     return _solid(BOX, place, axes, np.array(piece["size_m"]) / 2, material, colour)
+
+
+def _colour(piece: Mapping[str, Any]) -> np.ndarray:
+    """The colour of a piece: its own, else its material's; the plain materials have one for each kind of piece."""
+    if piece["color"] is not None:
+        return np.array(piece["color"])
+    if piece["material"] not in _PLAIN:
+        return np.array(materials.table()[piece["material"]].look.color)
+    return np.array({"table": _WOOD, "chair": (0.17, 0.21, 0.28)}.get(piece["kind"], _GREY))
 
 
 def blocks(solids: Solids, places: np.ndarray, margin: float, height: float) -> np.ndarray:
@@ -171,10 +177,10 @@ def blocks(solids: Solids, places: np.ndarray, margin: float, height: float) -> 
     return hit
 
 
-def _table(place: np.ndarray, axes: np.ndarray, size: Sequence[float], wood: np.ndarray) -> Solids:
+def _table(place: np.ndarray, axes: np.ndarray, size: Sequence[float], material: int, colour: np.ndarray) -> Solids:
     length, depth, height = size
     top = 0.03
-    rows: list[_Box] = [((0, 0, height - top / 2), (length, depth, top), WOOD, wood)]
+    rows: list[_Box] = [((0, 0, height - top / 2), (length, depth, top), material, colour)]
     steel = (0.28, 0.29, 0.31)
     for x in (-1, 1):
         for y in (-1, 1):
@@ -184,12 +190,12 @@ def _table(place: np.ndarray, axes: np.ndarray, size: Sequence[float], wood: np.
     return _boxes(rows, place, axes)
 
 
-def _chair(place: np.ndarray, axes: np.ndarray, colour: np.ndarray) -> Solids:
+def _chair(place: np.ndarray, axes: np.ndarray, material: int, colour: np.ndarray) -> Solids:
     """A chair that faces its own +x, the seat's middle at its place."""
     steel = (0.30, 0.31, 0.33)
     rows: list[_Box] = [
-        ((0, 0, 0.44), (0.42, 0.42, 0.04), PLASTIC, colour),
-        ((-0.20, 0, 0.70), (0.03, 0.40, 0.28), PLASTIC, colour),
+        ((0, 0, 0.44), (0.42, 0.42, 0.04), material, colour),
+        ((-0.20, 0, 0.70), (0.03, 0.40, 0.28), material, colour),
     ]
     for x in (-1, 1):
         for y in (-1, 1):

@@ -261,7 +261,10 @@ def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         given = raw.get(key) or {}
         # A lens is one thing: a scenario that gives one part of it does not want the rest of another lens.
         own_lens = key == "camera_config" and {"lens_model", "fx_px", "fy_px", "k1"} & given.keys()
-        kept = {k: v for k, v in default.items() if not (own_lens and k in ("lens_model", *experiment.LENS_KEYS))}
+        # So is how a room sounds: one whose surfaces have materials does not want the laboratory's reverberation.
+        own_sound = key == "room_config" and {"surfaces", "absorption"} & given.keys()
+        unwanted = ("lens_model", *experiment.LENS_KEYS) if own_lens else ("reverberation_time_s",) if own_sound else ()
+        kept = {k: v for k, v in default.items() if k not in unwanted}
         sections[key] = {**kept, **given}
     return sections
 
