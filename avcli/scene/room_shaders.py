@@ -113,16 +113,9 @@ void main() {
 """
 )
 
-# How much light reaches the room's surfaces, on a coarse grid: lamps behind furniture, and the open sky above.
-ROOM_LIGHT = (
-    LENS
-    + SOLID
-    + LIGHT
-    + """
-uniform sampler2D seen, surface;
-uniform int blockers, coarse;
-out float light;
-
+# Whether furniture stands between two places.
+BLOCKED = """
+uniform int blockers;
 bool blocked(vec3 o, vec3 d, float far) {
     for (int k = 0; k < blockers; ++k) {
         vec4 c = solid_texel(k, 0), x = solid_texel(k, 1), y = solid_texel(k, 2), z = solid_texel(k, 3);
@@ -145,6 +138,18 @@ bool blocked(vec3 o, vec3 d, float far) {
     }
     return false;
 }
+"""
+
+# How much light reaches the room's surfaces, on a coarse grid: lamps behind furniture, and the open sky above.
+ROOM_LIGHT = (
+    LENS
+    + SOLID
+    + LIGHT
+    + BLOCKED
+    + """
+uniform sampler2D seen, surface;
+uniform int coarse;
+out float light;
 
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy) * coarse + coarse / 2;
@@ -201,11 +206,8 @@ void main() {
 }
 """
 
-_ROOM_PAINT = (
-    LENS
-    + SOLID
-    + LIGHT
-    + """
+# What any room is painted with: its light where it was computed, and the looks of what states no material.
+PAINT = """
 uniform sampler2D seen, surface, light;
 uniform int coarse;
 out vec4 colour;
@@ -263,7 +265,9 @@ vec3 solid_colour(int index, vec3 p) {
     if (material == 5) return c.rgb * (0.96 + 0.08 * noise(q * 30.0));
     return c.rgb * (0.97 + 0.06 * noise(q * 60.0));
 }
+"""
 
+_SHADE = """
 vec3 shade(vec2 px, vec3 d, float t, int id, vec3 n) {
     vec3 p = eye + t * d, base, bent = n;
     float l = light_at(px, id, n);
@@ -277,11 +281,10 @@ vec3 shade(vec2 px, vec3 d, float t, int id, vec3 n) {
     return display(base * l);
 }
 """
-)
 
-ROOM_SHADE = (
-    _ROOM_PAINT
-    + """
+_ROOM_PAINT = LENS + SOLID + LIGHT + PAINT + _SHADE
+
+SHADE_MAIN = """
 void main() {
     vec2 hit = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).rg, px = gl_FragCoord.xy - 0.5;
     vec3 n = texelFetch(surface, ivec2(gl_FragCoord.xy), 0).xyz;
@@ -289,7 +292,6 @@ void main() {
     colour = vec4(lit * shade(px, to_room * ray_of(ivec2(gl_FragCoord.xy)), hit.x, int(hit.y + 0.5), n), 1.0);
 }
 """
-)
 
 # llvmpipe runs both sides of a branch and skips only what the depth test rejects: the few pixels that deserve more work
 # are marked in a depth buffer, and the work is done in a pass of its own.
@@ -309,9 +311,7 @@ void main() {
 }
 """
 
-ROOM_SMOOTH = (
-    _ROOM_PAINT
-    + """
+SMOOTH_MAIN = """
 uniform int samples;
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
@@ -333,4 +333,5 @@ void main() {
     }
 }
 """
-)
+
+ROOM_SHADE, ROOM_SMOOTH = _ROOM_PAINT + SHADE_MAIN, _ROOM_PAINT + SMOOTH_MAIN

@@ -134,10 +134,7 @@ void main() { gl_Position = vec4(corner().xy, 2.0 * level - 1.0, 1.0); }
 """
 )
 
-LIGHT = """
-uniform vec3 lamps[2];       // middles of the ceiling lights, room frame
-const float LAMP_RADIUS = 0.35;
-
+NOISE = """
 float hash(vec3 p) {
     p = fract(p * vec3(0.1031, 0.1030, 0.0973));
     p += dot(p, p.yxz + 33.33);
@@ -154,14 +151,23 @@ float noise(vec3 p) {
 }
 // Light from above and, bounced, from below.
 float sky(vec3 n) { return 0.40 + 0.18 * n.z; }
+// Linear light to the picture: highlights roll off, gamma 2.
+vec3 display(vec3 light) { return sqrt(clamp(light * (1.0 + 0.12 * light) / (1.0 + 0.62 * light), 0.0, 1.0)); }
+"""
+
+LIGHT = (
+    NOISE
+    + """
+uniform vec3 lamps[2];       // middles of the ceiling lights, room frame
+const float LAMP_RADIUS = 0.35;
+
 float lamp(vec3 p, vec3 n, int k) {
     vec3 way = lamps[k] - p;
     float square = dot(way, way);
     return 2.7 * max(dot(n, way) * inversesqrt(square) + 0.08, 0.0) / (square + 1.5);
 }
-// Linear light to the picture: highlights roll off, gamma 2.
-vec3 display(vec3 light) { return sqrt(clamp(light * (1.0 + 0.12 * light) / (1.0 + 0.62 * light), 0.0, 1.0)); }
 """
+)
 
 SHADOW_VERTEX = (
     CORNER
@@ -260,11 +266,21 @@ void main() {
 }
 """
 
-_PAINT = (
-    LENS
-    + CONE
-    + LIGHT
-    + """
+# Light on a person: `open` is how much the rest of the body leaves free, `toward` the way to the camera.
+_LIT = """
+vec3 lit(vec3 albedo, float gloss, vec3 at, vec3 n, vec3 toward, float open) {
+    float light = open * sky(n) * (0.75 + 0.25 * smoothstep(0.0, 0.9, at.z)), shine = 0.0;
+    for (int k = 0; k < 2; ++k) {
+        light += (0.35 + 0.65 * open) * lamp(at, n, k);
+        float glint = max(dot(n, normalize(normalize(lamps[k] - at) + toward)), 0.0);
+        glint *= glint; glint *= glint; glint *= glint; glint *= glint;
+        shine += glint * glint;
+    }
+    return display(albedo * light * 1.08 + gloss * shine * 0.35);
+}
+"""
+
+PAINT = """
 uniform sampler2D seen, cones, balls;
 uniform mat3 to_room;
 uniform vec3 eye;
@@ -342,28 +358,18 @@ vec3 shade(vec3 d, float t, int index) {
         float square = dot(way, way);
         open *= 1.0 - 0.8 * max(dot(n, way), 0.0) * inversesqrt(square) * min(ball.w * ball.w / square, 1.0);
     }
-    float light = open * sky(n) * (0.75 + 0.25 * smoothstep(0.0, 0.9, at.z)), shine = 0.0;
-    vec3 toward = -(to_room * d);
-    for (int k = 0; k < 2; ++k) {
-        light += (0.35 + 0.65 * open) * lamp(at, n, k);
-        float glint = max(dot(n, normalize(normalize(lamps[k] - at) + toward)), 0.0);
-        glint *= glint; glint *= glint; glint *= glint; glint *= glint;
-        shine += glint * glint;
-    }
-    return display(albedo * light * 1.08 + grain.w * shine * 0.35);
+    return lit(albedo, grain.w, at, n, -(to_room * d), open);
 }
 """
-)
 
-SHADE = (
-    _PAINT
-    + """
+SHADE_MAIN = """
 void main() {
     vec2 hit = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).rg;
     colour = vec4(shade(ray_of(ivec2(gl_FragCoord.xy)), hit.x, int(max(hit.y, 1.0) - 0.5)), 1.0);
 }
 """
-)
+
+SHADE = LENS + CONE + LIGHT + _LIT + PAINT + SHADE_MAIN
 
 # An outline's pixel: how much of it each neighbour's cone covers, in the colour that the neighbour has.
 SMOOTH = (
