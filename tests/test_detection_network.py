@@ -157,6 +157,24 @@ def test_the_threshold_itself_is_kept_and_no_number_dropped():
     assert found.scores.tolist() == [0.5]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("layout", ["v8, 80 classes", "v5", "yolox", "end to end"])
+def test_rows_that_are_no_box_are_dropped_without_a_word(layout):
+    output, metadata = LAYOUTS[layout]
+    output = np.tile(output, 1)
+    rows_of = output[0].T if layout.startswith("v8") else output[0]
+    if layout == "end to end":
+        rows_of[2:5] = [[28, 52, 12, 20, 0.99, 2], [np.nan, 0, 9, 9, 0.99, 2], [0, 0, np.inf, 9, 0.99, np.nan]]
+    else:
+        rows_of[8:11, 4:] = 1.0
+        rows_of[8:11, 2:4] = [[-20, 9], [np.inf, 9], [1e4, np.nan]]  # YOLOX: of these only logs
+        rows_of[11, 4:] = [np.inf, *np.zeros(rows_of.shape[1] - 5)]  # 0 times infinity
+        if layout == "yolox":
+            rows_of[8, 2:4] = [1e4, 9]
+    found = Network(model(output, **metadata)).detect(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    assert np.allclose(found.boxes, [PERSON])
+
+
 def test_three_hundred_people_at_most_and_no_longer_than_that():
     rng = np.random.default_rng(0)
     boxes = rng.uniform(0, 2000, (8000, 2))
@@ -191,6 +209,8 @@ def test_parts_of_the_projects_own_head():
         (model(np.zeros((1, 1000))), "not a known detection head"),
         (model(np.zeros((1, 3, 8, 8))), "not a known detection head"),
         (model(rows(84).T[None], outputs=2), "not a known detection head"),
+        (model(np.zeros((1, 7, 7))), "not a known detection head"),
+        (model(rows(84).T[None][:, :, :100]), "not a known detection head"),
         (model(rows(84).T[None], task="segment"), "task 'segment'"),
         (model(rows(84).T[None], task="classify"), "task 'classify'"),
         (model(rows(7).T[None], names="{0: 'cat', 1: 'dog', 2: 'cow'}"), "no class 'person'"),
@@ -212,6 +232,8 @@ def test_heads_by_shape():
     assert find_head([(1, 5040, 85)], (640, 384), None, {}).kind == "yolox"
     assert find_head([(1, 300, 6)], (640, 384), None, {}).kind == "end2end"
     assert find_head([(1, 3549, 85)], (416, 416), None, {}).kind == "yolox"
+    assert find_head([(1, 25500, 85)], (640, 640), None, {}).strides == (8, 16, 32, 64)  # 3 anchors a place, P6
+    assert find_head([(1, 84, 34000)], (640, 640), None, {}).strides == (4, 8, 16, 32)
 
 
 def test_a_real_network_finds_nobody_in_noise(shared_data):

@@ -24,6 +24,9 @@ WHOLE = 0.6
 
 PARTS = ("torso", "head", "foot")
 
+STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))
+"""Strides, px, of the grids of places that YOLO's families look at: the usual one, P6, P2, and tiny."""
+
 
 class ModelError(ValueError):
     """The file is not an ONNX model, or its output is not a person detection."""
@@ -121,7 +124,7 @@ class Network:
         task = self.metadata.get("task", "detect")
         if task != "detect":
             raise ModelError(f"a model for the task {task!r}; expected 'detect'")
-        self.iou = float(self.metadata.get("iou", 0.7)) if iou is None else iou
+        self.iou = _overlap(self.metadata.get("iou")) if iou is None else iou
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size)
         self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
@@ -196,7 +199,7 @@ class Network:
                 wanted = 640, 384
         try:
             step = max(int(float(self.metadata.get("stride", 32))), 1)
-        except ValueError:
+        except (ValueError, OverflowError):
             step = 32
         return -(-wanted[0] // step) * step, -(-wanted[1] // step) * step
 
@@ -255,6 +258,14 @@ def _first_line(error: Exception) -> str:
     return " ".join(str(error).strip().split("\n")[0].split())[:200]
 
 
+def _overlap(text: str | None) -> float:
+    try:
+        value = float(text or 0.7)
+    except ValueError:
+        value = np.nan
+    return value if 0 <= value <= 1 else 0.7
+
+
 def _names(text: str | None) -> list[str] | None:
     """Class names in the order of their index, from a model's metadata."""
     try:
@@ -271,12 +282,14 @@ class Head:
     """What a network's first output holds.
 
     kind is "v8" (boxes, then one score a class), "v5" (an objectness before the classes), "yolox" (as v5, in units of
-    the grid), "end2end" (corners, score, class; suppressed already) or "points" (this project's own maps).
+    the grid), "end2end" (corners, score, class; suppressed already) or "points" (this project's own maps). strides, px,
+    are those of the grids that its rows belong to.
     """
 
     kind: str
     person: int
     transposed: bool = False
+    strides: tuple[int, ...] = STRIDES[0]
 
 
 def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | None, metadata: dict) -> Head:
@@ -289,29 +302,46 @@ def find_head(shapes: list[tuple], size: tuple[int, int], names: list[str] | Non
         return Head("points", 0)
     head, shape = None, tuple(shapes[0])
     if len(shapes) == 1 and len(shape) == 3 and shape[0] == 1:
-        head = _yolo_head(*shape[1:], sum((size[0] // stride) * (size[1] // stride) for stride in (8, 16, 32)), names)
+        layouts = (_yolo_head(*shape[1:], size, strides, names) for strides in STRIDES)
+        suppressed = metadata.get("end2end") == "True"
+        head = _end2end(*shape[1:], size, names, suppressed=suppressed) or next(filter(None, layouts), None)
     if head is None:
         found = ", ".join(str(list(item)) for item in shapes)
         raise ModelError(f"not a known detection head: the outputs are {found}, the classes {len(names or ())}")
     return head
 
 
-def _yolo_head(rows: int, width: int, anchors: int, names: list[str] | None) -> Head | None:
-    """Recognize a YOLO head by its rows and columns, and by the number of places that the input's size gives."""
-    grids = anchors, 3 * anchors
-    if width == 6 and rows <= 1000 and rows not in grids:
+def _places(size: tuple[int, int], strides: tuple[int, ...]) -> int:
+    """Places on all the grids of an input (width, height) px."""
+    return sum(-(-size[0] // stride) * -(-size[1] // stride) for stride in strides)
+
+
+def _end2end(rows: int, width: int, size: tuple[int, int], names: list[str] | None, *, suppressed: bool) -> Head | None:
+    grids = {times * _places(size, strides) for strides in STRIDES for times in (1, 3)}
+    if width == 6 and rows <= 1000 and (suppressed or rows not in grids):
         return Head("end2end", _person(names, len(names or ()) or 80))
-    transposed = width not in grids and (rows in grids or rows > width)
+    return None
+
+
+def _yolo_head(
+    rows: int, width: int, size: tuple[int, int], strides: tuple[int, ...], names: list[str] | None
+) -> Head | None:
+    """Recognize a YOLO head by its rows and columns, one of which must count the places of these grids."""
+    places = _places(size, strides)
+    grids = places, 3 * places
+    if rows not in grids and width not in grids:
+        return None
+    transposed = width not in grids
     count, fields = (rows, width) if transposed else (width, rows)
     if names:
         if fields not in (4 + len(names), 5 + len(names)):
             return None
         boxes_only = fields == 4 + len(names)
     else:
-        boxes_only = not transposed or (count == anchors and fields == 84)  # the likely layout
-    kind = "v8" if boxes_only else "yolox" if count == anchors else "v5"
+        boxes_only = not transposed or (count == places and fields == 84)  # the likely layout
+    kind = "v8" if boxes_only else "yolox" if count == places else "v5"
     classes = fields - (4 if boxes_only else 5)
-    return Head(kind, _person(names, classes), transposed) if classes >= 1 else None
+    return Head(kind, _person(names, classes), transposed, strides) if classes >= 1 else None
 
 
 def _person(names: list[str] | None, classes: int) -> int:
@@ -336,19 +366,10 @@ def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confide
         Boxes (n, 4) [x0, y0, x1, y1] px of the input; scores (n,), falling; and parts (n, 3, 2) px or None.
     """
     output = outputs[0][0].astype(np.float64)
-    parts = None
-    if head.kind == "points":
-        boxes, scores, parts = _decode_points(output, size, confidence)
-    elif head.kind == "end2end":
-        boxes, scores = output[:, :4], np.where(np.rint(output[:, 5]) == head.person, output[:, 4], 0.0)
-    else:
-        rows = output if head.transposed else output.T
-        centre, extent = rows[:, :2], rows[:, 2:4]
-        scores = rows[:, 4 + head.person] if head.kind == "v8" else rows[:, 4] * rows[:, 5 + head.person]
-        if head.kind == "yolox":
-            centre, extent = _from_grid(centre, extent, size)
-        boxes = np.concatenate([centre - extent / 2, centre + extent / 2], axis=1)
-    keep = np.isfinite(boxes).all(axis=1) & (scores >= confidence) & np.isfinite(scores)
+    with np.errstate(over="ignore", invalid="ignore"):  # a row that is not finite is dropped below
+        boxes, scores, parts = _rows(output, head, size, confidence)
+        keep = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1)
+        keep &= (scores >= confidence) & np.isfinite(scores)
     if parts is not None:
         keep &= np.isfinite(parts).all(axis=(1, 2))
     kept = np.flatnonzero(keep)
@@ -356,19 +377,36 @@ def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confide
     return boxes[kept], np.clip(scores[kept], 0.0, 1.0), None if parts is None else parts[kept]
 
 
-def _from_grid(centre: np.ndarray, extent: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _rows(
+    output: np.ndarray, head: Head, size: tuple[int, int], confidence: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Boxes, scores and parts of all of an output's rows, whatever is in them."""
+    if head.kind == "points":
+        return _decode_points(output, size, confidence)
+    if head.kind == "end2end":
+        return output[:, :4], np.where(np.rint(output[:, 5]) == head.person, output[:, 4], 0.0), None
+    rows = output if head.transposed else output.T
+    centre, extent = rows[:, :2], rows[:, 2:4]
+    scores = rows[:, 4 + head.person] if head.kind == "v8" else rows[:, 4] * rows[:, 5 + head.person]
+    if head.kind == "yolox":
+        centre, extent = _from_grid(centre, extent, size, head.strides)
+    return np.concatenate([centre - extent / 2, centre + extent / 2], axis=1), scores, None
+
+
+def _from_grid(
+    centre: np.ndarray, extent: np.ndarray, size: tuple[int, int], grids: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """YOLOX's raw output: centres in cells from their own cell, log extents (Ge et al., 2021, arXiv 2107.08430)."""
     finite = centre[np.isfinite(centre)]
     if finite.size and np.abs(finite).max() > max(size) / 8:
         return centre, extent  # exported with its decoding inside
     cells, strides = [], []
-    for stride in (8, 16, 32):
-        v, u = np.mgrid[: size[1] // stride, : size[0] // stride]
+    for stride in grids:
+        v, u = np.mgrid[: -(-size[1] // stride), : -(-size[0] // stride)]
         cells.append(np.stack([u.ravel(), v.ravel()], axis=1))
         strides.append(np.full(u.size, stride))
     scale = np.concatenate(strides)[:, None]
-    with np.errstate(over="ignore"):
-        return (centre + np.concatenate(cells)) * scale, np.exp(extent) * scale
+    return (centre + np.concatenate(cells)) * scale, np.exp(extent) * scale
 
 
 def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -> tuple:
@@ -377,8 +415,7 @@ def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -
     v, u = np.nonzero(maps[0] >= confidence)
     values = maps[:, v, u].T
     place = (np.stack([u, v], axis=1) + 0.5) * stride
-    with np.errstate(over="ignore"):
-        reach = np.exp(values[:, 1:5]) * stride
+    reach = np.exp(values[:, 1:5]) * stride
     boxes = np.concatenate([place - reach[:, :2], place + reach[:, 2:]], axis=1)
     parts = place[:, None, :] + values[:, 5:11].reshape(-1, 3, 2) * stride
     return boxes, values[:, 0], parts
