@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import moderngl
 
 _RAYS_UNIT = 7  # where the shaders find the pixels' rays
+_NEAR_FAR_M = 64.0  # distances up to this are told apart alike in every room that it holds
 COARSE = 4  # px, the grid on which the room's light is computed
 
 
@@ -52,6 +53,7 @@ class Canvas:
 
     Attributes:
         size: (width, height) px.
+        largest: px, the longest side of a picture that this OpenGL draws.
         T_camera_room: (4, 4) maps room coordinates to the camera's, m.
         surroundings: uniforms that say where the camera is in the room, and where the lamps are.
         wait: returns when all has been drawn.
@@ -66,13 +68,14 @@ class Canvas:
         self.size = camera.width_px, camera.height_px
         self.ctx, self.wait = context or open_context(), _finish()
         self.ctx.enable(self.ctx.DEPTH_TEST)
-        limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
-        if max(self.size) > limit:
+        self.largest: int = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
+        if max(self.size) > self.largest:
             raise ValueError(
-                f"an image of {self.size[0]} x {self.size[1]} px: this OpenGL draws at most {limit} px per side"
+                f"an image of {self.size[0]} x {self.size[1]} px: this OpenGL draws at most {self.largest} px per side"
             )
         self.T_camera_room = pose.inverse(camera.T_room_camera)
         self._lens = lens_shader.uniforms(camera.lens, *self.size)
+        self._far = max(_NEAR_FAR_M, 1.01 * farthest(camera, room))
         T = camera.T_room_camera
         x, y, z = np.asarray(room, float)
         self.surroundings: dict[str, Any] = {
@@ -91,7 +94,7 @@ class Canvas:
         """Compile a program and set those of its uniforms that it has; the lens's are always set."""
         fragment = lens_shader.specialised(fragment, self._lens)
         program = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
-        put(program, **self._lens, **uniforms, rays=_RAYS_UNIT)
+        put(program, **self._lens, **uniforms, rays=_RAYS_UNIT, far=self._far)
         return program
 
     def fill(
@@ -129,9 +132,17 @@ class Canvas:
         buffer.release()
 
     def table(self, rows: np.ndarray) -> moderngl.Texture:
-        """A texture of floats that shaders look up, of rows (n, m, 4)."""
-        rows = np.ascontiguousarray(rows, "f4")
-        texture = self.ctx.texture((rows.shape[1], max(len(rows), 1)), 4, rows.tobytes() or None, dtype="f4")
+        """A texture of floats that shaders look up with `table_place`, of rows (n, m, 4) with n, m > 0.
+
+        Row k stands in line k modulo TABLE_LINES of it: it may have more rows than a texture has lines.
+        """
+        count, width = rows.shape[:2]
+        blocks = -(-count // shaders.TABLE_LINES)
+        lines = min(count, shaders.TABLE_LINES)
+        padded = np.zeros((blocks * lines, width, 4), "f4")
+        padded[:count] = rows
+        lined = np.ascontiguousarray(padded.reshape(blocks, lines, width, 4).swapaxes(0, 1))
+        texture = self.ctx.texture((blocks * width, lines), 4, lined.tobytes(), dtype="f4")
         texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
         return texture
 
@@ -150,6 +161,12 @@ def _finish() -> Callable[[], None]:
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetProcAddress.restype = ctypes.c_void_p
     return ctypes.CFUNCTYPE(None)(egl.eglGetProcAddress(b"glFinish"))
+
+
+def farthest(camera: Camera, room: np.ndarray) -> float:
+    """Distance from a camera to the farthest corner of its room (3,) m: nothing that is drawn is farther away."""
+    eye = camera.T_room_camera[:3, 3]
+    return float(np.linalg.norm(np.maximum(eye, np.asarray(room, float) - eye)))
 
 
 # --- rectangles and colours -------------------------------------------------------------------------------------------

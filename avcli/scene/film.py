@@ -71,11 +71,10 @@ class Film:
         self._timing = timing
         self._renderer: render.Renderer | None = None
         if drawing:
-            config = scenario.config
+            camera, room = scenario.config.camera, scenario.config.room.dimensions
+            step = drawing.depth_step_m(render.farthest(camera, room))
             with timing("open the renderer and draw the room"):
-                self._renderer = render.Renderer(
-                    config.camera, config.room.dimensions, scenario.solids, drawing.depth_step_m, drawing.samples
-                )
+                self._renderer = render.Renderer(camera, room, scenario.solids, step, drawing.samples)
 
     @property
     def background(self) -> np.ndarray | None:
@@ -91,8 +90,8 @@ class Film:
         raw = self.scenario.raw
         camera = dict(raw["camera_config"])
         camera["theta_max_valid_deg"] = math.degrees(self.scenario.config.camera.lens.theta_max)
-        if self.drawing:
-            camera |= {"depth_kind": "radial", "depth_step_m": self.drawing.depth_step_m}
+        if self._renderer:
+            camera |= {"depth_kind": "radial", "depth_step_m": self._renderer.depth_step}
         if background:
             camera["background_depth"] = Layout.background_depth
         sections = {key: raw[key] for key in ("microphone_config", "room_config")}

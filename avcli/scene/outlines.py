@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from avcli.scene.canvas import Canvas, bounds, clip, linear
@@ -15,8 +17,25 @@ _SHADOW_MARGIN_PX = 4.0
 _OUTLINE_MARGIN_PX = 1.5
 _SEAM = 3.7  # between the patterns of two people's clothes, so that no two are painted alike
 
-Tile = tuple[tuple[int, int, int, int], tuple[int, int]]
-"""A person's part of the picture of silhouettes, (x0, y0, x1, y1), and the image place (x, y) of its first sample."""
+_SHEET_SAMPLES = 1 << 26  # of one picture of silhouettes, at most; a single larger one has a picture of its own
+
+
+@dataclass
+class Tile:
+    """One person's part (x0, y0, x1, y1) of a picture of silhouettes, and the image place (x, y) of its first sample."""
+
+    person: int
+    box: tuple[int, int, int, int]
+    place: tuple[int, int]
+
+
+@dataclass
+class Sheet:
+    """A picture of silhouettes that stand in rows: its size (width, height), its tiles, and their cones (m, 28)."""
+
+    size: tuple[int, int]
+    tiles: list[Tile]
+    instances: np.ndarray
 
 
 class Outlines:
@@ -42,6 +61,7 @@ class Outlines:
 
         self._a, self._b = swell(a), swell(b)
         self._axis, self._bulge = axis, bulge
+        self._first = np.searchsorted(bodies.person, np.arange(bodies.balls.shape[1]))  # cone of each person
         self._shadows = self._shadow_rectangles()
         self._rectangles, self._quads = self._outline(a, b)
 
@@ -89,49 +109,47 @@ class Outlines:
 
         return marked(rectangles[inside]), marked(clip(self._shadows[index], self.canvas.size))
 
-    def shapes(self, index: int) -> tuple[np.ndarray, list[Tile], tuple[int, int]]:
-        """Lay out people's silhouettes at one time beside each other, a tile a person.
+    def sheets(self, index: int) -> list[Sheet]:
+        """Lay out people's silhouettes at one time in rows, on as few pictures as this OpenGL can hold.
 
-        Returns:
-            Cones (m, 28), the tile of each person, and the size (width, height) of the picture that holds all tiles.
+        People of whom nothing can be drawn have no tile.
         """
-        people = int(self.bodies.person.max()) + 1 if len(self.bodies.person) else 0
-        tiles: list[Tile] = []
-        rows: list[np.ndarray] = []
-        left, height = 0, 1
-        geometry = self._geometry(index)
-        for person in range(people):
-            mine = self.bodies.person == person
-            box = self._shape_box(self._rectangles[index][mine])
-            if box is None:
-                tiles.append(((0, 0, 0, 0), (0, 0)))
-                continue
-            low, (wide, tall) = box
-            shift = np.array([left, 0]) - low / SHAPE_PITCH
-            quads = self._quads[index][mine] / SHAPE_PITCH
-            quads[:, :2] += shift
-            place = low - np.array([left, 0]) * SHAPE_PITCH
-            tile = left, 0, left + wide, tall
-            repeated = [np.tile(values, (len(quads), 1)) for values in (place, tile)]
-            rows.append(np.hstack([quads, geometry[mine], *repeated]))
-            tiles.append((tile, (int(low[0]), int(low[1]))))
-            left, height = left + wide, max(height, tall)
-        instances = np.concatenate(rows) if rows else np.zeros((0, 28))
-        return instances[np.isfinite(instances).all(1)], tiles, (max(left, 1), max(height, 1))
+        packed = _packed(self._shape_boxes(index), self.canvas.largest)
+        return [Sheet(size, tiles, self._shape_instances(index, tiles)) for size, tiles in packed]
 
-    def _shape_box(self, rectangles: np.ndarray) -> tuple[np.ndarray, tuple[int, int]] | None:
-        """Image place (x, y) of the first sample of a silhouette, and its width and height in samples."""
-        rectangles = rectangles[np.isfinite(rectangles).all(1)]
+    def _shape_instances(self, index: int, tiles: list[Tile]) -> np.ndarray:
+        """The cones (m, 28) of the people of some tiles: parallelogram in the sheet, shape, place and tile."""
+        shift = np.full((len(self._first), 6), np.nan)
+        where = np.zeros((len(shift), 6))
+        for tile in tiles:
+            place = np.array(tile.place) - np.array(tile.box[:2]) * SHAPE_PITCH
+            shift[tile.person] = [*(-place / SHAPE_PITCH), 0, 0, 0, 0]
+            where[tile.person] = [*place, *tile.box]
+        person = self.bodies.person
+        quads = self._quads[index] / SHAPE_PITCH + shift[person]
+        instances = np.hstack([quads, self._geometry(index), where[person]])
+        return instances[np.isfinite(instances).all(1)]
+
+    def _shape_boxes(self, index: int) -> list[Tile]:
+        """A tile for each silhouette, not yet laid out: its box begins at (0, 0)."""
+        rectangles = self._rectangles[index]
+        finite = np.isfinite(rectangles).all(1)[:, None]
         if not len(rectangles):
-            return None
-        low = np.floor(rectangles[:, :2].min(0) / SHAPE_PITCH) * SHAPE_PITCH
-        high = np.ceil(rectangles[:, 2:].max(0) / SHAPE_PITCH) * SHAPE_PITCH
-        # What lies far outside the picture is counted on no grid larger than twice the picture.
+            return []
+        low = np.minimum.reduceat(np.where(finite, rectangles[:, :2], np.inf), self._first)
+        high = np.maximum.reduceat(np.where(finite, rectangles[:, 2:], -np.inf), self._first)
+        # What lies far outside the picture is counted on no grid larger than twice the picture, or than can be drawn.
         size = np.array(self.canvas.size)
-        low = np.maximum(low, -2 * np.ceil(size / 2))
-        high = np.minimum(high, 2 * size)
-        wide, tall = np.maximum((high - low) / SHAPE_PITCH, 0).astype(int).tolist()
-        return low, (wide, tall)
+        beyond = np.minimum(2 * np.ceil(size / 2), np.floor((self.canvas.largest * SHAPE_PITCH - size) / 4) * 2)
+        low = np.maximum(np.floor(low / SHAPE_PITCH) * SHAPE_PITCH, -beyond)
+        high = np.minimum(np.ceil(high / SHAPE_PITCH), np.floor((size + beyond) / SHAPE_PITCH)) * SHAPE_PITCH
+        kept = np.flatnonzero((high > low).all(1))
+        extent = ((high - low)[kept] / SHAPE_PITCH).astype(int)
+        places = low[kept].astype(int)
+        return [
+            Tile(person, (0, 0, wide, tall), (x, y))
+            for person, (wide, tall), (x, y) in zip(kept.tolist(), extent.tolist(), places.tolist(), strict=True)
+        ]
 
     def _shadow_rectangles(self) -> np.ndarray:
         """Where in the picture a person darkens the room: around the place under them, (n, people, 4)."""
@@ -198,3 +216,22 @@ def _parallelograms(pixels: np.ndarray) -> np.ndarray:
     wide = aside.max(-1, keepdims=True) + _OUTLINE_MARGIN_PX - low_aside
     origin = low_far * along + low_aside * across + 0.5
     return np.concatenate([origin, long * along, wide * across], -1)
+
+
+def _packed(tiles: list[Tile], largest: int) -> list[tuple[tuple[int, int], list[Tile]]]:
+    """Put tiles beside each other in rows of at most `largest` samples; returns the sheets' sizes and their tiles."""
+    tallest = _SHEET_SAMPLES // largest
+    sheets: list[tuple[tuple[int, int], list[Tile]]] = []
+    placed: list[Tile] = []
+    left = top = width = height = 0
+    for tile in tiles:
+        wide, tall = tile.box[2:]
+        if left + wide > largest:
+            left, top = 0, height
+        if placed and top + tall > max(tallest, tall):
+            sheets.append(((width, height), placed))
+            placed, left, top, width, height = [], 0, 0, 0, 0
+        placed.append(Tile(tile.person, (left, top, left + wide, top + tall), tile.place))
+        left += wide
+        width, height = max(width, left), max(height, top + tall)
+    return [*sheets, ((width, height), placed)] if placed else sheets

@@ -14,15 +14,16 @@ import numpy as np
 
 from avcli.formats.experiment import Camera
 from avcli.scene import furniture, shaders
-from avcli.scene.canvas import Canvas, NoGraphics, open_context, put
-from avcli.scene.outlines import SHADOW_PITCH, SHAPE_PITCH, TILE, Outlines
+from avcli.scene.canvas import Canvas, NoGraphics, farthest, open_context, put
+from avcli.scene.outlines import SHADOW_PITCH, SHAPE_PITCH, TILE, Outlines, Sheet
 from avcli.scene.people import Bodies
 from avcli.scene.room_pass import draw_room
+from avcli.scene.settings import Drawing
 
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["Frame", "NoGraphics", "Renderer", "open_context"]
+__all__ = ["Frame", "NoGraphics", "Renderer", "farthest", "open_context"]
 
 _CONE = "2f 4f 4f 4f 4f 4f", ("origin", "edges", "ball_a", "ball_b", "bulge", "middle")  # layout and names of a cone
 _UNITS = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "painted": 6}
@@ -56,11 +57,12 @@ class Renderer:
         camera: through which the scene is seen.
         room: (3,) m.
         solids: the furniture.
-        depth_step: m of one step of the depth picture.
+        depth_step: m of one step of the depth picture; None: the finest usual one that holds the room in 16 bits.
         samples: colour samples per pixel at outlines.
         context: to share; None opens one.
 
     Attributes:
+        depth_step: m of one step of the depth pictures.
         room_depth: (height, width) uint16, radial depth of the empty room in steps.
         room_seen, people_seen: textures (height, width, 2) float32 of the room and of the people of the last frame:
             distance in m, 0 for none, and a number of what is seen.
@@ -75,11 +77,11 @@ class Renderer:
         camera: Camera,
         room: np.ndarray,
         solids: furniture.Solids,
-        depth_step: float = 1e-4,
+        depth_step: float | None = None,
         samples: int = 4,
         context: moderngl.Context | None = None,
     ) -> None:
-        self.depth_step, self.samples = depth_step, samples
+        self.depth_step, self.samples = depth_step or Drawing().depth_step_m(farthest(camera, room)), samples
         self.canvas = Canvas(camera, room, samples, context)
         self.room_seen, self._room_surface, self._room_colour = draw_room(self.canvas, solids)
         self._make_targets()
@@ -203,23 +205,30 @@ class Renderer:
             ctx.disable(ctx.BLEND)
 
     def _silhouettes(self, outlines: Outlines, index: int) -> list[tuple[np.ndarray, tuple[int, int]]]:
-        """Draw each person's whole silhouette into a tile; returns [(mask, (x, y) of its first sample)]."""
-        instances, tiles, size = outlines.shapes(index)
-        if not len(instances):
-            return [(np.zeros((0, 0), bool), (0, 0)) for _ in tiles]
+        """Draw each person's whole silhouette; returns [(mask, (x, y) of its first sample)]."""
+        shapes = [(np.zeros((0, 0), bool), (0, 0)) for _ in range(outlines.bodies.balls.shape[1])]
+        for sheet in outlines.sheets(index):
+            covered = self._sheet(sheet)
+            for tile in sheet.tiles:
+                x0, y0, x1, y1 = tile.box
+                shapes[tile.person] = covered[y0:y1, x0:x1], tile.place
+        return shapes
+
+    def _sheet(self, sheet: Sheet) -> np.ndarray:
+        """Draw a picture of silhouettes, (height, width) bool."""
         ctx = self.canvas.ctx
-        picture = ctx.texture(size, 1)
+        picture = ctx.texture(sheet.size, 1)
         target = ctx.framebuffer([picture])
         target.use()
         target.clear()
         ctx.disable(ctx.DEPTH_TEST)
-        put(self._shapes, size=size)
+        put(self._shapes, size=sheet.size)
         layout, names = _CONE
-        self.canvas.quads(self._shapes, instances, f"{layout} 2f 4f/i", (*names, "place", "tile"))
-        covered = np.frombuffer(target.read(components=1, alignment=1), np.uint8).reshape(size[1], size[0]) > 0
+        self.canvas.quads(self._shapes, sheet.instances, f"{layout} 2f 4f/i", (*names, "place", "tile"))
+        covered = np.frombuffer(target.read(components=1, alignment=1), np.uint8).reshape(sheet.size[::-1]) > 0
         target.release()
         picture.release()
-        return [(covered[y0:y1, x0:x1], place) for (x0, y0, x1, y1), place in tiles]
+        return covered
 
     def _read_depth(self) -> np.ndarray:
         width, height = self.canvas.size

@@ -1,6 +1,6 @@
 """The shaders that draw the room and its furniture, once a scene (GLSL 3.30; see shaders)."""
 
-from avcli.scene.shaders import CORNER, LENS, LIGHT
+from avcli.scene.shaders import CORNER, LENS, LIGHT, TABLE
 
 ROOM_VERTEX = (
     CORNER
@@ -12,13 +12,15 @@ void main() { gl_Position = corner(); index = int(solid); }
 )
 
 # A solid is five texels: centre + kind, three axes (+ half sizes), colour + material.
-SOLID = """
+SOLID = (
+    TABLE
+    + """
 uniform sampler2D solids;
 uniform mat3 to_room;        // camera frame to room
 uniform vec3 eye, room;      // camera's place and the room's size, m
 const int FACES = 6;
 
-vec4 solid_texel(int index, int part) { return texelFetch(solids, ivec2(part, index), 0); }
+vec4 solid_texel(int index, int part) { return texelFetch(solids, table_place(index, part, 5), 0); }
 
 // Distance from o along d to a solid and the normal there (room frame); negative where it is missed.
 float hit_solid(vec3 o, vec3 d, int index, out vec3 normal) {
@@ -84,12 +86,14 @@ vec3 face_normal(int face) {
     return n;
 }
 """
+)
 
 ROOM_FRAGMENT = (
     LENS
     + SOLID
     + """
 flat in int index;
+uniform float far;
 layout(location = 0) out vec2 seen;
 layout(location = 1) out vec4 surface;
 void main() {
@@ -108,7 +112,7 @@ void main() {
     }
     seen = vec2(t, float(id));
     surface = vec4(normal, 1.0);
-    gl_FragDepth = clamp(t / 64.0, 0.0, 1.0);
+    gl_FragDepth = clamp(t / far, 0.0, 1.0);
 }
 """
 )

@@ -28,7 +28,7 @@ from avcli.formats.schema import (
     Text,
     shown,
 )
-from avcli.scene import furniture
+from avcli.scene import furniture, viewpoint
 from avcli.scene.motion import Motion
 from avcli.scene.people import LOOKS, Person
 
@@ -175,8 +175,11 @@ class Scenario:
     @property
     def times(self) -> np.ndarray:
         """Times of the frames, (n,) s."""
-        rate = self.config.camera.frame_rate_hz
-        return np.arange(math.floor(self.duration * rate + 1e-6) + 1) / rate
+        return _frame_times(self.duration, self.config.camera.frame_rate_hz)
+
+
+def _frame_times(duration: float, rate: float) -> np.ndarray:
+    return np.arange(math.floor(duration * rate + 1e-6) + 1) / rate
 
 
 def parse(raw: Any, name: str = "scenario", load_mesh: Callable[[str], np.ndarray] | None = None) -> Scenario:
@@ -217,13 +220,14 @@ def _parsed(
         raise Invalid(reason, ("camera_config",))
     if duration * camera.frame_rate_hz > 1e7:
         raise Invalid(f"must give at most 10 million frames, found {duration:g} s", ("duration_s",))
-    pieces, warnings = [], _extrapolation(camera, name)
+    pieces, warnings = [], [f"{name}: {text}" for text in viewpoint.odd(camera)]
     for index, piece in enumerate(values["furniture"] or ()):
         try:
             pieces.append(furniture.build(piece, load_mesh))
         except Invalid as error:
             raise error.within("furniture", index) from None
     people: list[Person] = []
+    fast: list[str] = []
     for index, item in enumerate(values["people"] or ()):
         try:
             person, odd = _person(item, index, duration, dimensions)
@@ -232,26 +236,15 @@ def _parsed(
         except Invalid as error:
             raise error.within("people", index) from None
         people.append(person)
-        warnings += [f"{name}: people[{index}].{text}" for text in odd]
+        fast += [f"people[{index}].{text}" for text in odd]
+    times = _frame_times(duration, camera.frame_rate_hz)
+    viewpoint.refuse_buried(camera, pieces, people, times)
     solids = furniture.join(pieces)
-    warnings += [f"{name}: {text}" for text in _collisions(people, solids, duration)]
+    oddities = [*_counted(fast, "walks are as fast"), *_collisions(people, solids, duration)]
+    warnings += [f"{name}: {text}" for text in oddities]
     filled = {"name": title, "duration_s": duration, **sections}
     filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
     return Scenario(filled, title, duration, config, solids, tuple(people), tuple(warnings))
-
-
-def _extrapolation(camera: experiment.Camera, name: str) -> list[str]:
-    """Say where the pictures show what the calibration of the camera does not know."""
-    x, y = np.linspace(0, camera.width_px - 1, 65), np.linspace(0, camera.height_px - 1, 65)
-    rays = camera.lens.unproject(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
-    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    trusted, widest = np.rad2deg(camera.theta_trusted), np.rad2deg(np.nanmax(angle, initial=0.0))
-    if widest <= trusted + 0.05:
-        return []
-    return [
-        f"{name}: the pictures are drawn up to {widest:.1f} degrees from the axis; beyond {trusted:.1f} the lens is "
-        "extrapolated, and another one than the real camera's"
-    ]
 
 
 def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -402,18 +395,26 @@ def _arrival(
 
 
 def _collisions(people: Sequence[Person], solids: furniture.Solids, duration: float) -> list[str]:
-    """Return a sentence for each person who walks through furniture, and for each two people who meet."""
+    """Say who walks through furniture and which two people meet: the first ones, and how many others there are."""
     t = np.arange(0.0, duration + 1e-9, 0.1)[:6000]
     tracks = [person.motion.position(t) for person in people]
-    warnings = []
+    crossings: list[str] = []
+    meetings: list[str] = []
     for index, (person, track) in enumerate(zip(people, tracks, strict=True)):
         seats = person.motion.places[person.motion.seated]
         standing = (np.linalg.norm(track[:, None] - seats, axis=-1) > 0.7).all(1)  # one's own chair is no obstacle
         inside = furniture.blocks(solids, track, 0.05, person.height) & standing
         if inside.any():
-            warnings.append(f"people[{index}] walks through furniture at {t[inside.argmax()]:.1f} s")
+            crossings.append(f"people[{index}] walks through furniture at {t[inside.argmax()]:.1f} s")
         for other in range(index):
             near = np.linalg.norm(track - tracks[other], axis=1) < 0.3
             if near.any():
-                warnings.append(f"people[{index}] and people[{other}] meet at {t[near.argmax()]:.1f} s")
-    return warnings
+                meetings.append(f"people[{index}] and people[{other}] meet at {t[near.argmax()]:.1f} s")
+    return [*_counted(crossings, "people do"), *_counted(meetings, "pairs do")]
+
+
+def _counted(sentences: Sequence[str], others: str) -> list[str]:
+    """The first of several sentences that say the same, and how many others there are."""
+    if len(sentences) < 2:
+        return list(sentences)
+    return [f"{sentences[0]}, and {len(sentences) - 1} other {others}"]

@@ -1,6 +1,8 @@
 """Settings of the film that is drawn, and the names of the built-in scenarios. Light: no numpy."""
 
 import dataclasses
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 from avcli.settings import setting
@@ -10,7 +12,7 @@ BUILT_IN = tuple(sorted(path.stem for path in SCENARIOS.glob("*.json")))
 """Names of the built-in scenarios: each is a file of `SCENARIOS`."""
 
 DEPTH_STEPS_M = {"8": 0.02, "16": 1e-4}
-"""Metres of one step of a depth picture by its bits; 8 bits hold 5.1 m, all that the thesis's camera can see."""
+"""The finest step of a depth picture by its bits, m: it holds 5.08 m, all that the thesis's camera can see, or 6.55 m."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,14 +23,25 @@ class Drawing:
         4, "Colour samples per pixel at the outlines of people; 1 draws hard edges, faster.", unit="N", least=1, most=64
     )
     depth_bits: str = setting(
-        "16", "Bits of a depth pixel: 16 in steps of 0.1 mm, 8 in steps of 20 mm.", choices=tuple(DEPTH_STEPS_M)
+        "16",
+        "Bits of a depth pixel: 16 in steps of 0.1 mm, 8 in steps of 20 mm; longer steps where the room is larger.",
+        choices=tuple(DEPTH_STEPS_M),
     )
     shutter_s: float = setting(0.0, "Exposure time, s: motion blur.", unit="S", least=0.0, flag="--shutter")
 
-    @property
-    def depth_step_m(self) -> float:
-        """Metres of one step of a depth picture."""
-        return DEPTH_STEPS_M[self.depth_bits]
+    def depth_step_m(self, farthest: float) -> float:
+        """Metres of one step of a depth picture: the finest one times 1, 2, 5, 10... that holds the farthest distance.
+
+        Args:
+            farthest: m. It is less than the largest number of steps, which stands for "nothing measured".
+        """
+        finest, most = DEPTH_STEPS_M[self.depth_bits], 2 ** int(self.depth_bits) - 2
+        return next(step for step in _rounded_steps(finest) if farthest <= most * step)
+
+
+def _rounded_steps(finest: float) -> Iterator[float]:
+    """1, 2, 5, 10, 20... times the finest step."""
+    return (factor * 10**power * finest for power in itertools.count() for factor in (1, 2, 5))
 
 
 @dataclasses.dataclass(frozen=True)

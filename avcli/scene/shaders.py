@@ -45,6 +45,14 @@ float hit_cone(vec3 d, vec4 ball_a, vec4 ball_b, vec4 bulge, vec3 middle) {
 }
 """
 
+TABLE_LINES = 4096  # of a table's texture; every OpenGL 3.3 has textures of 16384 in practice, 1024 by right
+TABLE = f"""
+// Where a texture holds one part of a row of a table with so many parts a row (see Canvas.table).
+ivec2 table_place(int row, int part, int parts) {{
+    return ivec2(row / {TABLE_LINES} * parts + part, row % {TABLE_LINES});
+}}
+"""
+
 CORNER = """#version 330
 in vec4 rectangle;   // x0, y0, x1, y1 in pixel edges
 uniform vec2 size;
@@ -80,6 +88,7 @@ PEOPLE_FRAGMENT = (
     + """
 flat in vec4 fa, fb, fbulge, fmiddle;
 uniform sampler2D room_depth;
+uniform float far;   // m, beyond all that is drawn
 out vec2 seen;
 void main() {
     vec3 d = ray_of(ivec2(gl_FragCoord.xy));
@@ -89,7 +98,7 @@ void main() {
     float room = texelFetch(room_depth, ivec2(gl_FragCoord.xy), 0).r;
     if (room > 0.0 && t > room) discard;
     seen = vec2(t, fmiddle.w + 1.0);
-    gl_FragDepth = clamp(t / 64.0, 0.0, 1.0);
+    gl_FragDepth = clamp(t / far, 0.0, 1.0);
 }
 """
 )
@@ -225,7 +234,10 @@ void main() {
 """
 )
 
-BASE = """#version 330
+BASE = (
+    "#version 330"
+    + TABLE
+    + """
 uniform sampler2D seen, room_seen, room_colour, shadow, cones, painted;
 uniform float per_step;
 layout(location = 0) out vec4 colour;
@@ -238,13 +250,14 @@ void main() {
     float t = person ? hit.x : texelFetch(room_seen, at, 0).r;
     float steps = floor(t * per_step + 0.5);
     depth = steps < 65535.5 ? uint(steps) : 0u;
-    id = person ? texelFetch(cones, ivec2(3, int(hit.y - 0.5)), 0).w / 255.0 : 0.0;
+    id = person ? texelFetch(cones, table_place(int(hit.y - 0.5), 3, 9), 0).w / 255.0 : 0.0;
     float dark = texture(shadow, gl_FragCoord.xy / vec2(textureSize(seen, 0))).r;
     vec3 room = texelFetch(room_colour, at, 0).rgb * dark;
     colour = vec4(person ? texelFetch(painted, at, 0).rgb : room, 1.0);
     MARK
 }
 """
+)
 
 # Marks outlines in the depth buffer for SMOOTH; put in place of MARK where outlines are antialiased.
 MARK = """
@@ -280,13 +293,13 @@ vec3 lit(vec3 albedo, float gloss, vec3 at, vec3 n, vec3 toward, float open) {
 }
 """
 
-PAINT = """
+PAINT = TABLE + """
 uniform sampler2D seen, cones, balls;
 uniform mat3 to_room;
 uniform vec3 eye;
 out vec4 colour;
 
-vec4 cone_texel(int index, int part) { return texelFetch(cones, ivec2(part, index), 0); }
+vec4 cone_texel(int index, int part) { return texelFetch(cones, table_place(index, part, 9), 0); }
 
 // Distance of p to a cone, its outward gradient, how far along its axis p lies, and the place on its ball there.
 float cone_distance(vec3 p, int index, out vec3 gradient, out float along, out vec3 place) {
@@ -375,10 +388,11 @@ SHADE = LENS + CONE + LIGHT + _LIT + PAINT + SHADE_MAIN
 SMOOTH = (
     LENS
     + CONE
+    + TABLE
     + """
 uniform sampler2D seen, cones, room_seen, room_colour, shadow, painted;
 out vec4 colour;
-vec4 cone_texel(int index, int part) { return texelFetch(cones, ivec2(part, index), 0); }
+vec4 cone_texel(int index, int part) { return texelFetch(cones, table_place(index, part, 9), 0); }
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
     float room = texelFetch(room_seen, at, 0).r;

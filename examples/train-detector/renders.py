@@ -124,9 +124,9 @@ def shots(
         for person in scene.people
     ]
     camera = scene.config.camera
-    artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, 1e-4, 2, context)
+    artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, samples=2, context=context)
     view = View(camera.lens, camera.T_room_camera, (width, height), camera.theta_max, 1)
-    background = artist.room_depth.astype(np.float32) * np.float32(1e-4)
+    background = artist.room_depth.astype(np.float32) * np.float32(artist.depth_step)
     times = np.sort(rng.uniform(0, 10, count))
     bodies = pose(actors, times)
     drawn = artist.prepare(bodies)
@@ -157,7 +157,7 @@ def shots(
             seen = min(len(v) / max(whole, 1), within)
             rows.append((place, top, seen, box, parts, anchor(v, u, parts[0]), index))
         yield Shot(
-            frame.rgb.copy(), frame.depth * np.float32(1e-4), background, view, float(t),
+            frame.rgb.copy(), frame.depth * np.float32(artist.depth_step), background, view, float(t),
             np.array([row[6] for row in rows], int),
             np.array([row[0] for row in rows]).reshape(-1, 2), np.array([row[1] for row in rows]),
             np.array([row[2] for row in rows]), np.array([row[3] for row in rows]).reshape(-1, 4),
