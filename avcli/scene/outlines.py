@@ -22,7 +22,7 @@ _SHEET_SAMPLES = 1 << 26  # of one picture of silhouettes, at most; a single lar
 
 @dataclass
 class Tile:
-    """One person's part (x0, y0, x1, y1) of a picture of silhouettes, and the image place (x, y) of its first sample."""
+    """One person's part (x0, y0, x1, y1) of a sheet, and the image place (x, y) of its first sample."""
 
     person: int
     box: tuple[int, int, int, int]

@@ -12,7 +12,7 @@ BUILT_IN = tuple(sorted(path.stem for path in SCENARIOS.glob("*.json")))
 """Names of the built-in scenarios: each is a file of `SCENARIOS`."""
 
 DEPTH_STEPS_M = {"8": 0.02, "16": 1e-4}
-"""The finest step of a depth picture by its bits, m: it holds 5.08 m, all that the thesis's camera can see, or 6.55 m."""
+"""The finest step of a depth picture by its bits, m: it holds 5.08 m, all that the thesis's camera sees, or 6.55 m."""
 
 
 @dataclasses.dataclass(frozen=True)
