@@ -298,3 +298,18 @@ def test_a_rendered_checkerboard_is_straight_through_the_inverse_lens(context):
         centred = line - line.mean(0)
         offsets.append(centred @ np.linalg.svd(centred)[2][1])
     assert np.sqrt(np.mean(np.concatenate(offsets) ** 2)) < 0.05
+
+
+def test_a_thin_edge_is_lit_alike_wherever_the_grid_of_the_light_falls(context):
+    """The light is computed on every fourth pixel; the edges of these panels are 1 to 3 px thick."""
+    places = [[2.3, 1.6, 0.8], [3.2, 3.2, 1.2], [1.4, 3.0, 0.5]]
+    panels = [{"kind": "panel", "position_m": at, "rotation_deg": 3 * k} for k, at in enumerate(places)]
+
+    def drawn(shift):
+        camera = {**SMALL_KB, "cx_px": SMALL_KB["cx_px"] + shift[0], "cy_px": SMALL_KB["cy_px"] + shift[1]}
+        renderer = renderer_of(scene_of(camera, [], panels), context)
+        rgb = renderer.draw(renderer.prepare(people.pose([], TIMES)), 0).rgb
+        return rgb[shift[1] : 260 + shift[1], shift[0] : 470 + shift[0]].astype(int)
+
+    pictures = np.stack([drawn(shift) for shift in ((0, 0), (2, 2), (1, 3), (3, 1))])
+    assert np.ptp(pictures, axis=0).max() < 20

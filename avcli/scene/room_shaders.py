@@ -216,23 +216,31 @@ uniform sampler2D seen, surface, light;
 uniform int coarse;
 out vec4 colour;
 
-float light_at(vec2 px, int id, vec3 n) {
+// Light from the coarse grid at a pixel that sees the surface `id` at p.
+float light_at(vec2 px, int id, vec3 p, vec3 n) {
     vec2 at = (px + 0.5 - float(coarse / 2) - 0.5) / float(coarse);
     ivec2 base = ivec2(floor(at)), most = textureSize(light, 0) - 1;
     vec2 f = at - vec2(base);
-    float sum = 0.0, weights = 0.0, any_sum = 0.0;
+    float sum = 0.0, weights = 0.0;
     for (int y = -1; y <= 2; ++y) for (int x = -1; x <= 2; ++x) {
         ivec2 other = clamp(base + ivec2(x, y), ivec2(0), most);
         vec2 near2 = max(1.0 - 0.6 * abs(vec2(x, y) - f), 0.02);
         vec4 there = texelFetch(light, other, 0);
         float w = near2.x * near2.y, up = sqrt(max(1.0 - dot(there.zw, there.zw), 0.0));
-        any_sum += there.x / 16.0;
         // One surface's normals that differ in nothing but the sign of z are never seen side by side.
         w *= int(there.y + 0.5) == id && dot(vec3(there.zw, up), vec3(n.xy, abs(n.z))) > 0.9 ? 1.0 : 0.0;
         sum += w * there.x;
         weights += w;
     }
-    return weights > 1e-4 ? sum / weights : any_sum;
+    // A thin face may lie between the samples: then as much of its light is blocked as of its neighbours'. The number
+    // of turns is no constant: a loop that is not unrolled ends at once where no pixel needs it.
+    int turns = weights > 1e-4 ? 0 : coarse * coarse;
+    for (int k = 0; k < turns; ++k) {
+        vec4 there = texelFetch(light, clamp(base + ivec2(k % coarse, k / coarse) - 1, ivec2(0), most), 0);
+        sum += there.x;
+        weights += unblocked(p, vec3(there.zw, sqrt(max(1.0 - dot(there.zw, there.zw), 0.0))));
+    }
+    return sum / max(weights, 1e-4) * (turns > 0 ? unblocked(p, n) : 1.0);
 }
 
 vec3 floor_colour(vec2 p, float blur) {
@@ -274,13 +282,12 @@ vec3 solid_colour(int index, vec3 p) {
 _SHADE = """
 vec3 shade(vec2 px, vec3 d, float t, int id, vec3 n) {
     vec3 p = eye + t * d, base, bent = n;
-    float l = light_at(px, id, n);
+    float l = light_at(px, id, p, n);
     if (id == 5) base = floor_colour(p.xy, 1.2 * t * t / max(eye.z, 0.1) * per_px.x);
     else if (id == 6) base = vec3(0.72);
     else if (id < 5) {
         base = curtain(p, id, bent);
-        float plain = sky(n) + lamp(p, n, 0) + lamp(p, n, 1);
-        l *= (sky(bent) + lamp(p, bent, 0) + lamp(p, bent, 1)) / plain;
+        l *= unblocked(p, bent) / unblocked(p, n);
     } else base = solid_colour(id - 1 - FACES, p);
     return display(base * l);
 }

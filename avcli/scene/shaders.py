@@ -175,6 +175,8 @@ float lamp(vec3 p, vec3 n, int k) {
     float square = dot(way, way);
     return 2.7 * max(dot(n, way) * inversesqrt(square) + 0.08, 0.0) / (square + 1.5);
 }
+// All light where nothing stands before lamps or sky.
+float unblocked(vec3 p, vec3 n) { return sky(n) + lamp(p, n, 0) + lamp(p, n, 1); }
 """
 )
 
@@ -227,7 +229,7 @@ void main() {
     }
     vec4 foot = texelFetch(balls, ivec2(mine.x + 3, 0), 0);
     float fade = smoothstep(0.65, 0.4, distance(foot.xy, p.xy));
-    float all = sky(n) + lamp(p, n, 0) + lamp(p, n, 1);
+    float all = unblocked(p, n);
     float left = open * sky(n) + clear.x * lamp(p, n, 0) + clear.y * lamp(p, n, 1);
     factor = mix(1.0, sqrt(left / all), fade);
 }
@@ -293,7 +295,9 @@ vec3 lit(vec3 albedo, float gloss, vec3 at, vec3 n, vec3 toward, float open) {
 }
 """
 
-PAINT = TABLE + """
+PAINT = (
+    TABLE
+    + """
 uniform sampler2D seen, cones, balls;
 uniform mat3 to_room;
 uniform vec3 eye;
@@ -374,6 +378,7 @@ vec3 shade(vec3 d, float t, int index) {
     return lit(albedo, grain.w, at, n, -(to_room * d), open);
 }
 """
+)
 
 SHADE_MAIN = """
 void main() {
