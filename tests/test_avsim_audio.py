@@ -277,7 +277,7 @@ def test_a_talking_head_looks_where_it_walks(experiment):
 
 def test_absorption_speed_and_temperature(experiment):
     alpha = 0.161 * 4.66 * 4.66 * 3 / (2 * (4.66 * 4.66 + 2 * 4.66 * 3)) / 0.2
-    _, by_time, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.2")
+    _, by_time, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.2", "--absorption-model", "sabine")
     _, by_walls, _ = simulate(experiment, truth(TIMES, walk), "--absorption", str(alpha))
     np.testing.assert_allclose(by_walls[:, : by_time.shape[1]], by_time, atol=1e-6)
     _, cold, _ = simulate(experiment, truth(TIMES, walk), "--temperature", "-10")
@@ -299,7 +299,8 @@ def test_the_reverberation_that_the_walls_really_give_is_said(experiment, model,
 def test_the_thesis_preset_switches_and_ends_in_noise(experiment):
     _, exact, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35")
     _, thesis, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35", "--preset", "thesis")
-    _, again, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35", "--switch", "0.01", "--ism-decay", "15")
+    by_hand = ("--switch", "0.01", "--ism-decay", "15", "--absorption-model", "sabine")
+    _, again, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0.35", *by_hand)
     assert np.array_equal(thesis, again)
     error = 10 * np.log10(np.sum((thesis - exact) ** 2) / np.sum(exact**2))
     assert -20 < error < -6
@@ -474,12 +475,13 @@ def test_options_without_effect_on_the_configured_walls_are_refused(experiment):
 
 
 def test_a_reverberation_time_that_the_room_cannot_have(experiment):
+    model = ("--absorption-model", "sabine")
     _, dry, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
-    _, sound, messages = simulate(experiment, truth(TIMES, walk), "--rt60", "0.1")
+    _, sound, messages = simulate(experiment, truth(TIMES, walk), "--rt60", "0.1", *model)
     refusal = "avsim-audio: T60 0.1 s is too short for this room; the shortest is 0.1056 s"
     assert messages == f"{refusal}; simulated without reverberation\n"
     assert np.array_equal(sound, dry)
-    result = run("avsim-audio", "-C", experiment, "--rt60", "0.1", "--strict", stdin=truth(TIMES, walk))
+    result = run("avsim-audio", "-C", experiment, "--rt60", "0.1", "--strict", *model, stdin=truth(TIMES, walk))
     assert result.returncode == 1
     assert result.stderr == f"{refusal}\n"
 

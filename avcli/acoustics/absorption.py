@@ -93,56 +93,6 @@ def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: Arra
     return absorption
 
 
-def image_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
-    """Return the absorption coefficients with which image sources themselves have a reverberation time, (6,) of energy.
-
-    Image sources decay faster across the room than along its walls, so neither Sabine's nor Eyring's equation holds
-    for them. Sound in the direction u meets the walls of axis i c |uᵢ| / Lᵢ times a second. Its energy is integrated
-    over all directions (E. A. Lehmann and A. M. Johansson, 2008). Bisection finds the absorption whose decay from −5
-    to −35 dB (T30) is the wanted one.
-
-    Args:
-        room_dimensions_m: (3,) m.
-        rt60_s: reverberation time, s.
-        weights: (6,) or a number, relative absorption of the walls.
-
-    Raises:
-        ValueError: walls that absorb everything reverberate longer, or rt60_s is not above 0.
-    """
-    if not rt60_s > 0:
-        raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
-    weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    low, high = 0.0, 0.999 / weights.max()
-    if image_rt60(room_dimensions_m, high * weights) > rt60_s:
-        raise ValueError(f"T60 {rt60_s:g} s is too short for the image sources of this room")
-    for _ in range(30):
-        middle = (low + high) / 2
-        if image_rt60(room_dimensions_m, middle * weights) > rt60_s:
-            low = middle
-        else:
-            high = middle
-    return high * weights
-
-
-def image_rt60(
-    room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
-) -> float:
-    """Return the reverberation time (T30) of image sources, s: see `image_absorption`.
-
-    Args:
-        room_dimensions_m: (3,) m.
-        absorption: (6,) or a number, of energy, above 0 and below 1.
-        speed_of_sound_m_s: m/s.
-    """
-    reflection = np.sqrt(1 - np.broadcast_to(np.asarray(absorption, dtype=float), 6))
-    rates, shares = decay_rates(room_dimensions_m, reflection, speed_of_sound_m_s)
-    times = np.linspace(0, 15 * shares.sum() / (shares * rates).sum(), 200)
-    energy = (np.exp(-np.outer(times, rates)) * shares).sum(axis=1)
-    decibels = 10 * np.log10(energy / energy[0])
-    inside = (decibels <= -5) & (decibels >= -35)
-    return float(-60 / np.polyfit(times[inside], decibels[inside], 1)[0])
-
-
 def decay_rates(
     room_dimensions_m: ArrayLike, reflection: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
 ) -> tuple[np.ndarray, np.ndarray]:

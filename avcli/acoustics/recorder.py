@@ -177,7 +177,7 @@ def hear(
     ((20000, 2), 16000, 4000)
     >>> levels = 20 * np.log10(sound.samples[:8000].std(axis=0) / 2e-5)  # dB SPL; the walk starts near the first one
     >>> levels.round().tolist()
-    [60.0, 57.0]
+    [61.0, 58.0]
 
     Args:
         config: room and microphones.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from avcli.settings import DEFAULT_RT60_S, check, setting
 
 PATTERNS = ("omni", "subcardioid", "cardioid", "hypercardioid", "bidirectional")
-MODELS = ("sabine", "eyring", "image")
+MODELS = ("image", "sabine", "eyring")
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Settings:
         default_text=f"the config's, else {DEFAULT_RT60_S:g}",
     )
     absorption_model: str = setting(
-        "sabine",
-        "How the absorption of the walls follows from the reverberation time: by Sabine's equation, by Eyring's, or "
-        "such that the image sources themselves decay in that time (T30).",
+        "image",
+        "How the absorption of the walls follows from the reverberation time: such that the image sources themselves "
+        "decay in that time (T30), by Sabine's equation, or by Eyring's.",
         choices=MODELS,
     )
     strict: bool = setting(False, "Fail if the room cannot have the reverberation time, instead of a warning.")

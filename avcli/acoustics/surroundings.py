@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.acoustics import absorption as absorptions
+from avcli.acoustics import decay
 from avcli.acoustics.images import MOST_IMAGES, image_count
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.trajectory import Trajectory
@@ -113,8 +114,8 @@ class Surroundings:
         room, absorption = self.room_dimensions_m, 1 - np.asarray(self.reflection) ** 2
         sentences = []
         if ((absorption > 0) & (absorption < 1)).all():
-            decay = absorptions.image_rt60(room, absorption, self.speed_of_sound_m_s)
-            sentences.append(f"image sources between these walls decay by 60 dB in {decay:.3f} s (T30)")
+            seconds = decay.image_rt60(room, absorption, self.speed_of_sound_m_s)
+            sentences.append(f"image sources between these walls decay by 60 dB in {seconds:.3f} s (T30)")
         images = image_count(room, self.reach_m) if (absorption < 1).all() else 1
         sentences.append(
             f"T60 {self.rt60_s:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a "
@@ -211,13 +212,13 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
         rt60 = DEFAULT_RT60_S if room.reverberation_time_s is None else room.reverberation_time_s
     if rt60 == 0:
         return 0.0, np.ones(6)
-    model = {
-        "sabine": absorptions.sabine_absorption,
-        "eyring": absorptions.eyring_absorption,
-        "image": absorptions.image_absorption,
-    }[settings.absorption_model]
+    speed = settings.speed_of_sound_m_s or room.speed_of_sound_m_s
     try:
-        return rt60, model(room.dimensions, rt60)
+        if settings.absorption_model == "image":
+            return rt60, decay.image_absorption(room.dimensions, rt60, speed_of_sound_m_s=speed)
+        if settings.absorption_model == "sabine":
+            return rt60, absorptions.sabine_absorption(room.dimensions, rt60)
+        return rt60, absorptions.eyring_absorption(room.dimensions, rt60)
     except ValueError as error:
         if settings.strict:
             raise

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from avcli.formats.media import Sound
     from avcli.formats.records import Identified
 
-PRESETS = {"thesis": {"switch_s": 0.01, "ism_decay_db": 15.0}}
+PRESETS = {"thesis": {"absorption_model": "sabine", "switch_s": 0.01, "ism_decay_db": 15.0}}
 
 
 def _absorption(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, ...] | None:

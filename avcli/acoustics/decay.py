@@ -1,0 +1,154 @@
+"""How fast the sound of image sources really decays in a shoebox room, and the absorption that gives a wanted time."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from avcli.acoustics.absorption import SABINE, decay_rates, sabine_rt60, volume, wall_areas
+from avcli.acoustics.images import image_count, image_microphones
+from avcli.numeric import SPEED_OF_SOUND_M_S
+
+COUNTED_IMAGES, PAIRS = 2_000, 100
+"""images of a pair of places whose energy is summed one by one, at most, and pairs of places, at least."""
+CELLS = 1 << 13
+"""cells of the squares of the distances of later images."""
+RATIO = 1.1127756842787055
+"""root of x⁷ = x + 1; its powers spread pairs of places evenly (R. L. Kronecker's sequence in six dimensions)."""
+
+
+def image_absorption(
+    room_dimensions_m: ArrayLike,
+    rt60_s: float,
+    weights: ArrayLike = 1.0,
+    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
+) -> np.ndarray:
+    """Return the absorption coefficients with which image sources themselves have a reverberation time, (6,) of energy.
+
+    Image sources decay faster across the room than along its walls, so neither Sabine's nor Eyring's equation holds
+    for them. This is the absorption with which `image_rt60` is the wanted time, found by the secant method.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: reverberation time, s.
+        weights: (6,) or a number, relative absorption of the walls.
+        speed_of_sound_m_s: m/s.
+
+    Raises:
+        ValueError: walls that absorb nearly everything reverberate longer, or rt60_s is not above 0.
+    """
+    if not rt60_s > 0:
+        raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
+    weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
+    decay = _Decay(room_dimensions_m, rt60_s, speed_of_sound_m_s)
+    strongest = 0.99 / weights.max()
+    scale = min(strongest / 2, SABINE * decay.volume / (rt60_s * float(weights @ wall_areas(room_dimensions_m))))
+    low, high = 0.0, np.inf  # walls that absorb too little and too much
+    power, last = -1.0, (0.0, 0.0)  # T60 is about proportional to the absorption to this power
+    while high - low > 1e-4 * scale:
+        time = decay.time(scale * weights)
+        here = np.log(scale), np.log(max(time, 1e-9) / rt60_s)
+        if abs(here[1]) < 1e-3:
+            break
+        low, high = (scale, high) if here[1] > 0 else (low, scale)
+        if low == strongest:
+            raise ValueError(
+                f"T60 {rt60_s:g} s is too short for this room; its image sources decay in {time:.2g} s if the walls "
+                f"absorb 99 %"
+            )
+        if last != (0.0, 0.0) and here[0] != last[0]:
+            power = min((here[1] - last[1]) / (here[0] - last[0]), -0.5)
+        last = here
+        scale = min(scale * np.exp(-here[1] / power), strongest)
+        if not low < scale < high and (low, high) != (0.0, scale):
+            scale = (low + min(high, strongest)) / 2
+    return scale * weights
+
+
+def image_rt60(
+    room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+) -> float:
+    """Return the reverberation time of image sources, s: T30 as the mean over places of source and microphone.
+
+    T30 is fitted to the decay from −5 to −35 dB (ISO 3382-2:2008, with Schroeder's backward integration). The energy of
+    the nearest images is summed one by one for many pairs of places. That of the later ones is the mean over places:
+    the squares of the distances along the three axes add up, so the distribution of their sum is a convolution.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        absorption: (6,) or a number, of energy, above 0 and below 1.
+        speed_of_sound_m_s: m/s.
+    """
+    longest = sabine_rt60(room_dimensions_m, absorption) * SPEED_OF_SOUND_M_S / speed_of_sound_m_s
+    return _Decay(room_dimensions_m, longest, speed_of_sound_m_s).time(absorption)
+
+
+class _Decay:
+    """The energy decay of the image sources of one room, for walls of any absorption.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: about the reverberation time, s.
+        speed_of_sound_m_s: m/s.
+    """
+
+    def __init__(self, room_dimensions_m: ArrayLike, rt60_s: float, speed_of_sound_m_s: float):
+        self._room, self._speed = np.asarray(room_dimensions_m, dtype=float), speed_of_sound_m_s
+        self.volume = volume(self._room)
+        self._end = max(1.3 * rt60_s * speed_of_sound_m_s, 2 * float(np.linalg.norm(self._room)))
+        self._reach = min(self._end, float(np.cbrt(COUNTED_IMAGES * self.volume / (4 / 3 * np.pi))))
+        count = int(np.clip(PAIRS * COUNTED_IMAGES / image_count(self._room, self._reach), PAIRS, 400))
+        margin = np.minimum(0.3, self._room / 8)
+        evenly = (0.5 + np.outer(np.arange(8 * count), RATIO ** -np.arange(1.0, 7))) % 1
+        places = margin + evenly.reshape(-1, 2, 3) * (self._room - 2 * margin)
+        apart = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+        places = places[apart > min(1.0, np.linalg.norm(self._room) / 4)][:count]
+        self._axes = [self._axis(*of_axis) for of_axis in zip(self._room, places.transpose(2, 1, 0), strict=True)]
+        self._pairs = [self._near(pair) for pair in places]
+
+    def _axis(self, length: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return of all images along an axis the squared distances, as cells, and the orders at its two walls."""
+        most = int(self._end / (2 * length)) + 1
+        n, q = np.repeat(np.arange(-most, most + 1), 2), np.tile([0, 1], 2 * most + 1)
+        distances = (1 - 2 * q) * places[1][:, None] + 2 * n * length - places[0][:, None]
+        cells = (CELLS * (distances / self._end) ** 2).ravel().astype(int)
+        inside = cells < CELLS
+        orders = (np.tile(np.abs(order), len(places[0]))[inside] for order in (n - q, n))
+        return (cells[inside], *orders)
+
+    def _near(self, pair: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances of the images of one pair of places within the reach, (n,), and their orders, (6, n)."""
+        coefficients = np.ones(6)
+        images = image_microphones(self._room, pair[1], coefficients, pair[0], self._reach)
+        n = np.rint((images.positions - images.mirrored * pair[1][:, None]) / (2 * self._room[:, None]))
+        orders = np.stack([np.abs(n - (images.mirrored < 0)), np.abs(n)], axis=1).reshape(6, -1)
+        return images.distances(pair[0]), orders
+
+    def time(self, absorption: ArrayLike) -> float:
+        """Return T30, s, the mean over pairs of places; see `image_rt60`."""
+        lost = np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6))
+        edges = np.linspace(0, self._end, 1500)
+        later = self._later(lost, np.maximum(edges, self._reach))
+        times = []
+        for distances, orders in self._pairs:
+            energy = np.exp(lost @ orders) / (4 * np.pi * distances) ** 2
+            begun = np.bincount((distances / edges[1]).astype(int), energy, len(edges))[: len(edges)]
+            level = 10 * np.log10(np.cumsum(begun[::-1])[::-1] + later)
+            first, last = np.searchsorted(-level, [5 - level[0], 35 - level[0]])
+            seconds = edges[first:last] / self._speed
+            if last - first < 2 or level[first] - level[last - 1] < 15:  # the direct sound, and little more
+                times.append(2 * (last - first) * edges[1] / self._speed)
+            else:
+                times.append(-60 / np.polyfit(seconds, level[first:last], 1)[0])
+        return float(np.mean(times))
+
+    def _later(self, lost: np.ndarray, distances: np.ndarray) -> np.ndarray:
+        """Return the energy of all images beyond some distances, (n,), as a mean over places."""
+        spectrum = np.ones(2 * CELLS + 1, complex)
+        for (cells, *orders), of_walls in zip(self._axes, lost.reshape(3, 2), strict=True):
+            gains = np.exp(of_walls[0] * orders[0] + of_walls[1] * orders[1]) / len(self._pairs)
+            spectrum *= np.fft.rfft(np.bincount(cells, gains, CELLS), 4 * CELLS)
+        squares = (np.arange(CELLS) + 1.5) / CELLS * self._end**2  # the floors of three numbers lose 1.5 on average
+        energy = np.maximum(np.fft.irfft(spectrum, 4 * CELLS)[:CELLS], 0.0) / (16 * np.pi**2 * squares)
+        beyond = np.append(np.cumsum(energy[::-1])[::-1], 0.0)
+        rates, shares = decay_rates(self._room, np.exp(lost / 2), self._speed)
+        rest = np.sum(shares * np.exp(-rates * self._end / self._speed)) * self._speed / (4 * np.pi * self.volume)
+        return np.interp(distances**2, np.append(squares, squares[-1] + squares[0] / 1.5), beyond) + rest
