@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from avcli.acoustics import absorption as walls
 from avcli.acoustics import decay
-from avcli.acoustics.images import NEAREST_M, image_count, image_microphones, shoebox_rir
+from avcli.acoustics.images import NEAREST_M, DelaySpectrum, image_count, image_microphones, shoebox_rir
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array(
@@ -69,6 +69,23 @@ def test_pruning_keeps_the_error_that_was_asked_for(error_db, sign):
     pruned = shoebox_rir(ROOM, SOURCE, MICROPHONES[:3], BETA, 16000, 5600, sign=sign, error_db=error_db)
     for one, other in zip(pruned, full, strict=True):
         assert error_db - 6 < decibels(one, other) <= error_db
+
+
+def test_a_larger_error_takes_fewer_images_and_a_shorter_transform(monkeypatch):
+    """So it is never dearer: the cost is that of the images and of the transform."""
+    costs = []
+    call = DelaySpectrum.__call__
+
+    def counted(self, impulses):
+        costs.append((sum(len(delays) for delays, _ in impulses), self.length))
+        return call(self, impulses)
+
+    monkeypatch.setattr(DelaySpectrum, "__call__", counted)
+    for error_db in (-10, -20, -30, -40, -50, -60, -70, None):
+        shoebox_rir(ROOM, SOURCE, MICROPHONES[:2], BETA, 44100, 15435, error_db=error_db)
+    assert costs == sorted(costs)
+    assert costs[0][0] < 0.01 * costs[-1][0]
+    assert costs[-1] == costs[-2] == costs[-3]
 
 
 def test_walls_that_reflect_everything_are_never_cut_short():

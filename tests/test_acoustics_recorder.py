@@ -205,8 +205,13 @@ def test_very_long_reverberation_needs_noise():
     said = []
     surroundings_of(CONFIG, Settings(rt60_s=1.0), say=said.append)
     assert "use --ism-decay 15" in said[0]
-    with pytest.raises(ValueError, match="GiB; use --ism-decay 15"):
-        surroundings_of(CONFIG, Settings(rt60_s=5.0))
+    for rt60 in (5.0, 10.0):
+        with pytest.raises(ValueError, match=r"GiB; use --ism-decay \d+") as refused:
+            surroundings_of(CONFIG, Settings(rt60_s=rt60))
+        advised = float(str(refused.value).split("--ism-decay ")[1].split(",")[0])
+        surroundings_of(CONFIG, Settings(rt60_s=rt60, ism_decay_db=advised), say=said.append)
+    with pytest.raises(ValueError, match="GiB; use a shorter reverberation time"):
+        surroundings_of(CONFIG, Settings(rt60_s=100.0))
 
 
 @pytest.mark.parametrize(

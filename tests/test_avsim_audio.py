@@ -356,7 +356,7 @@ def test_a_microphone_that_moves(experiment, tmp_path):
     expected = np.fft.irfft(np.fft.rfft(beside[2]) * np.exp(-2j * np.pi * frequencies * later), beside.shape[1])
     assert 10 * np.log10(np.sum((sound[2] - expected)[whole] ** 2) / np.sum(expected[whole] ** 2)) < -60
     _, standing, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
-    assert 10 * np.log10(np.sum((sound[5] - standing[5]) ** 2) / np.sum(standing[5] ** 2)) < -80
+    assert 10 * np.log10(np.sum((sound[5] - standing[5]) ** 2) / np.sum(standing[5] ** 2)) < -75
 
 
 def test_pieces_are_the_whole_where_microphones_move(experiment, tmp_path):
@@ -499,9 +499,12 @@ def test_a_mouth_at_a_microphone_and_a_jump(experiment):
         return (MICROPHONES[7] if time < 0.55 else (0.5, 0.5, 1.0)), True
 
     _, sound, messages = simulate(experiment, truth(TIMES, jump))
-    assert messages == "avsim-audio: a person jumped (once); the voice is interrupted there\n"
+    assert messages == (
+        "avsim-audio: a person jumped (once); the voice is interrupted there\n"
+        "avsim-audio: a mouth came within 1 mm of a microphone; it is heard as from that distance\n"
+    )
     assert np.isfinite(sound).all()
-    assert np.abs(sound).max() < 10
+    assert 10 < np.abs(sound).max() < 1000
 
 
 def test_someone_comes_and_goes(experiment):
@@ -518,7 +521,7 @@ def test_reverberation_that_is_too_long(experiment):
     result = run("avsim-audio", "-C", experiment, "--rt60", "5", stdin=truth(TIMES, walk))
     assert result.returncode == 1
     assert "images of each microphone" in result.stderr
-    assert "GiB; use --ism-decay 15" in result.stderr
+    assert "GiB; use --ism-decay 5, which" in result.stderr
     assert result.stderr.count("\n") == 1
     result = run("avsim-audio", "-C", experiment, "--absorption", "0", stdin=truth(TIMES, walk))
     assert result.returncode == 1

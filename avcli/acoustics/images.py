@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike
 from avcli.acoustics.absorption import audible_time, volume
 from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length
 
-NEAREST_M = 0.05
+NEAREST_M = 0.001
 """m; a source nearer to a microphone than this is as loud as at this distance."""
+WHOLE_DB = -55.0
+"""dB; for a smaller error all images are taken, which costs less than a choice among them."""
 MOST_IMAGES = 10_000_000
 """images of one microphone; beyond them a response would take gigabytes and seconds."""
 
@@ -125,18 +127,52 @@ def image_microphones(
     Raises:
         ValueError: there are more than MOST_IMAGES of them.
     """
-    room, microphone, source = (np.asarray(v, dtype=float) for v in (room_dimensions_m, microphone_m, source_m))
-    coefficients = np.asarray(reflection, dtype=float).reshape(3, 2)
-    _refuse_too_many(room, coefficients, reach_m)
-    axes = [_axis(*of_axis, reach_m) for of_axis in zip(room, microphone, coefficients, source, strict=True)]
-    (x, gx, mx), (y, gy, my), (z, gz, mz) = axes
-    square_yz = np.add.outer((y - source[1]) ** 2, (z - source[2]) ** 2).ravel()
-    order = np.argsort(square_yz, kind="stable")
+    (x, gx, mx), (y, gy, my), (z, gz, mz), order, counts = _within(
+        room_dimensions_m, microphone_m, reflection, source_m, reach_m
+    )
     iy, iz = np.divmod(order, len(z))
-    counts = np.searchsorted(square_yz[order], reach_m**2 - (x - source[0]) ** 2, side="right")
     rows = np.concatenate([np.arange(count) for count in counts])
     ix, iy, iz = np.repeat(np.arange(len(x)), counts), iy[rows], iz[rows]
     return Images(np.stack([x[ix], y[iy], z[iz]]), gx[ix] * gy[iy] * gz[iz], np.stack([mx[ix], my[iy], mz[iz]]))
+
+
+def arrivals(
+    room_dimensions_m: ArrayLike, microphone_m: ArrayLike, reflection: ArrayLike, source_m: ArrayLike, reach_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distances, (n,) m, and gains, (n,), of the images of `image_microphones` and nothing else of them.
+
+    This takes a third of the time.
+
+    Args and Raises: as `image_microphones`.
+    """
+    (x, gx, _), (y, gy, _), (z, gz, _), order, counts = _within(
+        room_dimensions_m, microphone_m, reflection, source_m, reach_m
+    )
+    source = np.asarray(source_m, dtype=float)
+    square = np.add.outer((y - source[1]) ** 2, (z - source[2]) ** 2).ravel()[order]
+    gain = np.multiply.outer(gy, gz).ravel()[order]
+    squares = np.concatenate([square[:count] for count in counts])
+    gains = np.concatenate([gain[:count] for count in counts])
+    squares += np.repeat((x - source[0]) ** 2, counts)
+    gains *= np.repeat(gx, counts)
+    return np.sqrt(squares, out=squares), gains
+
+
+_OfAxis = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _within(
+    room_dimensions_m: ArrayLike, microphone_m: ArrayLike, reflection: ArrayLike, source_m: ArrayLike, reach_m: float
+) -> tuple[_OfAxis, _OfAxis, _OfAxis, np.ndarray, np.ndarray]:
+    """Return the images along each axis and which combinations lie within reach: the first of an order, for each x."""
+    room, microphone, source = (np.asarray(v, dtype=float) for v in (room_dimensions_m, microphone_m, source_m))
+    coefficients = np.asarray(reflection, dtype=float).reshape(3, 2)
+    _refuse_too_many(room, coefficients, reach_m)
+    x, y, z = (_axis(*of_axis, reach_m) for of_axis in zip(room, microphone, coefficients, source, strict=True))
+    square_yz = np.add.outer((y[0] - source[1]) ** 2, (z[0] - source[2]) ** 2).ravel()
+    order = np.argsort(square_yz, kind="stable")
+    counts = np.searchsorted(square_yz[order], reach_m**2 - (x[0] - source[0]) ** 2, side="right")
+    return x, y, z, order, counts
 
 
 def _refuse_too_many(room: np.ndarray, reflection: np.ndarray, reach_m: float) -> None:
@@ -259,9 +295,30 @@ class DelaySpectrum:
             np.add.at(grid[k + 1 :], first, spread)
 
 
-@functools.lru_cache(maxsize=2)
+def _audible_end(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> int:
+    """Return the sample after which all energy of a response together is below an error (dB) relative to all of it."""
+    energy = np.bincount(np.rint(delays).astype(np.intp), amplitudes) ** 2
+    later = np.cumsum(energy[::-1])[::-1]
+    return int(np.searchsorted(-later, -(10 ** (error_db / 10)) * later[0])) if len(later) else 0
+
+
+@functools.lru_cache(maxsize=12)
 def _plan(length: int, error_db: float) -> DelaySpectrum:
     return DelaySpectrum(length, error_db=error_db)
+
+
+def _plan_for(num_samples: int, heard: int, error_db: float | None) -> DelaySpectrum:
+    """Return the transform for responses of which the first samples are heard.
+
+    Its kernel is periodic: over four lengths it differs from the sinc by less than -70 dB. A shorter one is enough for
+    a larger error. There are few lengths, so that plans are met again.
+    """
+    length = max(4 * num_samples, 1 << 15)
+    if error_db is None:
+        return _plan(fft_length(length), -80.0)
+    length = min(length, heard + int(128 * max(1.0, 4 ** ((-20 - error_db) / 10))))
+    power = 1 << (length - 1).bit_length()
+    return _plan(3 * power // 4 if length <= 3 * power // 4 else power, error_db - 12)
 
 
 def _checked(
@@ -308,7 +365,7 @@ def shoebox_rir(
         sample_rate_hz, num_samples: Hz; length of the responses.
         speed_of_sound_m_s: m/s.
         sign: −1: a reflection turns the pressure over, and the response has no build-up at low frequencies; +1: not.
-        error_db: the images that can be left out for this relative error (dB, below 0) are left out; None: none are.
+        error_db: the latest images that can be left out for this relative error (dB, below 0) are left out; None: none.
 
     Returns:
         (m, num_samples) float64.
@@ -323,6 +380,8 @@ def shoebox_rir(
         raise ValueError("sample rate, speed of sound and number of samples must be above 0")
     if error_db is not None and not error_db < 0:
         raise ValueError(f"the error must be below 0 dB, not {error_db} dB")
+    if error_db is not None and error_db < WHOLE_DB:
+        error_db = None
     samples_per_m = sample_rate_hz / speed_of_sound_m_s
     reach_m = (num_samples - 1) / samples_per_m
     if error_db is not None:  # the energy after reach_m is small beside that of the faint images that are left out
@@ -330,16 +389,18 @@ def shoebox_rir(
         later_s = audible_time(room, coefficients, error_db - margin_db, speed_of_sound_m_s)
         reach_m = min(reach_m, later_s * speed_of_sound_m_s + float(np.linalg.norm(room)))
     _refuse_too_many(room, coefficients, reach_m)
-    # The FFT's kernel is periodic: over four lengths it differs from the sinc by less than -70 dB, over two by -60.
-    coarse = error_db is not None and error_db > -45
-    spectrum = _plan(fft_length(max((2 if coarse else 4) * num_samples, 1 << 15)), -60.0 if coarse else -80.0)
-    impulses = []
+    impulses, heard = [], num_samples
     for microphone in microphones:
-        images = image_microphones(room, microphone, sign * coefficients, source, reach_m)
-        distances = images.distances(source)
-        delays, amplitudes = distances * samples_per_m, images.amplitudes(distances)
-        if error_db is not None:
-            kept = audible(delays, amplitudes, error_db - 0.8)
-            delays, amplitudes = delays[kept], amplitudes[kept]
+        distances, gains = arrivals(room, microphone, sign * coefficients, source, reach_m)
+        delays, amplitudes = distances * samples_per_m, gains / (4 * np.pi * np.maximum(distances, NEAREST_M))
         impulses.append((delays, amplitudes))
-    return np.fft.irfft(spectrum(impulses), spectrum.length)[:, :num_samples].copy()
+    if error_db is not None:
+        ends = [_audible_end(*of_microphone, error_db - 2) for of_microphone in impulses]
+        early = [delays < end for (delays, _), end in zip(impulses, ends, strict=True)]
+        impulses = [(d[kept], a[kept]) for (d, a), kept in zip(impulses, early, strict=True)]
+        heard = min(max([*ends, 1]), num_samples)
+    spectrum = _plan_for(num_samples, heard, error_db)
+    heard = min(spectrum.length, num_samples)
+    responses = np.zeros((len(microphones), num_samples))
+    responses[:, :heard] = np.fft.irfft(spectrum(impulses), spectrum.length)[:, :heard]
+    return responses

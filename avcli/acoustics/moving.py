@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.acoustics.images import NEAREST_M
 from avcli.acoustics.responses import MARGIN, Responses
 from avcli.acoustics.sampling import Interpolation, Switching
 from avcli.acoustics.surroundings import Surroundings
-from avcli.acoustics.trajectory import cubic
+from avcli.acoustics.trajectory import KNOTS_AROUND, cubic, knot_velocity
 from avcli.numeric import fft_length
 
 
@@ -54,6 +55,7 @@ class MovingSource:
         self._responses = Responses(surroundings, self._length, band, error_db, rng, isinstance(nodes, Switching))
 
         self._knots: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, position, dry signal since the last knot
+        self._next, self._velocity = 1, np.zeros(3)  # the knot to go to, and the velocity where the source is
         self._begin = 0  # the sample that the arrays below begin with
         self._dry, self._path = np.zeros(0), np.zeros(0)  # signal, and where on the path it was emitted, in nodes
         self._travelled = 0.0  # length of the path so far, in nodes
@@ -90,16 +92,18 @@ class MovingSource:
             if time_s <= before or len(dry) != expected:
                 raise ValueError(f"{len(dry)} samples from {before} s to {time_s} s, expected {expected}")
         self._knots.append((time_s, position, dry))
-        if len(self._knots) >= 3:
-            self._go(-2)
-            if len(self._knots) > 3:
+        if self._next + KNOTS_AROUND < len(self._knots):
+            self._go()
+            if self._next > KNOTS_AROUND:
                 del self._knots[0]
+                self._next -= 1
         self._render()
 
     def finish(self) -> None:
         """End the path at the last position; all that is heard of it is then settled."""
         if len(self._knots) >= 2:
-            self._go(-1)
+            while self._next < len(self._knots):
+                self._go()
             self._last = (
                 self._node - 1 if self._path.size == 0 else int(np.ceil(self._path[-1])) + self._nodes.half_width
             )
@@ -112,6 +116,11 @@ class MovingSource:
     def settled(self) -> float:
         """The sample before which the sound does not change any more; infinite when all is settled."""
         return np.inf if self._last == -np.inf else self._pending_begin - MARGIN
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it has been nearer than NEAREST_M to a microphone, which hears it as at that distance."""
+        return self._responses.bounded
 
     @property
     def exhausted(self) -> bool:
@@ -130,25 +139,21 @@ class MovingSource:
         self._heard, self._heard_begin = self._heard[:, drop:], self._heard_begin + drop
         return heard
 
-    def _go(self, to: int) -> None:
-        """Follow the path to one of the last knots: by cubics with mean velocities at the knots (Catmull-Rom)."""
-        knots = self._knots
-        here = len(knots) + to
+    def _go(self) -> None:
+        """Follow the path to the next knot, by a cubic with the velocities of a spline at its ends."""
+        knots, here = self._knots, self._next
+        ends = here == len(knots) - 1
         (t0, p0, _), (t1, p1, dry) = knots[here - 1], knots[here]
-        chord = (p1 - p0) / (t1 - t0)
-
-        def velocity(i: int) -> np.ndarray:
-            if 0 < i < len(knots) - 1:
-                (ta, pa, _), (tb, pb, _), (tc, pc, _) = knots[i - 1 : i + 2]
-                return ((pb - pa) / (tb - ta) * (tc - tb) + (pc - pb) / (tc - tb) * (tb - ta)) / (tc - ta)
-            return chord
-
-        cubic = _Cubic(t0, p0, velocity(here - 1), t1, p1, velocity(here))
+        told = np.array([knot[0] for knot in knots]), np.array([knot[1] for knot in knots])
+        before = knot_velocity(*told, 0) if here == 1 else self._velocity
+        self._velocity = knot_velocity(*told, here)
+        self._next += 1
+        cubic = _Cubic(t0, p0, before, t1, p1, self._velocity)
         rate, nodes = self._surroundings.sample_rate_hz, self._nodes
         first = first_sample(t0, rate)
         times = np.arange(first, first_sample(t1, rate)) / rate
         if len(times) == 0:
-            if to == -1 and self._places:
+            if ends and self._places:
                 beyond = self._beyond(self._travelled)
                 pace = float(self._nodes_a_second(cubic, np.array([t1]))[0])
                 self._add_nodes(cubic, beyond, first / rate + (beyond - self._travelled) / pace)
@@ -161,7 +166,7 @@ class MovingSource:
         if not self._places:
             crossed = np.concatenate([np.arange(1 - nodes.half_width, 0), crossed])
             at = np.concatenate([times[0] + np.arange(1 - nodes.half_width, 0) / (steps[0] * rate), at])
-        if to == -1:
+        if ends:
             beyond = self._beyond(path[-1])
             crossed = np.concatenate([crossed, beyond])
             at = np.concatenate([at, times[-1] + (beyond - path[-2]) / (steps[-1] * rate)])
@@ -176,7 +181,15 @@ class MovingSource:
         heard_s = surroundings.longest_delay / surroundings.sample_rate_hz
         receding = surroundings.fastest_microphone(cubic.t0, cubic.t1 + heard_s)
         speeds = (speeds + receding) / (1 - receding / surroundings.speed_of_sound_m_s)
-        return self._nodes.nodes_a_second(speeds)
+        return self._nodes.nodes_a_second(speeds, self._nearest(cubic, times))
+
+    def _nearest(self, cubic: "_Cubic", times: np.ndarray) -> np.ndarray:
+        """Return the distance of the nearest microphone at times on a part of the path, (n,) m, found every 0.5 ms."""
+        every = max(1, int(0.0005 * self._surroundings.sample_rate_hz))
+        moments = np.append(times[::every], times[-1])
+        away = cubic.position(moments)[:, None] - self._surroundings.microphones_at(moments)
+        distances = np.sqrt((away**2).sum(axis=2).min(axis=1))
+        return np.maximum(np.interp(times, moments, distances), NEAREST_M)
 
     def _beyond(self, end: float) -> np.ndarray:
         """Return the nodes after the end of the path, on which its last samples are interpolated."""

@@ -3,21 +3,67 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from avcli.numeric import SPEED_OF_SOUND_M_S
+from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length
 
 FRAME = 4096
 """samples of a frame of room noise; frames overlap by half."""
 BLOCK = 8192
 """samples of sensor noise that are drawn at a time."""
+MIXED = 1 << 20
+"""coefficients of the matrices that mix diffuse noise, at a time; it bounds the memory."""
 LOWEST_HZ = 50.0
 """Hz; room noise has no power below it, and 3 dB an octave less above it."""
+
+
+def diffuse_mixing(frequencies_hz: ArrayLike, microphones_m: ArrayLike, speed_of_sound_m_s: float) -> np.ndarray:
+    """Return what mixes independent noises to diffuse noise at microphones, (n, m, m): one matrix a frequency.
+
+    The coherence of two microphones at a distance d is then sin(k d) / (k d), k = 2π f / c (E. A. P. Habets and
+    S. Gannot, 2007), as where sound comes equally from all directions.
+
+    Args:
+        frequencies_hz: (n,) Hz.
+        microphones_m: (m, 3) m.
+        speed_of_sound_m_s: m/s.
+    """
+    microphones, frequencies = np.asarray(microphones_m, dtype=float), np.asarray(frequencies_hz, dtype=float)
+    distances = np.linalg.norm(microphones[:, None] - microphones[None], axis=2)
+    coherence = np.sinc(2 * frequencies[:, None, None] * distances / speed_of_sound_m_s)
+    return np.linalg.cholesky(coherence + 1e-9 * np.eye(len(microphones)))
+
+
+def diffuse_noise(
+    count: int,
+    microphones_m: ArrayLike,
+    sample_rate_hz: float,
+    speed_of_sound_m_s: float,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Return white diffuse noise of variance 1 at microphones, (m, count); see `diffuse_mixing`.
+
+    Args:
+        count: samples.
+        microphones_m: (m, 3) m.
+        sample_rate_hz: Hz.
+        speed_of_sound_m_s: m/s.
+        rng: draws it.
+    """
+    microphones = np.asarray(microphones_m, dtype=float)
+    length = fft_length(count)
+    spectra = np.fft.rfft(rng.standard_normal((len(microphones), length)))
+    frequencies = np.fft.rfftfreq(length, 1 / sample_rate_hz)
+    at_once = max(1, MIXED // len(microphones) ** 2)
+    for first in range(0, len(frequencies), at_once):
+        part = slice(first, first + at_once)
+        mixing = diffuse_mixing(frequencies[part], microphones, speed_of_sound_m_s)
+        spectra[:, part] = (mixing @ spectra[:, part].T[:, :, None])[:, :, 0].T
+    return np.fft.irfft(spectra, length)[:, :count]
 
 
 class Noise:
     """Noise at microphones, the same to the last bit in pieces of any length.
 
-    Sensor noise is white and independent. Room noise is pink and comes equally from all directions: the coherence of
-    two microphones at a distance d is sin(k d) / (k d), k = 2π f / c (E. A. P. Habets and S. Gannot, 2007).
+    Sensor noise is white and independent. Room noise is pink and diffuse; see `diffuse_mixing`.
 
     Args:
         microphones_m: (m, 3) m.
@@ -40,9 +86,7 @@ class Noise:
         microphones = np.asarray(microphones_m, dtype=float)
         self._count, self._sensor_pa, self._room_pa, self._seed = len(microphones), sensor_pa, room_pa, seed
         frequencies = np.fft.rfftfreq(FRAME, 1 / sample_rate_hz)
-        distances = np.linalg.norm(microphones[:, None] - microphones[None], axis=2)
-        coherence = np.sinc(2 * frequencies[:, None, None] * distances / speed_of_sound_m_s)
-        self._mixing = np.linalg.cholesky(coherence + 1e-9 * np.eye(self._count))
+        self._mixing = diffuse_mixing(frequencies, microphones, speed_of_sound_m_s)
         power = np.where(frequencies >= LOWEST_HZ, LOWEST_HZ / np.maximum(frequencies, LOWEST_HZ), 0.0)
         self._shape = np.sqrt(power * FRAME**2 / (4 * power.sum()))
         self._window = np.sin(np.pi * (np.arange(FRAME) + 0.5) / FRAME)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from avcli.acoustics.images import NEAREST_M
 from avcli.acoustics.noise import Noise
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.signals import pascal, source_signal
@@ -126,6 +127,8 @@ class Recorder:
             self._say(f"a mouth on a wall or outside the room was moved inside ({_times(moved)})")
         if jumps := self._speakers.jumps:
             self._say(f"a person jumped ({_times(jumps)}); the voice is interrupted there")
+        if self._speakers.bounded:
+            self._say(f"a mouth came within {1000 * NEAREST_M:g} mm of a microphone; it is heard as from that distance")
 
     def pieces(self) -> Iterator[np.ndarray]:
         """Yield the sound that is settled and not yet taken, (≤ PIECE, m) Pa each."""

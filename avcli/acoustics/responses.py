@@ -3,6 +3,7 @@
 import numpy as np
 
 from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, image_microphones
+from avcli.acoustics.noise import diffuse_noise
 from avcli.acoustics.surroundings import MOTION_STEP_S, STRIDE_M, Surroundings
 from avcli.numeric import fft_length
 
@@ -21,10 +22,12 @@ class Responses:
         band: highest frequency that the signal holds, cycles a sample.
         error_db: numerical error, dB.
         rng: draws the noise that continues the images; None: without.
-        fresh: draw it anew for each position, as gpuRIR does; otherwise it stays the same, as in one room.
+        fresh: draw it anew for each position and microphone, as gpuRIR does; otherwise it stays the same, as in a
+            room, and is diffuse: near microphones hear similar noise.
 
     Attributes:
         bins: number of bins that a spectrum has.
+        bounded: whether the source has been nearer than NEAREST_M to a microphone, which hears it as at that distance.
     """
 
     def __init__(
@@ -46,6 +49,7 @@ class Responses:
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
         self._levels = np.zeros(len(surroundings.microphones_m))
+        self.bounded = False
         self._noise: np.ndarray | None = None
 
     def at(self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> np.ndarray:
@@ -91,10 +95,13 @@ class Responses:
             rate, decay = self._surroundings.sample_rate_hz, 3 * np.log(10) / self._surroundings.rt60_s
             count = self._tail_end - self._tail_begin
             envelope = np.exp(-decay * (np.arange(count) / rate + TAIL_REFERENCE_S / 2))
+            if self._fresh:  # as gpuRIR: logistic, and independent at each microphone
+                noise = rng.logistic(scale=np.sqrt(3) / np.pi, size=(len(self._levels), count))
+            else:
+                s = self._surroundings
+                noise = diffuse_noise(count, s.microphones_m, rate, s.speed_of_sound_m_s, rng)
             tail = np.zeros((len(self._levels), self._length))
-            tail[:, self._tail_begin + MARGIN :][:, :count] = envelope * rng.logistic(
-                scale=np.sqrt(3) / np.pi, size=(len(self._levels), count)
-            )
+            tail[:, self._tail_begin + MARGIN :][:, :count] = envelope * noise
             self._noise = np.fft.rfft(tail)[:, : self.bins]
         return self._noise * self._levels[:, None]
 
@@ -106,7 +113,10 @@ class Responses:
         reference = TAIL_REFERENCE_S * s.sample_rate_hz
         last = amplitudes[delays > self._tail_begin - reference]
         self._levels[microphone] = np.sqrt(np.sum(last**2) / reference)
-        return images if s.error_db is None else images[audible(delays, amplitudes, s.error_db)]
+        if s.error_db is None:
+            return images
+        far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
+        return images[audible(delays, amplitudes * far, s.error_db)]
 
     def _arrivals(
         self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray
@@ -119,6 +129,7 @@ class Responses:
         else:
             images = images.moved(moved[0]) if moved[0].any() else images
             distances = images.distances(position)
+        self.bounded |= bool((distances < NEAREST_M).any())
         amplitudes = images.amplitudes(distances)
         a = 1.0 if s.directivities is None else s.directivities[microphone]
         if a != 1 or s.source_directivity != 1:

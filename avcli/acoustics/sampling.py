@@ -14,6 +14,8 @@ from avcli.numeric import SPEED_OF_SOUND_M_S
 
 SLOWEST_M_S = 0.3
 """m/s; nodes are at least as frequent as at this speed, so that turning round is followed in time."""
+NODES_TO_MICROPHONE = 5.0
+"""nodes, at least, on a way as long as the distance to the nearest microphone."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,14 @@ class Interpolation:
         """Length of the window of a node at 1 m/s, s."""
         return 2 * self.half_width * self.spacing_m
 
-    def nodes_a_second(self, speeds_m_s: np.ndarray) -> np.ndarray:
-        """Return how many nodes a second a source passes at these speeds, (n,)."""
-        return np.sqrt(speeds_m_s**2 + SLOWEST_M_S**2) / self.spacing_m
+    def nodes_a_second(self, speeds_m_s: np.ndarray, nearest_m: np.ndarray) -> np.ndarray:
+        """Return how many nodes a second a source passes, (n,).
+
+        Args:
+            speeds_m_s: (n,) m/s.
+            nearest_m: (n,) m, distance of the nearest microphone: close to it the sound changes within that distance.
+        """
+        return np.sqrt(speeds_m_s**2 + SLOWEST_M_S**2) / np.minimum(self.spacing_m, nearest_m / NODES_TO_MICROPHONE)
 
     def weights(self, places: np.ndarray) -> np.ndarray:
         """Return the weights at places relative to a node, (n,) in units of the spacing: (n,)."""
@@ -107,8 +114,8 @@ class Switching:
         """Length of the window of a node, s."""
         return self.step_s
 
-    def nodes_a_second(self, speeds_m_s: np.ndarray) -> np.ndarray:
-        """Return how many nodes a second a source passes at these speeds, (n,)."""
+    def nodes_a_second(self, speeds_m_s: np.ndarray, nearest_m: np.ndarray) -> np.ndarray:
+        """Return how many nodes a second a source passes at these speeds, (n,), at whatever distance."""
         return np.full(len(speeds_m_s), 1 / self.step_s)
 
     def weights(self, places: np.ndarray) -> np.ndarray:

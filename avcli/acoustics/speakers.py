@@ -88,6 +88,7 @@ class Speakers:
         self._finished = False
         self.time: float | None = None
         self.moved_inside = self.jumps = 0
+        self._bounded = False
 
     def step(self, people: Identified) -> np.ndarray:
         """Take the people's positions at a time, and whose turn it is from then on.
@@ -138,10 +139,16 @@ class Speakers:
         now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz) - MARGIN
         return min([now, *(source.settled for _, source in self._sources)])
 
+    @property
+    def bounded(self) -> bool:
+        """Whether a mouth was nearer than NEAREST_M to a microphone, which hears it as at that distance."""
+        return self._bounded or any(source.bounded for _, source in self._sources)
+
     def take(self, begin: int, end: int) -> np.ndarray:
         """Return and forget the sound at the microphones from sample `begin` to before `end`, (m, n) Pa."""
         heard = np.zeros((len(self._surroundings.microphones_m), end - begin))
         for group, source in self._sources:
+            self._bounded |= source.bounded
             heard[group.channels] += source.take(begin, end)[group.copies]
         self._sources = [(group, source) for group, source in self._sources if not source.exhausted]
         return heard

@@ -27,6 +27,8 @@ MOTION_STEP_S = 0.001
 COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
 """s of computing for each microphone and each second of a voice that moves at 1 m/s, for each image of the microphone,
 and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
+AFFORDABLE_IMAGES = 300_000
+"""images of a microphone with which --ism-decay is advised."""
 LONG_S, MANY_IMAGES = 20.0, 1_000_000
 """s of computing for a second of a moving voice, and images of a microphone; the user is warned of more."""
 MOST_SAMPLES = 1 << 25
@@ -95,19 +97,23 @@ class Surroundings:
         """Return a speed that no microphone exceeds from one time to another, m/s."""
         return max((path.fastest(begin_s, end_s) for path in self.trajectories if path is not None), default=0.0)
 
+    def microphones_at(self, times_s: np.ndarray) -> np.ndarray:
+        """Return where the microphones are at k times, (k, m, 3) m; (1, m, 3) where no microphone ever moves."""
+        if not any(self.trajectories):
+            return self.microphones_m[None]
+        positions = np.repeat(self.microphones_m[None], len(times_s), axis=0)
+        for microphone, path in enumerate(self.trajectories):
+            if path is not None:
+                positions[:, microphone] = path.at(times_s)
+        return positions
+
     def microphones_from(self, time_s: float) -> np.ndarray:
         """Return where the microphones are while a sound that is emitted at a time is heard, (k, m, 3) m.
 
         There is one position for every MOTION_STEP_S; k is 1 where no microphone ever moves.
         """
-        if not any(self.trajectories):
-            return self.microphones_m[None]
         count = int(np.ceil(self.longest_delay / self.sample_rate_hz / MOTION_STEP_S)) + 2
-        positions = np.repeat(self.microphones_m[None], count, axis=0)
-        for microphone, path in enumerate(self.trajectories):
-            if path is not None:
-                positions[:, microphone] = path.at(time_s + MOTION_STEP_S * np.arange(count))
-        return positions
+        return self.microphones_at(time_s + MOTION_STEP_S * np.arange(count))
 
     def described(self) -> list[str]:
         """Return sentences about the decay of sound here: T60, absorption, number of images, Schroeder frequency."""
@@ -226,6 +232,13 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
         return 0.0, np.ones(6)
 
 
+def affordable_decay(surroundings: Surroundings) -> float:
+    """Return how far image sources can be followed with AFFORDABLE_IMAGES of each microphone, whole dB, at most 15."""
+    reach_m = np.cbrt(AFFORDABLE_IMAGES / image_count(surroundings.room_dimensions_m, 1.0))
+    heard_m = max(surroundings.rt60_s * surroundings.speed_of_sound_m_s, reach_m)
+    return float(np.floor(min(15.0, 60 * reach_m / heard_m)))
+
+
 def _check_cost(images: float, surroundings: Surroundings, settings: Settings, say: Callable[[str], None]) -> None:
     """Refuse what takes too much memory, and warn of what takes long.
 
@@ -236,8 +249,10 @@ def _check_cost(images: float, surroundings: Surroundings, settings: Settings, s
         say: called with the warning.
     """
     what = f"T60 {surroundings.rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
-    remedy = "use --ism-decay 15" if settings.ism_decay_db is None else "use a smaller --ism-decay"
-    remedy += ", which follows the strong images and continues with noise"
+    affordable = affordable_decay(surroundings)
+    remedy = f"use --ism-decay {affordable:g}, which follows the strong images and continues with noise"
+    if affordable < 1:
+        remedy = "use a shorter reverberation time"
     if images > MOST_IMAGES:
         raise ValueError(f"{what}, about {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {remedy}")
     samples, microphones = surroundings.longest_delay, len(np.unique(surroundings.microphones_m, axis=0))

@@ -1,4 +1,4 @@
-"""The paths of moving microphones."""
+"""The paths of speakers and microphones that move."""
 
 import functools
 from collections.abc import Iterable
@@ -11,6 +11,8 @@ from avcli.formats.records import Identified
 
 FASTEST_M_S = 20.0
 """m/s; a faster speaker has jumped, and a faster microphone is refused."""
+KNOTS_AROUND = 3
+"""positions before and after one that decide on the velocity there."""
 
 
 def cubic(
@@ -29,9 +31,42 @@ def cubic(
     )
 
 
+def knot_velocity(times_s: ArrayLike, positions_m: ArrayLike, knot: int) -> np.ndarray:
+    """Return the velocity at a knot of a smooth path through positions, (3,) m/s; 0 beside two equal positions.
+
+    It is that of the cubic spline through the knot and up to KNOTS_AROUND positions before and after it: a head that
+    sways at 2 Hz and is told at 10 Hz is then 0.1 mm from its path where mean velocities (Catmull-Rom) leave 0.6 mm.
+
+    Args:
+        times_s: (k,) s, increasing.
+        positions_m: (k, 3) m.
+        knot: index.
+    """
+    first = max(knot - KNOTS_AROUND, 0)
+    times = np.asarray(times_s, dtype=float)[first : knot + KNOTS_AROUND + 1]
+    positions = np.asarray(positions_m, dtype=float)[first : knot + KNOTS_AROUND + 1]
+    here, count = knot - first, len(times)
+    if count < 2:
+        return np.zeros(3)
+    steps = np.diff(times)
+    chords = np.diff(positions, axis=0) / steps[:, None]
+    if not chords[max(here - 1, 0) : here + 1].any(axis=1).all():
+        return np.zeros(3)
+    slopes = np.zeros((count, count))
+    wanted = np.empty((count, 3))
+    for row, end, beside in ((0, 0, 1), (count - 1, -1, count - 2)):  # the first and last parts are parabolas
+        slopes[row, [row, beside]] = 1.0
+        wanted[row] = 2 * chords[end]
+    inner = np.arange(1, count - 1)
+    before, after = steps[:-1], steps[1:]
+    slopes[inner, inner - 1], slopes[inner, inner], slopes[inner, inner + 1] = after, 2 * (before + after), before
+    wanted[1:-1] = 3 * (after[:, None] * chords[:-1] + before[:, None] * chords[1:])
+    return np.linalg.solve(slopes, wanted)[here] if count > 2 else chords[0]
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The path of a microphone: cubics in time through its positions, with mean velocities there (Catmull-Rom).
+    """The path of a microphone: cubics in time through its positions, with the velocities of a spline there.
 
     It rests between two times with the same position, before the first time and after the last.
 
@@ -61,15 +96,8 @@ class Trajectory:
 
     @functools.cached_property
     def _velocities(self) -> np.ndarray:
-        if len(self.times_s) < 2:
-            return np.zeros_like(self.positions_m)
-        steps = np.diff(self.times_s)[:, None]
-        chords = np.diff(self.positions_m, axis=0) / steps
-        inner = (chords[:-1] * steps[1:] + chords[1:] * steps[:-1]) / (steps[1:] + steps[:-1])
-        velocities = np.concatenate([chords[:1], inner, chords[-1:]])
-        rests = ~chords.any(axis=1)
-        velocities[:-1][rests] = velocities[1:][rests] = 0.0
-        return velocities
+        count = len(self.times_s)
+        return np.array([knot_velocity(self.times_s, self.positions_m, knot) for knot in range(count)])
 
     @functools.cached_property
     def _fastest(self) -> np.ndarray:
