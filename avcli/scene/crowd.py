@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from avcli.scene import furniture
-from avcli.scene.layout import Spot
+from avcli.scene.layout import BELOW_CAMERA_M, LOW_CAMERA_M, Spot
 
 _APART_M = 0.5  # that two walkers keep, less in a crowd
 _CLEAR_M = 0.3  # that a walker keeps from furniture and walls
@@ -26,6 +26,7 @@ class Ground:
         solids: the furniture.
         size: (3,) of the room, m.
         doors: of room_config.
+        camera: (3,) m; nobody walks below one that is low.
         generator: of all chance.
 
     Attributes:
@@ -35,7 +36,7 @@ class Ground:
 
     def __init__(
         self, solids: furniture.Solids, size: tuple[float, float, float], doors: list[dict[str, Any]],
-        generator: np.random.Generator,
+        camera: tuple[float, float, float], generator: np.random.Generator,
     ) -> None:  # fmt: skip
         self.size = np.array(size[:2])
         shape = np.ceil(self.size / _PITCH_M).astype(int)
@@ -43,6 +44,8 @@ class Ground:
         places = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
         walls = np.minimum(places, self.size - places).min(-1) >= _CLEAR_M
         self.grid = walls & ~furniture.blocks(solids, places.reshape(-1, 2), _CLEAR_M, 2.0).reshape(shape)
+        if camera[2] < LOW_CAMERA_M:
+            self.grid &= np.linalg.norm(places - np.array(camera[:2]), axis=-1) > BELOW_CAMERA_M
         ways = [_doorway(door, size) for door in doors]
         ways = [(inside, outside) for inside, outside in ways if self.open(inside[None])[0]]
         self.outside = np.array([outside for _, outside in ways]).reshape(-1, 2)

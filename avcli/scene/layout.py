@@ -1,5 +1,6 @@
 """Furniture and clutter drawn by chance for each kind of room, and the seats and places that people take there."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,11 +11,14 @@ from avcli.scene.rooms import Size
 
 _DOOR_M = 1.2  # in front of a door that stays free
 _GAP_M = 0.06  # of furniture to the wall
+LOW_CAMERA_M, BELOW_CAMERA_M = 2.5, 0.45
+"""m; nobody stands nearer than the second below a camera lower than the first."""
 _TRIES = 40
 _WOODS = ((0.72, 0.53, 0.34), (0.56, 0.40, 0.26), (0.36, 0.24, 0.16), (0.80, 0.78, 0.74), (0.32, 0.33, 0.34),
           (0.62, 0.52, 0.42))  # fmt: skip
 _CLOTHS = ((0.12, 0.13, 0.15), (0.20, 0.25, 0.36), (0.36, 0.36, 0.37), (0.34, 0.16, 0.15), (0.18, 0.29, 0.24),
            (0.52, 0.46, 0.38), (0.62, 0.60, 0.57))  # fmt: skip
+_MACHINES = ((0.30, 0.42, 0.38), (0.55, 0.56, 0.55), (0.22, 0.27, 0.36), (0.62, 0.55, 0.35), (0.16, 0.17, 0.18))
 _BRIGHTS = ((0.75, 0.16, 0.13), (0.86, 0.62, 0.12), (0.14, 0.36, 0.62), (0.18, 0.46, 0.27), (0.85, 0.84, 0.80))
 
 
@@ -127,7 +131,14 @@ class Frame:
         )
 
 
-def furnish(name: str, size: Size, people: int, doors: list[dict[str, Any]], generator: np.random.Generator) -> Layout:
+def furnish(
+    name: str,
+    size: Size,
+    people: int,
+    doors: list[dict[str, Any]],
+    camera: tuple[float, float, float],
+    generator: np.random.Generator,
+) -> Layout:
     """Furnish a room.
 
     Args:
@@ -135,6 +146,7 @@ def furnish(name: str, size: Size, people: int, doors: list[dict[str, Any]], gen
         size: (3,) m.
         people: how many will be there.
         doors: of room_config; the floor before them stays free.
+        camera: (3,) m; nothing high stands below it, and nobody below a low one.
         generator: of all chance.
 
     Returns:
@@ -145,8 +157,13 @@ def furnish(name: str, size: Size, people: int, doors: list[dict[str, Any]], gen
         wall, at, wide = door["wall"], door["at_m"], door["width_m"] / 2 + 0.2
         off = 0.0 if wall[1] == "0" else size[0 if wall[0] == "x" else 1]
         layout.taken.append((off, at, _DOOR_M, wide) if wall[0] == "x" else (at, off, wide, _DOOR_M))
+    if name != "meeting":
+        layout.taken.append((camera[0], camera[1], 0.3, 0.3))
     _FURNISHERS[name](layout, people)
     _strew(layout, int(generator.integers(1, 4)) + int(size[0] * size[1] / 30))
+    if camera[2] < LOW_CAMERA_M:
+        layout.seats = [spot for spot in layout.seats if math.dist(spot.place, camera[:2]) > BELOW_CAMERA_M]
+        layout.stands = [spot for spot in layout.stands if math.dist(spot.place, camera[:2]) > 2 * BELOW_CAMERA_M]
     return layout
 
 
@@ -373,7 +390,7 @@ def _workshop(layout: Layout, people: int) -> None:
         at = layout.free((0.7, 0.6), 0.2)
         if at is not None:
             a, b, c = (round(float(v), 2) for v in g.uniform([0.7, 0.6, 0.8], [1.2, 1.0, 1.8]))
-            layout.put("box", at, 0, 0, 0.0, c / 2, size_m=[a, b, c], material="metal", color=layout.one_of(_BRIGHTS))
+            layout.put("box", at, 0, 0, 0.0, c / 2, size_m=[a, b, c], material="metal", color=layout.one_of(_MACHINES))
             layout.put(
                 "box", at, a / 2, 0, 0.0, 0.7 * c, size_m=[0.03, 0.3, 0.2], material="plastic", color=[0.1, 0.1, 0.1]
             )

@@ -61,10 +61,11 @@ def random_world(
     camera = random_camera(g_camera, size, known, wishes.lens, wishes.camera_height)
     t60 = round(float(g_room.uniform(*KINDS[kind].t60)), 2)
     surfaces = random_surfaces(g_room, kind, size, doors)
-    layout = furnish(kind, size, wishes.people, doors, g_things)
+    eye = camera["camera_position_m"]
+    layout = furnish(kind, size, wishes.people, doors, eye, g_things)
     people = [_person(number, kind, g_people) for number in range(wishes.people)]
     solids = furniture.join([furniture.build(furniture.PIECE.read(piece), None) for piece in layout.pieces])
-    crowd = Crowd.of(wishes.people, Ground(solids, size, doors, g_places), duration, g_places)
+    crowd = Crowd.of(wishes.people, Ground(solids, size, doors, eye, g_places), duration, g_places)
     _settle(crowd, layout, people, kind, solids)
     groups = _talking(crowd, people, g_talk)
     for person, points, turns in zip(

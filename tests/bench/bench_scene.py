@@ -26,7 +26,7 @@ import numpy as np
 
 from avcli import pose
 from avcli.formats import media
-from avcli.scene import mesh, people, render, scenario
+from avcli.scene import mesh, people, render, scenario, worlds
 
 T = TypeVar("T")
 REAL, VIRTUAL = scenario.CAMERAS["real"], scenario.CAMERAS["thesis"]
