@@ -43,7 +43,14 @@ class Ground:
         x, y = (np.arange(n) * _PITCH_M + _PITCH_M / 2 for n in shape)
         places = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
         walls = np.minimum(places, self.size - places).min(-1) >= _CLEAR_M
-        self.grid = walls & ~furniture.blocks(solids, places.reshape(-1, 2), _CLEAR_M, 2.0).reshape(shape)
+        self.grid = walls
+        far = np.linalg.norm(solids.half, axis=1) + _CLEAR_M
+        low = np.clip(np.floor((solids.centre[:, :2] - far[:, None]) / _PITCH_M), 0, shape).astype(int)
+        high = np.clip(np.ceil((solids.centre[:, :2] + far[:, None]) / _PITCH_M), 0, shape).astype(int)
+        for k, ((x0, y0), (x1, y1)) in enumerate(zip(low, high, strict=True)):  # what is near each
+            window = places[x0:x1, y0:y1]
+            hit = furniture.blocks(solids[k : k + 1], window.reshape(-1, 2), _CLEAR_M, 2.0)
+            self.grid[x0:x1, y0:y1] &= ~hit.reshape(window.shape[:2])
         if camera[2] < LOW_CAMERA_M:
             self.grid &= np.linalg.norm(places - np.array(camera[:2]), axis=-1) > BELOW_CAMERA_M
         ways = [_doorway(door, size) for door in doors]

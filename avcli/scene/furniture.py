@@ -103,20 +103,25 @@ class Solids:
     def __len__(self) -> int:
         return len(self.kind)
 
+    def __getitem__(self, which: slice | np.ndarray) -> "Solids":
+        return Solids(*(getattr(self, name)[which] for name in _FIELDS))
+
 
 def join(solids: Sequence[Solids]) -> Solids:
     """Join several Solids, or none, into one."""
     empty = Solids(
         np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3))
     )
-    names = ("kind", "centre", "axes", "half", "material", "colour")
-    return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in names))
+    return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in _FIELDS))
+
+
+_FIELDS = ("kind", "centre", "axes", "half", "material", "colour")
 
 
 def blockers(solids: Solids) -> Solids:
     """Return what casts shadows in the room: the solids, and instead of meshes a box within each mesh's bounds."""
     kept = solids.kind != TRIANGLE
-    plain = Solids(*(getattr(solids, f)[kept] for f in ("kind", "centre", "axes", "half", "material", "colour")))
+    plain = solids[kept]
     boxes = []
     for start, end in _runs(~kept):
         corners = np.concatenate([solids.centre[start:end], *solids.axes[start:end, :2].transpose(1, 0, 2)])
@@ -231,11 +236,13 @@ def _chair(place: np.ndarray, axes: np.ndarray, material: int, colour: np.ndarra
 
 def _several(rows: Sequence[pieces.Solid], place: np.ndarray, axes: np.ndarray, main: int) -> Solids:
     """The solids of a piece, whose foot is at its place."""
-    centres = np.array([row[1] for row in rows]) @ axes + place
-    materials_of = [MATERIALS.index(row[3]) if row[3] else main for row in rows]
+    cos, sin = np.cos([row.turn for row in rows]), np.sin([row.turn for row in rows])
+    none = np.zeros(len(rows))
+    turned = np.stack([[cos, sin, none], [-sin, cos, none], [none, none, none + 1]]).transpose(2, 0, 1)
+    named = [MATERIALS.index(row.material) if row.material else main for row in rows]
     return Solids(
-        np.array([row[0] for row in rows]), centres, np.repeat(axes[None], len(rows), 0),
-        np.array([row[2] for row in rows], float), np.array(materials_of), np.array([row[4] for row in rows], float),
+        np.array([row.kind for row in rows]), np.array([row.centre for row in rows]) @ axes + place, turned @ axes,
+        np.array([row.half for row in rows]), np.array(named), np.array([row.colour for row in rows]),
     )  # fmt: skip
 
 

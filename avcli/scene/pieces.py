@@ -1,7 +1,9 @@
 """Furniture and clutter made of several solids: office chairs, sofas, shelves, screens, plants, bags, coats, cables."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +13,20 @@ MAIN = ""
 """In place of a material: that which the piece names."""
 
 Rgb = tuple[float, float, float]
-Solid = tuple[int, tuple[float, float, float], tuple[float, float, float], str, Rgb]
-"""Kind, centre and half sizes in m in the piece's own frame (its foot at 0, it faces +x), material, colour."""
+
+
+class Solid(NamedTuple):
+    """Kind, centre and half sizes in m in the piece's own frame (its foot at 0, it faces +x), material, colour.
+
+    `turn` is by how much it is turned about the vertical, rad.
+    """
+
+    kind: int
+    centre: tuple[float, float, float]
+    half: tuple[float, float, float]
+    material: str
+    colour: Rgb
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -31,17 +45,19 @@ _BLACK: Rgb = (0.05, 0.05, 0.055)
 _LEAVES = ((0.16, 0.30, 0.12), (0.22, 0.38, 0.16), (0.12, 0.24, 0.11))
 
 
-def _box(x: float, y: float, z: float, a: float, b: float, c: float, material: str, colour: Rgb) -> Solid:
+def _box(
+    x: float, y: float, z: float, a: float, b: float, c: float, material: str, colour: Rgb, turn: float = 0.0
+) -> Solid:
     """A box by its middle and its size."""
-    return BOX, (x, y, z), (a / 2, b / 2, c / 2), material, colour
+    return Solid(BOX, (x, y, z), (a / 2, b / 2, c / 2), material, colour, turn)
 
 
 def _post(x: float, y: float, z: float, radius: float, height: float, material: str, colour: Rgb) -> Solid:
-    return CYLINDER, (x, y, z), (radius, radius, height / 2), material, colour
+    return Solid(CYLINDER, (x, y, z), (radius, radius, height / 2), material, colour)
 
 
 def _ball(x: float, y: float, z: float, radius: float, material: str, colour: Rgb) -> Solid:
-    return BALL, (x, y, z), (radius, radius, radius), material, colour
+    return Solid(BALL, (x, y, z), (radius, radius, radius), material, colour)
 
 
 def _office_chair(size: Sequence[float], colour: Rgb) -> list[Solid]:
@@ -55,9 +71,10 @@ def _office_chair(size: Sequence[float], colour: Rgb) -> list[Solid]:
         solids.append(_box(-0.02, 0.44 * b * side, 0.66, 0.26, 0.05, 0.03, PLASTIC, _BLACK))
         solids.append(_box(-0.02, 0.44 * b * side, 0.56, 0.04, 0.03, 0.18, PLASTIC, _BLACK))
     for k in range(5):
-        angle = 2 * np.pi * k / 5
-        x, y = 0.26 * np.cos(angle), 0.26 * np.sin(angle)
-        solids += [_ball(0.5 * x, 0.5 * y, 0.08, 0.028, PLASTIC, _BLACK), _ball(x, y, 0.035, 0.035, PLASTIC, _BLACK)]
+        angle = 2 * math.pi * k / 5
+        x, y = 0.27 * math.cos(angle), 0.27 * math.sin(angle)
+        solids.append(_box(0.5 * x, 0.5 * y, 0.09, 0.27, 0.045, 0.035, PLASTIC, _BLACK, angle))
+        solids.append(_ball(x, y, 0.04, 0.035, PLASTIC, _BLACK))
     return solids
 
 
@@ -149,25 +166,20 @@ def _tower(size: Sequence[float], colour: Rgb) -> list[Solid]:
 def _papers(size: Sequence[float], colour: Rgb) -> list[Solid]:
     """Sheets that lie across each other."""
     a, b, c = size
-    return [
-        _box(0.03 * ((k * 3) % 4) - 0.04, 0.025 * ((k * 5) % 4) - 0.04, c * (k + 0.5) / 3, a, b, c / 3, MAIN,
-             (colour[0] - 0.04 * k, colour[1] - 0.04 * k, colour[2] - 0.05 * k))
-        for k in range(3)
-    ]  # fmt: skip
+    tones = [(colour[0] - 0.04 * k, colour[1] - 0.04 * k, colour[2] - 0.05 * k) for k in range(3)]
+    places = ((-0.03, 0.0, 0.1), (0.05, -0.05, -0.5), (0.0, 0.06, 0.9))
+    return [_box(x, y, c * (k + 0.5) / 3, a, b, c / 3, MAIN, tones[k], turn) for k, (x, y, turn) in enumerate(places)]
 
 
 def _cable(size: Sequence[float], colour: Rgb) -> list[Solid]:
     """A cable that winds over the floor, of short straight pieces."""
     a, b, c = size
-    x = np.linspace(-a / 2, a / 2, 13)
-    y = b / 2 * np.sin(5.3 * x / a * 2 + 1.0) * np.cos(2.1 * x / a * 2)
-    solids: list[Solid] = []
-    for k in range(12):
-        dx, dy = x[k + 1] - x[k], y[k + 1] - y[k]
-        xm, ym = (x[k] + x[k + 1]) / 2, (y[k] + y[k + 1]) / 2
-        solids.append(_box(xm, y[k], c / 2, abs(dx) + c, c, c, MAIN, colour))
-        solids.append(_box(x[k + 1], ym, c / 2, c, abs(dy) + c, c, MAIN, colour))
-    return solids
+    x = np.linspace(-a / 2, a / 2, 17)
+    y = b / 2 * np.sin(10.6 * x / a + 1.0) * np.cos(4.2 * x / a)
+    dx, dy = np.diff(x), np.diff(y)
+    pieces = zip((x[:-1] + dx / 2).tolist(), (y[:-1] + dy / 2).tolist(), np.hypot(dx, dy).tolist(),
+                 np.arctan2(dy, dx).tolist(), strict=True)  # fmt: skip
+    return [_box(u, v, c / 2, length + c, c, c, MAIN, colour, turn) for u, v, length, turn in pieces]
 
 
 def _bag(size: Sequence[float], colour: Rgb) -> list[Solid]:
@@ -202,9 +214,11 @@ def _plant(size: Sequence[float], colour: Rgb) -> list[Solid]:
     for k in range(16):
         angle, high = 2.39996 * k, pot + (c - pot) * (0.25 + 0.7 * k / 15)
         reach = 0.42 * a * (1.0 - 0.5 * k / 15)
-        x, y = reach * np.cos(angle), reach * np.sin(angle)
+        x, y = reach * math.cos(angle), reach * math.sin(angle)
         solids.append(_ball(x, y, high, 0.14 * a + 0.03 * a * (k % 3), "foliage", _LEAVES[k % 3]))
-        solids.append(_box(1.3 * x, 1.3 * y, high - 0.03, 0.16 * a, 0.10 * a, 0.01, "foliage", _LEAVES[(k + 1) % 3]))
+        solids.append(
+            _box(1.3 * x, 1.3 * y, high - 0.03, 0.3 * a, 0.08 * a, 0.01, "foliage", _LEAVES[(k + 1) % 3], angle)
+        )
     return solids
 
 
