@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from conftest import ROOT, run
 
-from avcli.scene import crowd, furniture, mesh, scenario, sensor
+from avcli.scene import film, furniture, mesh, scenario, sensor, worlds
+from avcli.scene.doorways import is_inside
 from avcli.scene.people import LOOKS
-from avcli.scene.settings import Effects
+from avcli.scene.settings import LENSES, ROOM_KINDS, Effects
 
 SCHEMA = json.loads((ROOT / "avcli" / "formats" / "schemas" / "scenario.schema.json").read_bytes())
 GOOD = {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0]}]}]}
@@ -50,7 +51,7 @@ def point(**keys):
         (point(speed_m_s=0), '"people[0].waypoints[1].speed_m_s" must be a number from 1e-6 to 1e6, found 0'),
         (point(speed_m_s=1, t_s=2), '"people[0].waypoints[1]" has t_s and speed_m_s; only one of them is possible'),
         (point(t_s=0), '"people[0].waypoints[1].t_s" must be after the previous waypoint, 0 s, found 0'),
-        (point(pose="lie"), '"people[0].waypoints[1].pose" must be one of stand, sit, found "lie"'),
+        (point(pose="fly"), '"people[0].waypoints[1].pose" must be one of stand, sit, table, '),
         (point(stay_s=-1), '"people[0].waypoints[1].stay_s" must be a number from 0 to 1e11'),
         (
             point(position_m=[1.0, 1.0]),
@@ -75,7 +76,7 @@ def point(**keys):
         ({"duration_s": -1}, 's.json: "duration_s" must be a number from 0 to 1e11'),
         ({"duration_s": 1e9}, 's.json: "duration_s" must give at most 10 million frames, found 1e+09 s'),
         ({"furniture": [{}]}, '"furniture[0].kind" is missing'),
-        ({"furniture": [{"kind": "sofa"}]}, 's.json: "furniture[0].kind" must be one of table'),
+        ({"furniture": [{"kind": "throne"}]}, 's.json: "furniture[0].kind" must be one of table'),
         ({"furniture": [{"kind": "box", "position_m": [1, 1, 1]}]}, '"furniture[0].size_m" is missing'),
         ({"furniture": [{"kind": "box", "position_m": [1, 1, 1], "size_m": [1, 1, 0]}]}, 'size_m" must be a list'),
         ({"furniture": [{"kind": "sphere", "position_m": [1, 1, 1]}]}, '"furniture[0].radius_m" is missing'),
@@ -140,29 +141,61 @@ def test_another_camera_replaces_the_lens_whole():
     assert scenario.parse(scenario.at_height({}, 2.8)).config.camera.T_room_camera[2, 3] == 2.8
 
 
-@pytest.mark.parametrize("count", [0, 1, 6])
-def test_random_scenarios_are_valid_and_seeded(count):
-    one, two = (crowd.random(count, 8.0, np.random.default_rng(3)) for _ in range(2))
+def world(people, duration, seed, **wishes):
+    wish = worlds.Wishes(people, **wishes)
+    return worlds.random_world(wish, duration, np.random.default_rng(seed), scenario.CAMERAS)
+
+
+@pytest.mark.parametrize(("count", "kind"), list(zip([0, 1, 6, 9, 12, 4], ROOM_KINDS, strict=True)))
+def test_random_worlds_are_valid_and_seeded(count, kind):
+    one, two = (world(count, 8.0, 3, kind=kind) for _ in range(2))
     assert one == two
-    assert one != crowd.random(count, 8.0, np.random.default_rng(4))
+    assert one != world(count, 8.0, 4, kind=kind)
     scene = scenario.parse(json.loads(json.dumps(one)))
     assert len(scene.people) == count
     assert scene.warnings == ()
+    assert (scene.config.room.dimensions[:2] >= 3.0).all()
+    assert (scene.config.room.dimensions[:2] <= 30.0).all()
     for person in scene.people:
         assert person.motion.times[-1] >= 8.0
-        assert 1.5 <= person.height <= 1.95
+        assert 0.9 <= person.height <= 2.0
 
 
-@pytest.mark.parametrize("count", [4, 10, 25])
+def test_wishes_are_met_and_leave_the_rest_of_the_world_alone():
+    free = world(5, 2.0, 8)
+    for lens in LENSES:
+        fixed = world(5, 2.0, 8, lens=lens)
+        assert {**fixed, "camera_config": None} == {**free, "camera_config": None}
+    small = world(2, 2.0, 8, room=(4.0, 3.0, 2.5), kind="living", camera_height=2.3)
+    assert small["room_config"]["room_dimensions_m"] == [4.0, 3.0, 2.5]
+    assert small["camera_config"]["camera_position_m"][2] == 2.3
+
+
+def test_looks_are_drawn_for_everybody():
+    looks = [json.dumps(person["look"]) for seed in range(4) for person in world(12, 1.0, seed)["people"]]
+    assert len(set(looks)) == len(looks)
+
+
+@pytest.mark.parametrize("count", [10, 100])
 def test_nobody_meets_in_a_random_crowd(count):
-    scene = scenario.parse(crowd.random(count, 20.0, np.random.default_rng(5)))
+    scene = scenario.parse(world(count, 5.0, 5, kind="hall"))
     assert scene.warnings == ()  # of meetings and of furniture
-    t = np.arange(0.0, 20.0, 0.05)
+    t = np.arange(0.0, 5.0, 0.05)
     tracks = np.array([person.motion.position(t) for person in scene.people])
+    outside = ~is_inside(tracks, scene.config.room.dimensions)
     away = np.linalg.norm(tracks[:, None] - tracks[None], axis=3) + np.eye(count)[:, :, None]
-    assert away.min() > (0.48 if count <= 10 else 0.3)
-    walked = np.linalg.norm(np.diff(tracks, axis=1), axis=2).sum(axis=1)
-    assert np.median(walked) > 5.0
+    assert away[~(outside[:, None] | outside)].min() > 0.4
+
+
+def test_people_come_and_go_through_doors_and_are_in_the_truth_while_inside():
+    doors = [{"wall": "x0", "at_m": 2.0}]
+    way = [{"position_m": [-1.0, 2.0]}, {"position_m": [2.0, 2.0]}]
+    raw = {"duration_s": 3.0, "room_config": {"doors": doors}, "people": [{"waypoints": way}]}
+    truth = [len(record.positions) for record in film.simulate(raw, video=False).truth]
+    assert truth == [0] * 11 + [1] * 20
+    for place in ([-1.0, 3.0], [-1.0, -1.0], [5.0, 2.0]):
+        with pytest.raises(scenario.ScenarioError, match=r"outside the room .* through a door"):
+            scenario.parse({**raw, "people": [{"waypoints": [{"position_m": place}, way[1]]}]})
 
 
 def test_meshes(tmp_path):
@@ -263,11 +296,11 @@ def test_the_schema_takes_what_the_parser_takes():
     assert len(built_in) == 4
     for path in [*built_in, *examples]:
         check.validate(json.loads(path.read_bytes()))
-    check.validate(crowd.random(9, 5.0, np.random.default_rng(3)))
+    check.validate(world(9, 5.0, 3))
     check.validate(scenario.parse(GOOD).raw)
     check.validate(dict.fromkeys(scenario.SCENARIO.content.keys))
     assert scenario.parse(dict.fromkeys(scenario.SCENARIO.content.keys)).people == ()
-    assert SCHEMA["properties"]["people"]["items"]["properties"]["look"]["enum"] == [*LOOKS, None]
+    assert SCHEMA["properties"]["people"]["items"]["properties"]["look"]["anyOf"][0] == {"enum": [*LOOKS]}
 
 
 @pytest.mark.parametrize(

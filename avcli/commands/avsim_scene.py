@@ -11,12 +11,13 @@ import click
 
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
-from avcli.scene.settings import BUILT_IN, Drawing, Effects
+from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, Drawing, Effects
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
     from avcli.scene.film import Film
     from avcli.scene.scenario import Scenario
+    from avcli.scene.worlds import Wishes
 
 PICTURES = ("frames", "masks", "coco", "sheet", *settings_of(Drawing), *settings_of(Effects))  # what only they need
 PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
@@ -45,6 +46,9 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @click.option(
     "--people", type=click.IntRange(0, 250), default=3, show_default=True, help="Number of people in a random scenario."
 )
+@click.option("--kind", type=click.Choice(ROOM_KINDS), help="Kind of the room of a random scenario; default: drawn.")
+@click.option("--room", metavar="WxDxH", help="Size of the room of a random scenario, m, as 6x4x2.8; default: drawn.")
+@click.option("--lens", type=click.Choice(LENSES), help="Lens of a random scenario; default: drawn.")
 @click.option("--duration", type=click.FloatRange(0), metavar="S", help="Length of the scene, s, instead of its own.")
 @click.option(
     "--masks", is_flag=True, help="Write video/masks/Mask_frame_<t>.png: the person of each pixel, 0 for none."
@@ -111,10 +115,10 @@ def _scenario(session: Session, source: str, options: dict[str, Any]) -> Scenari
     from avcli.scene import load
 
     if source != load.RANDOM:
-        refuse_without_effect(["people"], "on a scenario that is not random")
+        refuse_without_effect(["people", "kind", "room", "lens"], "on a scenario that is not random")
     if source in (*BUILT_IN, load.RANDOM):
         name = source
-        raw = load.named(name, seed=session.seed, people=options["people"], duration=options["duration"])
+        raw = load.named(name, session.seed, _wishes(session, options), options["duration"])
     elif source != "-" and not Path(source).exists():
         session.usage(load.unknown(source))
     else:
@@ -130,6 +134,21 @@ def _scenario(session: Session, source: str, options: dict[str, Any]) -> Scenari
         camera_config=None if given is None else _json(session, given, given),
         camera_height=options["camera_height"],
     )
+
+
+def _wishes(session: Session, options: dict[str, Any]) -> Wishes:
+    from avcli.scene.worlds import Wishes
+
+    room = None
+    if options["room"] is not None:
+        try:
+            x, y, z = (float(side) for side in options["room"].lower().split("x"))
+        except ValueError:
+            session.usage(f"--room must be three lengths in m, as 6x4x2.8; found {options['room']}")
+        if not (all(2.0 <= side <= 100.0 for side in (x, y)) and 2.0 <= z <= 30.0):
+            session.usage(f"--room must be 2 to 100 m long and wide, and 2 to 30 m high; found {options['room']}")
+        room = x, y, z
+    return Wishes(options["people"], options["kind"], room, options["lens"], options["camera_height"])
 
 
 def _json(session: Session, path: str, name: str) -> Any:

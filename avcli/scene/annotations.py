@@ -6,6 +6,7 @@ import numpy as np
 
 from avcli import pose
 from avcli.formats.experiment import Camera
+from avcli.scene.doorways import is_inside
 from avcli.scene.people import KEYPOINTS, Bodies, speaking
 from avcli.scene.render import Frame
 from avcli.scene.scenario import Scenario
@@ -14,7 +15,7 @@ _SURFACE_M = 0.15  # by which a joint lies behind the surface that is seen, at m
 
 
 def truth(scenario: Scenario, bodies: Bodies, index: int, frame: Frame | None = None) -> dict[str, Any]:
-    """Make the ground-truth record of one time, without the paths of its media.
+    """Make the ground-truth record of one time, without the paths of its media; who is outside the room is not in it.
 
     Args:
         scenario: whose people they are.
@@ -27,6 +28,8 @@ def truth(scenario: Scenario, bodies: Bodies, index: int, frame: Frame | None = 
     objects = []
     for number, person in enumerate(scenario.people):
         place = person.motion.position(np.array([time]))[0]
+        if not is_inside(place, scenario.config.room.dimensions):
+            continue
         item = {
             "object_id": person.object_id,
             "position": [float(place[0]), float(place[1]), 0.0],

@@ -83,7 +83,10 @@ class Canvas:
             "lamps": [(0.28 * x, 0.5 * y, z), (0.72 * x, 0.5 * y, z)], "coarse": COARSE, "samples": samples,
         }  # fmt: skip
         self._rays = self.ctx.texture(self.size, 4 if "tangent" in self._lens else 2, dtype="f4")
-        self.fill(self.program(shaders.FLAT_VERTEX, shaders.RAYS), self.ctx.framebuffer([self._rays]))
+        self.fill(
+            self.program(shaders.FLAT_VERTEX, shaders.RAYS, circle=camera.circle or (0, 0, 0)),
+            self.ctx.framebuffer([self._rays]),
+        )
         self.use_rays()
 
     def use_rays(self) -> None:

@@ -9,7 +9,8 @@ from typing import TypedDict
 
 import numpy as np
 
-from avcli.scene.person import EYES, HAIR, KNIT, LEATHER, SKIN, Colour, Look, rgb
+from avcli.scene.garments import garments
+from avcli.scene.person import EYES, FOLDED, HAIR, KNIT, LEATHER, SKIN, Colour, Person, rgb
 from avcli.scene.skeleton import FOOT, Arm, Head, Leg, Skeleton, hip_offset, unit_vector
 
 _TOUCHING = 4  # cones whose surfaces blend with one cone's, at most
@@ -57,21 +58,16 @@ class _Surface(TypedDict):
     front: np.ndarray
 
 
-def dress(bones: Skeleton, look: Look, height: float) -> list[Part]:
-    """Put cones around a skeleton.
-
-    Args:
-        bones: at n times.
-        look: clothes, hair, build.
-        height: of the person, m.
-    """
-    dressed = _Dress(look, bones)
+def dress(bones: Skeleton, person: Person) -> list[Part]:
+    """Put cones around a skeleton at n times: the person's body, clothes and what they carry."""
+    dressed = _Dress(person, bones)
     dressed.trunk()
     for side, leg in enumerate(bones.legs):
-        dressed.leg(leg, side, height)
+        dressed.leg(leg, side, bones.height)
     for side, arm in enumerate(bones.arms):
         dressed.arm(arm, side)
     dressed.head(bones.head)
+    dressed.garments(person)
     return dressed.parts
 
 
@@ -112,8 +108,13 @@ def shadow_balls(bones: Skeleton) -> np.ndarray:
 class _Dress:
     """Collects the parts of one person."""
 
-    def __init__(self, look: Look, bones: Skeleton) -> None:
-        self.look, self.bones, self.unit = look, bones, bones.unit
+    def __init__(self, person: Person, bones: Skeleton) -> None:
+        self.look, self.bones, self.unit = person.look, bones, bones.unit
+        look, folds = person.look, FOLDED if person.look.folds else 0
+        self.cloth, self.legwear = look.cloth | folds, look.legwear | folds
+        worn = (look.cloth, look.shirt) if look.jacket is None else (KNIT, look.jacket)
+        self.sleeve, self.sleeve_colour = worn[0] | folds, worn[1]
+        self.sleeve_end = look.sleeve if look.jacket is None else 2.0
         self.parts: list[Part] = []
 
     def add(
@@ -144,24 +145,25 @@ class _Dress:
         trunk, unit, look = self.bones.trunk, self.unit, self.look
         g, w = look.girth, look.shoulders
         front, up = trunk.chest_front, trunk.chest_up
-        shirt = _Surface(group="shirt", material=look.cloth, colour=look.shirt, front=front)
-        hips = _Surface(group="legs", material=look.legwear, colour=look.trousers, front=trunk.pelvis_front)
+        shirt = _Surface(group="shirt", material=self.cloth, colour=look.shirt, front=front)
+        hips = _Surface(group="legs", material=self.legwear, colour=look.trousers, front=trunk.pelvis_front)
         side = hip_offset(trunk, unit)
         self.add(trunk.pelvis + side, trunk.pelvis - side, 0.094 * g, 0.094 * g, hips, trunk.pelvis_front, 0.9)
         self.add(trunk.pelvis + 0.03 * _Z, trunk.waist, 0.142 * g, 0.136 * g, shirt, front, 0.74)
         self.add(trunk.waist, trunk.chest, 0.136 * g, 0.158 * w, shirt, front, 0.70)
         self.add(trunk.chest, trunk.chest + 0.07 * unit * up, 0.158 * w, 0.125 * w, shirt, front, 0.68)
+        yoke = _Surface(group="shirt", material=self.sleeve, colour=self.sleeve_colour, front=front)
         for sign, arm in zip((-1, 1), self.bones.arms, strict=True):
             inner = trunk.neck + sign * 0.05 * unit * trunk.chest_left - 0.015 * unit * up
-            self.add(inner, arm.shoulder, 0.05, 0.056 * w, shirt, front, 0.9)
+            self.add(inner, arm.shoulder, 0.05, 0.056 * w, yoke, front, 0.9)
 
     def leg(self, leg: Leg, side: int, height: float) -> None:
         """Add thigh, shin and shoe."""
         unit, look, length = self.unit, self.look, FOOT * height
-        cloth = _Surface(group="legs", material=look.legwear, colour=look.trousers, front=self.bones.trunk.pelvis_front)
+        cloth = _Surface(group="legs", material=self.legwear, colour=look.trousers, front=self.bones.trunk.pelvis_front)
         self.add(leg.hip, leg.knee, 0.088 * look.girth, 0.057, cloth)
         middle = leg.knee + 0.3 * (leg.ankle - leg.knee) - 0.012 * unit * leg.forward
-        shin = _Surface(group="legs", material=look.legwear, colour=look.trousers, front=leg.forward)
+        shin = _Surface(group="legs", material=self.legwear, colour=look.trousers, front=leg.forward)
         self.add(leg.knee, middle, 0.056, 0.056, shin, beyond=look.skin)
         self.add(middle, leg.ankle, 0.055, 0.043, shin, beyond=look.skin, split=look.legs - 1.0)
         shoe = _Surface(group=f"shoe{side}", material=LEATHER, colour=look.shoes, front=leg.forward)
@@ -173,14 +175,22 @@ class _Dress:
     def arm(self, arm: Arm, side: int) -> None:
         """Add upper arm, forearm and hand; the sleeve ends where the look says."""
         look, front = self.look, self.bones.trunk.chest_front
-        sleeve = _Surface(group="shirt", material=look.cloth, colour=look.shirt, front=front)
-        self.add(arm.shoulder, arm.elbow, 0.057 * look.shoulders, 0.044, sleeve, beyond=look.skin, split=look.sleeve)
-        if look.sleeve <= 1.0:
+        sleeve = _Surface(group="shirt", material=self.sleeve, colour=self.sleeve_colour, front=front)
+        end = self.sleeve_end
+        self.add(arm.shoulder, arm.elbow, 0.057 * look.shoulders, 0.044, sleeve, beyond=look.skin, split=end)
+        if end <= 1.0:
             sleeve = _Surface(group=f"arm{side}", material=SKIN, colour=look.skin, front=front)
         middle = arm.elbow + 0.35 * (arm.wrist - arm.elbow)
         self.add(arm.elbow, middle, 0.042, 0.041, sleeve, beyond=look.skin)
-        self.add(middle, arm.wrist, 0.041, 0.029, sleeve, beyond=look.skin, split=(look.sleeve - 1.35) / 0.65)
+        self.add(middle, arm.wrist, 0.041, 0.029, sleeve, beyond=look.skin, split=(end - 1.35) / 0.65)
         self.hand(arm, side)
+
+    def garments(self, person: Person) -> None:
+        """Add what is worn over shirt and trousers, and what is carried."""
+        for item in garments(self.bones, person.look, person.carries, wheelchair=person.wheelchair):
+            surface = _Surface(group=item.group, material=item.material, colour=item.colour, front=item.front)
+            self.unit = self.bones.head.unit if item.group == "hat" else self.bones.unit
+            self.add(item.a, item.b, item.ra, item.rb, surface, item.flat_axis, item.flat)
 
     def hand(self, arm: Arm, side: int) -> None:
         """Add palm, fingers and thumb."""
@@ -208,6 +218,7 @@ class _Dress:
         trunk, at = self.bones.trunk, head.at
         skin = _Surface(group="head", material=SKIN, colour=self.look.skin, front=head.front)
         self.add(trunk.neck - 0.02 * self.unit * trunk.chest_up, head.base, 0.058, 0.053, skin)
+        self.unit = head.unit
         self.add(at(*_SKULL[0]), at(*_SKULL[1]), 0.083, 0.079, skin, head.left, 0.90)
         self.add(at(0.03, 0, 0.0), at(0.052, 0, -0.083), 0.066, 0.034, skin, head.left, 0.95)
         self.add(at(0.02, 0, -0.045), at(0.045, 0, -0.085), 0.058, 0.036, skin)
@@ -256,7 +267,7 @@ def _strands(cut: str) -> Iterator[tuple[_Point, _Point, float, float, float]]:
         return
     yield (-0.028, 0, 0.028), (0.012, 0, 0.036), 0.083 + thick, 0.073 + thick, 0.92
     yield (-0.034, 0, 0.005), (-0.030, 0, -0.035), 0.076 + thick, 0.062 + thick, 0.93
-    if cut in ("short", "beard", "ponytail", "long", "bun"):
+    if cut in ("short", "beard", "ponytail", "long", "bun", "bob"):
         yield (0.045, 0.035, 0.066), (0.052, -0.035, 0.066), 0.030, 0.030, 1.0
     if cut == "beard":
         yield (0.062, 0.032, -0.075), (0.062, -0.032, -0.075), 0.030, 0.030, 1.0
@@ -268,6 +279,12 @@ def _strands(cut: str) -> Iterator[tuple[_Point, _Point, float, float, float]]:
             yield (0.015, side * 0.058, 0.02), (-0.02, side * 0.066, -0.10), 0.032, 0.030, 1.0
     if cut == "bun":
         yield (-0.105, 0, 0.06), (-0.118, 0, 0.066), 0.040, 0.036, 1.0
+    if cut == "bob":
+        yield (-0.040, 0, -0.02), (-0.050, 0, -0.085), 0.082, 0.078, 1.0
+        for side in (-1, 1):
+            yield (0.015, side * 0.056, 0.02), (0.0, side * 0.064, -0.075), 0.034, 0.032, 1.0
+    if cut == "afro":
+        yield (-0.035, 0, 0.035), (-0.005, 0, 0.045), 0.125, 0.115, 1.0
     if cut == "ponytail":
         yield (-0.10, 0, 0.045), (-0.125, 0, 0.03), 0.022, 0.026, 1.0
         yield (-0.125, 0, 0.03), (-0.125, 0, -0.15), 0.030, 0.014, 1.0

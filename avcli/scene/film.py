@@ -89,7 +89,7 @@ class Film:
         """
         raw = self.scenario.raw
         camera = dict(raw["camera_config"])
-        camera["theta_max_valid_deg"] = math.degrees(self.scenario.config.camera.lens.theta_max)
+        camera.setdefault("theta_max_valid_deg", math.degrees(self.scenario.config.camera.lens.theta_max))
         if self._renderer:
             camera |= {"depth_kind": "radial", "depth_step_m": self._renderer.depth_step}
         if background:

@@ -10,6 +10,7 @@ from avcli import materials
 from avcli.formats import bounds
 from avcli.formats.room_keys import COLOR, MATERIAL
 from avcli.formats.schema import Invalid, Key, Numbers, Object, Text, Variants
+from avcli.scene import pieces
 
 BOX, CYLINDER, BALL, TRIANGLE = range(4)
 PAINT, WOOD, PLASTIC, METAL, CLOTH, CARD = range(6)
@@ -19,6 +20,7 @@ MATERIALS = (*_PLAIN, *(name for name in materials.table() if name not in _PLAIN
 _LARGEST_MESH = 200_000
 _GREY, _WOOD = (0.62, 0.63, 0.62), (0.72, 0.53, 0.34)
 _LENGTH = bounds.LENGTH
+_STEP_OVER_M = 0.05  # rugs, cables, papers: they stand in nobody's way
 
 
 def _kind(place: tuple[int, str], material: str, turns: str = "", **own: Key) -> Object:
@@ -60,6 +62,15 @@ PIECE = Variants(
             path=Key(Text(), "path of a file that trimesh reads, relative to the scenario's file", required=True),
             scale=Key(_LENGTH, "length of its unit, m", default=1.0),
         ),
+        **{
+            name: _kind(
+                (3, f"of the foot of {kind.text}"),
+                kind.material,
+                f"{_TURNS}; at 0 it faces +x",
+                size_m=Key(Numbers(3, _LENGTH), _SIZE, default=list(kind.size)),
+            )
+            for name, kind in pieces.KINDS.items()
+        },
     }
 )
 """Every kind of furniture that a scenario may have, with its keys."""
@@ -92,20 +103,25 @@ class Solids:
     def __len__(self) -> int:
         return len(self.kind)
 
+    def __getitem__(self, which: slice | np.ndarray) -> "Solids":
+        return Solids(*(getattr(self, name)[which] for name in _FIELDS))
+
 
 def join(solids: Sequence[Solids]) -> Solids:
     """Join several Solids, or none, into one."""
     empty = Solids(
         np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3))
     )
-    names = ("kind", "centre", "axes", "half", "material", "colour")
-    return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in names))
+    return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in _FIELDS))
+
+
+_FIELDS = ("kind", "centre", "axes", "half", "material", "colour")
 
 
 def blockers(solids: Solids) -> Solids:
     """Return what casts shadows in the room: the solids, and instead of meshes a box within each mesh's bounds."""
     kept = solids.kind != TRIANGLE
-    plain = Solids(*(getattr(solids, f)[kept] for f in ("kind", "centre", "axes", "half", "material", "colour")))
+    plain = solids[kept]
     boxes = []
     for start, end in _runs(~kept):
         corners = np.concatenate([solids.centre[start:end], *solids.axes[start:end, :2].transpose(1, 0, 2)])
@@ -135,6 +151,8 @@ def build(piece: Mapping[str, Any], load_mesh: Callable[[str], np.ndarray] | Non
             return _table(place, axes, piece["size_m"], material, colour)
         case "chair":
             return _chair(place, axes, material, colour)
+        case name if name in pieces.KINDS:
+            return _several(pieces.KINDS[name].solids(piece["size_m"], tuple(colour.tolist())), place, axes, material)
     match piece["kind"]:
         case "cylinder":
             half = np.array([piece["radius_m"], piece["radius_m"], piece["height_m"] / 2])
@@ -151,6 +169,9 @@ def _colour(piece: Mapping[str, Any]) -> np.ndarray:
     """The colour of a piece: its own, else its material's; the plain materials have one for each kind of piece."""
     if piece["color"] is not None:
         return np.array(piece["color"])
+    usual = pieces.KINDS.get(piece["kind"])
+    if usual is not None and piece["material"] == usual.material:
+        return np.array(usual.colour)
     if piece["material"] not in _PLAIN:
         return np.array(materials.table()[piece["material"]].look.color)
     return np.array({"table": _WOOD, "chair": (0.17, 0.21, 0.28)}.get(piece["kind"], _GREY))
@@ -169,7 +190,16 @@ def blocks(solids: Solids, places: np.ndarray, margin: float, height: float) -> 
         (n,) bool.
     """
     hit = np.zeros(len(places), bool)
-    for kind, centre, axes, half in zip(solids.kind, solids.centre, solids.axes, solids.half, strict=True):
+    if not len(places):
+        return hit
+    low, high = places.min(0), places.max(0)
+    far = np.linalg.norm(solids.half, axis=1) + margin
+    # What is low is stepped over, and what is far from all places is not asked.
+    asked = (solids.centre[:, 2] + solids.half[:, 2] > _STEP_OVER_M) | (solids.kind == TRIANGLE)
+    asked &= (solids.centre[:, :2] + far[:, None] >= low).all(1) & (solids.centre[:, :2] - far[:, None] <= high).all(1)
+    for kind, centre, axes, half in zip(
+        solids.kind[asked], solids.centre[asked], solids.axes[asked], solids.half[asked], strict=True
+    ):
         if kind == TRIANGLE or centre[2] - half[2] > height:
             continue
         local = np.abs((places - centre[:2]) @ axes[:2, :2].T) - half[:2] - margin
@@ -202,6 +232,18 @@ def _chair(place: np.ndarray, axes: np.ndarray, material: int, colour: np.ndarra
             top = 0.80 if x < 0 else 0.42
             rows.append(((x * 0.185, y * 0.185, top / 2), (0.025, 0.025, top), METAL, steel))
     return _boxes(rows, place, axes)
+
+
+def _several(rows: Sequence[pieces.Solid], place: np.ndarray, axes: np.ndarray, main: int) -> Solids:
+    """The solids of a piece, whose foot is at its place."""
+    cos, sin = np.cos([row.turn for row in rows]), np.sin([row.turn for row in rows])
+    none = np.zeros(len(rows))
+    turned = np.stack([[cos, sin, none], [-sin, cos, none], [none, none, none + 1]]).transpose(2, 0, 1)
+    named = [MATERIALS.index(row.material) if row.material else main for row in rows]
+    return Solids(
+        np.array([row.kind for row in rows]), np.array([row.centre for row in rows]) @ axes + place, turned @ axes,
+        np.array([row.half for row in rows]), np.array(named), np.array([row.colour for row in rows]),
+    )  # fmt: skip
 
 
 def _boxes(rows: list[_Box], place: np.ndarray, axes: np.ndarray) -> Solids:

@@ -10,7 +10,7 @@ import numpy as np
 
 from avcli.formats import bounds
 from avcli.formats.schema import DEEPEST, Invalid, refuse_depth
-from avcli.scene import crowd, scenario
+from avcli.scene import scenario, worlds
 from avcli.scene.settings import BUILT_IN, SCENARIOS
 
 RANDOM = "random"
@@ -22,6 +22,7 @@ def load(
     *,
     seed: int = 0,
     people: int = 3,
+    wishes: worlds.Wishes | None = None,
     duration: float | None = None,
     camera: str | None = None,
     camera_config: Mapping | None = None,
@@ -33,6 +34,7 @@ def load(
         source: a built-in name ("s1"), "random", the path of a JSON file, or the JSON object itself.
         seed: of a random scenario.
         people: how many people a random scenario has.
+        wishes: what else a random scenario has to be, instead of `people`.
         duration: s, instead of the scenario's own.
         camera, camera_config, camera_height: as `build` has them.
 
@@ -44,7 +46,7 @@ def load(
     if isinstance(source, Mapping):
         raw, name = source, "scenario"
     elif source in (*BUILT_IN, RANDOM):
-        raw, name = named(str(source), seed=seed, people=people, duration=duration), str(source)
+        raw, name = named(str(source), seed, wishes or worlds.Wishes(people), duration), str(source)
     else:
         path = Path(source)
         if not path.exists():
@@ -61,10 +63,11 @@ def unknown(source: str) -> str:
     return f"{source}: no such file, and not one of the scenarios {', '.join((*BUILT_IN, RANDOM))}"
 
 
-def named(name: str, *, seed: int = 0, people: int = 3, duration: float | None = None) -> dict[str, Any]:
+def named(name: str, seed: int, wishes: worlds.Wishes, duration: float | None = None) -> dict[str, Any]:
     """Return the JSON object of a built-in scenario, or make a random one (of 10 s where no duration is given)."""
     if name == RANDOM:
-        return crowd.random(people, 10.0 if duration is None else duration, np.random.default_rng(seed))
+        generator = np.random.default_rng(seed)
+        return worlds.random_world(wishes, 10.0 if duration is None else duration, generator, scenario.CAMERAS)
     return json.loads((SCENARIOS / f"{name}.json").read_bytes())
 
 

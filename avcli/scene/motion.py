@@ -27,6 +27,7 @@ class Motion:
             NaN: the way they came.
         seated: (k,) bool, whether the person sits while staying at that waypoint.
         height: of the person, m.
+        postures: (k,) names of postures.POSTURES while staying there; empty: sits where `seated`, else stands.
     """
 
     times: np.ndarray
@@ -34,6 +35,7 @@ class Motion:
     headings: np.ndarray
     seated: np.ndarray
     height: float = field(default=1.75)
+    postures: tuple[str, ...] = ()
 
     def position(self, t: np.ndarray) -> np.ndarray:
         """The point on the floor under the person at times t (n,) s: (n, 2) m."""
@@ -51,9 +53,16 @@ class Motion:
 
     def sitting(self, t: np.ndarray) -> np.ndarray:
         """How far the person sits at times t (n,) s: (n,), 0 stands, 1 sits."""
+        return self._share(t, self._seats)
+
+    def doing(self, t: np.ndarray) -> dict[str, np.ndarray]:
+        """How far the person has taken each posture that their way has, at times t (n,) s: (n,) each, 0..1."""
+        return {name: self._share(t, stays) for name, stays in self._stays_of.items()}
+
+    def _share(self, t: np.ndarray, stays: list[tuple[float, float]]) -> np.ndarray:
         t = np.asarray(t, float)
         amount = np.zeros_like(t)
-        for begin, end in self._seats:
+        for begin, end in stays:
             rise = np.clip((t - begin) / _CHANGE_S, 0, 1) if np.isfinite(begin) else np.ones_like(t)
             fall = np.clip((end - t) / _CHANGE_S, 0, 1) if np.isfinite(end) else np.ones_like(t)
             amount = np.maximum(amount, np.minimum(rise, fall))
@@ -71,16 +80,25 @@ class Motion:
             swing (n, 2), 0 on the floor, and how far ahead of the body each is in steps (n, 2).
         """
         t = np.asarray(t, float)
-        heading = self.heading(t)
-        side = np.array([-1.0, 1.0])  # right, left
-        place = self.position(t)[:, None] + half_width * side[:, None] * _left(heading)[:, None]
-        sole = np.concatenate([place, np.zeros((len(t), 2, 1))], -1)
-        headings, swing, ahead = np.stack([heading] * 2, -1), np.zeros((len(t), 2)), np.zeros((len(t), 2))
+        sole, headings, swing, ahead = self.standing_feet(t, half_width)
         for walk in self._walks:
             now = (t >= walk.begin) & (t <= walk.end)
             if now.any():
                 sole[now], headings[now], swing[now], ahead[now] = walk.feet(t[now], half_width)
         return sole, headings, swing, ahead
+
+    def standing_feet(self, t: np.ndarray, half_width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """As `feet`, of a person who stands or rolls: the feet are below the body, side by side."""
+        heading = self.heading(t)
+        side = np.array([-1.0, 1.0])  # right, left
+        place = self.position(t)[:, None] + half_width * side[:, None] * _left(heading)[:, None]
+        sole = np.concatenate([place, np.zeros((len(t), 2, 1))], -1)
+        return sole, np.stack([heading] * 2, -1), np.zeros((len(t), 2)), np.zeros((len(t), 2))
+
+    def travelled(self, t: np.ndarray) -> np.ndarray:
+        """Length of the way at times t (n,) s: (n,) m."""
+        lengths = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
+        return np.interp(t, self.times, np.append(0.0, np.cumsum(lengths)))
 
     @cached_property
     def _leg_speeds(self) -> np.ndarray:
@@ -104,7 +122,17 @@ class Motion:
     @cached_property
     def _seats(self) -> list[tuple[float, float]]:
         """Times (begin, end) that the person spends seated, sitting down and getting up included."""
-        still = np.append(self._leg_speeds == 0, True) & self.seated
+        return self._stays(self.seated)
+
+    @cached_property
+    def _stays_of(self) -> dict[str, list[tuple[float, float]]]:
+        """Times (begin, end) that the person spends in each posture that is not standing or sitting alone."""
+        names = np.array(self.postures)
+        return {name: self._stays(names == name) for name in sorted({*self.postures} - {"stand", "sit"})}
+
+    def _stays(self, there: np.ndarray) -> list[tuple[float, float]]:
+        """Times (begin, end) that the person stays at waypoints of which `there` (k,) is true."""
+        still = np.append(self._leg_speeds == 0, True) & there
         begins = [-np.inf if i == 0 else self.times[i] for i in np.flatnonzero(still)]
         ends = [self.times[i + 1] if i + 1 < len(self.times) else np.inf for i in np.flatnonzero(still)]
         merged: list[tuple[float, float]] = []

@@ -4,7 +4,7 @@ import collections
 import contextlib
 import json
 import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,7 +88,7 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
     write_config(Layout(directory).config, film.config(background=kind != "none") | {"written_by": written_by})
     extras: list[_Coco | _Sheet] = []
     if files.coco is not None:
-        extras.append(_Coco(files.coco))
+        extras.append(_Coco(files.coco, film.scenario.people))
     if files.sheet is not None:
         extras.append(_Sheet(files.sheet, len(film.scenario.times)))
 
@@ -177,8 +177,9 @@ class _FrameWriter:
 class _Coco:
     """Collects COCO's annotations and writes them at the end."""
 
-    def __init__(self, path: str | os.PathLike) -> None:
+    def __init__(self, path: str | os.PathLike, people: Sequence[people.Person]) -> None:
         self.path = path
+        self.number = {person.object_id: number for number, person in enumerate(people)}
         self.images: list[dict[str, Any]] = []
         self.annotations: list[dict[str, Any]] = []
 
@@ -189,8 +190,10 @@ class _Coco:
         number = len(self.images) + 1
         height, width = frame.picture.ids.shape
         self.images.append({"id": number, "file_name": Layout.rgb(frame.timestamp), "width": width, "height": height})
-        for person, item in enumerate(frame.record["objects"]):
-            entry = annotations.coco(item, person, frame.picture, number, len(self.annotations) + 1)
+        for item in frame.record["objects"]:
+            entry = annotations.coco(
+                item, self.number[item["object_id"]], frame.picture, number, len(self.annotations) + 1
+            )
             if entry is not None:
                 self.annotations.append(entry)
 

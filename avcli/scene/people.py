@@ -70,7 +70,7 @@ def pose(people: Sequence[Person], t: np.ndarray) -> Bodies:
     """
     t = np.asarray(t, float)
     bones = [skeleton(person, t) for person in people]
-    dressed = [dress(body, person.look, person.height) for body, person in zip(bones, people, strict=True)]
+    dressed = [dress(body, person) for body, person in zip(bones, people, strict=True)]
     offsets = np.cumsum([0] + [len(parts) for parts in dressed])
     parts = [part for one in dressed for part in one]
     n, p = len(t), len(parts)

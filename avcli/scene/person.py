@@ -9,6 +9,9 @@ from avcli.scene.motion import Motion
 SKIN, KNIT, DENIM, HAIR, LEATHER, STRIPES, PLAID, EYES = range(8)
 """What a cone is made of: how the renderer paints it."""
 
+FOLDED = 8
+"""Added to a material of cloth: it hangs in folds."""
+
 Colour = tuple[float, float, float]
 """sRGB fractions."""
 
@@ -33,6 +36,11 @@ class Look:
         girth, shoulders: widths over those of the average body.
         height: m, where the scenario states none.
         second: colour of a pattern; None: no pattern.
+        folds: whether cloth hangs in folds, and the shirt over the trousers.
+        jacket, skirt, collar: their colours; None: not worn. A jacket is open, its sleeves are long.
+        hem: how long jacket and skirt are: 1 to the knee, 2 to the ankle.
+        hat: one of HATS, of the colour `hat_colour`; None: bare-headed.
+        bag: one of BAGS, of the colour `bag_colour`; None: none.
     """
 
     shirt: Colour
@@ -49,6 +57,22 @@ class Look:
     shoulders: float = 1.0
     height: float = 1.75
     second: Colour | None = None
+    folds: bool = False
+    jacket: Colour | None = None
+    skirt: Colour | None = None
+    collar: Colour | None = None
+    hem: float = 0.4
+    hat: str | None = None
+    hat_colour: Colour = (0.2, 0.2, 0.22)
+    bag: str | None = None
+    bag_colour: Colour = (0.15, 0.15, 0.17)
+
+
+CUTS = (
+    "short", "long", "cropped", "bun", "receding", "curly", "beard", "ponytail", "bald", "scarf", "bob", "afro",
+)  # fmt: skip
+HATS = ("cap", "beanie", "brim", "helmet")
+BAGS = ("backpack", "shoulder")
 
 
 LOOKS: dict[str, Look] = {
@@ -86,6 +110,8 @@ class Person:
         height: m, to the top of the head.
         speech: (k, 2) s, intervals in which it is this person's turn to speak.
         gestures: whether the hands move while speaking.
+        carries: one of postures.LOADS; None: nothing.
+        wheelchair: whether the person sits in one, and rolls where others walk.
     """
 
     object_id: int
@@ -94,6 +120,8 @@ class Person:
     height: float
     speech: np.ndarray
     gestures: bool = True
+    carries: str | None = None
+    wheelchair: bool = False
 
 
 def speaking(person: Person, t: np.ndarray, end: float) -> np.ndarray:

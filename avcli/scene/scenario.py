@@ -28,9 +28,11 @@ from avcli.formats.schema import (
     Text,
     shown,
 )
-from avcli.scene import furniture, viewpoint
+from avcli.scene import doorways, furniture, viewpoint
+from avcli.scene.looks import LOOK, look_of
 from avcli.scene.motion import Motion
 from avcli.scene.people import LOOKS, Person
+from avcli.scene.postures import LOADS, POSTURES, SEATED
 
 _MICROPHONES = (
     (0.115, 4.545, 2.493), (2.401, 4.498, 2.385), (4.545, 4.545, 2.484), (4.498, 2.342, 2.380),
@@ -91,14 +93,18 @@ CAMERAS: dict[str, dict[str, Any]] = {
 
 _WAYPOINT = Object(
     {
-        "position_m": Key(Numbers(2, bounds.COORDINATE), "position on the floor, m", required=True),
+        "position_m": Key(
+            Numbers(2, bounds.COORDINATE),
+            "position on the floor, m; it may lie outside the room, behind a door",
+            required=True,
+        ),
         "t_s": Key(bounds.TIME, "time at which the person arrives, s; later than at the previous waypoint"),
         "speed_m_s": Key(
             Number(1e-6, most=bounds.FARTHEST_M),
             "speed of the walk to this waypoint, m/s, instead of t_s; 1 where neither is given",
         ),
         "stay_s": Key(bounds.DURATION, "time that the person stays, s", default=0.0),
-        "pose": Key(Choice(("stand", "sit")), "posture while staying", default="stand"),
+        "pose": Key(Choice(tuple(POSTURES)), "posture while staying", default="stand"),
         "heading_deg": Key(
             bounds.DEGREES,
             "direction that the person faces while staying, counterclockwise from +x; default: that of the walk",
@@ -110,7 +116,9 @@ _WAYPOINT = Object(
 _PERSON = Object(
     {
         "object_id": Key(IDENTITY, "identity of the person, different for each; default: the place in the list"),
-        "look": Key(Choice(tuple(LOOKS)), "clothes, hair and build; default: one after another along the list"),
+        "look": Key(
+            LOOK, "clothes, hair and build: a built-in look, or an object; default: one after another along the list"
+        ),
         "height_m": Key(Number(least=0.5, most=2.5), "height to the top of the head, m; default: that of the look"),
         "waypoints": Key(ListOf(_WAYPOINT, 1), "points that the person walks through", required=True),
         "speech_s": Key(
@@ -118,6 +126,8 @@ _PERSON = Object(
             "turns to speak, each [start, end] in s, in order; true: all the time; default: never",
         ),
         "gestures": Key(Boolean(), "whether the hands move while speaking", default=True),
+        "carries": Key(Choice(tuple(LOADS)), "what the person carries; default: nothing"),
+        "wheelchair": Key(Boolean(), "whether the person sits in a wheelchair, and rolls to waypoints", default=False),
     },
     closed=True,
 )
@@ -230,7 +240,7 @@ def _parsed(
     fast: list[str] = []
     for index, item in enumerate(values["people"] or ()):
         try:
-            person, odd = _person(item, index, duration, dimensions)
+            person, odd = _person(item, index, duration, config.room)
             if any(other.object_id == person.object_id for other in people):
                 raise Invalid(f"must differ between people; {person.object_id} is used twice", ("object_id",))
         except Invalid as error:
@@ -240,7 +250,7 @@ def _parsed(
     times = _frame_times(duration, camera.frame_rate_hz)
     viewpoint.refuse_buried(camera, pieces, people, times)
     solids = furniture.join(pieces)
-    oddities = [*_counted(fast, "walks are as fast"), *_collisions(people, solids, duration)]
+    oddities = [*_counted(fast, "walks are as fast"), *_collisions(people, solids, duration, dimensions)]
     warnings += [f"{name}: {text}" for text in oddities]
     filled = {"name": title, "duration_s": duration, **sections}
     filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
@@ -290,8 +300,11 @@ def laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 _DIMENSIONS = Numbers(3, Number(above=0))
 
 
-def _outside(position: np.ndarray, dimensions: np.ndarray, what: str = "") -> Invalid:
-    return Invalid(f"{what}{position.tolist()} is outside the room of {dimensions.tolist()} m")
+def _outside(
+    position: np.ndarray, dimensions: np.ndarray, what: str = "", doors: Sequence[Mapping[str, Any]] = ()
+) -> Invalid:
+    hint = "; ways in and out lead straight through a door" if doors else ""
+    return Invalid(f"{what}{position.tolist()} is outside the room of {dimensions.tolist()} m{hint}")
 
 
 def with_camera(raw: Mapping[str, Any], camera_config: Mapping[str, Any]) -> dict[str, Any]:
@@ -326,13 +339,13 @@ def at_height(raw: Mapping[str, Any], height: float) -> dict[str, Any]:
     return {**raw, "camera_config": {**own, "camera_position_m": position}}
 
 
-def _person(values: Mapping[str, Any], index: int, duration: float, dimensions: np.ndarray) -> tuple[Person, list[str]]:
+def _person(values: Mapping[str, Any], index: int, duration: float, room: experiment.Room) -> tuple[Person, list[str]]:
     """Return a person and warnings, which begin with the place within the person."""
     identity = index if values["object_id"] is None else values["object_id"]
     names = list(LOOKS)
-    look = LOOKS[values["look"] or names[index % len(names)]]
+    look = look_of(values["look"] or names[index % len(names)])
     height = values["height_m"] or look.height
-    motion, warnings = _motion(values["waypoints"], height, dimensions)
+    motion, warnings = _motion(values["waypoints"], height, room)
     turns = [[0.0, max(duration, 1e-3)]] if values["speech_s"] is True else values["speech_s"] or []
     last = -math.inf
     for i, (start, end) in enumerate(turns):
@@ -341,20 +354,23 @@ def _person(values: Mapping[str, Any], index: int, duration: float, dimensions: 
         if start < last:
             raise Invalid("begins before the previous turn ends", ("speech_s", i))
         last = end
-    return Person(identity, motion, look, height, np.array(turns, float).reshape(-1, 2), values["gestures"]), warnings
+    speech = np.array(turns, float).reshape(-1, 2)
+    loads = values["carries"], values["wheelchair"]
+    return Person(identity, motion, look, height, speech, values["gestures"], *loads), warnings
 
 
-def _motion(points: Sequence[Mapping[str, Any]], height: float, dimensions: np.ndarray) -> tuple[Motion, list[str]]:
+def _motion(points: Sequence[Mapping[str, Any]], height: float, room: experiment.Room) -> tuple[Motion, list[str]]:
     times: list[float] = []
     places: list[np.ndarray] = []
     headings: list[float] = []
-    seated: list[bool] = []
+    postures: list[str] = []
     warnings = []
     for index, point in enumerate(points):
         place = np.array(point["position_m"])
         try:
-            if ((place <= 0) | (place >= dimensions[:2])).any():
-                raise _outside(place, dimensions[:2]).within("position_m")
+            before = places[-1] if places else place
+            if doorways.goes_through_wall(before, place, room.dimensions, room.fittings.doors):
+                raise _outside(place, room.dimensions[:2], doors=room.fittings.doors).within("position_m")
             time = _arrival(point, times, places, place)
         except Invalid as error:
             raise error.within("waypoints", index) from None
@@ -363,17 +379,18 @@ def _motion(points: Sequence[Mapping[str, Any]], height: float, dimensions: np.n
             if speed > _FASTEST_M_S:
                 warnings.append(f"waypoints[{index}]: a walk at {speed:.3g} m/s")
         heading = math.nan if point["heading_deg"] is None else math.radians(point["heading_deg"])
-        sits, stay = point["pose"] == "sit", point["stay_s"]
+        stay = point["stay_s"]
         times.append(time)
         places.append(place)
         headings.append(heading)
-        seated.append(sits)
+        postures.append(point["pose"])
         if stay > 0:
             times.append(time + stay)
             places.append(place)
             headings.append(heading)
-            seated.append(sits and index == len(points) - 1)
-    return Motion(np.array(times), np.array(places), np.array(headings), np.array(seated), height), warnings
+            postures.append(point["pose"] if index == len(points) - 1 else "stand")
+    seated = np.array([name in SEATED for name in postures])
+    return Motion(np.array(times), np.array(places), np.array(headings), seated, height, tuple(postures)), warnings
 
 
 def _arrival(
@@ -394,20 +411,23 @@ def _arrival(
     return times[-1] + distance / (point["speed_m_s"] or 1.0)
 
 
-def _collisions(people: Sequence[Person], solids: furniture.Solids, duration: float) -> list[str]:
+def _collisions(
+    people: Sequence[Person], solids: furniture.Solids, duration: float, dimensions: np.ndarray
+) -> list[str]:
     """Say who walks through furniture and which two people meet: the first ones, and how many others there are."""
     t = np.arange(0.0, duration + 1e-9, 0.1)[:6000]
     tracks = [person.motion.position(t) for person in people]
+    here = [doorways.is_inside(track, dimensions) for track in tracks]
     crossings: list[str] = []
     meetings: list[str] = []
     for index, (person, track) in enumerate(zip(people, tracks, strict=True)):
         seats = person.motion.places[person.motion.seated]
         standing = (np.linalg.norm(track[:, None] - seats, axis=-1) > 0.7).all(1)  # one's own chair is no obstacle
-        inside = furniture.blocks(solids, track, 0.05, person.height) & standing
+        inside = furniture.blocks(solids, track, 0.05, person.height) & standing & here[index]
         if inside.any():
             crossings.append(f"people[{index}] walks through furniture at {t[inside.argmax()]:.1f} s")
         for other in range(index):
-            near = np.linalg.norm(track - tracks[other], axis=1) < 0.3
+            near = (np.linalg.norm(track - tracks[other], axis=1) < 0.3) & here[index] & here[other]
             if near.any():
                 meetings.append(f"people[{index}] and people[{other}] meet at {t[near.argmax()]:.1f} s")
     return [*_counted(crossings, "people do"), *_counted(meetings, "pairs do")]

@@ -11,6 +11,10 @@ SCENARIOS = Path(__file__).parent / "scenarios"
 BUILT_IN = tuple(sorted(path.stem for path in SCENARIOS.glob("*.json")))
 """Names of the built-in scenarios: each is a file of `SCENARIOS`."""
 
+LENSES = ("real", "thesis", "equidistant", "equisolid")
+ROOM_KINDS = ("office", "meeting", "corridor", "hall", "workshop", "living")
+"""The lenses and the kinds of rooms that a random world may have."""
+
 DEPTH_STEPS_M = {"8": 0.02, "16": 1e-4}
 """The finest step of a depth picture by its bits, m: it holds 5.08 m, all that the thesis's camera sees, or 6.55 m."""
 

@@ -5,8 +5,12 @@ from avcli.lens.shader import GLSL as LENS
 RAYS = (
     LENS
     + """
+uniform vec3 circle;                    // that the lens lights: its middle and its radius, px; 0: everything
 out vec4 ray;
-void main() { ray = stored_ray(gl_FragCoord.xy - 0.5); }
+void main() {
+    vec2 px = gl_FragCoord.xy - 0.5;
+    ray = circle.z > 0.0 && distance(px, circle.xy) > circle.z ? vec4(0.0) : stored_ray(px);
+}
 """
 )
 
@@ -352,7 +356,7 @@ vec3 shade(vec3 d, float t, int index) {
     vec3 local = vec3(dot(place, ahead), dot(place, side), along * extent);
     float hem = 0.7 * t * per_px.x / max(extent, 1e-3), bare = smoothstep(-hem, hem, along - beyond.w);
     vec3 albedo = mix(base.rgb, beyond.rgb, bare);
-    int material = bare > 0.5 ? 0 : int(base.w + 0.5);
+    int stated = bare > 0.5 ? 0 : int(base.w + 0.5), material = stated & 7;
     vec4 grain = GRAIN[material];
     float large = noise((local + front.w) * COARSE[material]) - 0.5;
     float small = noise((local + front.w) * FINE[material]) - 0.5;
@@ -363,6 +367,14 @@ vec3 shade(vec3 d, float t, int index) {
     float look = dot(normalize(place + 1e-9), normalize(front.xyz));
     vec3 iris = look > 0.93 ? vec3(0.01) : look > 0.80 ? vec3(0.12, 0.07, 0.035) : albedo;
     albedo = material == 7 ? iris : albedo;
+    // Folds of loose cloth: ridges across the part that wander, deeper here and there.
+    float folds = float(stated >> 3), wander = 4.0 * large + 0.37 * front.w;
+    float ridge = 46.0 * local.z + 2.4 * sin(21.0 * local.y + wander) + wander;
+    float crease = 38.0 * local.y + 2.0 * sin(15.0 * local.z + wander) - wander;
+    float deep = folds * (0.5 + large);
+    albedo *= 1.0 - deep * (0.10 + 0.05 * sin(ridge) + 0.05 * sin(crease));
+    vec3 creased = normalize(normal - deep * (0.42 * cos(ridge) * axis + 0.30 * cos(crease) * side));
+    normal = folds > 0.5 ? creased : normal;
     float sharp = min(1.0, 2.2e-3 / (t * per_px.x));
     albedo *= 1.0 + grain.x * large + grain.y * sharp * small;
     normal = normalize(normal + grain.z * large * (dot(normal, side) > 0.0 ? side : -side));

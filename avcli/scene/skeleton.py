@@ -4,11 +4,13 @@ Lengths of limbs are fractions of the body's height H, others are metres of a bo
 foot: Winter, Biomechanics and Motor Control of Human Movement (2009), figure 4.1. All others were chosen by eye.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from avcli.scene.person import Person, talking
+from avcli.scene.postures import LOADS, POSTURES, WHEELCHAIR, Posture
 
 AVERAGE_M = 1.75
 _THIGH, _SHANK, FOOT = 0.245, 0.246, 0.152  # over H
@@ -22,6 +24,9 @@ _SWAY_M, _IDLE_M = 0.018, 0.006  # sideways, while walking and while standing
 _LEAN = np.deg2rad(2.5)
 _GESTURE_HZ, _NOD_HZ, _LOOK_ROUND_HZ = 0.75, 0.9, 0.23
 _UP = np.array([0.0, 0.0, 1.0])
+_GROWN_M, _HEAD_M = 1.5, 0.213  # below the first a body is a child's, whose head is larger; from the neck to the top
+_LYING_M = 0.12  # of the hips above the floor
+_PUSH_M, _PUSHES_M, _REST_M = 0.12, 1.3, 0.12  # of hands on wheels, a push for so far a way; of feet above the floor
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ class Trunk:
         sole: (n, 2, 3) where the soles are; right, left.
         foot_heading, foot_swing, foot_ahead: (n, 2) as Motion.feet gives them.
         stride: (n,) right foot before left, -1..1.
+        doing: the postures besides standing and plain sitting, with how far each is taken, (n,).
     """
 
     pelvis: np.ndarray
@@ -53,6 +59,7 @@ class Trunk:
     foot_swing: np.ndarray
     foot_ahead: np.ndarray
     stride: np.ndarray
+    doing: list[tuple[Posture, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -96,9 +103,13 @@ class Head:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """All joints at n times; legs and arms are (right, left); `unit` is the height over that of the average body."""
+    """All joints at n times; legs and arms are (right, left).
+
+    `unit` is the size of the body over that of the average, `height` the height that a grown body of that size has, m.
+    """
 
     unit: float
+    height: float
     trunk: Trunk
     legs: tuple[Leg, Leg]
     arms: tuple[Arm, Arm]
@@ -123,35 +134,107 @@ class Skeleton:
 
 def skeleton(person: Person, t: np.ndarray) -> Skeleton:
     """Pose a person's joints at times t (n,) s."""
-    unit = person.height / AVERAGE_M
-    trunk = _trunk(person, t, unit)
-    legs = _leg(person, trunk, unit, 0), _leg(person, trunk, unit, 1)
-    arms = _arm(person, t, trunk, legs[0], unit, 0), _arm(person, t, trunk, legs[1], unit, 1)
-    return Skeleton(unit, trunk, legs, arms, _head(person, t, trunk, unit))
+    height, unit, head_unit = _proportions(person.height)
+    trunk = _trunk(person, t, unit, height)
+    legs = _leg(height, trunk, unit, 0), _leg(height, trunk, unit, 1)
+    arms = _arm(person, t, trunk, legs[0], unit, height, 0), _arm(person, t, trunk, legs[1], unit, height, 1)
+    bones = Skeleton(unit, height, trunk, legs, arms, _head(person, t, trunk, unit, head_unit))
+    for posture, amount in trunk.doing:
+        if posture.lying:
+            bones = _laid(bones, person.motion.position(t), person.motion.heading(t), amount)
+    return bones
 
 
-def _trunk(person: Person, t: np.ndarray, unit: float) -> Trunk:
-    """The chest turns against the pelvis, and leans with speed and into a seat."""
-    motion = person.motion
+def _proportions(height: float) -> tuple[float, float, float]:
+    """Height of the grown body that has these limbs, m, and the sizes of body and head over the average's.
+
+    A child's head is a larger part of its height: a fifth at 1.1 m (Snyder et al., 1977), against an eighth.
+    """
+    unit = height / AVERAGE_M
+    if height >= _GROWN_M:
+        return height, unit, unit
+    head = unit * (1 + 0.7 * (_GROWN_M - height))
+    unit = (height - _HEAD_M * head) / (AVERAGE_M - _HEAD_M)
+    return unit * AVERAGE_M, unit, head
+
+
+_Part = TypeVar("_Part", Trunk, Leg, Arm, Head)
+_POINTS = ("pelvis", "waist", "chest", "neck", "hip", "knee", "ankle", "heel", "toe", "shoulder", "elbow", "wrist",
+           "base", "centre")  # fmt: skip
+_AXES = ("pelvis_front", "pelvis_left", "chest_front", "chest_left", "chest_up", "forward", "along", "rise", "front",
+         "left", "up")  # fmt: skip
+
+
+def _laid(bones: Skeleton, place: np.ndarray, heading: np.ndarray, amount: np.ndarray) -> Skeleton:
+    """Tilt a standing body backwards about its hips, which come to lie at its place on the floor; amount (n,) 0..1."""
+    angle = 0.5 * np.pi * amount[:, None]
+    forward, left = _horizontal(heading), _horizontal(heading + np.pi / 2)
+
+    def turned(v: np.ndarray) -> np.ndarray:
+        ahead, up = np.sum(v * forward, -1, keepdims=True), np.sum(v * _UP, -1, keepdims=True)
+        aside = np.sum(v * left, -1, keepdims=True) * left
+        cos, sin = np.cos(angle), np.sin(angle)
+        return aside + (ahead * cos - up * sin) * forward + (ahead * sin + up * cos) * _UP
+
+    hips = bones.trunk.pelvis
+    low = np.concatenate([place, np.full((len(place), 1), _LYING_M * bones.unit)], -1)
+    pivot = hips + amount[:, None] * (low - hips)
+
+    def tilted(part: _Part) -> _Part:
+        names = [field.name for field in fields(part)]
+        moved: dict[str, Any] = {name: pivot + turned(getattr(part, name) - hips) for name in _POINTS if name in names}
+        moved |= {name: turned(getattr(part, name)) for name in _AXES if name in names}
+        return replace(part, **moved)
+
+    right, left_leg = map(tilted, bones.legs)
+    first, second = map(tilted, bones.arms)
+    return replace(
+        bones, trunk=tilted(bones.trunk), legs=(right, left_leg), arms=(first, second), head=tilted(bones.head)
+    )
+
+
+def _doing(person: Person, t: np.ndarray) -> list[tuple[Posture, np.ndarray]]:
+    """Postures besides standing and plain sitting, and how far each is taken, (n,)."""
+    taken = person.motion.doing(t)
+    found = [(POSTURES[name], amount) for name, amount in taken.items()]
+    free = np.maximum(1 - sum(taken.values(), np.zeros_like(t)), 0)
+    if person.wheelchair:
+        found.append((WHEELCHAIR, free))
+    if person.carries:
+        found.append((LOADS[person.carries], free))
+    return found
+
+
+def _trunk(person: Person, t: np.ndarray, unit: float, height: float) -> Trunk:
+    """The chest turns against the pelvis, and leans with speed, into a seat and as the posture asks."""
+    motion, doing = person.motion, _doing(person, t)
     sit, heading = motion.sitting(t), motion.heading(t)
     sole, foot_heading, foot_swing, foot_ahead = motion.feet(t, ANKLE_M * unit)
+    speed = motion.speed(t)
+    if person.wheelchair:
+        sit, speed = np.ones_like(sit), np.zeros_like(speed)
+        sole, foot_heading, foot_swing, foot_ahead = motion.standing_feet(t, ANKLE_M * unit)
+        sole = sole + _REST_M * _UP
     stride = np.clip(0.5 * (foot_ahead[:, 0] - foot_ahead[:, 1]), -1, 1)
-    moving = np.clip(motion.speed(t) / 0.6, 0, 1)
+    moving = np.clip(speed / 0.6, 0, 1)
     idle = (1 - moving) * _IDLE_M * np.sin(0.9 * t + 2.1 * person.object_id)
     forward, left = _horizontal(heading), _horizontal(heading + np.pi / 2)
     ground = np.concatenate([motion.position(t), np.zeros((len(t), 1))], -1)
     sole = sole + (_SEAT_AHEAD_M * unit * sit)[:, None, None] * forward[:, None]
     stance = np.sum((1 - foot_swing) * np.array([-1.0, 1.0]), 1)
     sway = _SWAY_M * unit * np.clip(stance, -1, 1) * moving + idle
-    leg = _LEG * person.height
+    leg = _LEG * height
     # The hips sink as far as the foot on the floor demands; a trailing foot gains by lifting its heel.
     reach = np.abs(foot_ahead).max(1) * _step_length(sole, ground, foot_ahead)
     drop = leg - np.sqrt(np.maximum(leg**2 - np.minimum(0.8 * reach, 0.6 * leg) ** 2, 0))
     standing = ANKLE_M * unit + 0.985 * leg - np.minimum(drop, 0.18 * leg)
     hip_height = (1 - sit) * standing + sit * _SEAT_HEIGHT_M * unit**0.5
-    bow = np.sin(np.pi * sit) * 0.5 + 0.10 * sit + _LEAN + 0.03 * np.minimum(motion.speed(t), 4)
+    hip_height = hip_height * (1 + sum(((p.hips - 1) * amount for p, amount in doing), np.zeros_like(t)))
+    bow = np.sin(np.pi * sit) * 0.5 + 0.10 * sit + _LEAN + 0.03 * np.minimum(speed, 4)
+    bow = bow + sum((p.bow * amount for p, amount in doing), np.zeros_like(t))
+    back = sum((p.back * unit * amount for p, amount in doing), np.zeros_like(t))
     pelvis = ground + sway[:, None] * left + hip_height[:, None] * _UP
-    pelvis = pelvis - (0.02 * unit * np.sin(np.pi * sit))[:, None] * forward
+    pelvis = pelvis - (0.02 * unit * np.sin(np.pi * sit) + back)[:, None] * forward
     twist = 0.13 * stride * moving
     pelvis_heading, chest_heading = heading + twist, heading - 0.9 * twist
     level = _horizontal(chest_heading)
@@ -176,6 +259,7 @@ def _trunk(person: Person, t: np.ndarray, unit: float) -> Trunk:
         foot_swing=foot_swing,
         foot_ahead=foot_ahead,
         stride=stride,
+        doing=doing,
     )
 
 
@@ -189,9 +273,9 @@ def _step_length(sole: np.ndarray, ground: np.ndarray, foot_ahead: np.ndarray) -
     return apart / np.maximum(np.abs(foot_ahead).max(1), 1e-6)
 
 
-def _leg(person: Person, trunk: Trunk, unit: float, side: int) -> Leg:
-    """The right (0) or left (1) leg; the foot rolls from heel to toes."""
-    h, sign = person.height, (-1.0, 1.0)[side]
+def _leg(h: float, trunk: Trunk, unit: float, side: int) -> Leg:
+    """The right (0) or left (1) leg of a body of height h; the foot rolls from heel to toes."""
+    sign = (-1.0, 1.0)[side]
     forward = _horizontal(trunk.foot_heading[:, side] + sign * 0.12)
     ahead, swing = trunk.foot_ahead[:, side], trunk.foot_swing[:, side]
     # Positive pitch lifts the heel: at push-off and early in the swing; toes rise for the heel's landing.
@@ -215,11 +299,11 @@ def _leg(person: Person, trunk: Trunk, unit: float, side: int) -> Leg:
     return Leg(hip, knee, ankle, heel, toe, forward, along, rise)
 
 
-def _arm(person: Person, t: np.ndarray, trunk: Trunk, leg: Leg, unit: float, side: int) -> Arm:
-    """The right (0) or left (1) arm: it swings, lies in the lap, or gestures."""
+def _arm(person: Person, t: np.ndarray, trunk: Trunk, leg: Leg, unit: float, height: float, side: int) -> Arm:
+    """The right (0) or left (1) arm: it swings, lies in the lap, does what the posture asks, or gestures."""
     sign, look = (-1.0, 1.0)[side], person.look
     front, left, up = trunk.chest_front, trunk.chest_left, trunk.chest_up
-    upper, lower = _UPPER_ARM * person.height, _FOREARM * person.height
+    upper, lower = _UPPER_ARM * height, _FOREARM * height
     shoulder = trunk.neck + sign * _SHOULDER_HALF_M * unit * look.shoulders * left - 0.045 * unit * up
     speed = np.clip(person.motion.speed(t), 0, 3)
     # Arms swing against the leg of their side; faster walks swing and bend them more.
@@ -230,9 +314,15 @@ def _arm(person: Person, t: np.ndarray, trunk: Trunk, leg: Leg, unit: float, sid
     hanging = shoulder + ahead[:, None] * front - down[:, None] * up + 0.045 * unit * sign * left
     lap = leg.knee - 0.12 * unit * trunk.pelvis_front + 0.085 * unit * _UP - 0.03 * sign * trunk.pelvis_left
     target = hanging + trunk.sit[:, None] * (lap - hanging)
+    busy = np.zeros_like(t)
+    for posture, share in trunk.doing:
+        place = posture.hands[side]
+        if place is not None:
+            goal = _hand(person, t, posture, place, unit, side)
+            target, busy = target + share[:, None] * (goal - target), np.maximum(busy, share)
     if person.gestures:
         beat = 1.7 * person.object_id + t * 2 * np.pi * _GESTURE_HZ
-        amount = trunk.talk * (0.75 + 0.25 * np.sin(0.61 * beat + sign)) * (1.0, 0.7)[side]
+        amount = (1 - busy) * trunk.talk * (0.75 + 0.25 * np.sin(0.61 * beat + sign)) * (1.0, 0.7)[side]
         hand = (
             shoulder
             + (0.27 + 0.05 * np.sin(1.3 * beat + sign))[:, None] * unit * front
@@ -244,17 +334,33 @@ def _arm(person: Person, t: np.ndarray, trunk: Trunk, leg: Leg, unit: float, sid
     return Arm(shoulder, elbow, wrist)
 
 
-def _head(person: Person, t: np.ndarray, trunk: Trunk, unit: float) -> Head:
+def _hand(
+    person: Person, t: np.ndarray, posture: Posture, place: tuple[float, float, float], unit: float, side: int
+) -> np.ndarray:
+    """Where a posture wants a wrist, (n, 3)."""
+    sign, heading = (-1.0, 1.0)[side], person.motion.heading(t)
+    ahead, out, height = place
+    forward = np.full(len(t), ahead)
+    if posture is WHEELCHAIR:
+        forward = forward + _PUSH_M * np.sin(2 * np.pi / _PUSHES_M * person.motion.travelled(t))
+    forward = forward + posture.moving * np.sin(2 * np.pi * (2.1 + 0.7 * side) * t + person.object_id)
+    level = forward[:, None] * _horizontal(heading) + sign * out * _horizontal(heading + np.pi / 2)
+    at = np.concatenate([person.motion.position(t), np.zeros((len(t), 1))], -1)
+    return at + unit * level + (height * unit**0.5 if posture.seated else height * unit) * _UP
+
+
+def _head(person: Person, t: np.ndarray, trunk: Trunk, unit: float, head_unit: float) -> Head:
     """The head nods and looks round while its person talks."""
-    nod = 0.06 + trunk.talk * 0.07 * np.sin(2 * np.pi * _NOD_HZ * t + person.object_id)
+    nod = 0.06 + sum((p.nod * amount for p, amount in trunk.doing), np.zeros_like(t))
+    nod = nod + trunk.talk * 0.07 * np.sin(2 * np.pi * _NOD_HZ * t + person.object_id)
     turn = trunk.talk * 0.18 * np.sin(2 * np.pi * _LOOK_ROUND_HZ * t + 2 * person.object_id)
     heading = person.motion.heading(t) + turn
     level, left = _horizontal(heading), _horizontal(heading + np.pi / 2)
     front = level * np.cos(nod)[:, None] - _UP * np.sin(nod)[:, None]
     up = _UP * np.cos(nod)[:, None] + level * np.sin(nod)[:, None]
     base = trunk.neck + 0.055 * unit * unit_vector(trunk.chest_up + up)
-    centre = base + 0.098 * unit * up + 0.018 * unit * front
-    return Head(base, centre, front, left, up, unit)
+    centre = base + 0.098 * head_unit * up + 0.018 * head_unit * front
+    return Head(base, centre, front, left, up, head_unit)
 
 
 def two_links(

@@ -26,7 +26,7 @@ import numpy as np
 
 from avcli import pose
 from avcli.formats import media
-from avcli.scene import crowd, mesh, people, render, scenario
+from avcli.scene import mesh, people, render, scenario, worlds
 
 T = TypeVar("T")
 REAL, VIRTUAL = scenario.CAMERAS["real"], scenario.CAMERAS["thesis"]
@@ -81,7 +81,8 @@ def scene_of(camera: Mapping[str, Any], count: int) -> scenario.Scenario:
     if count == 3:
         raw = json.loads((resources.files("avcli.scene") / "scenarios" / "s3.json").read_bytes())
     else:
-        raw = crowd.random(count, 4.0, np.random.default_rng(count))
+        wishes = worlds.Wishes(count, "corridor", (4.66, 4.66, 3.0))
+        raw = worlds.random_world(wishes, 4.0, np.random.default_rng(count), scenario.CAMERAS)
     return scenario.parse(scenario.with_camera(raw, camera), f"{count} people")
 
 
