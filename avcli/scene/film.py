@@ -14,7 +14,7 @@ from avcli.formats.experiment import Config, Layout
 from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
-from avcli.scene import annotations, load, people, render, sensor
+from avcli.scene import annotations, load, people, render, sensor, worlds
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects
 
@@ -179,6 +179,7 @@ def simulate(
     seed: int = 0,
     video: bool = True,
     people: int = 3,
+    wishes: worlds.Wishes | None = None,
     duration: float | None = None,
     camera: str | None = None,
     camera_config: Mapping | None = None,
@@ -201,6 +202,7 @@ def simulate(
         seed: of all chance: a random scenario, the sensor's noise.
         video: whether pictures can be drawn (OpenGL through EGL); they are drawn when `shots` is iterated.
         people: how many people a random scenario has.
+        wishes: what else a random scenario has to be (its room, its lens), in place of `people`.
         duration: s, instead of the scenario's own.
         camera: "real" or "thesis": one of the thesis's two lenses instead of the scenario's.
         camera_config: a camera_config (or an object that holds one) instead of the scenario's.
@@ -217,8 +219,8 @@ def simulate(
         render.NoGraphics: `video` on a machine that cannot draw.
     """
     loaded = load.load(
-        scenario, seed=seed, people=people, duration=duration, camera=camera, camera_config=camera_config,
-        camera_height=camera_height,
+        scenario, seed=seed, people=people, wishes=wishes, duration=duration, camera=camera,
+        camera_config=camera_config, camera_height=camera_height,
     )  # fmt: skip
     film = Film(loaded, (drawing or Drawing()) if video else None, effects, seed=seed)
     config = Config(film.config(background=video), loaded.name)

@@ -118,7 +118,7 @@ def _clothes(g: np.random.Generator, light: float, blue: float = 0.0) -> list[fl
     elif kind < 0.88:
         hue, saturation, value = g.uniform(0, 1), g.uniform(0.1, 0.5), light * g.uniform(0.4, 1.6)
     else:
-        hue, saturation, value = g.uniform(0, 1), g.uniform(0.45, 0.75), g.uniform(0.3, 0.75)
+        hue, saturation, value = g.uniform(0, 1), g.uniform(0.4, 0.68), g.uniform(0.25, 0.7)
     return _colour(np.array(colorsys.hsv_to_rgb(float(hue), float(saturation), float(np.clip(value, 0.03, 0.95)))))
 
 

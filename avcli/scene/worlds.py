@@ -11,7 +11,7 @@ from avcli.scene.cameras import random_camera
 from avcli.scene.crowd import Crowd, Ground
 from avcli.scene.layout import Layout, furnish
 from avcli.scene.looks import random_look
-from avcli.scene.rooms import KINDS, Size, random_doors, random_kind, random_size, random_surfaces
+from avcli.scene.rooms import KINDS, Size, random_doors, random_kind, random_size, random_surfaces, reverberation
 from avcli.scene.talk import conversations
 
 _SEATED = {"office": 0.65, "meeting": 0.75, "corridor": 0.15, "hall": 0.5, "workshop": 0.0, "living": 0.65}
@@ -59,8 +59,8 @@ def random_world(
     size = wishes.room or _tall_enough(random_size(g_room, kind, wishes.people), wishes.camera_height)
     doors = random_doors(g_room, size)
     camera = random_camera(g_camera, size, known, wishes.lens, wishes.camera_height)
-    t60 = round(float(g_room.uniform(*KINDS[kind].t60)), 2)
-    surfaces = random_surfaces(g_room, kind, size, doors)
+    room = {"room_dimensions_m": [float(v) for v in size], **random_surfaces(g_room, kind, size, doors)}
+    room["reverberation_time_s"] = reverberation(room, KINDS[kind].furnished)
     eye = camera["camera_position_m"]
     layout = furnish(kind, size, wishes.people, doors, eye, g_things)
     people = [_person(number, kind, g_people) for number in range(wishes.people)]
@@ -76,7 +76,7 @@ def random_world(
         "name": "random",
         "duration_s": float(duration),
         "camera_config": camera,
-        "room_config": {"room_dimensions_m": [float(v) for v in size], "reverberation_time_s": t60, **surfaces},
+        "room_config": room,
         "furniture": layout.pieces,
         "people": people,
     }
