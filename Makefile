@@ -44,7 +44,7 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene audio localization detection tracking metrics calibration guidance live long
+BENCHES := scene audio localization detection tracking metrics calibration guidance live long real-video
 FITS := localization voice detection looks tracking
 
 # The matrices are small: threads inside BLAS cost more than they bring.
@@ -212,7 +212,7 @@ bench-tracking: BENCH_PYTHON = $(if $(wildcard .venv-bench/bin/python),.venv-ben
 
 $(BENCHES:%=bench-%): bench-%: $(READY)
 	@mkdir -p bench-out
-	$(BENCH_PYTHON) tests/bench/bench_$*.py --out bench-out $(BENCH_FLAGS)
+	$(BENCH_PYTHON) tests/bench/bench_$(subst -,_,$*).py --out bench-out $(BENCH_FLAGS)
 
 $(FITS:%=fit-%): fit-%: $(READY)
 	$(BIN)/python tests/bench/fit_$*.py $(FIT_FLAGS)

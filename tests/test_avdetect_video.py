@@ -1,8 +1,10 @@
 """avdetect-video as a process: what it reads, what it writes, and what it says when something is wrong."""
 
+import http.server
 import json
 import os
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -360,3 +362,68 @@ def test_a_live_pipe_is_answered_frame_by_frame(made):
             assert json.loads(process.stdout.readline())["timestamp"][:3] in ("0.0", "0.1", "0.2")
         process.stdin.close()
         assert process.wait(20) == 0
+
+
+def test_a_film_of_depth_and_a_pattern_say_what_the_pictures_say(folder, tmp_path):
+    import cv2
+
+    pictures = [media.read_depth(folder / experiment.Layout.depth(k / 10)) for k in range(3)]
+    depth = [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U, cv2.VIDEOWRITER_PROP_IS_COLOR, 0]
+    kind = cv2.VideoWriter.fourcc(*"FFV1")
+    film = cv2.VideoWriter(str(tmp_path / "depth.mkv"), cv2.CAP_FFMPEG, kind, 10, (480, 270), depth)
+    for number, picture in enumerate(pictures, 8):  # 8, 9, 10: by number, not by name
+        film.write(picture)
+        media.write_png(tmp_path / f"d{number}.png", picture)
+    film.release()
+    expected = found(run(*DEPTH, "-C", folder, folder / "frames.jsonl"))
+    assert found(run(*DEPTH, "-C", folder, tmp_path / "depth.mkv")) == expected
+    assert found(run(*DEPTH, "-C", folder, tmp_path / "d%d.png")) == expected
+    refused(run(*DEPTH, "-C", folder, tmp_path / "e%d.png"), "no file matches this pattern", code=2)
+
+
+def test_a_film_of_eight_bits_is_no_depth(folder, tmp_path):
+    import cv2
+
+    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20, (480, 270))
+    writer.write(np.zeros((270, 480, 3), np.uint8))
+    writer.release()
+    refused(run(*DEPTH, "-C", folder, tmp_path / "clip.avi"), "16 bits", "gray16le")
+
+
+def test_a_stream_at_an_address(folder, network):
+    """A camera that sends JPEGs over HTTP, as many cheap ones do."""
+    import cv2
+
+    jpeg = cv2.imencode(".jpg", np.full((270, 480, 3), 90, np.uint8))[1].tobytes()
+
+    class Camera(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+            self.end_headers()
+            for _ in range(12):
+                self.wfile.write(b"--frame\r\nContent-Type: image/jpeg\r\n\r\n" + jpeg + b"\r\n")
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Camera) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/stream"
+        result = run("avdetect-video", "-C", folder, "--model", network, address)
+        server.shutdown()
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines()
+    assert float(json.loads(result.stdout.splitlines()[0])["timestamp"]) > 1e9
+    nobody = run("avdetect-video", "-C", folder, "--model", network, "http://127.0.0.1:9/nothing")
+    refused(nobody, "no stream of pictures answers")
+
+
+def test_windows_give_turned_boxes_and_say_what_they_skipped(folder, network):
+    options = "-v", "--windows", "4", "--model", network, "--monocular"
+    result = run("avdetect-video", "-C", folder, *options, folder / "frames.jsonl")
+    assert result.returncode == 0, result.stderr
+    assert "windows: the network looked at" in result.stderr
+    for line in result.stdout.splitlines():
+        for one in json.loads(line)["objects"]:
+            assert len(one["turned_px"]) == 5

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre, separate
 from avcli.detection.gate import Gate
-from avcli.detection.monocular import locate_box
+from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes
 from avcli.detection.overlay import draw
 from avcli.detection.view import View
@@ -263,55 +263,96 @@ def test_a_box_on_the_empty_room_is_nobody_where_depth_shows_it(view, detector, 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5, 1.0, 1.5, 2.0])
 def test_a_box_alone_places_within_fifteen_centimetres(view, background, radius):
-    errors, distances = [], []
-    for seed in range(8):
-        person = placed_at(radius, seed * np.pi / (14 if radius < 1.2 else 40), seed)
-        centre, covariance, height = locate_box(box_of(cast(view, [person]), background), view)
-        errors.append(np.linalg.norm(centre - person[:2]))
-        distances.append((centre - person[:2]) @ np.linalg.solve(covariance, centre - person[:2]))
-        assert 1.2 < height < 2.1
+    people = np.array([placed_at(radius, seed * np.pi / (14 if radius < 1.2 else 40), seed) for seed in range(8)])
+    found = locate_boxes(np.array([box_of(cast(view, [person]), background) for person in people]), view)
+    away = found.positions - people[:, :2]
+    errors = np.linalg.norm(away, axis=1)
     assert np.median(errors) < 0.15
     assert np.max(errors) < 0.35
-    assert np.mean(distances) < 6.0
+    assert np.mean(np.einsum("ni,nij,nj->n", away, np.linalg.inv(found.covariances), away)) < 6.0
+    assert found.explained.all()
+    assert ((found.heights > 1.1) & (found.heights < 2.1)).all()
+
+
+def test_a_batch_says_what_each_box_says_alone(view, background):
+    boxes = np.array([box_of(cast(view, [placed_at(r, r, 0)]), background) for r in (0.5, 1.5)] + [[9, 9, 470, 260]])
+    many = locate_boxes(boxes, view)
+    for index, box in enumerate(boxes):
+        alone = locate_boxes(box[None], view)
+        assert np.allclose(alone.positions[0], many.positions[index], atol=2e-3)
+        assert alone.explained[0] == many.explained[index]
 
 
 def test_parts_sharpen_the_place(view, background):
     person = (3.5, 2.4, 1.0, 0.3, 1.75)
     axis = np.array([[person[0], person[1], z] for z in (0.54 * 1.75, 0.93 * 1.75, 0.0)])
-    box = box_of(cast(view, [person]), background)
-    centre, covariance, height = locate_box(box, view, view.project(axis) + 0.5)
-    assert np.linalg.norm(centre - person[:2]) < 0.05
-    assert height == pytest.approx(1.75, abs=0.06)
-    assert np.trace(covariance) < np.trace(locate_box(box, view)[1])
+    box = box_of(cast(view, [person]), background)[None]
+    found = locate_boxes(box, view, view.project(axis)[None] + 0.5)
+    assert np.linalg.norm(found.positions[0] - person[:2]) < 0.05
+    assert found.heights[0] == pytest.approx(1.75, abs=0.06)
+    assert np.trace(found.covariances[0]) < np.trace(locate_boxes(box, view).covariances[0])
 
 
-def test_a_box_that_no_body_fills_gives_no_place(view):
-    assert locate_box(np.array([200.0, 100.0, 215.0, 115.0]), view) is None
-    assert locate_box(np.array([10.0, 10.0, 470.0, 260.0]), view) is None
+@pytest.mark.parametrize("height", [0.9, 1.1, 1.3])
+def test_a_child_is_placed(view, background, height):
+    person = (3.5, 2.4, 1.0, 0.3, height)
+    found = locate_boxes(box_of(cast(view, [person]), background)[None], view)
+    away = found.positions[0] - person[:2]
+    assert found.seen[0]
+    assert away @ np.linalg.solve(found.covariances[0], away) < 9.0
+
+
+def test_a_turned_box_says_more_than_an_upright_one(view, background):
+    """The axes of the turned box are those of the body, whose picture points away from the camera's foot."""
+    person = (3.2, 3.2, 0.7, 0.2, 1.75)
+    rows, columns = np.nonzero(cast(view, [person]) < background - 0.02)
+    pixels = np.column_stack([columns, rows]) + 0.5
+    turn = np.pi / 2 + np.arctan2(*(view.project(np.array([[*person[:2], 0.9]]))[0] - [262.0, 137.8])[::-1])
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    ends = np.array([(pixels @ axes.T).min(axis=0) - 0.5, (pixels @ axes.T).max(axis=0) + 0.5])
+    middle, half = axes.T @ ends.mean(axis=0), (ends[1] - ends[0]) / 2
+    found = locate_boxes(np.concatenate([middle - half, middle + half])[None], view, turns=np.array([turn]))
+    upright = locate_boxes(box_of(cast(view, [person]), background)[None], view)
+    assert np.linalg.norm(found.positions[0] - person[:2]) < 0.1
+    assert np.linalg.det(found.covariances[0]) < np.linalg.det(upright.covariances[0])
+
+
+def test_a_box_that_no_body_fills_is_placed_and_marked(view):
+    found = locate_boxes(np.array([[200.0, 100.0, 215.0, 115.0], [100.0, 10.0, 370.0, 260.0]]), view)
+    assert found.seen.all()
+    assert not found.explained.any()
+    assert np.isnan(found.heights).all()
+    assert (np.sqrt(np.linalg.eigvalsh(found.covariances)[:, 0]) >= 0.2).all()
+
+
+def test_a_lying_person_is_placed_within_what_is_said(view, background):
+    lying = np.array([[x, 3.1 + y, z] for x in np.linspace(2.6, 4.3, 9) for y in (-0.2, 0.2) for z in (0.0, 0.25)])
+    pixels = view.project(lying) + 0.5
+    found = locate_boxes(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])[None], view)
+    away = found.positions[0] - [3.45, 3.1]
+    assert away @ np.linalg.solve(found.covariances[0], away) < 6.0
 
 
 def test_rays_above_the_horizon_give_no_place():
     tilted = View(KannalaBrandt(300.0, 300.0, 320.0, 240.0), camera_pose([0, 0, 2.5], [0, 0, 0]), (640, 480))
-    assert locate_box(np.array([300.0, 20.0, 340.0, 60.0]), tilted) is None
+    assert not locate_boxes(np.array([[300.0, 20.0, 340.0, 60.0]]), tilted).seen[0]
 
 
 def test_a_box_outside_the_lens_gives_no_place():
     fold = View(BrownConrady(596.43, 596.43, 960, 540, -0.2), camera_pose([0, 0, 2.5], [90, 0, 0]), (1920, 1080))
-    assert locate_box(np.array([1700.0, 500.0, 1900.0, 600.0]), fold) is None
+    assert not locate_boxes(np.array([[1700.0, 500.0, 1900.0, 600.0]]), fold).seen[0]
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.floats(-300, 900), min_size=4, max_size=4))
-def test_any_box_gives_a_finite_place_or_none(numbers):
-    view = ceiling_view(4)
+@given(st.lists(st.floats(-300, 900), min_size=4, max_size=4), st.floats(-4, 4))
+def test_any_box_gives_a_finite_place_or_none(numbers, turn):
     box = np.array([min(numbers[0], numbers[2]), min(numbers[1], numbers[3]), max(numbers[0], numbers[2]), 0.0])
     box[3] = max(numbers[1], numbers[3])
-    found = locate_box(box, view)
-    if found is not None:
-        centre, covariance, height = found
-        assert np.isfinite(centre).all()
-        assert np.linalg.eigvalsh(covariance)[0] > 0
-        assert 0.5 < height < 2.6
+    found = locate_boxes(box[None], ceiling_view(4), turns=None if turn > 3 else np.array([turn]))
+    if found.seen[0]:
+        assert np.isfinite(found.covariances).all()
+        assert np.linalg.eigvalsh(found.covariances[0])[0] > 0
+        assert not found.explained[0] or 0.0 < found.heights[0] < 2.6
 
 
 def test_the_thesis_reads_one_pixel(view, background):

@@ -31,7 +31,10 @@ def folder(tmp_path):
         ("/dev/video3", "camera"),
         ("a.png", "picture"),
         ("a.JPG", "picture"),
-        ("frame_%03d.png", "video"),
+        ("frame_%03d.png", "pattern"),
+        ("frame_%03d", "video"),
+        ("rtsp://host/stream", "url"),
+        ("http://host/film.mp4", "video"),
         *((f"film{suffix}", "video") for suffix in footage.VIDEOS),
         ("frames.jsonl", "file"),
         ("no-suffix", "file"),
@@ -39,7 +42,7 @@ def folder(tmp_path):
 )
 def test_what_a_name_means(name, kind):
     assert footage.source(name).kind == kind
-    assert footage.source(name).is_live == (kind in ("stream", "camera"))
+    assert footage.source(name).is_live == (kind in ("stream", "camera", "url"))
     assert footage.is_camera(name) == (kind == "camera")
 
 
@@ -55,7 +58,7 @@ def test_a_folder_has_its_pictures_in_the_order_of_their_names(folder):
 @pytest.mark.parametrize(("name", "missing"), [("gone.png", "no such file"), ("9876", "no such camera")])
 def test_what_is_missing_is_named(folder, name, missing):
     with pytest.raises(FileNotFoundError, match=missing) as error:
-        footage.sources([str(folder), "-", "frame_%03d.png", name])
+        footage.sources([str(folder), "-", name])
     assert error.value.filename.endswith(name)
 
 

@@ -90,6 +90,8 @@ def main(
             write(records.as_record(detections(shot.timestamp, people)))
             if drawing:
                 _draw(session, drawing, shot, people, detector.view)
+        if detector is not None:
+            _say_what_did_not_fit(session, detector)
 
 
 def _refuse_without_effect(settings: Settings) -> None:
@@ -137,6 +139,23 @@ def _people(session: filter.Session, detector: Detector, shot: footage.UnreadSho
         return None
 
 
+def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
+    tally = detector.tally
+    if detector.windows is not None:
+        seen, still = detector.windows.looked, detector.windows.skipped
+        session.note(f"windows: the network looked at {seen}; in {still} nothing had changed")
+    if tally.unexplained:
+        session.warn(
+            f"{tally.unexplained} of {tally.by_box} boxes that were placed without depth fit no body: people who lie, "
+            'reach out or are mostly hidden, or no people; they have "explained": false and a large covariance'
+            + ("; are the camera's height and lens right?" if tally.unexplained > tally.by_box / 4 else "")
+        )
+    if tally.nowhere:
+        session.warn(f"{tally.nowhere} boxes have no place: none of their rays reaches the floor or a body on it")
+    if tally.outside:
+        session.warn(f"{tally.outside} people were found more than 0.3 m behind a wall, and are left out")
+
+
 def _sink(session: filter.Session, target: str, size: tuple[int, int]) -> footage.Sink:
     from avcli.formats import footage
 
@@ -179,16 +198,19 @@ def _shots(
         sources = footage.sources(files or ("-",))
     except FileNotFoundError as error:
         session.usage(f"{error.filename}: {error.strerror}")
-    moving = [source for source in sources if source.kind in ("video", "camera")]
-    still = [source for source in sources if source.kind in ("picture", "folder")]
+    moving = [source for source in sources if source.kind in ("video", "camera", "url")]
+    still = [source for source in sources if source.kind in ("picture", "folder", "pattern")]
     if len(moving) > 1 or (moving and len(files) > 1) or (still and len(still) < len(files)):
         session.usage("give one video or one camera, or picture files only, or frame records only")
-    if moving and depth:
-        session.usage(f"{moving[0].name}: a video has no depth; use --detector net")
+    if moving and depth and moving[0].is_live:
+        session.usage(f"{moving[0].name}: a camera's pictures have no depth; use --detector net")
     if still or (moving and not moving[0].is_live):
         refuse_without_effect(["live"], "on files; it is for a camera, or for frame records from a pipe")
     if still:
         return _picture_shots(session, still, rate, depth=depth)
+    if moving and depth:
+        pictures = footage.depth_pictures(moving[0].name, rate)
+        return (footage.UnreadShot(picture.timestamp, None, picture.image.view) for picture in pictures)
     if moving:
         pictures = footage.pictures([moving[0].name], rate)
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)

@@ -56,6 +56,8 @@ class Person:
         visible: visible fraction of the body, None where it is not known.
         surface: where the picture shows the person, None where only the position and the height tell it.
         looks: (2, d) what the person wears and its standard deviations, see avcli.detection.looks; None: not described.
+        explained: whether some body explains the box that the position comes from, see avcli.detection.monocular.
+        turned_px: (5,) [x, y, width, height, turn in degrees], the box turned as the person stands; None: not known.
     """
 
     position: np.ndarray
@@ -67,6 +69,8 @@ class Person:
     visible: float | None = None
     surface: Surface | None = None
     looks: np.ndarray | None = None
+    explained: bool = True
+    turned_px: np.ndarray | None = None
 
 
 def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

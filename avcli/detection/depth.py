@@ -8,13 +8,13 @@ Image and Vision Computing 22 (2004).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache
 
 import numpy as np
 
 from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
 from avcli.detection.fitted import SCORE
-from avcli.detection.monocular import HEIGHT_M, locate_box
+from avcli.detection.monocular import HEIGHT_M, Places, locate_boxes
 from avcli.detection.network import Boxes
 from avcli.detection.view import View
 
@@ -57,10 +57,18 @@ class DepthDetector:
             recorded; then only `place` can be used.
         min_surface: m²; least visible surface of a body.
         min_height: m; lower things with free space above them are furniture.
+        room: (2,) m, size of the room; None if it is not known.
     """
 
-    def __init__(self, view: View, background: np.ndarray | None, min_surface: float = 0.02, min_height: float = 1.0):
-        self.view, self.min_surface, self.min_height = view, min_surface, min_height
+    def __init__(
+        self,
+        view: View,
+        background: np.ndarray | None,
+        min_surface: float = 0.02,
+        min_height: float = 1.0,
+        room: np.ndarray | None = None,
+    ):
+        self.view, self.min_surface, self.min_height, self.room = view, min_surface, min_height, room
         self.limit = None
         if background is not None:
             self.limit = np.where(background > 0, background - np.float32(MARGIN_M), np.float32(np.inf))
@@ -96,8 +104,13 @@ class DepthDetector:
         if not len(found):
             return []
 
-        def by_box(index: int) -> tuple[np.ndarray, np.ndarray, float] | None:
-            return locate_box(found.boxes[index], self.view, None if found.parts is None else found.parts[index])
+        @cache
+        def by_boxes() -> Places:
+            boxes, turns = found.boxes, None
+            if found.turned is not None:
+                middle, half, turns = found.turned[:, :2], found.turned[:, 2:4] / 2, found.turned[:, 4]
+                boxes = np.concatenate([middle - half, middle + half], axis=1)
+            return locate_boxes(boxes, self.view, found.parts, turns, self.room)
 
         bodies, empty = [], np.zeros(len(found), bool)
         if depth is not None:
@@ -113,16 +126,17 @@ class DepthDetector:
             ]
         people, free = [], list(range(len(bodies)))
         for index in range(len(found)):
-            chosen = self._choose([bodies[k] for k in free], inside[index], partial(by_box, index)) if bodies else None
+            chosen = self._choose([bodies[k] for k in free], inside[index], by_boxes, index) if bodies else None
             person = None
             if chosen is not None and depth is not None:
                 body = bodies[free.pop(chosen)]
                 person = self._person(body, depth, float(found.scores[index]))
-            elif not empty[index] and (guess := by_box(index)) is not None:
-                person = _person_by_box(*guess, found.scores[index])
+            elif not empty[index] and by_boxes().seen[index]:
+                person = _person_by_box(by_boxes(), index, float(found.scores[index]))
             if person is not None:
                 box = np.clip(found.boxes[index], 0, [*self.view.size, *self.view.size])
-                people.append(replace(person, bbox_px=box))
+                turned = None if found.turned is None else found.turned[index] * [1, 1, 1, 1, 180 / np.pi]
+                people.append(replace(person, bbox_px=box, turned_px=turned))
         return people
 
     def _bodies(self, depth: np.ndarray, mask: np.ndarray) -> list[_Body]:
@@ -137,16 +151,17 @@ class DepthDetector:
             for member in separate(points, surface)
         ]
 
-    def _choose(self, bodies: list[_Body], inside: np.ndarray, by_box: Callable) -> int | None:
+    def _choose(self, bodies: list[_Body], inside: np.ndarray, by_boxes: Callable[[], Places], box: int) -> int | None:
         """Index of the body that a box most likely means, of those that are mostly inside it; None if there is none."""
         amounts = {}
         for index, body in enumerate(bodies):
             amount = body.surface[inside[body.rows, body.columns]].sum()
             if amount > 0 and amount >= 0.5 * body.surface.sum():
                 amounts[index] = amount
-        if len(amounts) > 1 and (guess := by_box()) is not None:
+        if len(amounts) > 1 and by_boxes().explained[box]:
             for index in amounts:
-                away = np.average(bodies[index].points[:, :2], axis=0, weights=bodies[index].surface) - guess[0]
+                middle = np.average(bodies[index].points[:, :2], axis=0, weights=bodies[index].surface)
+                away = middle - by_boxes().positions[box]
                 amounts[index] *= np.exp(-0.5 * (away @ away) / 0.4**2)
         return max(amounts, key=lambda index: amounts[index]) if amounts else None
 
@@ -217,14 +232,17 @@ def place_centre(found: Boxes, depth: np.ndarray, view: View) -> list[Person]:
     return people
 
 
-def _person_by_box(centre: np.ndarray, covariance: np.ndarray, height: float, score: float) -> Person:
+def _person_by_box(places: Places, index: int, score: float) -> Person:
+    explained = bool(places.explained[index])
+    height = float(places.heights[index]) if explained else None
     return Person(
-        position=np.array([*centre, MID_BODY_M / HEIGHT_M * height]),
-        covariance=_with_height(covariance),
-        score=float(score),
+        position=np.array([*places.positions[index], MID_BODY_M / HEIGHT_M * (height or HEIGHT_M)]),
+        covariance=_with_height(places.covariances[index]),
+        score=score,
         bbox_px=np.zeros(4),
         height=height,
         method="monocular",
+        explained=explained,
     )
 
 

@@ -3,7 +3,7 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import resources
 from typing import Any
@@ -14,9 +14,10 @@ from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
-from avcli.detection.network import Boxes, ModelError, Network
+from avcli.detection.network import PAD, Boxes, ModelError, Network
 from avcli.detection.settings import Settings
 from avcli.detection.view import View
+from avcli.detection.windows import WindowedNetwork
 from avcli.formats.experiment import Config
 from avcli.formats.media import MediaError, Shot, read_bytes
 from avcli.formats.records import Detections
@@ -27,6 +28,9 @@ SENSOR = "video"
 
 WALL_M = 0.3
 """m; a person found farther than this behind a wall is a reflection, or a wrong box."""
+
+SURE = 3.0
+"""Standard deviations by which a position that is hardly known must be farther than that."""
 
 Picture = np.ndarray | Callable[[], np.ndarray]
 """A picture, or a function that reads it when it is needed."""
@@ -83,6 +87,9 @@ def detect(
         yield detections(shot.timestamp, detector.look(shot.rgb, shot.depth))
 
 
+_NONE = np.full(5, np.nan)
+
+
 def detections(timestamp: float, people: list[Person]) -> Detections:
     """Collect the people found at one time, s, as detections of the sensor `SENSOR`."""
     return Detections(
@@ -95,7 +102,28 @@ def detections(timestamp: float, people: list[Person]) -> Detections:
         boxes_px=np.array([person.bbox_px for person in people]).reshape(-1, 4).round(2),
         heights=np.array([np.nan if person.height is None else person.height for person in people]),
         features=feature(people),
+        turned_px=np.array([_NONE if person.turned_px is None else person.turned_px for person in people])
+        .reshape(-1, 5)
+        .round(2),
+        explained=np.array([np.nan if person.explained else 0.0 for person in people]),
     )
+
+
+@dataclass
+class Tally:
+    """What became of the boxes that a network found.
+
+    Attributes:
+        by_box: placed by the box alone, without depth.
+        unexplained: of these, boxes that no body explains, whose place is hardly known.
+        nowhere: without a place: none of their rays reaches the room.
+        outside: of people beyond the walls, who were left out.
+    """
+
+    by_box: int = 0
+    unexplained: int = 0
+    nowhere: int = 0
+    outside: int = 0
 
 
 class Detector:
@@ -111,6 +139,8 @@ class Detector:
     Attributes:
         view: the camera in the room.
         network: the network, None for the depth detector.
+        windows: the network in windows, None where it looks at the whole picture.
+        tally: what became of the network's boxes so far.
 
     Raises:
         MediaError: `model` cannot be read.
@@ -141,13 +171,15 @@ class Detector:
             circle=camera.circle,
         )
         self.network = self._network(model) if self.settings.detector == "net" else None
+        self.windows = self._windows(self.network) if self.network and self.settings.windows else None
         if self.network is None and background is None:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
+        self.tally = Tally()
         known = config.states("room_config", "room_dimensions_m")
-        self._room = config.room.dimensions if known else None
+        self._room = np.asarray(config.room.dimensions[:2], float) if known else None
 
     def look(self, rgb: Picture | None, depth: Picture | None = None) -> list[Person]:
         """Find the people in the next pictures.
@@ -173,10 +205,10 @@ class Detector:
         regions = self._gate.changes(picture)
         if len(regions):
             with self._timing("network"):
-                found = self.network.detect(picture, regions)
+                found = self._lit((self.windows or self.network).detect(self._darkened(picture), regions))
             with self._timing("depth and positions"):
                 placed = self._place(found, depth)
-                people = [beyond_trust(person, self.view) for person in placed if self._in_room(person)]
+                people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
             self._last = self._described(picture, people)
         return self._last
 
@@ -191,7 +223,7 @@ class Detector:
         if not len(found):
             return []
         if depth is None or self.settings.monocular:
-            return DepthDetector(self.view, None).place(found, None)
+            return self._by_box.place(found, None)
         metres = self._metres(self._read(depth, "depth"))
         if self.settings.position == "centre":
             return place_centre(found, metres, self.view)
@@ -201,19 +233,69 @@ class Detector:
     def _before_room(self) -> DepthDetector:
         """The detector that knows the empty room, whose picture is read when a depth picture is compared with it."""
         if self._background is None:
-            return DepthDetector(self.view, None)
-        return DepthDetector(self.view, self._metres(self._read(self._background, "background")))
+            return self._by_box
+        return DepthDetector(self.view, self._metres(self._read(self._background, "background")), room=self._room)
+
+    @cached_property
+    def _by_box(self) -> DepthDetector:
+        return DepthDetector(self.view, None, room=self._room)
+
+    def _counted(self, people: list[Person], found: int) -> list[Person]:
+        """Those who are in the room; all are counted."""
+        by_box = [person for person in people if person.method == "monocular"]
+        inside = [person for person in people if self._in_room(person)]
+        self.tally.by_box += len(by_box)
+        self.tally.unexplained += sum(not person.explained for person in by_box)
+        if self.settings.monocular or self._background is None:
+            self.tally.nowhere += found - len(people)
+        self.tally.outside += len(people) - len(inside)
+        return inside
 
     def _in_room(self, person: Person) -> bool:
-        x, y = person.position[:2]
-        return self._room is None or bool(-WALL_M < x < self._room[0] + WALL_M and -WALL_M < y < self._room[1] + WALL_M)
+        """Whether a person may be in the room, as far as the position is known."""
+        if self._room is None:
+            return True
+        beyond = np.maximum(np.maximum(-person.position[:2], person.position[:2] - self._room), 0.0)
+        doubt = 0.0
+        if person.method == "monocular":
+            doubt = (
+                SURE
+                * float(np.sqrt(beyond @ person.covariance[:2, :2] @ beyond))
+                / max(float(np.linalg.norm(beyond)), 1e-9)
+            )
+        return bool((beyond < WALL_M + doubt).all())
+
+    def _windows(self, network: Network) -> WindowedNetwork:
+        below = self.view.below()
+        centre = np.array(self._size) / 2 if below is None else below + 0.5
+        return WindowedNetwork(network, self._size, centre, self.settings.windows or 1, self.view.circle)
+
+    def _darkened(self, picture: np.ndarray) -> np.ndarray:
+        """The picture with grey in place of what the lens does not light, where that is known."""
+        if self.view.circle is None:
+            return picture
+        return np.where(self._light[..., None], picture, np.uint8(PAD))
+
+    @cached_property
+    def _light(self) -> np.ndarray:
+        columns, rows = np.meshgrid(np.arange(self._size[0]), np.arange(self._size[1]))
+        return self.view.inside(np.column_stack([columns.ravel(), rows.ravel()]).astype(float)).reshape(rows.shape)
+
+    def _lit(self, found: Boxes) -> Boxes:
+        """The boxes whose middle is where the lens lights the picture."""
+        if self.view.circle is None or not len(found):
+            return found
+        x, y, radius = self.view.circle
+        middles = found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5
+        return found.take(np.hypot(middles[:, 0] - x, middles[:, 1] - y) <= radius)
 
     def _network(self, model: str | os.PathLike | None) -> Network:
         own = resources.files("avcli.detection") / "people.onnx"
         content = own.read_bytes() if model is None else read_bytes(model)
         chosen = self.settings
         try:
-            return Network(content, chosen.imgsz, chosen.confidence, chosen.iou, chosen.threads)
+            shape = (1, 1) if chosen.windows else self._size
+            return Network(content, chosen.imgsz, chosen.confidence, chosen.iou, chosen.threads, shape)
         except ModelError as error:
             raise ModelError(f"{model}: {error}") from None
 

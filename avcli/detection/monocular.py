@@ -1,9 +1,16 @@
-"""The position of a person from a box in one colour picture, by the lens and the camera's pose.
+"""The positions of people from boxes in one colour picture, by the lens and the camera's pose.
 
-A standing body of unknown position and height is fitted to the box, and to the points of torso, head and foot where a
-network gives them: least squares over x, y and height, with a prior on the height. The picture's border cuts the
-modelled box as it cuts the real one. The covariance is that of the fit: long along the ray, short across it.
+Bodies of several kinds (standing, small, seated) whose position and height are unknown are fitted to each box, and to
+the points of torso, head and foot where a network gives them: least squares over x, y and height, with a prior on the
+height. Each is taken to be seen whole, or hidden on the side of the feet, by furniture or by whoever is nearer. The
+picture's border cuts the modelled box as it cuts the real one. The kinds are weighed by how well they explain the box,
+and the position is the mean over them, so that its covariance contains what cannot be told apart.
+
+A box that no body explains (somebody who lies, reaches out, or is seen by a hand) is placed on its rays, between the
+floor and the top of a head.
 """
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,130 +23,430 @@ HEIGHT_M, HEIGHT_SPREAD_M = 1.70, 0.12
 PART_HEIGHTS = np.array([0.54, 0.93, 0.0])
 """Heights of torso, head and foot as parts of the body's."""
 
-HIDDEN = 2.0
-"""Factor on the standard deviation of a side of the box that lies inside the body's: the body may be hidden there."""
+SHARED = 0.5
+"""A body explains a box if they share this fraction of their union."""
+
+WALL_SPREAD_M = 0.2
+"""m; standard deviation of a wall's place, for somebody who seems to be behind it."""
+
+BODY_M = 0.15
+"""m; half the depth of a body."""
+
+TIGHT = 0.75
+"""Where a standing or seated body and a box share less, people who lie are thought of too."""
 
 _TILT = 2 * np.pi * np.arange(12) / 12
 _RING = np.stack([np.cos(_TILT), np.sin(_TILT)], axis=1)
-_OUTLINE = np.concatenate(  # a body of height 1: parts of the height, with the radii (m) that limbs reach on average
-    [
-        np.column_stack([radius * _RING, np.full(12, part)])
-        for part, radius in ((0.02, 0.20), (0.25, 0.18), (0.5, 0.24), (0.80, 0.24), (0.90, 0.10), (1.0, 0.06))
-    ]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of body.
+
+    Attributes:
+        share: of people, before anything is seen of them.
+        height_m, spread_m: mean and standard deviation of the height of its top.
+        outline: (m, 3) points of a body of height 1, m across.
+    """
+
+    share: float
+    height_m: float
+    spread_m: float
+    outline: np.ndarray
+
+
+def _rings(*rings: tuple[float, float]) -> np.ndarray:
+    """Rings about the axis: part of the height, and the radius, m, that limbs reach there on average."""
+    return np.concatenate([np.column_stack([radius * _RING, np.full(12, part)]) for part, radius in rings])
+
+
+def _lying(azimuth: float) -> np.ndarray:
+    along = np.array([np.cos(azimuth), np.sin(azimuth)])
+    ends = np.concatenate([end * 0.62 * along + 0.22 * _RING for end in (-1, 0, 1)])
+    return np.concatenate([np.column_stack([ends, np.full(36, part)]) for part in (0.1, 1.0)])
+
+
+_UPRIGHT = ((0.02, 0.20), (0.25, 0.18), (0.5, 0.24), (0.80, 0.24), (0.90, 0.10), (1.0, 0.06))
+KINDS = (
+    Kind(0.90, HEIGHT_M, HEIGHT_SPREAD_M, _rings(*_UPRIGHT)),
+    Kind(0.05, 1.20, 0.15, _rings(*((part, 0.75 * radius) for part, radius in _UPRIGHT))),
+    Kind(0.05, 1.28, 0.08, _rings((0.02, 0.26), (0.40, 0.34), (0.5, 0.32), (0.76, 0.26), (0.88, 0.11), (1.0, 0.07))),
 )
+"""Standing adults; children; people who sit, also in a wheelchair."""
+
+LYING = tuple(Kind(0.005, 0.28, 0.07, _lying(azimuth)) for azimuth in np.pi / 4 * np.arange(4))
+"""People who lie, by azimuth."""
+
+FEET_HIDDEN = 0.25
+"""Share of people of whom something hides the side of the feet."""
 
 
-def locate_box(
-    box: np.ndarray, view: View, parts: np.ndarray | None = None, law: BoxLaw = BOX
-) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Find the position of the person whose picture fills a box.
+class _Hypotheses:
+    """Kinds of bodies, each seen whole and, if they are upright, also with the side of the feet hidden."""
+
+    def __init__(self, kinds: tuple[Kind, ...], *, upright: bool):
+        self.upright = upright
+        pairs = [(kind, hiding) for kind in range(len(kinds)) for hiding in ((False, True) if upright else (False,))]
+        self.kind, self.hiding = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+        self.outlines = np.stack([kind.outline for kind in kinds])
+        self.mean = np.array([kinds[kind].height_m for kind in self.kind])
+        self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
+        seen = np.where(self.hiding, FEET_HIDDEN, 1 - FEET_HIDDEN)
+        self.log_share = np.log([kinds[kind].share for kind in self.kind]) + np.log(seen)
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+_MOST, _REST = _Hypotheses(KINDS, upright=True), _Hypotheses(LYING, upright=False)
+
+_LEVELS = np.arange(0.1, 1.75, 0.2)
+"""m; where what a box shows of somebody may be."""
+_WITHIN = np.array([[0.5, 0.5], [0.25, 0.5], [0.75, 0.5], [0.5, 0.25], [0.5, 0.75]])
+_EXTENT_M, _EXTENT_SPREAD = (0.25, 2.0), 0.3
+"""m, extents that a part of a person may have; and the standard deviation of the logarithm beyond them."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the people of n boxes are.
+
+    Attributes:
+        positions: (n, 2) x, y m; NaN where none of a box's rays reaches the room.
+        covariances: (n, 2, 2) m².
+        heights: (n,) m; NaN where no body explains the box.
+        explained: (n,) bool, whether some body does.
+    """
+
+    positions: np.ndarray
+    covariances: np.ndarray
+    heights: np.ndarray
+    explained: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which boxes (n,) have a position."""
+        return np.isfinite(self.positions[:, 0])
+
+
+def locate_boxes(
+    boxes: np.ndarray,
+    view: View,
+    parts: np.ndarray | None = None,
+    turns: np.ndarray | None = None,
+    room: np.ndarray | None = None,
+    law: BoxLaw = BOX,
+) -> Places:
+    """Find the positions of the people whose pictures fill boxes.
 
     Args:
-        box: (4,) [x0, y0, x1, y1] px, corner-based; may reach over the picture's border.
+        boxes: (n, 4) [x0, y0, x1, y1] px, corner-based; may reach over the picture's border.
         view: the camera.
-        parts: (3, 2) px of torso, head and foot; None if unknown.
+        parts: (n, 3, 2) px of torso, head and foot; None if unknown.
+        turns: (n,) rad, by which the axes of each box are turned about its middle, from x towards y; None: not at all.
+        room: (2,) m, size of the room, whose walls nobody is behind; None if it is not known.
         law: the fitted errors of boxes and of positions by them.
-
-    Returns:
-        (x, y) m; covariance (2, 2) m²; and the height, m. None if the lens does not see there, the ray does not meet
-        the lower part of the room, no body fits the box, or less than a tenth of the body is in the picture.
     """
-    size = np.array([*view.size, *view.size], float)
-    box = np.clip(box, 0.0, size)
-    middle = (box[:2] + box[2:]) / 2 if parts is None else parts[0]
-    measured = box if parts is None else np.concatenate([box, parts.ravel()])
-    cut = (box[:2] < 2).any() or (box[2:] > size[2:] - 2).any()
-    fits = []
-    for z in (0.9, 0.3) if cut else (0.9,):  # the border may cut off all but the legs
-        start = _on_plane(middle, view, z)
-        fit = None if start is None else _fit(np.array([*start, HEIGHT_M]), measured, view, law)
-        if fit is not None:
-            fits.append(fit)
-    if not fits:
-        return None
-    state, covariance, _ = min(fits, key=lambda fit: fit[2])
-    whole = _predict(state, view, False, whole=True)
-    if whole is None or (box[2:] - box[:2]).prod() < 0.1 * (whole[2:] - whole[:2]).prod():
-        return None  # a foot at the border says too little
-    return state[:2], covariance, float(state[2])
+    boxes = np.asarray(boxes, float)
+    fits = _fitted(boxes, view, parts, turns, law, _MOST)
+    loose = np.flatnonzero(np.where(fits.good & ~_MOST.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
+    if len(loose):
+        lying = _fitted(
+            boxes[loose],
+            view,
+            None if parts is None else parts[loose],
+            None if turns is None else turns[loose],
+            law,
+            _REST,
+        )
+        fits = fits.joined(lying, loose)
+    if room is not None:
+        behind = np.linalg.norm(_behind(fits.state[..., :2], room), axis=-1)
+        fits = replace(fits, log_weight=fits.log_weight - (behind / WALL_SPREAD_M) ** 2 / 2)
+    places = fits.merged()
+    for index in np.flatnonzero(~places.explained):
+        turn = 0.0 if turns is None else float(turns[index])
+        places.positions[index], places.covariances[index] = _on_rays(boxes[index], turn, view, room)
+    return places
 
 
-def _fit(
-    state: np.ndarray, measured: np.ndarray, view: View, law: BoxLaw
-) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Fit x, y and height (3,) to the measured box (4,) or box and parts (10,) px by Gauss and Newton's method.
+def _behind(xy: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """How far (..., 2) m bodies with axes at (..., 2) are behind the walls of a room (2,)."""
+    return np.maximum(np.maximum(BODY_M - xy, xy - room[:2] + BODY_M), 0.0)
 
-    Returns the state, the covariance (2, 2) of x and y, and the cost; None where the fit leaves the lens or the room.
+
+@dataclass(frozen=True)
+class _Judged:
+    """Fits of k hypotheses to n boxes.
+
+    Attributes:
+        state: (n, k, 3) x, y and height, m.
+        covariance: (n, k, 2, 2) m² of x and y.
+        good: (n, k) whether the hypothesis explains the box.
+        log_weight: (n, k) of the hypothesis, given the box.
+        shared: (n, k) fraction of their union that the box and the body's share.
     """
-    parts = len(measured) > 4
-    predicted = _predict(state, view, parts, whole=True)
-    if predicted is None:
-        return None
-    extent = np.sqrt(max((predicted[2:4] - predicted[:2]).prod(), 1.0))
-    spread = np.full(len(measured), law.side * extent + 1.0)
-    spread[4:] *= law.part
-    mean, prior = np.array([0.0, 0.0, HEIGHT_M]), np.diag([0.0, 0.0, HEIGHT_SPREAD_M**-2])
-    for _ in range(8):
-        predicted = _predict(state, view, parts)
-        moved = [_predict(state + 0.01 * unit, view, parts) for unit in np.eye(3)]
-        if predicted is None or any(item is None for item in moved):
-            return None
-        jacobian = (np.array(moved) - predicted).T / 0.01
-        told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=1)
-        jacobian[~told] = 0.0
-        error = np.where(told, measured - predicted, 0.0)
-        shorter = np.append(error[:2] > 0, error[2:4] < 0)
-        doubt = spread.copy()
-        doubt[:4][shorter] *= HIDDEN  # that side of the body may be hidden
-        weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
-        information = jacobian.T @ (weights[:, None] * jacobian) + prior + np.eye(3)
-        step = np.linalg.solve(information, jacobian.T @ (weights * error) + prior @ (mean - state))
-        step *= min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
-        state = state + step
-        if np.abs(step).max() < 1e-3:
-            break
-    cost = float(weights @ error**2)
-    if not np.isfinite(state).all() or not 0.5 < state[2] < 2.6:
-        return None
-    # One body does not explain a half-hidden one. A sitting person fills another box, but the parts fit.
-    side = np.sqrt((measured[2:4] - measured[:2]).prod())
-    in_place = parts and np.sqrt(np.mean(error[4:] ** 2)) < 0.1 * side
-    if _shared(predicted[:4], measured[:4]) < (0.4 if in_place else 0.5):
-        return None
-    surplus = max(cost / max(int(told.sum()) - 3, 1), 1.0)  # of misfit over what was expected (Birge, 1932)
-    covariance = law.spread * surplus * np.linalg.inv(information)[:2, :2] + law.floor_m**2 * np.eye(2)
-    return state, (covariance + covariance.T) / 2, cost
+
+    state: np.ndarray
+    covariance: np.ndarray
+    good: np.ndarray
+    log_weight: np.ndarray
+    shared: np.ndarray
+
+    def joined(self, others: "_Judged", rows: np.ndarray) -> "_Judged":
+        """These hypotheses and others, which were tried on some of the boxes."""
+        both = []
+        for mine, more in zip(vars(self).values(), vars(others).values(), strict=True):
+            wide = np.zeros((len(mine), *more.shape[1:]), mine.dtype)
+            wide[rows] = more
+            both.append(np.concatenate([mine, wide], axis=1))
+        return _Judged(*both)
+
+    def merged(self) -> Places:
+        """The mean over the hypotheses that explain each box, and the covariance of the mixture."""
+        explained = self.good.any(axis=1)
+        log_weight = np.where(self.good, self.log_weight, -np.inf)
+        log_weight -= np.where(explained, log_weight.max(axis=1), 0.0)[:, None]
+        weight = np.exp(log_weight)
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+        state = np.where(self.good[..., None], self.state, 0.0)
+        mean = (weight[..., None] * state).sum(axis=1)
+        away = (state - mean[:, None])[..., :2]
+        spread = self.covariance + away[..., :, None] * away[..., None, :]
+        spread = (weight[..., None, None] * np.where(self.good[..., None, None], spread, 0.0)).sum(axis=1)
+        heights = np.where(explained, mean[:, 2], np.nan)
+        return Places(mean[:, :2], (spread + spread.mT) / 2, heights, np.asarray(explained))
 
 
-def _shared(box: np.ndarray, other: np.ndarray) -> float:
-    """The fraction of their union that two boxes (4,) share."""
-    shared = np.maximum(np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2]), 0).prod()
-    return float(shared / max((box[2:] - box[:2]).prod() + (other[2:] - other[:2]).prod() - shared, 1e-9))
+def _fitted(
+    boxes: np.ndarray,
+    view: View,
+    parts: np.ndarray | None,
+    turns: np.ndarray | None,
+    law: BoxLaw,
+    hypotheses: _Hypotheses,
+) -> _Judged:
+    each = np.repeat(np.arange(len(boxes)), len(hypotheses))
+    known, turned = None if parts is None else parts[each], None if turns is None else turns[each]
+    fits = _Fits(boxes[each], view, known, turned, law, hypotheses)
+    fits.run()
+    judged = (fits.state, *fits.judge())
+    return _Judged(*(item.reshape(len(boxes), len(hypotheses), *item.shape[1:]) for item in judged))
 
 
-def _on_plane(pixel: np.ndarray, view: View, z: float) -> np.ndarray | None:
-    """(x, y) m where the ray of a corner-based pixel (2,) meets the height z; None where it does not."""
-    ray = view.unproject(pixel[None] - 0.5)[0]
-    fall = z - view.origin[2]
-    if not np.isfinite(ray).all() or ray[2] * fall <= 0 or abs(ray[2]) < 1e-3:
-        return None
-    return (view.origin + ray * (fall / ray[2]))[:2]
+class _Fits:
+    """Fits of bodies to boxes by Gauss and Newton's method, a row for each box and hypothesis."""
+
+    def __init__(
+        self,
+        boxes: np.ndarray,
+        view: View,
+        parts: np.ndarray | None,
+        turns: np.ndarray | None,
+        law: BoxLaw,
+        hypotheses: _Hypotheses,
+    ):
+        rows = len(boxes)
+        self.view, self.law, self.parts = view, law, parts is not None
+        repeat = rows // len(hypotheses)
+        self.outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
+        self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
+        head = np.repeat([False, True, False], 2)
+        self.silent = np.where(self.hiding[:, None], ~head, not hypotheses.upright)  # of the parts
+        self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
+        turns = np.zeros(rows) if turns is None else turns
+        self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2
+        cosine, sine = np.cos(turns), np.sin(turns)
+        self.turn = np.stack([np.stack([cosine, sine], 1), np.stack([-sine, cosine], 1)], 1)  # picture to box
+        self.turned = turns != 0
+        if not self.turned.any():
+            boxes = np.clip(boxes, 0.0, [*view.size, *view.size])
+        self.measured = self._into_box(boxes.reshape(rows, 2, 2), rotate=False).reshape(rows, 4)
+        if parts is not None:
+            self.measured = np.concatenate([self.measured, self._into_box(parts).reshape(rows, 6)], axis=1)
+        below = view.below()
+        inward = np.zeros((rows, 2)) if below is None else below + 0.5 - self.middle
+        inward = (self.turn @ inward[..., None])[..., 0]
+        inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9)
+        self.inward = inward
+        self.inner = np.concatenate([inward < -0.3, inward > 0.3], axis=1)  # sides that face the point below the camera
+        self.valid = np.ones(rows, bool)
+        self.state = self._start()
+
+    def _into_box(self, points: np.ndarray, *, rotate: bool = True) -> np.ndarray:
+        """Points (rows, m, 2) px of the picture in the axes of their row's box."""
+        away = points - self.middle[:, None]
+        return away @ self.turn.mT if rotate and self.turned.any() else away
+
+    def _start(self) -> np.ndarray:
+        """Where the fits begin (rows, 3): the middle at half the height, or the outer side at the head's."""
+        half = (self.measured[:, 2:4] - self.measured[:, :2]) / 2
+        with np.errstate(divide="ignore"):
+            reach = np.min(half / np.maximum(np.abs(self.inward), 1e-9), axis=1)
+        outer = -self.inward * (0.9 * reach)[:, None]
+        seed = np.where(self.hiding[:, None], outer, 0.0)
+        if self.parts:
+            seed = np.where(self.hiding[:, None], seed, self.measured[:, 4:6])
+        pixels = (self.turn.mT @ seed[..., None])[..., 0] + self.middle
+        height = np.where(self.hiding, 0.9, 0.54) * self.mean
+        xy, good = _on_planes(pixels, self.view, height)
+        self.valid &= good
+        return np.column_stack([np.where(good[:, None], xy, self.view.origin[:2]), self.mean])
+
+    def _points(self, state: np.ndarray, unit: np.ndarray) -> np.ndarray:
+        """Pixels (..., m, 2) of points (..., m, 3) of bodies of height 1 in the states (..., 3); not cut."""
+        body = state[..., None, :] * [1.0, 1.0, 0.0] + unit * np.where([True, True, False], 1.0, state[..., None, 2:])
+        return self.view.project(body.reshape(-1, 3)).reshape(*body.shape[:-1], 2) + 0.5
+
+    def _cut(self, pixels: np.ndarray) -> np.ndarray:
+        """The pixels (rows, m, 2), moved onto the lit picture, in the axes of the box."""
+        inside = np.clip(pixels, 0.0, self.view.size)
+        if self.view.circle is not None:
+            x, y, radius = self.view.circle
+            away = inside - [x + 0.5, y + 0.5]
+            inside = away / np.maximum(np.linalg.norm(away, axis=2, keepdims=True) / radius, 1.0) + [x + 0.5, y + 0.5]
+        return self._into_box(inside)
+
+    def _areas(self) -> np.ndarray:
+        """Areas (rows,) px² of the boxes of the bodies, not cut by the picture's border."""
+        whole = self._into_box(self._points(self.state, self.outline))
+        seen = np.isfinite(whole)
+        span = np.where(seen, whole, -np.inf).max(axis=1) - np.where(seen, whole, np.inf).min(axis=1)
+        return np.where(np.isfinite(span), span, 0.0).prod(axis=1)
+
+    def predict(self) -> tuple[np.ndarray, np.ndarray]:
+        """Boxes (rows, 4), and parts where they are known (6 more), of the bodies as the picture cuts them; Jacobians.
+
+        The Jacobians (rows, 4 or 10, 3) of sides and parts are those of the points that make the sides.
+        """
+        rows, outline = len(self.state), self.outline
+        pixels = self._points(self.state, outline)
+        seen = np.isfinite(pixels).all(axis=2)
+        self.valid &= seen.any(axis=1)
+        low, high = (np.where(seen[..., None], self._cut(pixels), end) for end in (np.inf, -np.inf))
+        corner = np.concatenate([low.argmin(axis=1), high.argmax(axis=1)], axis=1)  # x0, y0, x1, y1
+        unit = np.take_along_axis(outline, corner[..., None], axis=1)
+        if self.parts:
+            axis = np.column_stack([np.zeros((3, 2)), PART_HEIGHTS])
+            unit = np.concatenate([unit, np.tile(axis, (rows, 1, 1))], axis=1)
+        steps = np.vstack([np.zeros(3), 0.01 * np.eye(3)])
+        points = self._points(self.state[:, None] + steps, unit[:, None])
+        sides = self._cut(points[:, :, :4].reshape(rows, -1, 2)).reshape(rows, 4, 4, 2)
+        values = np.concatenate([sides[:, :, [0, 1], [0, 1]], sides[:, :, [2, 3], [0, 1]]], axis=2)
+        if self.parts:
+            axes = self._into_box(points[:, :, 4:].reshape(rows, -1, 2)).reshape(rows, 4, 6)
+            values = np.concatenate([values, axes], axis=2)
+        predicted = values[:, 0]
+        return predicted, (values[:, 1:] - predicted[:, None]).mT / 0.01
+
+    def run(self) -> None:
+        """Fit x, y and height of every row."""
+        extent = np.sqrt(np.maximum(self._areas(), 1.0))
+        self.spread = np.repeat((self.law.side * extent + 1.0)[:, None], self.measured.shape[1], axis=1)
+        self.spread[:, 4:] *= self.law.part
+        prior = np.zeros((len(self.state), 3, 3))
+        prior[:, 2, 2] = self.height_spread**-2.0
+        for _ in range(8):
+            predicted, jacobian = self.predict()
+            told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=2)
+            jacobian = np.where(told[..., None], jacobian, 0.0)
+            error = np.where(told, self.measured - predicted, 0.0)
+            doubt, covered = self._doubt(predicted, error)
+            weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
+            information = jacobian.mT @ (weights[..., None] * jacobian) + prior + np.eye(3)
+            pull = (jacobian.mT @ (weights * error)[..., None])[..., 0]
+            pull[:, 2] += prior[:, 2, 2] * (self.mean - self.state[:, 2])
+            step = np.linalg.solve(information, pull[..., None])[..., 0]
+            longest = np.abs(step).max(axis=1, keepdims=True)
+            step *= np.minimum(1.0, 0.3 / np.maximum(longest, 1e-12))
+            self.state = self.state + step
+            if longest[self.valid].max(initial=0.0) < 2e-3:
+                break
+        self.predicted, self.area, self.error, self.doubt = predicted, self._areas(), error, doubt
+        self.covered, self.told, self.weights, self.information = covered, told, weights, information
+
+    def _doubt(self, predicted: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations of what was measured, and the sides (rows, 4) of bodies that something hides."""
+        doubt = self.spread.copy()
+        shorter = np.concatenate([error[:, :2] > 0, error[:, 2:4] < 0], axis=1)
+        length = np.tile(np.maximum(predicted[:, 2:4] - predicted[:, :2], 1.0), (1, 2))
+        covered = self.hiding[:, None] & self.inner & shorter
+        doubt[:, :4] = np.where(covered, np.maximum(length, doubt[:, :4]), doubt[:, :4])
+        if self.parts:  # of whom is half hidden, the network takes torso and foot from the half that it sees
+            doubt[:, 4:] = np.where(self.silent, np.inf, doubt[:, 4:])
+        return doubt, covered
+
+    def judge(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """All of _Judged but the states, by rows."""
+        height = self.state[:, 2]
+        good = self.valid & np.isfinite(self.state).all(axis=1)
+        good &= np.abs(height - self.mean) < 3.5 * self.height_spread
+        box = self.measured[:, :4]
+        shown = np.where(self.covered, box, self.predicted[:, :4])
+        least = np.full(len(good), SHARED)
+        size = np.maximum(box[:, 2:] - box[:, :2], 0.0).prod(axis=1)
+        if self.parts:  # a sitting person fills another box, but the parts fit
+            off = np.sqrt(np.mean(self.error[:, 4:] ** 2, axis=1))
+            least[(off < 0.1 * np.sqrt(size)) & ~self.hiding] = 0.4
+        shared = _shared(shown, box)
+        good &= (shared >= least) & (size >= 0.1 * self.area)  # a foot at the border says too little
+        cost = (self.weights * self.error**2).sum(axis=1)
+        told = (self.told & np.isfinite(self.doubt)).sum(axis=1)
+        surplus = np.maximum(cost / np.maximum(told - 3, 1), 1.0)  # Birge (1932)
+        inverse = np.linalg.inv(self.information)
+        covariance = self.law.spread * surplus[:, None, None] * inverse[:, :2, :2] + self.law.floor_m**2 * np.eye(2)
+        cost = cost + ((height - self.mean) / self.height_spread) ** 2 + 2 * np.log(self.height_spread)
+        silent = np.isinf(self.doubt)  # tells nothing of the body: as likely as with any other
+        cost = cost + (2 * np.log(np.where(silent, self.spread, self.doubt)) + silent).sum(axis=1)
+        log_weight = self.log_share - cost / 2 + np.linalg.slogdet(inverse)[1] / 2
+        return covariance, good, log_weight, shared
 
 
-def _predict(state: np.ndarray, view: View, parts: bool, *, whole: bool = False) -> np.ndarray | None:
-    """The box (4,), cut at the picture's border unless `whole`, and the parts (6,) of a body; None if not seen."""
-    body = np.column_stack([_OUTLINE[:, :2] + state[:2], _OUTLINE[:, 2] * state[2]])
-    if parts:
-        axis = np.column_stack([np.tile(state[:2], (3, 1)), PART_HEIGHTS * state[2]])
-        body = np.concatenate([body, axis])
-    pixels = view.project(body) + 0.5
-    outline = pixels[: len(_OUTLINE)]
-    outline = outline[np.isfinite(outline).all(axis=1)]
-    if not len(outline):
-        return None
-    box = np.concatenate([outline.min(axis=0), outline.max(axis=0)])
-    if not whole:
-        box = np.clip(box, 0.0, [*view.size, *view.size])
-    if not parts:
-        return box
-    return np.concatenate([box, pixels[len(_OUTLINE) :].ravel()])  # NaN where the lens does not see a part
+def _shared(box: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The fraction (n,) of their union that boxes (n, 4) share."""
+    shared = np.maximum(np.minimum(box[:, 2:], other[:, 2:]) - np.maximum(box[:, :2], other[:, :2]), 0).prod(axis=1)
+    areas = (box[:, 2:] - box[:, :2]).prod(axis=1) + (other[:, 2:] - other[:, :2]).prod(axis=1)
+    return shared / np.maximum(areas - shared, 1e-9)
+
+
+def _on_planes(pixels: np.ndarray, view: View, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(x, y) m (n, 2) where the rays of corner-based pixels (n, 2) meet heights (n,); and whether (n,) they do."""
+    rays = view.unproject(pixels - 0.5)
+    fall = heights - view.origin[2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = fall / rays[:, 2]
+        good = (away > 0) & (np.abs(rays[:, 2]) > 1e-3)
+        return view.origin[:2] + rays[:, :2] * away[:, None], good
+
+
+def _on_rays(box: np.ndarray, turn: float, view: View, room: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (2,) m and covariance (2, 2) m² of somebody of whom a box shows what no body explains.
+
+    What it shows may be at any height up to the top of a head, and is as large as a part of a person.
+    """
+    cosine, sine = np.cos(turn), np.sin(turn)
+    extent = box[2:] - box[:2]
+    away = (np.concatenate([_WITHIN, [[0, 0.5], [1, 0.5], [0.5, 0], [0.5, 1]]]) - 0.5) * extent
+    pixels = (box[:2] + box[2:]) / 2 + away @ np.array([[cosine, sine], [-sine, cosine]])
+    pixels = np.clip(pixels, 0.5, np.array(view.size) - 0.5)
+    level, point = (item.ravel() for item in np.meshgrid(_LEVELS, np.arange(len(_WITHIN)), indexing="ij"))
+    xy, good = _on_planes(pixels[point], view, level)
+    rays = view.unproject(pixels - 0.5)
+    good &= np.isfinite(xy).all(axis=1)
+    if not good.any():
+        return np.full(2, np.nan), np.full((2, 2), np.nan)
+    ends = rays[len(_WITHIN) :]
+    angles = np.arccos(np.clip([ends[0] @ ends[1], ends[2] @ ends[3]], -1, 1))
+    angle = float(np.nanmax(angles)) if np.isfinite(angles).any() else 0.1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.abs((level - view.origin[2]) / rays[point, 2]) * max(angle, 1e-6)
+        beyond = np.maximum(np.log(_EXTENT_M[0] / size), 0.0) + np.maximum(np.log(size / _EXTENT_M[1]), 0.0)
+    log_weight = np.where(good, -0.5 * (beyond / _EXTENT_SPREAD) ** 2, -np.inf)
+    if room is not None:
+        log_weight -= np.where(good, (np.linalg.norm(_behind(xy, room), axis=1) / WALL_SPREAD_M) ** 2 / 2, 0.0)
+    weight = np.where(good, np.exp(log_weight - log_weight[good].max()), 0.0)
+    weight /= weight.sum()
+    xy = np.where(good[:, None], xy, 0.0)
+    mean = weight @ xy
+    spread = (xy - mean).T @ (weight[:, None] * (xy - mean)) + 0.2**2 * np.eye(2)
+    return mean, (spread + spread.T) / 2

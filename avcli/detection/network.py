@@ -40,14 +40,22 @@ class Boxes:
         boxes: (n, 4) [x0, y0, x1, y1] px of the picture; may reach over its border.
         scores: (n,) from 0 to 1, in falling order.
         parts: (n, 3, 2) px of torso, head and foot; None if the network does not give them.
+        turned: (n, 5) [x, y, width, height, turn]: middle and size, px, of boxes whose axes are turned (rad, from x
+            towards y) as the people stand; None if only `boxes` is known.
     """
 
     boxes: np.ndarray
     scores: np.ndarray
     parts: np.ndarray | None = None
+    turned: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.boxes)
+
+    def take(self, which: np.ndarray) -> "Boxes":
+        """Return some of the people, by a mask (n,) or by indices."""
+        parts, turned = (None if item is None else item[which] for item in (self.parts, self.turned))
+        return Boxes(self.boxes[which], self.scores[which], parts, turned)
 
 
 @dataclass(frozen=True)
@@ -92,11 +100,12 @@ class Network:
 
     Args:
         model: the content of an ONNX file.
-        size: (width, height) px of the input where the model leaves it open; None takes what the model's metadata
-            says, else 640 × 384.
+        size: (width, height) px of the input where the model leaves it open; None takes the shape of `picture`, and the
+            longer side that the model's metadata say, else 640.
         confidence: least score of a person.
         iou: two boxes that overlap more than this are one person; None takes what the metadata say, else 0.7.
         threads: threads of the inference; more than one pays only on an idle machine.
+        picture: (width, height) px of the pictures.
 
     Raises:
         ModelError: the file is not an ONNX model, or its output is none of the known detection heads.
@@ -109,6 +118,7 @@ class Network:
         confidence: float = 0.5,
         iou: float | None = None,
         threads: int = 1,
+        picture: tuple[int, int] = (16, 9),
     ):
         self._session = _open(model, threads)
         self.confidence = confidence
@@ -126,7 +136,7 @@ class Network:
             raise ModelError(f"a model for the task {task!r}; expected 'detect'")
         self.iou = _overlap(self.metadata.get("iou")) if iou is None else iou
         self.names = _names(self.metadata.get("names"))
-        self.size = self._input_size(size)
+        self.size = self._input_size(size, picture)
         self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
         self._maps: np.ndarray | None = None
         self._shape: tuple | None = None
@@ -184,24 +194,29 @@ class Network:
         except Exception as error:  # onnxruntime raises RuntimeError's children of many names
             raise ModelError(f"the model cannot be run: {_first_line(error)}") from None
 
-    def _input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
+    def _input_size(self, wanted: tuple[int, int] | None, picture: tuple[int, int]) -> tuple[int, int]:
         batch, channels, height, width = self._input.shape
         if (isinstance(channels, int) and channels != 3) or (isinstance(batch, int) and batch != 1):
             raise ModelError(f"expected an input [1, 3, height, width], found {self._input.shape}")
         if isinstance(width, int) and isinstance(height, int):
             return width, height
         if wanted is None:
-            try:
-                stated = ast.literal_eval(self.metadata["imgsz"])
-                stated = (stated, stated) if isinstance(stated, int) else stated
-                wanted = int(stated[1]), int(stated[0])
-            except (KeyError, ValueError, SyntaxError, TypeError, IndexError):
-                wanted = 640, 384
+            longest = self._longest() / max(picture)
+            wanted = round(picture[0] * longest), round(picture[1] * longest)
         try:
             step = max(int(float(self.metadata.get("stride", 32))), 1)
         except (ValueError, OverflowError):
             step = 32
-        return -(-wanted[0] // step) * step, -(-wanted[1] // step) * step
+        return max(-(-wanted[0] // step), 1) * step, max(-(-wanted[1] // step), 1) * step
+
+    def _longest(self) -> int:
+        """The longer side of the input that the model's metadata say, px; 640 where they do not."""
+        try:
+            stated = ast.literal_eval(self.metadata["imgsz"])
+            longest = int(stated if isinstance(stated, int) else max(stated[0], stated[1]))
+        except (KeyError, ValueError, SyntaxError, TypeError, IndexError):
+            return 640
+        return longest if 0 < longest <= 4096 else 640
 
 
 def _cells(regions: np.ndarray, size: tuple[int, int]) -> list[list[int]]:

@@ -32,7 +32,17 @@ class Settings:
         unit="WxH",
         least=32,
         most=4096,
-        default_text="the model's, else 640x384",
+        default_text="the model's longest side, else 640, in the picture's shape",
+        only="net",
+    )
+    windows: int | None = setting(
+        None,
+        "Look at N windows in place of the whole picture, turned so that the way from the point below the camera leads "
+        "up: for a model that knows people from photographs, such as those of COCO.",
+        unit="N",
+        least=3,
+        most=64,
+        default_text="the whole picture",
         only="net",
     )
     monocular: bool = setting(

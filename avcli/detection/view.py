@@ -46,6 +46,11 @@ class View:
         """Project points (n, 3), m in the room, to pixels (n, 2); NaN where the lens cannot see them."""
         return self.lens.project((np.asarray(points, float) - self.origin) @ self.rotation)
 
+    def below(self) -> np.ndarray | None:
+        """The pixel (2,) of the point below the camera; None where the lens does not see it."""
+        pixel = self.project((self.origin - [0.0, 0.0, 1.0])[None])[0]
+        return pixel if np.isfinite(pixel).all() else None
+
     def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Turn pixels (n, 2) into unit rays (n, 3) in the room's frame; NaN where a pixel has none."""
         pixels = np.asarray(pixels, float)

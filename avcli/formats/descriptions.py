@@ -109,6 +109,16 @@ DETECTION = Object(
         "score": Key(PROBABILITY, "probability that the detection is right"),
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
         "height": Key(bounds.COORDINATE, "height of the person, m"),
+        "turned_px": Key(
+            bounds.TURNED_BOX,
+            "box turned as the person stands: middle x and y, width and height, px, and the angle from the picture's x "
+            "axis to the box's, towards y, degrees",
+        ),
+        "explained": Key(
+            Boolean(),
+            "false where no body explains the box (somebody lies, reaches out, or is mostly hidden; or it is nobody): "
+            "the position is hardly known, as the covariance says",
+        ),
         "features": Key(FEATURES, 'what tells this person from others, by name: "looks", "voice"; at most 8'),
         "origin": Key(
             Point(bounds.FARTHEST_M, height_may_be_null=True),

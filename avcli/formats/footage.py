@@ -79,7 +79,9 @@ class UnreadShot:
 
 # --- what a name means ------------------------------------------------------------------------------------------------
 
-Kind = Literal["picture", "folder", "video", "camera", "stream", "file"]
+Kind = Literal["picture", "folder", "pattern", "video", "camera", "url", "stream", "file"]
+
+_NUMBER = re.compile(r"%0?\d*d")
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,10 @@ class Source:
     """One source of pictures that a user named.
 
     Attributes:
-        name: the name: a path, a camera ("/dev/video0" or its number), or "-".
-        kind: "picture"; "folder" of pictures; "video", also a pattern such as "frame_%03d.png"; "camera"; "stream",
-            standard input; or "file", a name that tells nothing.
+        name: the name: a path, a camera ("/dev/video0" or its number), an address ("rtsp://…"), or "-".
+        kind: "picture"; "folder" of pictures; "pattern" of their names, such as "frame_%03d.png"; "video", also one at
+            an address; "camera"; "url", a stream at an address; "stream", standard input; or "file", a name that tells
+            nothing.
     """
 
     name: str
@@ -98,16 +101,18 @@ class Source:
     @property
     def is_live(self) -> bool:
         """Whether the source may never end: a camera or a stream."""
-        return self.kind in ("camera", "stream")
+        return self.kind in ("camera", "url", "stream")
 
     def files(self) -> list[Path]:
-        """Return the picture files of a picture or a folder, in the order of their names; of other kinds none."""
-        if self.kind == "folder":
+        """Return the files of a picture, a folder or a pattern, in order; of other kinds none."""
+        if self.kind in ("folder", "pattern"):
             return [Path(one.name) for one in self.members() if one.kind == "picture"]
         return [Path(self.name)] if self.kind == "picture" else []
 
     def members(self) -> "list[Source]":
-        """Return the pictures and videos of a folder, in the order of their names; of other kinds the source itself."""
+        """Return the pictures and videos of a folder by name, those of a pattern by number; else the source itself."""
+        if self.kind == "pattern":
+            return [Source(str(path), "picture") for path in self._matching()]
         if self.kind != "folder":
             return [self]
         return [Source(str(path), "picture" if _is(path, PICTURES) else "video") for path in self._inside(_SEEN)]
@@ -120,6 +125,15 @@ class Source:
         inner = sorted(path for path in Path(self.name).iterdir() if path.is_dir() and not path.name.startswith("."))
         with_some = [f"{path}: a folder in a folder is not read; name it" for path in inner if _has_some(path)]
         return [*foreign, *with_some]
+
+    def _matching(self) -> list[Path]:
+        """The files that a pattern names, in the order of their numbers."""
+        path = Path(self.name)
+        before, after = _NUMBER.split(path.name, maxsplit=1)
+        form = re.compile(re.escape(before) + r"(\d+)" + re.escape(after))
+        inside = path.parent.iterdir() if path.parent.is_dir() else iter(())
+        found = [(int(match[1]), each) for each in inside if (match := form.fullmatch(each.name))]
+        return [each for _, each in sorted(found)]
 
     def _inside(self, suffixes: Container[str]) -> list[Path]:
         """The files with these extensions, without hidden ones (macOS puts "._a.jpg" by "a.jpg")."""
@@ -151,6 +165,10 @@ def source(name: str) -> Source:
         kind = "camera"
     elif Path(name).is_dir():
         kind = "folder"
+    elif "://" in name and suffix not in VIDEOS:
+        kind = "url"
+    elif _NUMBER.search(Path(name).name) and suffix in PICTURES:
+        kind = "pattern"
     elif "%" in name or suffix in VIDEOS:
         kind = "video"
     elif suffix in PICTURES:
@@ -169,9 +187,16 @@ def sources(names: Iterable[str]) -> list[Source]:
         path, missing = one.name, "no such file or directory"
         if one.kind == "camera":
             path, missing = f"/dev/video{path.removeprefix('/dev/video')}", "no such camera"
-        if one.kind != "stream" and "%" not in path and not os.path.exists(path):
+        if one.kind == "pattern" and not one.members():
+            raise FileNotFoundError(errno.ENOENT, "no file matches this pattern", path)
+        if one.kind not in ("stream", "pattern") and not _is_virtual(path) and not os.path.exists(path):
             raise FileNotFoundError(errno.ENOENT, missing, path)
     return found
+
+
+def _is_virtual(name: str) -> bool:
+    """Whether no file has this very name: an address, or a pattern."""
+    return "%" in name or "://" in name
 
 
 def is_camera(name: str) -> bool:
@@ -235,6 +260,8 @@ def pictures(
                 found = _stream_pictures(stream or sys.stdin.buffer, stream_rate_hz, skip or (lambda _: None))
             elif member.kind == "camera":
                 found = camera_pictures(Camera(member.name, rate_hz, size))
+            elif member.kind == "url":
+                found = _live_pictures(member.name, rate_hz)
             else:
                 found = _video_pictures(member.name, rate_hz)
             for picture in found:
@@ -299,23 +326,60 @@ def _length(name: str) -> tuple[float, float]:
     return frames, fps
 
 
-def _open_video(source: str) -> "cv2.VideoCapture":
+def _open_video(source: str, *, deep: bool = False) -> "cv2.VideoCapture":
     quiet_decoders()
     import cv2
 
-    if "%" not in source and not os.path.getsize(source):
+    if not _is_virtual(source) and not os.path.getsize(source):
         raise MediaError(f"{source}: the file is empty")
-    capture = cv2.VideoCapture(source)
+    capture = cv2.VideoCapture(source, cv2.CAP_ANY, [cv2.CAP_PROP_CONVERT_RGB, 0] if deep else [])
     if not capture.isOpened():
-        raise MediaError(f"{source}: neither a video nor a picture that can be opened")
+        what = "no stream of pictures answers there" if "://" in source else "neither a video nor a picture"
+        raise MediaError(f"{source}: {what} that can be opened")
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture
 
 
-def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
+def _live_pictures(address: str, rate_hz: float | None) -> Iterator[Picture]:
+    """Pictures of a stream at an address, with Unix time; at most `rate_hz` a second."""
+    capture, due, number = _open_video(address), 0.0, 0
+    try:
+        while capture.grab():
+            now = time.time()
+            if rate_hz and now < due:
+                continue
+            due = now + 1 / rate_hz if rate_hz else 0.0
+            good, image = capture.retrieve()
+            if good:
+                number += 1
+                yield Picture(f"{address} at {now:.2f}", now, swapped(image) if image.ndim == 3 else image)
+    finally:
+        capture.release()
+    if not number:
+        raise MediaError(f"{address}: the stream has no picture that can be read")
+
+
+def depth_pictures(name: str, rate_hz: float | None = None) -> Iterator[Picture]:
+    """Yield the pictures (height, width) uint16 of a film of depth, whose format must keep 16 bits (FFV1, gray16le).
+
+    Args:
+        name: of the film.
+        rate_hz: pictures per second to take; None: all.
+
+    Raises:
+        MediaError: it cannot be opened, or has other pictures.
+    """
+    for picture in _video_pictures(name, rate_hz, deep=True):
+        image = picture.image
+        if image.dtype != np.uint16 or image.size != image.shape[0] * image.shape[1]:
+            raise MediaError(f"{name}: this film does not keep depth in 16 bits; write it as FFV1 with gray16le pixels")
+        yield Picture(picture.name, picture.timestamp, image.reshape(image.shape[:2]))
+
+
+def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False) -> Iterator[Picture]:
     import cv2
 
-    capture = _open_video(source)
+    capture = _open_video(source, deep=deep)
     fps = capture.get(cv2.CAP_PROP_FPS)
     fps = fps if 0 < fps < 1000 else _USUAL_RATE
     frame, due, last = 0, 0.0, -1.0
@@ -329,7 +393,9 @@ def _video_pictures(source: str, rate_hz: float | None) -> Iterator[Picture]:
                 continue
             good, image = capture.retrieve()
             if good:
-                yield Picture(f"{source} at {now:.2f} s", now, image[:, :, ::-1] if image.ndim == 3 else image)
+                yield Picture(
+                    f"{source} at {now:.2f} s", now, image[:, :, ::-1] if image.ndim == 3 and not deep else image
+                )
             if rate_hz:
                 due = max(due + 1 / rate_hz, now + 0.5 / rate_hz)
     finally:

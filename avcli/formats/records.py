@@ -232,6 +232,8 @@ class Detections:
         direction_sds: (n,) rad, across the direction to each side.
         ranges: (n,) m, distances from the origins.
         range_sds: (n,) m.
+        turned_px: (n, 5) middle x, y, width, height in px, and turn in degrees, of boxes turned as the people stand.
+        explained: (n,) 0 where no body explains the box that a position comes from.
     All from `origins` on are NaN where the record does not give them.
     """
 
@@ -249,11 +251,14 @@ class Detections:
     direction_sds: np.ndarray = field(default_factory=_unknown)
     ranges: np.ndarray = field(default_factory=_unknown)
     range_sds: np.ndarray = field(default_factory=_unknown)
+    turned_px: np.ndarray = field(default_factory=_unknown)
+    explained: np.ndarray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
         count = len(self.positions)
         _fill_unknown(self, count, covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
         _fill_unknown(self, count, origins=(3,), directions=(3,), direction_sds=(), ranges=(), range_sds=())
+        _fill_unknown(self, count, turned_px=(5,), explained=())
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -357,6 +362,8 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
         direction_sds=_radians(_column(rows, "direction_sd_deg")),
         ranges=_column(rows, "range_m"),
         range_sds=_column(rows, "range_sd_m"),
+        turned_px=_column(rows, "turned_px", 5),
+        explained=_column(rows, "explained"),
     )
 
 
@@ -513,6 +520,8 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             "direction_sd_deg": np.degrees(item.direction_sds),
             "range_m": item.ranges,
             "range_sd_m": item.range_sds,
+            "turned_px": item.turned_px,
+            "explained": item.explained,
         }
     else:
         named, names = {}, item.names or {}
@@ -535,7 +544,9 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             if key == "object_id":
                 row[key] = names.get(value, value)
             elif given:
-                is_bool = key == "observed" or (key == "speaking" and value in (0, 1) and "existence" not in row)
+                is_bool = key in ("observed", "explained") or (
+                    key == "speaking" and value in (0, 1) and "existence" not in row
+                )
                 row[key] = bool(value) if is_bool else value
             elif key in ("position", "origin") and not math.isnan(value[0]):
                 row[key] = value[:2] if "object_id" in row else [*value[:2], None]

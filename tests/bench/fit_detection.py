@@ -11,6 +11,7 @@ how well the network's own score is calibrated; examples/train-detector/export.p
 
 import argparse
 import dataclasses
+import itertools
 import json
 import subprocess
 from collections.abc import Callable
@@ -30,7 +31,7 @@ from avcli.detection import fitted
 from avcli.detection.body import axis_covariance
 from avcli.detection.depth import DepthDetector
 from avcli.detection.fitted import AXIS, BOX, SCORE, AxisLaw, BoxLaw, ScoreLaw
-from avcli.detection.monocular import locate_box
+from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes, Network
 from avcli.detection.view import View
 
@@ -110,9 +111,7 @@ def _add_boxes(samples: Samples, shot: Shot, view: View, found: Boxes) -> None:
         if overlap[best] >= 0.5:
             taken.add(best)
             box, parts = found.boxes[index], found.parts[index]
-            # A box that is refused as no whole body has no error; how many are refused must not decide the errors' law.
-            if all(locate_box(box, view, known) is not None for known in (parts, None)):
-                samples.box.append((box, parts, view, shot.places[best]))
+            samples.box.append((box, parts, view, shot.places[best]))
 
 
 # --- losses, in nats a sample -----------------------------------------------------------------------------------------
@@ -145,12 +144,16 @@ def placed(law: BoxLaw, samples: list[BoxSample]) -> tuple[np.ndarray, np.ndarra
     """
     errors, covariances = [], []
     bare = dataclasses.replace(law, spread=1.0, floor_m=0.0)
-    for box, parts, view, place in samples:
-        for known in (parts, None):
-            found = locate_box(box, view, known, bare)
-            errors.append(np.full(2, 1e3) if found is None else found[0] - place)
-            covariances.append(np.eye(2) if found is None else found[1])
-    return np.array(errors), np.array(covariances)
+    for view, scene in itertools.groupby(samples, key=lambda sample: sample[2]):
+        boxes, parts, _, places = (np.array(column, object) for column in zip(*scene, strict=True))
+        boxes, parts, places = (np.stack(list(column)).astype(float) for column in (boxes, parts, places))
+        both = [locate_boxes(boxes, view, known, law=bare) for known in (parts, None)]
+        failed = ~np.stack([found.explained for found in both], axis=1)
+        error = np.stack([found.positions - places for found in both], axis=1)
+        covariance = np.stack([found.covariances for found in both], axis=1)
+        errors.append(np.where(failed[..., None], 1e3, error).reshape(-1, 2))
+        covariances.append(np.where(failed[..., None, None], np.eye(2), covariance).reshape(-1, 2, 2))
+    return np.concatenate(errors), np.concatenate(covariances)
 
 
 def _placed_loss(law: BoxLaw, errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:

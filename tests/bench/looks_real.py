@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from avcli.detection.body import Person
-from avcli.detection.monocular import locate_box
+from avcli.detection.monocular import locate_boxes
 from avcli.detection.view import View
 from avcli.formats.media import read_rgb
 from avcli.lens import KannalaBrandt
@@ -72,16 +72,17 @@ def camera(frames: list[Frame]) -> View:
     middle, focal = (SIZE - 1) / 2, SIZE / np.pi
     lens = KannalaBrandt(focal, focal, middle, middle, 0.0, 0.0, 0.0, 0.0)
     views = [View(lens, camera_pose([0, 0, height], [90, 0, 0]), (SIZE, SIZE), np.deg2rad(92)) for height in HEIGHTS_M]
-    some = [box for _, _, boxes in frames[::4] for box in boxes]
-    return max(views, key=lambda view: sum(locate_box(box, view) is not None for box in some))
+    some = np.array([box for _, _, boxes in frames[::4] for box in boxes])
+    return max(views, key=lambda view: locate_boxes(some, view).explained.sum())
 
 
 def people(boxes: np.ndarray, view: View) -> list[Person | None]:
     """Place people by their boxes (n, 4); None where no body fits."""
-    placed = [locate_box(box, view) for box in boxes]
+    fits = locate_boxes(boxes, view)
+    columns = zip(fits.explained, fits.positions, fits.heights.tolist(), boxes, strict=True)
     return [
-        None if fit is None else Person(np.array([*fit[0], 0.9]), np.eye(3), 1.0, box, fit[2], "monocular")
-        for fit, box in zip(placed, boxes, strict=True)
+        Person(np.array([*place, 0.9]), np.eye(3), 1.0, box, height, "monocular") if explained else None
+        for explained, place, height, box in columns
     ]
 
 

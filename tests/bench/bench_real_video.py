@@ -1,0 +1,195 @@
+"""People in real pictures of ceiling fisheyes: found, missed, false and placed, by networks plain and in windows.
+
+    make bench-real-video BENCH_FLAGS="--data FOLDER --model yolox_nano.onnx"
+
+FOLDER holds a folder for each set, with pictures and hand-made labels as YOLO writes them: SET/**/images/NAME.jpg and
+SET/**/labels/NAME.txt, a line `0 x y width height` in parts of the picture for each person. Nothing of them ships; see
+examples/benchmarks/real-video.md for where public sets are and under which terms.
+
+Networks: the package's own, and each --model, in the whole picture and, with --windows N, in N turned windows. A box is
+found if it overlaps a label by more than .3 (or .5, for AP.5). The lens is not known: it is taken as equidistant over
+the picture's shorter side, which serves to place true boxes (`placed`: the share of them that a body explains, at the
+camera height of --heights at which most are) and to lay the windows. Times are CPU milliseconds of one thread.
+"""
+
+import argparse
+import json
+import re
+import time
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from bench_detection import table
+
+from avcli.detection.monocular import locate_boxes
+from avcli.detection.network import Boxes, Network
+from avcli.detection.view import View
+from avcli.detection.windows import WindowedNetwork
+from avcli.formats.media import read_rgb
+from avcli.lens import KannalaBrandt
+from avcli.pose import camera_pose
+
+LEAST = 0.05
+"""Score from which boxes count for the average precision."""
+
+Found = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of a picture: boxes (n, 4), scores (n,), and labels (m, 4)."""
+
+
+def labelled(picture: Path) -> np.ndarray:
+    """Return the labels (m, 4) [x0, y0, x1, y1] of a picture, in parts of it."""
+    lines = Path(str(picture.with_suffix(".txt")).replace("/images/", "/labels/")).read_text().splitlines()
+    rows = np.array([line.split()[1:5] for line in lines if line.strip()], float).reshape(-1, 4)
+    return np.concatenate([rows[:, :2] - rows[:, 2:] / 2, rows[:, :2] + rows[:, 2:] / 2], axis=1)
+
+
+def overlaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Intersection over union (n, m) of boxes (n, 4) and (m, 4)."""
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    shared = np.maximum(high - low, 0).prod(axis=2)
+    areas = [(item[:, 2:] - item[:, :2]).prod(axis=1) for item in (boxes, others)]
+    return shared / np.maximum(areas[0][:, None] + areas[1][None] - shared, 1e-9)
+
+
+def judged(found: list[Found], least: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Scores (k,), falling, and whether each box is right (k,), of all pictures; and the number of labels."""
+    scores, right = [], []
+    for boxes, score, labels in found:
+        overlap = overlaps(boxes, labels)
+        for index in np.argsort(-score, kind="stable"):
+            best = int(overlap[index].argmax()) if len(labels) else -1
+            hit = best >= 0 and overlap[index, best] >= least
+            if hit:
+                overlap[:, best] = 0.0
+            scores.append(score[index])
+            right.append(hit)
+    order = np.argsort(-np.array(scores), kind="stable")
+    return np.array(scores)[order], np.array(right, bool)[order], sum(len(labels) for _, _, labels in found)
+
+
+def average_precision(found: list[Found], least: float) -> float:
+    """Area under the curve of precision over recall, all points (Everingham et al., 2010)."""
+    _, right, count = judged(found, least)
+    hits = np.cumsum(right)
+    precision = np.maximum.accumulate((hits / np.arange(1, len(hits) + 1))[::-1])[::-1]
+    return float(np.sum(np.diff(hits, prepend=0) * precision) / max(count, 1))
+
+
+def row(name: str, found: list[Found], confidence: float, ms: float) -> dict[str, Any]:
+    """Sum up what a way of finding has found."""
+    scores, right, count = judged(found, 0.3)
+    hits = int(right[scores >= confidence].sum())
+    empty = [int((score >= confidence).sum()) for _, score, labels in found if not len(labels)]
+    return {
+        "detector": name,
+        "pictures": len(found),
+        "people": count,
+        "confidence": confidence,
+        "recall": hits / max(count, 1),
+        "precision": hits / max(int((scores >= confidence).sum()), 1),
+        "AP.3": average_precision(found, 0.3),
+        "AP.5": average_precision(found, 0.5),
+        "empty": len(empty),
+        "false an empty picture": float(np.mean(empty)) if empty else None,
+        "ms": ms,
+    }
+
+
+def fisheye(size: tuple[int, int], height: float) -> View:
+    """An equidistant lens that shows a half space over the shorter side of a picture (width, height), looking down."""
+    focal = min(size) / np.pi
+    lens = KannalaBrandt(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, 0.0, 0.0, 0.0, 0.0)
+    return View(lens, camera_pose([0, 0, height], [90, 0, 0]), size, np.deg2rad(92))
+
+
+def placed(labels: list[tuple[tuple[int, int], np.ndarray]], heights: list[float]) -> dict[str, Any]:
+    """Which share of true boxes a body explains, at the best of some camera heights; CPU ms a box."""
+    shares, begin, tried = {}, time.process_time(), 0
+    for height in heights:
+        explained = []
+        for size, boxes in labels:
+            explained += locate_boxes(boxes, fisheye(size, height)).explained.tolist()
+        tried += len(explained)
+        shares[height] = float(np.mean(explained)) if explained else 0.0
+    best = max(shares, key=lambda height: shares[height])
+    ms = (time.process_time() - begin) * 1e3 / max(tried, 1)
+    return {"height m": best, "explained": shares[best], "ms a box": ms} | {f"at {h:g} m": s for h, s in shares.items()}
+
+
+def ways(options: argparse.Namespace, size: tuple[int, int]) -> dict[str, Callable[[np.ndarray], Boxes]]:
+    """The networks, in the whole picture and in windows, for pictures of a size."""
+    own = (resources.files("avcli.detection") / "people.onnx").read_bytes()
+    made: dict[str, Callable[[np.ndarray], Boxes]] = {
+        f"people {options.own_size[0]}x{options.own_size[1]}": Network(own, options.own_size, LEAST).detect,
+        "people": Network(own, None, LEAST, picture=size).detect,
+    }
+    for path in options.model:
+        network = Network(path.read_bytes(), None, LEAST, picture=size)
+        made[path.stem] = network.detect
+        if options.windows:
+            turned = WindowedNetwork(network, size, np.array(size) / 2, options.windows)
+            made[f"{path.stem}, {options.windows} windows"] = turned.detect
+    return made
+
+
+def evaluate(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of a set."""
+    pictures = sorted(path for path in folder.rglob("images/*") if re.search(options.only, path.name))[:: options.step]
+    found: dict[str, list[Found]] = {}
+    spent: dict[str, float] = {}
+    finders: dict[tuple[int, int], dict[str, Callable[[np.ndarray], Boxes]]] = {}
+    labels: list[tuple[tuple[int, int], np.ndarray]] = []
+    for path in pictures:
+        picture = read_rgb(path)
+        size = picture.shape[1], picture.shape[0]
+        truth = labelled(path) * np.tile(size, 2)
+        labels.append((size, truth))
+        if size not in finders:
+            finders[size] = ways(options, size)
+        for name, detect in finders[size].items():
+            begin = time.process_time()
+            boxes = detect(picture)
+            spent[name] = spent.get(name, 0.0) + time.process_time() - begin
+            found.setdefault(name, []).append((boxes.boxes, boxes.scores, truth))
+    rows = []
+    for name, of_pictures in found.items():
+        confidence = 0.5 if name.startswith("people") else options.confidence
+        rows.append(row(name, of_pictures, confidence, spent[name] * 1e3 / len(of_pictures)))
+    geometry = {"detector": "geometry of true boxes", "pictures": len(pictures), **placed(labels, options.heights)}
+    return [{"set": folder.name, **one} for one in [*rows, geometry]]
+
+
+def main() -> None:
+    """Evaluate all sets and write the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("bench-out"))
+    parser.add_argument("--data", type=Path, required=True, help="folder with a folder for each set")
+    parser.add_argument("--model", type=Path, action="append", default=[], help="ONNX files to compare")
+    parser.add_argument("--windows", type=int, default=8, help="turned windows for the models; 0: none")
+    parser.add_argument("--confidence", type=float, default=0.3, help="of the models; the package's own has .5")
+    parser.add_argument("--own-size", type=int, nargs=2, default=(640, 384), help="a second input of the package's own")
+    parser.add_argument("--only", default="", help="pictures whose names match this regular expression")
+    parser.add_argument("--step", type=int, default=1, help="every so many pictures")
+    parser.add_argument("--heights", type=float, nargs="+", default=[2.4, 2.7, 3.0, 3.5, 4.0], help="of cameras, m")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    sets = sorted(path for path in options.data.iterdir() if path.is_dir())
+    if not sets:
+        parser.error(f"{options.data} has no folders")
+    rows = [one for folder in sets for one in evaluate(folder, options)]
+    rows = [{key: round(value, 4) if isinstance(value, float) else value for key, value in one.items()} for one in rows]
+    options.out.mkdir(parents=True, exist_ok=True)
+    parts = [[one for one in rows if ("AP.3" in one) == boxes] for boxes in (True, False)]
+    text = "\n".join(map(table, parts))
+    print(text)
+    (options.out / "real-video.md").write_text(text)
+    (options.out / "real-video.jsonl").write_text("".join(json.dumps(one) + "\n" for one in rows))
+
+
+if __name__ == "__main__":
+    main()
