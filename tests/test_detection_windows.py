@@ -36,7 +36,7 @@ def picture_of(azimuth, distance, size=(320, 320), wide=16, tall=48):
 
 
 @pytest.mark.parametrize("azimuth", np.linspace(0.0, 6.0, 9))
-@pytest.mark.parametrize("distance", [40.0, 90.0, 115.0])
+@pytest.mark.parametrize("distance", [40.0, 90.0, 105.0])
 def test_somebody_is_found_once_and_upright(azimuth, distance):
     image, middle = picture_of(azimuth, distance)
     found = WindowedNetwork(Bright(), (320, 320), np.array([160.0, 160.0]), 8, (159.5, 159.5, 160.0)).detect(image)
