@@ -41,6 +41,7 @@ for _command in (
     avcalib_room.undistort_command,
     avcalib_room.pose_command,
     avcalib_room.microphones_command,
+    avcalib_room.background_command,
     avcalib_convert.convert_command,
 ):
     main.add_command(_command)

@@ -163,6 +163,58 @@ def microphones_command(
         )
 
 
+@click.command("background", epilog="Example: avcalib background empty.mp4 --depth depth.mkv -C lab")
+@click.argument("sources", nargs=-1, metavar="[SOURCE]...")
+@click.option("--depth", metavar="FILM|DIR", help="A film of depth in 16 bits, or a folder of depth pictures.")
+@click.option(
+    "--pictures",
+    type=click.IntRange(3, 1000),
+    default=100,
+    metavar="N",
+    show_default=True,
+    help="Use at most N of each.",
+)
+@common()
+def background_command(session: Session, sources: tuple[str, ...], depth: str | None, pictures: int) -> None:
+    """Record what a room looks like without people, in colour and depth, from a film in which nobody stays in place.
+
+    The pictures are written into the experiment directory, and the camera_config keys that name them to the output.
+    """
+    from avcli.detection import background
+    from avcli.formats import footage, media
+    from avcli.formats.experiment import Layout
+
+    if not sources and not depth:
+        session.usage("give colour pictures or a film, or --depth, or both")
+    check_sources(session, list(sources))
+    found: dict[str, str] = {}
+    try:
+        if sources:
+            colour = (picture.image[..., :3] for picture in footage.pictures(list(sources)))
+            room = background.still_colour(colour, pictures)
+            found["background_rgb"] = Layout.background_rgb
+            _write_picture(session, Layout.background_rgb, room)
+        if depth:
+            shown = background.still_depth(footage.depths(depth), pictures)
+            found["background_depth"] = Layout.background_depth
+            holes = float((shown == 0).mean())
+            if holes > 0.5:
+                session.warn(f"{holes:.0%} of the depth picture is unknown")
+            _write_picture(session, Layout.background_depth, shown)
+    except (media.MediaError, ValueError) as error:
+        session.fail(str(error))
+    with session.output() as write:
+        write({"camera_config": found})
+
+
+def _write_picture(session: Session, name: str, picture: Any) -> None:
+    from avcli.formats import media
+
+    path = session.experiment / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    media.write_png(path, picture)
+
+
 def _heard(session: Session, audio: tuple[str, ...]) -> Heard:
     """Measure when a voice reached which microphone, in all of the sound."""
     from avcli.calibration import microphones

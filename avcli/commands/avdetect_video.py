@@ -62,8 +62,8 @@ def main(
 ) -> None:
     """Find the people in a ceiling camera's pictures and write their positions in the room.
 
-    FILE is a stream of frame records (- or none: standard input), picture files, a folder of them, a video, or a
-    camera (/dev/video0). Each frame gives one record. For each person it has a position on the body's axis, its
+    FILE is a stream of frame records (- or none: standard input), picture files, a folder of them, a video, a camera
+    (/dev/video0), or a stream at an address (rtsp://…). Each frame gives one record. For each person it has a position on the body's axis, its
     covariance, the height, the box in the picture, and a score. The camera's lens and pose come from config.json.
     """
     settings = settings_from(Settings, options)
@@ -115,7 +115,15 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
 
     empty = partial(media.read_depth, session.media_root / path) if path else None
     try:
-        detector = Detector(session.config, background=empty, model=model, settings=settings, timing=session.timing)
+        colour = session.config.camera.background_rgb if settings.learn_background else None
+        detector = Detector(
+            session.config,
+            background=empty,
+            room_picture=media.read_rgb(session.media_root / colour) if colour else None,
+            model=model,
+            settings=settings,
+            timing=session.timing,
+        )
     except media.MediaError as error:
         session.usage(str(error))
     network = detector.network
@@ -148,12 +156,27 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
         session.warn(
             f"{tally.unexplained} of {tally.by_box} boxes that were placed without depth fit no body: people who lie, "
             'reach out or are mostly hidden, or no people; they have "explained": false and a large covariance'
-            + ("; are the camera's height and lens right?" if tally.unexplained > tally.by_box / 4 else "")
+            + _other_height(detector)
         )
     if tally.nowhere:
         session.warn(f"{tally.nowhere} boxes have no place: none of their rays reaches the floor or a body on it")
+    if tally.still:
+        session.warn(
+            f"{tally.still} boxes showed only the room as it was learnt (--learn-background), and are left out"
+        )
     if tally.outside:
         session.warn(f"{tally.outside} people were found more than 0.3 m behind a wall, and are left out")
+
+
+def _other_height(detector: Detector) -> str:
+    """Say at which height of the camera clearly more of the boxes would fit a body; nothing if at none."""
+    shares = detector.explained_by_height() if detector.tally.unexplained > detector.tally.by_box / 4 else {}
+    stated = float(detector.view.origin[2])
+    best = max(shares, key=lambda height: shares[height], default=stated)
+    now = next((share for height, share in shares.items() if abs(height - stated) < 1e-9), 1.0)
+    if shares.get(best, 0.0) < now + 0.1:
+        return ""
+    return f"; with the camera at {best:.1f} m {shares[best]:.0%} would fit one, at the stated {stated:.1f} m {now:.0%}"
 
 
 def _sink(session: filter.Session, target: str, size: tuple[int, int]) -> footage.Sink:

@@ -3,17 +3,19 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from avcli.detection.background import Background
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
+from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import PAD, Boxes, ModelError, Network
 from avcli.detection.settings import Settings
 from avcli.detection.view import View
@@ -118,12 +120,26 @@ class Tally:
         unexplained: of these, boxes that no body explains, whose place is hardly known.
         nowhere: without a place: none of their rays reaches the room.
         outside: of people beyond the walls, who were left out.
+        still: that show only the room as it was learnt, and were left out.
+        boxes: (4,) px, the first `MOST_BOXES` of those that were placed by the box alone.
     """
 
     by_box: int = 0
     unexplained: int = 0
     nowhere: int = 0
     outside: int = 0
+    still: int = 0
+    boxes: list[np.ndarray] = field(default_factory=list)
+
+
+STILL = 0.1
+"""A box of which less differs from the room as it was learnt shows the room."""
+
+HEIGHTS = (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4)
+"""Heights at which a camera is tried, as parts of the stated one."""
+
+MOST_BOXES = 200
+"""Boxes from which the height of a camera is judged."""
 
 
 class Detector:
@@ -132,6 +148,8 @@ class Detector:
     Args:
         config: the camera, and the room's size if it is known: people found outside the walls are dropped.
         background: the empty room's depth picture, see `detect`.
+        room_picture: (height, width, 3) uint8, the empty room in colour, with which the setting `learn_background`
+            begins; None: it begins with the first pictures.
         model: ONNX file of a YOLO export; None: the package's own network.
         settings: how people are found and placed; None: the defaults.
         timing: is called with the name of each step and gives a context manager around it, to measure its time.
@@ -153,6 +171,7 @@ class Detector:
         config: Config,
         *,
         background: Picture | None = None,
+        room_picture: np.ndarray | None = None,
         model: str | os.PathLike | None = None,
         settings: Settings | None = None,
         timing: Timing = contextlib.nullcontext,
@@ -178,6 +197,7 @@ class Detector:
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
         self.tally = Tally()
+        self._room_colours = Background(room_picture) if self.settings.learn_background else None
         known = config.states("room_config", "room_dimensions_m")
         self._room = np.asarray(config.room.dimensions[:2], float) if known else None
 
@@ -203,9 +223,12 @@ class Detector:
         with self._timing("wait for pictures"):
             picture = self._read(rgb, "colour")
         regions = self._gate.changes(picture)
+        if self._room_colours is not None:
+            self._room_colours.see(picture)
         if len(regions):
             with self._timing("network"):
                 found = self._lit((self.windows or self.network).detect(self._darkened(picture), regions))
+            found = self._moving(found)
             with self._timing("depth and positions"):
                 placed = self._place(found, depth)
                 people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
@@ -245,11 +268,27 @@ class Detector:
         by_box = [person for person in people if person.method == "monocular"]
         inside = [person for person in people if self._in_room(person)]
         self.tally.by_box += len(by_box)
+        room = MOST_BOXES - len(self.tally.boxes)
+        self.tally.boxes += [person.bbox_px for person in by_box[:room]]
         self.tally.unexplained += sum(not person.explained for person in by_box)
         if self.settings.monocular or self._background is None:
             self.tally.nowhere += found - len(people)
         self.tally.outside += len(people) - len(inside)
         return inside
+
+    def explained_by_height(self) -> dict[float, float]:
+        """Heights of the camera, m, and the share of the boxes placed without depth that a body would explain there.
+
+        The share is largest near the true height, so it is a measurement of it, where the boxes show people who stand.
+        """
+        shares, boxes = {}, np.array(self.tally.boxes)
+        for factor in HEIGHTS if len(boxes) else ():
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = self.view.rotation, self.view.origin * [1, 1, factor]
+            size, circle = self.view.size, self.view.circle
+            view = View(self.view.lens, pose, size, self.view.theta_max, circle=circle)
+            shares[float(pose[2, 3])] = float(locate_boxes(boxes, view).explained.mean())
+        return shares
 
     def _in_room(self, person: Person) -> bool:
         """Whether a person may be in the room, as far as the position is known."""
@@ -264,6 +303,15 @@ class Detector:
                 / max(float(np.linalg.norm(beyond)), 1e-9)
             )
         return bool((beyond < WALL_M + doubt).all())
+
+    def _moving(self, found: Boxes) -> Boxes:
+        """The boxes that show something else than the room as it was learnt."""
+        if self._room_colours is None:
+            return found
+        moving = self._room_colours.shares(found.boxes) >= STILL
+        self.tally.still += int((~moving).sum())
+        self._room_colours.learn(found.boxes[moving])
+        return found.take(moving)
 
     def _windows(self, network: Network) -> WindowedNetwork:
         below = self.view.below()

@@ -45,6 +45,11 @@ class Settings:
         default_text="the whole picture",
         only="net",
     )
+    learn_background: bool = setting(
+        False,
+        "Learn the colours of the room from the film, and leave out boxes that show nothing else.",
+        only="net",
+    )
     monocular: bool = setting(
         False, "Place people by the colour picture alone, even where there is a depth picture.", only="net"
     )

@@ -107,6 +107,9 @@ _CAMERA = Object(
         ),
         "depth_step_m": Key(_LENGTH, "one step of a depth picture, m; value 0 means: no depth", default=1e-4),
         "background_depth": Key(Text(), "path of the empty room's depth picture, relative to the experiment directory"),
+        "background_rgb": Key(
+            Text(), "path of a colour picture of the empty room, relative to the experiment directory"
+        ),
         "theta_max_observed_deg": Key(
             _ANGLE,
             "largest angle from the axis where the calibration saw corners; rays beyond it are not used, unless "
@@ -236,6 +239,7 @@ class Camera:
         depth_kind: "radial" (along the ray) or "z" (along the optical axis).
         depth_step_m: m of one step of a depth picture.
         background_depth: path of the empty room's depth picture, None where there is none.
+        background_rgb: path of a colour picture of the empty room, None where there is none.
         theta_max: largest angle from the axis at which the lens is valid, rad.
         theta_trusted: largest angle from the axis up to which its rays are known well, rad.
         circle: (x, y, radius) px, of what the lens lights of the picture; None: all of it.
@@ -252,6 +256,7 @@ class Camera:
     theta_max: float
     theta_trusted: float = math.pi
     circle: tuple[float, float, float] | None = None
+    background_rgb: str | None = None
 
 
 @dataclass(frozen=True)
@@ -340,6 +345,7 @@ class Config:
             theta_max=min(optics.theta_max, *(math.radians(180.0 if limit is None else limit) for limit in limits)),
             theta_trusted=math.pi if trusted is None else math.radians(trusted),
             circle=None if circle is None else tuple(circle),
+            background_rgb=values["background_rgb"],
         )
 
     @functools.cached_property
@@ -495,6 +501,7 @@ class Layout:
     directory: Path
 
     background_depth = "video/depth/Depth_background.png"
+    background_rgb = "video/RGB_background.png"
 
     @property
     def config(self) -> Path:

@@ -23,6 +23,7 @@ from avcli.formats.media import (
     encode_picture,
     jpeg_end,
     quiet_decoders,
+    read_depth,
     read_picture,
     refuse_full_disk,
     swapped,
@@ -374,6 +375,19 @@ def depth_pictures(name: str, rate_hz: float | None = None) -> Iterator[Picture]
         if image.dtype != np.uint16 or image.size != image.shape[0] * image.shape[1]:
             raise MediaError(f"{name}: this film does not keep depth in 16 bits; write it as FFV1 with gray16le pixels")
         yield Picture(picture.name, picture.timestamp, image.reshape(image.shape[:2]))
+
+
+def depths(name: str) -> Iterator[np.ndarray]:
+    """Yield the depth pictures (height, width) of a film, a folder, a pattern or a picture.
+
+    Raises:
+        MediaError: one of them cannot be read, or there is none.
+    """
+    files = source(name).files()
+    if files:
+        yield from map(read_depth, files)
+    else:
+        yield from (picture.image for picture in depth_pictures(name))
 
 
 def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False) -> Iterator[Picture]:
