@@ -190,3 +190,60 @@ def test_wrong_settings_are_refused(empty):
         next(detect(config(), [], confidence=2.0), None)
     with pytest.raises(TypeError):
         next(detect(config(), [], colour="red"), None)
+
+
+def test_a_box_that_fits_no_body_is_placed_marked_and_counted(empty, full):
+    detector = with_network(full, empty, settings=Settings(refresh=1))
+    detector.network.box = np.array([[200.0, 100.0, 215.0, 115.0]])
+    (person,) = detector.look(GREY)
+    record = records.as_record(detections(0.0, [person]))["objects"][0]
+    assert (record["explained"], record["height"]) == (False, None)
+    assert (detector.tally.by_box, detector.tally.unexplained) == (1, 1)
+    detector.network.box = with_network(full, empty).network.box
+    (person,) = detector.look(GREY)
+    assert "explained" not in records.as_record(detections(0.0, [person]))["objects"][0]
+    assert (detector.tally.by_box, detector.tally.unexplained) == (2, 1)
+
+
+def test_the_boxes_tell_the_height_of_the_camera():
+    people = [
+        (0.9, 2.3, 0.0, 0.3, 1.7),
+        (3.6, 2.2, 1.0, 0.3, 1.8),
+        (2.0, 3.4, 2.0, 0.1, 1.75),
+        (3.0, 3.2, 0.5, 0.2, 1.6),
+    ]
+    low = config()
+    low.raw["camera_config"]["camera_position_m"] = [2.33, 2.33, 2.5 / 0.7]  # said too high
+    detector = Detector(Config(low.raw))
+    background = cast(ceiling_view(4))
+    for person in people:
+        rows, columns = np.nonzero(cast(ceiling_view(4), [person]) < background - 0.02)
+        detector.tally.boxes.append(np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], float))
+    shares = detector.explained_by_height()
+    assert shares[min(shares, key=lambda height: abs(height - 2.5))] == 1.0
+    assert shares[max(shares)] < 1.0
+
+
+def test_what_the_lens_does_not_light_does_not_count(empty, full):
+    lit = config()
+    lit.raw["camera_config"]["image_circle_px"] = [240.0, 135.0, 120.0]
+    seen = []
+    for box, people in (([20.0, 20.0, 60.0, 80.0], 0), ([200.0, 100.0, 240.0, 160.0], 1)):
+        detector = Detector(Config(lit.raw))
+        detector.network = FakeNetwork(box)
+        look = detector.network.detect
+        detector.network.detect = lambda picture, regions, look=look: seen.append(picture) or look(picture, regions)
+        assert len(detector.look(GREY // 2)) == people
+    assert (seen[0][0, 0] == 114).all()
+    assert (seen[0][135, 240] == 45).all()
+
+
+def test_boxes_that_show_only_the_room_are_left_out_and_counted(empty, full):
+    settings = Settings(refresh=1, learn_background=True)
+    detector = with_network(full, empty, settings=settings, room_picture=GREY)
+    assert detector.look(GREY) == []
+    assert detector.tally.still == 1
+    x0, y0, x1, y1 = detector.network.box[0].astype(int)
+    somebody = GREY.copy()
+    somebody[y0:y1, x0:x1] = (200, 40, 40)
+    assert len(detector.look(somebody)) == 1

@@ -63,8 +63,9 @@ def main(
     """Find the people in a ceiling camera's pictures and write their positions in the room.
 
     FILE is a stream of frame records (- or none: standard input), picture files, a folder of them, a video, a camera
-    (/dev/video0), or a stream at an address (rtsp://…). Each frame gives one record. For each person it has a position on the body's axis, its
-    covariance, the height, the box in the picture, and a score. The camera's lens and pose come from config.json.
+    (/dev/video0), or a stream at an address (rtsp://…). Each frame gives one record. For each person it has a position
+    on the body's axis, its covariance, the height, the box in the picture, and a score. The camera's lens and pose come
+    from config.json.
     """
     settings = settings_from(Settings, options)
     _refuse_without_effect(settings)
