@@ -20,6 +20,7 @@ MATERIALS = (*_PLAIN, *(name for name in materials.table() if name not in _PLAIN
 _LARGEST_MESH = 200_000
 _GREY, _WOOD = (0.62, 0.63, 0.62), (0.72, 0.53, 0.34)
 _LENGTH = bounds.LENGTH
+_CASTING_M2 = 0.02  # a part of a piece casts a shadow if a quarter of its largest face is larger
 _STEP_OVER_M = 0.05  # rugs, cables, papers: they stand in nobody's way
 
 
@@ -91,6 +92,7 @@ class Solids:
         half: (n, 3) half sizes along these axes.
         material: (n,) index into MATERIALS.
         colour: (n, 3) sRGB fractions.
+        casts: (n,) bool, whether it casts a shadow; what is small does not, since each that does costs time.
     """
 
     kind: np.ndarray
@@ -99,6 +101,7 @@ class Solids:
     half: np.ndarray
     material: np.ndarray
     colour: np.ndarray
+    casts: np.ndarray
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -110,12 +113,13 @@ class Solids:
 def join(solids: Sequence[Solids]) -> Solids:
     """Join several Solids, or none, into one."""
     empty = Solids(
-        np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3))
-    )
+        np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3)),
+        np.zeros(0, bool),
+    )  # fmt: skip
     return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in _FIELDS))
 
 
-_FIELDS = ("kind", "centre", "axes", "half", "material", "colour")
+_FIELDS = ("kind", "centre", "axes", "half", "material", "colour", "casts")
 
 
 def blockers(solids: Solids) -> Solids:
@@ -127,7 +131,7 @@ def blockers(solids: Solids) -> Solids:
         corners = np.concatenate([solids.centre[start:end], *solids.axes[start:end, :2].transpose(1, 0, 2)])
         low, high = corners.min(0), corners.max(0)
         boxes.append(_solid(BOX, (low + high) / 2, np.eye(3), 0.4 * (high - low), PAINT, np.zeros(3)))
-    return join([plain, *boxes])
+    return join([plain[plain.casts], *boxes])
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
@@ -239,10 +243,12 @@ def _several(rows: Sequence[pieces.Solid], place: np.ndarray, axes: np.ndarray, 
     cos, sin = np.cos([row.turn for row in rows]), np.sin([row.turn for row in rows])
     none = np.zeros(len(rows))
     turned = np.stack([[cos, sin, none], [-sin, cos, none], [none, none, none + 1]]).transpose(2, 0, 1)
+    half = np.array([row.half for row in rows])
+    large = np.sort(half, axis=1)[:, 1:].prod(1) > _CASTING_M2
     named = [MATERIALS.index(row.material) if row.material else main for row in rows]
     return Solids(
         np.array([row.kind for row in rows]), np.array([row.centre for row in rows]) @ axes + place, turned @ axes,
-        np.array([row.half for row in rows]), np.array(named), np.array([row.colour for row in rows]),
+        half, np.array(named), np.array([row.colour for row in rows]), large,
     )  # fmt: skip
 
 
@@ -277,13 +283,15 @@ def _mesh(corners: np.ndarray, material: int, colour: np.ndarray) -> Solids:
     n = len(corners)
     axes = np.concatenate([corners[:, 1:], np.zeros((n, 1, 3))], 1)
     return Solids(
-        np.full(n, TRIANGLE), corners[:, 0], axes, np.zeros((n, 3)), np.full(n, material), np.tile(colour, (n, 1))
-    )
+        np.full(n, TRIANGLE), corners[:, 0], axes, np.zeros((n, 3)), np.full(n, material), np.tile(colour, (n, 1)),
+        np.ones(n, bool),
+    )  # fmt: skip
 
 
 def _solid(
     kind: int, centre: np.ndarray, axes: np.ndarray, half: np.ndarray, material: int, colour: np.ndarray | list[float]
 ) -> Solids:
     return Solids(
-        np.array([kind]), centre[None], axes[None], half[None], np.array([material]), np.asarray(colour)[None]
-    )
+        np.array([kind]), centre[None], axes[None], half[None], np.array([material]), np.asarray(colour)[None],
+        np.ones(1, bool),
+    )  # fmt: skip
