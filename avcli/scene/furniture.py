@@ -1,7 +1,7 @@
 """What does not move: boxes, cylinders, balls and meshes, and the tables and chairs that are made of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,8 @@ class Solids:
         half: (n, 3) half sizes along these axes.
         material: (n,) index into MATERIALS.
         colour: (n, 3) sRGB fractions.
-        casts: (n,) bool, whether it casts a shadow; what is small does not, since each that does costs time.
+        casts: (n,) bool, whether it casts a shadow; what is small does not, since each that does costs time. Empty: all
+            do.
     """
 
     kind: np.ndarray
@@ -101,7 +102,11 @@ class Solids:
     half: np.ndarray
     material: np.ndarray
     colour: np.ndarray
-    casts: np.ndarray
+    casts: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __post_init__(self) -> None:
+        if len(self.casts) != len(self.kind):
+            object.__setattr__(self, "casts", np.ones(len(self.kind), bool))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -113,9 +118,8 @@ class Solids:
 def join(solids: Sequence[Solids]) -> Solids:
     """Join several Solids, or none, into one."""
     empty = Solids(
-        np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3)),
-        np.zeros(0, bool),
-    )  # fmt: skip
+        np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3))
+    )
     return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in _FIELDS))
 
 
@@ -283,15 +287,13 @@ def _mesh(corners: np.ndarray, material: int, colour: np.ndarray) -> Solids:
     n = len(corners)
     axes = np.concatenate([corners[:, 1:], np.zeros((n, 1, 3))], 1)
     return Solids(
-        np.full(n, TRIANGLE), corners[:, 0], axes, np.zeros((n, 3)), np.full(n, material), np.tile(colour, (n, 1)),
-        np.ones(n, bool),
-    )  # fmt: skip
+        np.full(n, TRIANGLE), corners[:, 0], axes, np.zeros((n, 3)), np.full(n, material), np.tile(colour, (n, 1))
+    )
 
 
 def _solid(
     kind: int, centre: np.ndarray, axes: np.ndarray, half: np.ndarray, material: int, colour: np.ndarray | list[float]
 ) -> Solids:
     return Solids(
-        np.array([kind]), centre[None], axes[None], half[None], np.array([material]), np.asarray(colour)[None],
-        np.ones(1, bool),
-    )  # fmt: skip
+        np.array([kind]), centre[None], axes[None], half[None], np.array([material]), np.asarray(colour)[None]
+    )

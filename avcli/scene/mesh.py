@@ -104,7 +104,7 @@ def room_triangles(dimensions: ArrayLike, ceiling: bool = True) -> np.ndarray:
     size = np.asarray(dimensions, float)
     box = furniture.Solids(
         np.array([furniture.BOX]), size[None] / 2, np.eye(3)[None], size[None] / 2,
-        np.zeros(1, int), np.zeros((1, 3)), np.ones(1, bool),
+        np.zeros(1, int), np.zeros((1, 3)),
     )  # fmt: skip
     triangles = solids_triangles(box)[0][:, ::-1]
     return triangles if ceiling else triangles[~(triangles[..., 2] > 0.999 * size[2]).all(1)]
