@@ -1,7 +1,7 @@
 """What does not move: boxes, cylinders, balls and meshes, and the tables and chairs that are made of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ MATERIALS = (*_PLAIN, *(name for name in materials.table() if name not in _PLAIN
 _LARGEST_MESH = 200_000
 _GREY, _WOOD = (0.62, 0.63, 0.62), (0.72, 0.53, 0.34)
 _LENGTH = bounds.LENGTH
+_CASTING_M2 = 0.02  # a part of a piece casts a shadow if a quarter of its largest face is larger
 _STEP_OVER_M = 0.05  # rugs, cables, papers: they stand in nobody's way
 
 
@@ -91,6 +92,8 @@ class Solids:
         half: (n, 3) half sizes along these axes.
         material: (n,) index into MATERIALS.
         colour: (n, 3) sRGB fractions.
+        casts: (n,) bool, whether it casts a shadow; what is small does not, since each that does costs time. Empty: all
+            do.
     """
 
     kind: np.ndarray
@@ -99,6 +102,11 @@ class Solids:
     half: np.ndarray
     material: np.ndarray
     colour: np.ndarray
+    casts: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __post_init__(self) -> None:
+        if len(self.casts) != len(self.kind):
+            object.__setattr__(self, "casts", np.ones(len(self.kind), bool))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -115,7 +123,7 @@ def join(solids: Sequence[Solids]) -> Solids:
     return Solids(*(np.concatenate([getattr(s, name) for s in [empty, *solids]]) for name in _FIELDS))
 
 
-_FIELDS = ("kind", "centre", "axes", "half", "material", "colour")
+_FIELDS = ("kind", "centre", "axes", "half", "material", "colour", "casts")
 
 
 def blockers(solids: Solids) -> Solids:
@@ -127,7 +135,7 @@ def blockers(solids: Solids) -> Solids:
         corners = np.concatenate([solids.centre[start:end], *solids.axes[start:end, :2].transpose(1, 0, 2)])
         low, high = corners.min(0), corners.max(0)
         boxes.append(_solid(BOX, (low + high) / 2, np.eye(3), 0.4 * (high - low), PAINT, np.zeros(3)))
-    return join([plain, *boxes])
+    return join([plain[plain.casts], *boxes])
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
@@ -239,10 +247,12 @@ def _several(rows: Sequence[pieces.Solid], place: np.ndarray, axes: np.ndarray, 
     cos, sin = np.cos([row.turn for row in rows]), np.sin([row.turn for row in rows])
     none = np.zeros(len(rows))
     turned = np.stack([[cos, sin, none], [-sin, cos, none], [none, none, none + 1]]).transpose(2, 0, 1)
+    half = np.array([row.half for row in rows])
+    large = np.sort(half, axis=1)[:, 1:].prod(1) > _CASTING_M2
     named = [MATERIALS.index(row.material) if row.material else main for row in rows]
     return Solids(
         np.array([row.kind for row in rows]), np.array([row.centre for row in rows]) @ axes + place, turned @ axes,
-        np.array([row.half for row in rows]), np.array(named), np.array([row.colour for row in rows]),
+        half, np.array(named), np.array([row.colour for row in rows]), large,
     )  # fmt: skip
 
 

@@ -175,8 +175,8 @@ def _windows(g: np.random.Generator, kind: Kind, size: Size, doors: list[dict[st
 
 def _lights(g: np.random.Generator, size: Size) -> list[dict[str, Any]]:
     """Lamps in rows below the ceiling, of one kind; now and then some are off."""
-    pitch = float(g.uniform(2.2, 3.6)) * max(1.0, float(np.sqrt(size[0] * size[1] / 60)))
-    columns, rows = (max(1, min(4, round(side / pitch))) for side in size[:2])
+    pitch = float(g.uniform(2.6, 4.0)) * max(1.0, float(np.sqrt(size[0] * size[1] / 40)))
+    columns, rows = (max(1, min(3, round(side / pitch))) for side in size[:2])
     shape = str(g.choice(["panel", "disc"], p=[0.7, 0.3]))
     a, b = ((0.6, 0.6), (1.2, 0.3), (1.2, 0.6))[int(g.integers(3))] if shape == "panel" else (0.35, 0.35)
     warm = g.uniform(0, 1)
