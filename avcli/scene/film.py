@@ -14,7 +14,7 @@ from avcli.formats.experiment import Config, Layout
 from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
-from avcli.scene import annotations, load, people, render, sensor, worlds
+from avcli.scene import annotations, interior, load, people, render, sensor, worlds
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects
 
@@ -74,7 +74,8 @@ class Film:
             camera, room = scenario.config.camera, scenario.config.room.dimensions
             step = drawing.depth_step_m(render.farthest(camera, room))
             with timing("open the renderer and draw the room"):
-                self._renderer = render.Renderer(camera, room, scenario.solids, step, drawing.samples)
+                dressed = interior.interior(scenario.config.room, scenario.solids)
+                self._renderer = render.Renderer(camera, room, scenario.solids, step, drawing.samples, dressed=dressed)
 
     @property
     def background(self) -> np.ndarray | None:

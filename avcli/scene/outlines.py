@@ -12,7 +12,7 @@ from avcli.scene.people import Bodies
 TILE = 32  # px, the grain in which a frame is redrawn
 SHADOW_PITCH = 8  # px, the grid on which people's shadows are computed
 SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
-_SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
+SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
 _SHADOW_MARGIN_PX = 4.0
 _OUTLINE_MARGIN_PX = 1.5
 _SEAM = 3.7  # between the patterns of two people's clothes, so that no two are painted alike
@@ -44,9 +44,10 @@ class Outlines:
     Args:
         canvas: whose camera looks.
         bodies: at n times, p cones in all.
+        shadow_reach: m around a person, where their shadow has faded.
     """
 
-    def __init__(self, canvas: Canvas, bodies: Bodies) -> None:
+    def __init__(self, canvas: Canvas, bodies: Bodies, shadow_reach: float = SHADOW_REACH) -> None:
         self.canvas, self.bodies = canvas, bodies
         R, origin = canvas.T_camera_room[:3, :3], canvas.T_camera_room[:3, 3]
         a, b = bodies.a @ R.T + origin, bodies.b @ R.T + origin
@@ -62,7 +63,7 @@ class Outlines:
         self._a, self._b = swell(a), swell(b)
         self._axis, self._bulge = axis, bulge
         self._first = np.searchsorted(bodies.person, np.arange(bodies.balls.shape[1]))  # cone of each person
-        self._shadows = self._shadow_rectangles()
+        self._shadows = self._shadow_rectangles(shadow_reach)
         self._rectangles, self._quads = self._outline(a, b)
 
     def instances(self, index: int) -> np.ndarray:
@@ -151,11 +152,11 @@ class Outlines:
             for person, (wide, tall), (x, y) in zip(kept.tolist(), extent.tolist(), places.tolist(), strict=True)
         ]
 
-    def _shadow_rectangles(self) -> np.ndarray:
+    def _shadow_rectangles(self, reach: float) -> np.ndarray:
         """Where in the picture a person darkens the room: around the place under them, (n, people, 4)."""
         middle = self.bodies.balls[..., :2].mean(2)
         turn = np.arange(16) * np.pi / 8
-        ring = _SHADOW_REACH * np.stack([np.cos(turn), np.sin(turn)], -1)
+        ring = reach * np.stack([np.cos(turn), np.sin(turn)], -1)
         floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
         T = self.canvas.T_camera_room
         pixels = self.canvas.camera.lens.project_clamped(floor @ T[:3, :3].T + T[:3, 3])

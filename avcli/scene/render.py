@@ -15,7 +15,8 @@ import numpy as np
 from avcli.formats.experiment import Camera
 from avcli.scene import furniture, shaders
 from avcli.scene.canvas import Canvas, NoGraphics, farthest, open_context, put
-from avcli.scene.outlines import SHADOW_PITCH, SHAPE_PITCH, TILE, Outlines, Sheet
+from avcli.scene.interior import Interior
+from avcli.scene.outlines import SHADOW_PITCH, SHADOW_REACH, SHAPE_PITCH, TILE, Outlines, Sheet
 from avcli.scene.people import Bodies
 from avcli.scene.room_pass import draw_room
 from avcli.scene.settings import Drawing
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Frame", "NoGraphics", "Renderer", "farthest", "open_context"]
 
 _CONE = "2f 4f 4f 4f 4f 4f", ("origin", "edges", "ball_a", "ball_b", "bulge", "middle")  # layout and names of a cone
-_UNITS = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "painted": 6}
+_UNITS = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "painted": 6, "probes": 8}
 """Where the shaders of a frame find their textures."""
 
 
@@ -60,6 +61,7 @@ class Renderer:
         depth_step: m of one step of the depth picture; None: the finest usual one that holds the room in 16 bits.
         samples: colour samples per pixel at outlines.
         context: to share; None opens one.
+        dressed: the room's looks and light, None where it states none.
 
     Attributes:
         depth_step: m of one step of the depth pictures.
@@ -80,10 +82,14 @@ class Renderer:
         depth_step: float | None = None,
         samples: int = 4,
         context: moderngl.Context | None = None,
+        dressed: Interior | None = None,
     ) -> None:
         self.depth_step, self.samples = depth_step or Drawing().depth_step_m(farthest(camera, room)), samples
+        self._dressed = dressed
         self.canvas = Canvas(camera, room, samples, context)
-        self.room_seen, self._room_surface, self._room_colour = draw_room(self.canvas, solids)
+        if dressed is not None:
+            self.canvas.surroundings |= dressed.uniforms
+        self.room_seen, self._room_surface, self._room_colour, self._probes = draw_room(self.canvas, solids, dressed)
         self._make_targets()
         self._make_programs()
         width, height = self.canvas.size
@@ -95,7 +101,8 @@ class Renderer:
 
     def prepare(self, bodies: Bodies) -> Outlines:
         """Compute what the card needs to draw bodies at n times; their frames are then drawn by index."""
-        return Outlines(self.canvas, bodies)
+        reach = SHADOW_REACH if self._dressed is None else self._dressed.uniforms["reach"]
+        return Outlines(self.canvas, bodies, reach)
 
     def draw(self, outlines: Outlines, index: int) -> Frame:
         """Draw the frame of one time.
@@ -136,12 +143,15 @@ class Renderer:
         self._cones = program(shaders.PEOPLE_VERTEX, shaders.PEOPLE_FRAGMENT, room_depth=0, size=size)
         self._shapes = program(shaders.SHAPE_VERTEX, shaders.SHAPE_FRAGMENT, pitch=float(SHAPE_PITCH))
         shadow_units = {"coarse": SHADOW_PITCH, "seen": 0, "surface": 1, "balls": 2, "size": self._shadow.size}
-        self._shadows = program(shaders.SHADOW_VERTEX, shaders.SHADOW_FRAGMENT, **{**uniforms, **shadow_units})
+        shadow, shade = shaders.SHADOW_FRAGMENT, shaders.SHADE
+        if self._dressed is not None:
+            shadow, shade = self._dressed.shaders.shadow, self._dressed.shaders.people
+        self._shadows = program(shaders.SHADOW_VERTEX, shadow, **{**uniforms, **shadow_units})
         units = {**_UNITS, "size": size}
         base = shaders.BASE.replace("MARK", shaders.MARK if self.samples > 1 else "")
         self._base = program(flat, base, **units, per_step=1.0 / self.depth_step)
         self._dim = program(flat, shaders.DIM, **units)
-        self._shade = program(flat, shaders.SHADE, **uniforms, **units, level=0.9999)
+        self._shade = program(flat, shade, **uniforms, **units, level=0.9999)
         self._smooth = program(flat, shaders.SMOOTH.replace("SAMPLES", str(self.samples)), **units, level=0.5)
 
     def _find(self, instances: np.ndarray) -> None:
@@ -168,6 +178,8 @@ class Renderer:
         inputs = (self.people_seen, self.room_seen, self._room_colour, cone_table, self._shadow, ball_table)
         for unit, texture in enumerate(inputs):
             texture.use(unit)
+        if self._probes is not None:
+            self._probes.use(_UNITS["probes"])
         if len(rows):
             ctx.enable(ctx.DEPTH_TEST)
             ctx.depth_func = ">"
