@@ -261,11 +261,11 @@ class DelaySpectrum:
         nodes, weights = np.polynomial.legendre.leggauss(32 + 4 * width)
         cells = nodes * width / 2
         weights = weights * width / 2 * kernel(cells)
-        self._inverse = np.empty(self.bins)
-        for start in range(0, self.bins, self.ROWS):  # a long response has millions of bins
-            frequencies = np.arange(start, min(start + self.ROWS, self.bins)) / self._cells
-            transform = (np.cos(2 * np.pi * np.outer(frequencies, cells)) * weights).sum(axis=1)
-            self._inverse[start : start + self.ROWS] = 1 / transform
+        highest = max(self.bins - 1, 1) / self._cells
+        smooth = np.polynomial.Chebyshev.interpolate(
+            lambda f: (np.cos(2 * np.pi * np.outer(f, cells)) * weights).sum(axis=1), 16 + 4 * width, [0.0, highest]
+        )
+        self._inverse = 1 / smooth(np.arange(self.bins) / self._cells)
 
     def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the spectra of several sums, (m, bins) complex128.

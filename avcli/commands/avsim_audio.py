@@ -166,6 +166,7 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
         with session.timing("simulation"):
             recorder.finish()
         store(tape.end())
+        session.note(recorder.described())
         if options["rir"]:
             from avcli.acoustics import exchange
 
