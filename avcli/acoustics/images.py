@@ -53,6 +53,16 @@ class Images:
             squares += difference
         return np.sqrt(squares, out=squares)
 
+    def orders(self, room_dimensions_m: np.ndarray, microphone_m: np.ndarray) -> np.ndarray:
+        """Return how often the sound of each has met each wall x0 x1 y0 y1 z0 z1, (6, n).
+
+        Args:
+            room_dimensions_m: (3,) m.
+            microphone_m: (3,) m, whose images they are.
+        """
+        around = np.rint((self.positions - self.mirrored * microphone_m[:, None]) / (2 * room_dimensions_m[:, None]))
+        return np.abs(np.stack([around - (self.mirrored < 0), around], axis=1)).reshape(6, -1)
+
     def moved(self, by_m: np.ndarray) -> "Images":
         """Return the images when the microphone has moved: each moves as it is mirrored.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.images import NEAREST_M
-from avcli.acoustics.responses import MARGIN, Responses
+from avcli.acoustics.responses import Responses
 from avcli.acoustics.sampling import Interpolation, Switching
 from avcli.acoustics.surroundings import Surroundings
 from avcli.acoustics.trajectory import KNOTS_AROUND, cubic, knot_velocity
@@ -51,11 +51,11 @@ class MovingSource:
         heading: ArrayLike = (1.0, 0.0, 0.0),
         rng: np.random.Generator | None = None,
     ):
-        self._surroundings, self._nodes = surroundings, nodes
+        self._surroundings, self._nodes, self._margin = surroundings, nodes, surroundings.margin
         longest = surroundings.longest_delay
         window = int(nodes.window_s * surroundings.sample_rate_hz)
-        self._length = fft_length(longest + 2 * MARGIN + min(max(window, longest // 4), 4 * longest + 4096))
-        self._block = self._length - longest - 2 * MARGIN
+        self._length = fft_length(longest + 2 * self._margin + min(max(window, longest // 4), 4 * longest + 4096))
+        self._block = self._length - longest - 2 * self._margin
         self._responses = Responses(surroundings, self._length, band, error_db, rng, isinstance(nodes, Switching))
 
         self._way = Way(surroundings.sample_rate_hz)
@@ -86,7 +86,7 @@ class MovingSource:
         """
         if self._way.time is None:
             self._begin = self._pending_begin = first_sample(time_s, self._surroundings.sample_rate_hz)
-            self._heard = Heard(len(self._surroundings.microphones_m), self._begin - MARGIN)
+            self._heard = Heard(len(self._surroundings.microphones_m), self._begin - self._margin)
         for part in self._way.to(time_s, position_m, dry):
             self._go(part)
         self._render()
@@ -107,7 +107,7 @@ class MovingSource:
     @property
     def settled(self) -> float:
         """The sample before which the sound does not change any more; infinite when all is settled."""
-        return np.inf if self._last == -np.inf else self._pending_begin - MARGIN
+        return np.inf if self._last == -np.inf else self._pending_begin - self._margin
 
     @property
     def bounded(self) -> bool:
@@ -224,9 +224,9 @@ class MovingSource:
                 self._transfer = self._responses.at(*self._pending_place)
                 self.computed += 1
             emitted = np.fft.rfft(block, self._length)[: self._responses.bins]
-            count_heard = len(block) + self._surroundings.longest_delay + 2 * MARGIN
+            count_heard = len(block) + self._surroundings.longest_delay + 2 * self._margin
             sound = np.fft.irfft(emitted * self._transfer, self._length)[:, :count_heard]
-            self._heard.add(slice(None), self._pending_begin + start - MARGIN, sound)
+            self._heard.add(slice(None), self._pending_begin + start - self._margin, sound)
         self._pending, self._pending_begin = self._pending[count:], self._pending_begin + count
 
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from avcli.acoustics.delayline import DirectSource
 from avcli.acoustics.moving import MovingSource, first_sample
-from avcli.acoustics.responses import MARGIN
 from avcli.acoustics.sampling import Interpolation, Switching, interpolation
 from avcli.acoustics.signals import (
     FADE_S,
@@ -140,8 +139,8 @@ class Speakers:
         """The sample before which the sound does not change any more; infinite after `finish`."""
         if self._finished:
             return np.inf
-        now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz) - MARGIN
-        return min([now, *(source.settled for _, source in self._sources)])
+        now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz)
+        return min([now - self._surroundings.margin, *(source.settled for _, source in self._sources)])
 
     @property
     def bounded(self) -> bool:
@@ -205,7 +204,8 @@ class Speakers:
     def _begin(self, person: _Person, identity: int, time: float, mouth: np.ndarray) -> None:
         for number, group in enumerate(self._groups):
             source: MovingSource | DirectSource
-            if isinstance(person.sampling, Interpolation) and not np.any(group.surroundings.reflection):
+            direct = self._surroundings.bands is None and not np.any(self._surroundings.reflection)
+            if direct and isinstance(person.sampling, Interpolation):
                 source = DirectSource(group.surroundings)
             else:
                 source = MovingSource(
