@@ -231,7 +231,7 @@ def test_settings_out_of_their_bounds_are_refused(wrong, message):
 
 
 def test_the_patterns_are_those_of_the_configuration():
-    assert tuple(DIRECTIVITIES) == PATTERNS
+    assert (*DIRECTIVITIES, "voice") == PATTERNS
 
 
 # --- voices -----------------------------------------------------------------------------------------------------------
