@@ -45,7 +45,7 @@ def test_the_stated_error_is_true_whether_errors_are_shared_or_not(views, shared
 
 def test_independent_errors_alone_would_state_far_too_little():
     o, solution = filmed(0, 24, 1.0)
-    views = fit.by_view(o, solution)
+    views = fit.by_view(o, solution).views
     assert np.sqrt(np.diag(uncertainty.covariance(views)) / np.diag(uncertainty.noise(views))).min() > 1.5
     assert uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)) > 2
 

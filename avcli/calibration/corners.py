@@ -4,6 +4,7 @@ A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from avcli.calibration.target import Board
 
 _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
+_AT_ONCE = 64
+"""Corners that are polished at once: what they need stays in the processor's cache."""
 PATCH = 12
 """px; half the side of the square around each corner that is kept for `polish`."""
 
@@ -195,8 +198,7 @@ def polish(
     *,
     reach: float = 0.75,
     clear: float = 1.0,
-    half: int = PATCH,
-    rounds: int = 5,
+    rounds: tuple[int, ...] = (6, 6, PATCH),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 
@@ -212,8 +214,7 @@ def polish(
         to_board: (n, 2, 5) board offset in squares as a polynomial in the pixel offset (a, b): a, b, a², ab, b².
         reach: squares from the corner that are used, less than 1.
         clear: squares from the nearer edge that are used; less than 1 leaves out what is printed in the squares.
-        half: px from the corner that are used.
-        rounds: Gauss-Newton steps of the corners that have not settled after three.
+        rounds: px from the corner that each Gauss-Newton step uses. Corners that have not settled take four more.
 
     Returns:
         pixels (n, 2), and the standard deviation of each corner's error along one axis, (n,) px; the corner as it was
@@ -221,15 +222,15 @@ def polish(
     """
     n = len(pixels)
     out, sd = pixels.copy(), np.full(n, np.inf)
-    for begin in range(0, n, 512):
-        part = slice(begin, begin + 512)
+    for begin in range(0, n, _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
         out[part], sd[part] = _polish_some(
-            patches[part], pixels[part], origins[part], to_board[part], reach, clear, half, 3, 0.005
+            patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.02
         )
         slow = begin + np.flatnonzero(~np.isfinite(sd[part]))
         if len(slow):
             out[slow], sd[slow] = _polish_some(
-                patches[slow], pixels[slow], origins[slow], to_board[slow], reach, clear, half, rounds, 0.05
+                patches[slow], pixels[slow], origins[slow], to_board[slow], reach, clear, (PATCH,) * 5, 0.05
             )
     return out, sd
 
@@ -241,28 +242,25 @@ def _polish_some(
     to_board: np.ndarray,
     reach: float,
     clear: float,
-    half: int,
-    rounds: int,
+    rounds: tuple[int, ...],
     still: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     n = len(pixels)
-    span = np.arange(-half, half + 1)
-    middle = slice(PATCH - half, PATCH + half + 1)
     # Single precision is enough for grey levels; what is solved is double.
-    grey = patches[:, middle, middle].reshape(n, -1).astype(np.float32)
-    dv, du = (a.ravel().astype(np.float32) for a in np.meshgrid(span, span, indexing="ij"))
     base = (origins - pixels).astype(np.float32)
     to_board = to_board.astype(np.float32)
     shift, blur = np.zeros((n, 2), np.float32), np.full(n, 0.8, np.float32)
-    mask = np.zeros(0)
     linear = to_board[:, :, :2]
     slope = np.linalg.norm(linear, axis=2)[:, :, None]
-    for _ in range(rounds):
-        a = du + (base - shift)[:, :1]
-        b = dv + (base - shift)[:, 1:]
+    mask, half = np.zeros(0), 0
+    for size in rounds:
+        a = _offsets(size)[0] + (base - shift)[:, :1]
+        b = _offsets(size)[1] + (base - shift)[:, 1:]
         terms = np.stack([a, b, a * a, a * b, b * b], 1)
         x, y = np.moveaxis(to_board @ terms, 1, 0)
-        if not mask.size:
+        if size != half:
+            half, middle = size, slice(PATCH - size, PATCH + size + 1)
+            grey = patches[:, middle, middle].reshape(n, -1).astype(np.float32)
             near, far = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
             mask = ((far < reach) & (near < clear)).astype(np.float32)
         width = blur[:, None] * slope[:, :, 0][..., None].transpose(1, 0, 2)
@@ -296,6 +294,14 @@ def _polish_some(
     sd = noise * np.sqrt((inverse[:, 4, 4] + inverse[:, 5, 5]) / 2)
     good = np.isfinite(sd) & settled & clear_enough
     return np.where(good[:, None], pixels + shift, pixels), np.where(good, sd, np.inf)
+
+
+@cache
+def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets of the pixels of a patch along u and v, (pixels,) each."""
+    span = np.arange(-half, half + 1)
+    dv, du = (a.ravel().astype(np.float32) for a in np.meshgrid(span, span, indexing="ij"))
+    return du, dv
 
 
 def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
