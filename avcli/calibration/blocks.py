@@ -66,7 +66,13 @@ class Blocks(NamedTuple):
 
     def of(self, keep: np.ndarray) -> "Blocks":
         """Some views only: `keep` (views,) bool, or indices."""
-        return Blocks(*(part[keep] for part in self[:5]), self.errors, self.held)
+        return self._replace(
+            gram=self.gram[keep],
+            cost=self.cost[keep],
+            counts=self.counts[keep],
+            place=self.place[keep],
+            cross=self.cross[keep],
+        )
 
     @property
     def total(self) -> float:

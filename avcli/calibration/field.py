@@ -213,6 +213,7 @@ def split_halves(
     count = moved.shape[-1]
     lens_of_free = np.flatnonzero(solution.free) < count
     moved = moved[:, :, np.flatnonzero(solution.free)[lens_of_free]].reshape(-1, lens_of_free.sum())
+    square = moved.T @ moved / len(rays)
     known = known or fit.by_view(observations, solution)
 
     def half(keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -231,8 +232,8 @@ def split_halves(
     actual, stated = np.zeros(splits), np.zeros(splits)
     for index, (one, other) in enumerate(uncertainty.halves(observations.views, splits, seed)):
         (a, spread_a), (b, spread_b) = half(one), half(other)
-        actual[index] = np.sum((moved @ (a - b)) ** 2) / len(rays)
-        stated[index] = np.einsum("na,ab,nb->", moved, spread_a + spread_b, moved, optimize=True) / len(rays)
+        actual[index] = (a - b) @ square @ (a - b)
+        stated[index] = np.sum(square * (spread_a + spread_b))
     good = np.isfinite(actual) & np.isfinite(stated) & (stated > 0)
     if not good.any():
         return Halves()

@@ -164,8 +164,7 @@ def places(observations: Observations, solution: Solution) -> np.ndarray:
 
 def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
-    flat = places(observations, solution)
-    inside = np.einsum("nij,nj->ni", solution.rotations[observations.view], flat)
+    inside = (solution.rotations[observations.view] @ places(observations, solution)[:, :, None])[:, :, 0]
     return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
 
 
@@ -222,26 +221,24 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, P) and to the pose (n, 2, 6)."""
     o, s = observations, solution
-    flat = places(o, s)
     R = s.rotations[o.view]
-    turned = np.einsum("nij,nj->ni", R, flat)
+    turned = (R @ places(o, s)[:, :, None])[:, :, 0]
     pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])
     residual = o.pixels - pixels
-    unseen = ~(np.isfinite(residual).all(1) & np.isfinite(by_point).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
-    u, v = (o.points / o.half_extent).T
-    zero = np.zeros_like(u)
-    bend = np.stack(
-        [
-            R[:, :, 2] * (1 - u**2)[:, None],
-            R[:, :, 2] * (1 - v**2)[:, None],
-            R[:, :, 1] * o.points[:, 1:],
-        ],
-        -1,
-    )
-    common = np.concatenate([by_lens, by_point @ bend], -1)
-    own = np.concatenate([-by_point @ cross_matrix(turned), by_point], -1)
-    residual[unseen] = np.stack([zero[unseen] + _UNSEEN_PX, zero[unseen]], -1)
-    common[unseen] = own[unseen] = 0.0
+    own = np.empty((len(turned), 2, 6))
+    own[:, :, 3:] = by_point
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):  # the cross product of the point with the derivative
+        own[:, :, axis] = turned[:, None, i] * by_point[:, :, j] - turned[:, None, j] * by_point[:, :, i]
+    common = np.zeros((len(turned), 2, by_lens.shape[2] + SHAPE))
+    common[:, :, :-SHAPE] = by_lens
+    if s.free[-SHAPE:].any():
+        u, v = (o.points / o.half_extent).T
+        bend = np.stack([R[:, :, 2] * (1 - u**2)[:, None], R[:, :, 2] * (1 - v**2)[:, None]], -1)
+        common[:, :, -SHAPE:-1] = by_point @ bend
+        common[:, :, -1] = (by_point @ R[:, :, 1:2])[:, :, 0] * o.points[:, 1:]
+    if not np.isfinite(residual.sum() + own.sum() + by_lens.sum()):
+        unseen = ~(np.isfinite(residual).all(1) & np.isfinite(own).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
+        residual[unseen], common[unseen], own[unseen] = [_UNSEEN_PX, 0.0], 0.0, 0.0
     scale = 1.0 / o.sigma
     return residual * scale[:, None], common * scale[:, None, None], own * scale[:, None, None]
 
