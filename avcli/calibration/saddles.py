@@ -23,6 +23,9 @@ _LEAST_SHOWN = 0.8
 """Share of a board's corners that must be found; glare or a finger may hide the others."""
 _FULL_LINE = 0.7
 """Share of an outer row that must be found; less is an edge of the board, or clutter."""
+_CUT_LINE = 0.4
+"""Share of a line beyond a grid from which the grid counts as a part of a larger board. Edges and clutter beside the
+boards of derlunz, dyf and fish_1 fill at most 0.33 of one."""
 _WIDTHS = (640, 1280, 320)
 """px; boards are looked for in pictures reduced to these widths: small ones are quick, and hide blur and noise."""
 _RING = 32
@@ -38,6 +41,7 @@ class Grid:
         pixels: (n, 2) px.
         columns, rows: extent of the grid along u and v.
         dark: whether the square between cells (0, 0) and (1, 1) is dark.
+        is_cut: whether there are further corners, too few to be told from the edge of a board.
     """
 
     cells: np.ndarray
@@ -45,6 +49,7 @@ class Grid:
     columns: int
     rows: int
     dark: bool
+    is_cut: bool
 
     def as_board(self, inner: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
         """Number the corners as a board of `inner` corners along a row and a column does.
@@ -296,8 +301,13 @@ def _confirmed(
     return {name: at for name, at, fine in zip(names, settled, good, strict=True) if fine}
 
 
-def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
-    """Take away outer rows and columns too little of which was found: an edge of the board may look like one."""
+def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[dict[tuple[int, int], np.ndarray], bool]:
+    """Take away outer rows and columns too little of which was found: an edge of the board may look like one.
+
+    Returns:
+        what is left, and whether much of a line was taken away.
+    """
+    every = list(cells)
     while cells:
         names = np.array(list(cells))
         low, high = names.min(0), names.max(0)
@@ -311,7 +321,19 @@ def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> dict[tuple[int, int], 
         if sparse is None:
             break
         cells = {cell: at for cell, at in cells.items() if cell[sparse[0]] != sparse[1]}
-    return cells
+    return cells, bool(cells) and len(every) > len(cells) and _is_cut(np.array(every), np.array(list(cells)))
+
+
+def _is_cut(every: np.ndarray, left: np.ndarray) -> bool:
+    """Whether one of the lines next to the cells that are left (n, 2) holds many of all the cells (m, 2)."""
+    low, high = left.min(0), left.max(0)
+    for axis in (0, 1):
+        along = every[(every[:, 1 - axis] >= low[1 - axis]) & (every[:, 1 - axis] <= high[1 - axis]), axis]
+        length = high[1 - axis] - low[1 - axis] + 1
+        counts = [int((along == line).sum()) for line in (low[axis] - 1, high[axis] + 1)]
+        if max(counts) >= max(_CUT_LINE * length, 4):
+            return True
+    return False
 
 
 def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, least: int = 9) -> list[Grid]:
@@ -338,7 +360,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
         if any((np.abs(grid.pixels - start).max(1) < 2).any() for grid in out):
             continue
         _grown(relief, cells, radius)
-        cells = _trimmed(cells)
+        cells, is_cut = _trimmed(cells)
         if len(cells) < least:
             continue
         largest = max(largest, len(cells))
@@ -347,7 +369,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
         names = names - low
         columns, rows = (names.max(0) + 1).tolist()
         order = np.lexsort((names[:, 0], names[:, 1]))
-        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0)))
+        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0), is_cut))
     return sorted(out, key=lambda grid: -len(grid.pixels))
 
 
@@ -399,10 +421,13 @@ def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
 
 
 def sizes(grey: np.ndarray, least: int = 9) -> list[tuple[int, int]]:
-    """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first."""
+    """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first.
+
+    A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count.
+    """
     for small, _ in _reduced(grey):
         whole = [g for g in find_grids(small, least=least) if len(g.pixels) == g.columns * g.rows >= least]
-        whole = [g for g in whole if min(g.columns, g.rows) >= 2]
+        whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut]
         if whole:
             return [(g.columns, g.rows) for g in whole]
     return []
