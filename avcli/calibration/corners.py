@@ -9,11 +9,14 @@ from functools import cache
 import numpy as np
 
 from avcli.calibration import circles, markers, saddles, sharpness
+from avcli.calibration.pyramid import reduced
 from avcli.calibration.sharpness import Blur
 from avcli.calibration.target import Board
 
 _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
+LEAST_GUESSED = 16
+"""Inner corners of a checkerboard whose size is guessed: noise may look like a smaller one."""
 _AT_ONCE = 96
 """Corners that are polished at once: what they need stays in the processor's cache."""
 PATCH = 12
@@ -120,13 +123,7 @@ def _find_checkerboard(
 
 def shrunk(grey: np.ndarray) -> np.ndarray:
     """The picture at a size at which the size of a board can be guessed later."""
-    import cv2
-
-    height, width = grey.shape
-    scale = max(height, width) / _KEEP_WIDTH
-    if scale <= 1:
-        return grey
-    return cv2.resize(grey, (round(width / scale), round(height / scale)), interpolation=cv2.INTER_AREA)
+    return reduced(grey, _KEEP_WIDTH)[0]
 
 
 def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
@@ -174,7 +171,7 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     """
     votes: dict[tuple[int, int], int] = {}
     for small in pictures:
-        for inner in saddles.sizes(small)[:1]:
+        for inner in saddles.sizes(small, LEAST_GUESSED)[:1]:
             few, many = sorted((inner[0] + 1, inner[1] + 1))
             size = (many, few) if board.columns > board.rows else (few, many)
             votes[size] = votes.get(size, 0) + 1

@@ -11,12 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.calibration.pyramid import reduced
+
 _MOST = 1500
 """Saddle points that are looked at: the strongest ones."""
 _GRIDS = 6
 """Groups of corners that are grown into grids: the largest ones."""
 _NEAREST = 20
 """Corners around a corner that may be its neighbours."""
+_MANY = 400
+"""Corners from which the nearest ones are looked up in a tree."""
+_BY_CHANCE = 60
+"""In a picture full of corners chance joins some: groups with fewer than one in so many of them are not looked at."""
 _LEAST_CONTRAST = 6.0
 """Grey levels between the dark and the bright side of a corner."""
 _LEAST_SHOWN = 0.8
@@ -183,10 +189,7 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     to, back = np.full((n, 4), -1), np.full((n, 4), -1)
     if n < 4:
         return to, back
-    squared = ((corners.pixels[:, None] - corners.pixels[None]) ** 2).sum(2)
-    np.fill_diagonal(squared, np.inf)
-    other = np.argpartition(squared, min(_NEAREST, n - 1) - 1, axis=1)[:, :_NEAREST]
-    distance = np.sqrt(np.take_along_axis(squared, other, 1))
+    distance, other = _nearest(corners.pixels, min(_NEAREST, n - 1))
     apart = corners.pixels[other] - corners.pixels[:, None]
     heading = np.arctan2(apart[..., 1], apart[..., 0])
     # (n, other, arm): an odd arm of one is an even arm of the next, since dark and bright change sides.
@@ -212,6 +215,19 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     to[to[rows, arms], back[rows, arms]] = -1
     to[rows, arms] = -1
     return to, back
+
+
+def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of each of the pixels (n, 2) to the `count` nearest others, and which they are, (n, count)."""
+    if len(pixels) > _MANY:
+        from scipy.spatial import cKDTree
+
+        distance, other = cKDTree(pixels).query(pixels, count + 1)
+        return distance[:, 1:], other[:, 1:]
+    squared = ((pixels[:, None] - pixels[None]) ** 2).sum(2)
+    np.fill_diagonal(squared, np.inf)
+    other = np.argpartition(squared, count - 1, axis=1)[:, :count]
+    return np.sqrt(np.take_along_axis(squared, other, 1)), other
 
 
 def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], int]]:
@@ -353,7 +369,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
     out: list[Grid] = []
     largest = 0
     for found in _labelled(*_neighbours(corners))[:_GRIDS]:
-        if len(found) < max(4, least // 2, largest // 4):
+        if len(found) < max(4, least // 2, largest // 4, len(corners.pixels) // _BY_CHANCE):
             break
         cells = {cell: corners.pixels[index] for cell, index in found.items()}
         start = cells[(0, 0)]
@@ -404,20 +420,12 @@ def find_board(
 
 def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
     """The picture at each of the widths, and the factor back to the full one."""
-    import cv2
-
-    height, width = grey.shape
     done: set[float] = set()
     for longest in _WIDTHS:
-        scale = max(1.0, max(height, width) / longest)
-        if scale in done:
-            continue
-        done.add(scale)
-        if scale == 1.0:
-            yield grey, scale
-        else:
-            size = max(round(width / scale), 16), max(round(height / scale), 16)
-            yield cv2.resize(grey, size, interpolation=cv2.INTER_AREA), scale
+        small, scale = reduced(grey, longest)
+        if scale not in done:
+            done.add(scale)
+            yield small, scale
 
 
 def sizes(grey: np.ndarray, least: int = 9) -> list[tuple[int, int]]:
