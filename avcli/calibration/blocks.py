@@ -102,7 +102,7 @@ class Blocks(NamedTuple):
         poses = damped(self.gram[:, k:-1, k:-1], damping)
         border = self.gram[:, k:-1][..., np.r_[:k, k + POSE]]  # of the poses: common unknowns, right-hand side
         end = np.empty((k + 1, k + 1))
-        end[:k, :k] = damped(A, damping)
+        end[:k, :k] = A + damping * np.diag(np.diag(A))
         end[:k, k] = end[k, :k] = self.gram[:, :k, -1].sum(0)
         end[k, k] = 0.0
         if not corners:

@@ -222,7 +222,7 @@ def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     if len(pixels) > _MANY:
         from scipy.spatial import cKDTree
 
-        distance, other = cKDTree(pixels).query(pixels, count + 1)
+        distance, other = map(np.asarray, cKDTree(pixels).query(pixels, count + 1))
         return distance[:, 1:], other[:, 1:]
     squared = ((pixels[:, None] - pixels[None]) ** 2).sum(2)
     np.fill_diagonal(squared, np.inf)
