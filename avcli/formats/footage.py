@@ -390,9 +390,7 @@ def depths(name: str) -> Iterator[np.ndarray]:
         yield from (picture.image for picture in depth_pictures(name))
 
 
-def _video_pictures(
-    source: str, rate_hz: float | None, *, deep: bool = False, grey: bool = False
-) -> Iterator[Picture]:
+def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False, grey: bool = False) -> Iterator[Picture]:
     import cv2
 
     capture = _open_video(source, deep=deep)
