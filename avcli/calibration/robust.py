@@ -286,7 +286,7 @@ def held_out(
 ) -> HeldOut:
     """Measure the error on views that took no part: the lens from the others, the pose from the view itself, robustly.
 
-    The lens of the others is two Gauss-Newton steps from that of all.
+    The lens of the others is two Gauss-Newton steps from that of all; where that is no lens, damped steps find it.
 
     Args:
         observations: the corners of every view that shows the board.
@@ -314,11 +314,17 @@ def held_out(
         learned = fit.stepped(everywhere.of_views((part != fold) & kept), step.common, step.own)
         errors = observations.errors + step.errors[observations.corner] if held else observations.errors
         others = good & ~test[observations.view]
+        some = replace(observations, errors=errors).of_corners(others)
         if fit.is_possible(learned):  # again, since robust weights change with the lens
-            some = replace(observations, errors=errors).of_corners(others)
-            some, learned = fit.gauss_newton(some, learned, held)
-        if not fit.is_possible(learned):
-            return HeldOut(np.full(len(good), np.nan), good)
+            again, learned = fit.gauss_newton(some, learned, held)
+        if fit.is_possible(learned):
+            some = again
+        else:  # a lens that the others hardly tell needs damped steps
+            learned = everywhere.of_views((part != fold) & kept)
+            if held:
+                some, learned = fit.refine_with_errors(some, learned)
+            else:
+                learned = fit.refine(some, learned, solution.free, solution.delta_px, 6, 1e-4)
         seen = observations.of_views(test)
         if held:
             place = np.zeros((int(observations.corner.max()) + 1, 3))
