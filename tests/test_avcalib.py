@@ -221,7 +221,23 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
     assert footage.frame_rate(str(tmp_path / "a.avi")) == 10.0
     assert run("avcalib", "undistort", tmp_path / "none.avi", "-c", camera, "--to", out).returncode == 2
     assert run("avcalib", "undistort", pictures, "-c", camera, "--to", out).returncode == 2
+    other = tmp_path / "other.png"
+    cv2.imwrite(str(other), np.zeros((90, 160), np.uint8))
+    result = run("avcalib", "undistort", other, source, "-c", camera, "--to", tmp_path / "some")
+    assert result.returncode == 0, result.stderr
+    assert "other.png: 160 × 90 px" in result.stderr
+    assert [path.name for path in (tmp_path / "some").iterdir()] == [source.name]
+    result = run("avcalib", "undistort", other, "-c", camera, "--to", tmp_path / "none")
+    assert result.returncode == 1
+    assert "no picture is of the size of" in result.stderr
     assert run("avcalib", "undistort", source, "-c", camera, "--to", out, "--fov", "200").returncode == 2
+
+
+def test_a_camera_that_is_missing_has_no_page():
+    result = run("avcalib", "live", "9876", "--port", "18987")
+    assert result.returncode == 2
+    assert "/dev/video9876: no such camera" in result.stderr
+    assert "open http" not in result.stderr
 
 
 def test_where_the_camera_hangs(camera, tmp_path):
@@ -267,10 +283,10 @@ def test_where_the_camera_hangs(camera, tmp_path):
 
 @pytest.mark.parametrize("kind", ["svg", "pdf"])
 def test_targets(tmp_path, kind):
-    result = run("avcalib", "target", "--charuco", "--format", kind)
+    result = run("avcalib", "target", "--kind", "charuco", "--format", kind)
     assert result.returncode == 0
     out = tmp_path / f"board.{kind}"
-    assert run("avcalib", "target", "--charuco", "-o", out).returncode == 0
+    assert run("avcalib", "target", "--kind", "charuco", "-o", out).returncode == 0
     assert out.read_bytes() == result.stdout
     assert run("avcalib", "target", "--square", "90", "--paper", "A4").returncode == 2
 

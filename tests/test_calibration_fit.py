@@ -56,12 +56,12 @@ def test_derivatives_agree_with_differences():
     _, common, own = fit._linearise(observations, at)
     for i in range(11):
         h = 1e-6 * max(abs(parameters[i]), 1e-2)
-        steps = [fit._moved(at, sign * h * np.eye(11)[i], np.zeros((5, 6))) for sign in (1, -1)]
+        steps = [fit.stepped(at, sign * h * np.eye(11)[i], np.zeros((5, 6))) for sign in (1, -1)]
         slope = (fit.residuals(observations, steps[1]) - fit.residuals(observations, steps[0])) / (2 * h)
         assert np.abs(slope - common[:, :, i]).max() < 1e-6 * np.abs(common[:, :, i]).max() + 1e-6
     for i in range(6):
         h = 1e-7
-        steps = [fit._moved(at, np.zeros(11), np.tile(sign * h * np.eye(6)[i], (5, 1))) for sign in (1, -1)]
+        steps = [fit.stepped(at, np.zeros(11), np.tile(sign * h * np.eye(6)[i], (5, 1))) for sign in (1, -1)]
         slope = (fit.residuals(observations, steps[1]) - fit.residuals(observations, steps[0])) / (2 * h)
         assert np.abs(slope - own[:, :, i]).max() < 1e-6 * np.abs(own[:, :, i]).max()
 

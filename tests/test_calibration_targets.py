@@ -3,13 +3,14 @@
 import dataclasses
 import struct
 
+import cv2
 import numpy as np
 import pytest
-from calibration_boards import field_error, film, photograph, printed
+from calibration_boards import exact, field_error, film, photograph, printed
 from conftest import run
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, circles, corners, drawing, fit, gather, recognise
+from avcli.calibration import calibrate, circles, corners, drawing, fit, gather, recognise, saddles
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.target import Board
 from avcli.formats.media import write_png
@@ -200,7 +201,6 @@ def test_targets_on_the_command_line(tmp_path):
         (["--kind", "charuco", "--dictionary", "9X9"], "unknown dictionary '9X9'; known are 4X4_100"),
         (["--kind", "charuco", "--dictionary", "4X4_50", "--board", "20x20"], "needs 200 markers"),
         (["--kind", "charuco", "--kalibr", yaml], "Kalibr does not know"),
-        (["--kind", "circles", "--charuco"], "--charuco contradicts --kind circles"),
     ):
         result = run("avcalib", "target", *wrong)
         assert result.returncode == 2, wrong
@@ -220,3 +220,18 @@ def test_lengths_are_stated_only_where_the_print_was_measured(tmp_path):
     result = run("avcalib", "calibrate", tmp_path, "--board-shape", "yes", "--force", "--square", "70")
     assert "mm and stretched" in result.stderr
     assert '"square_m":0.07' in result.stdout.decode()
+
+
+def test_a_part_of_a_board_is_not_taken_for_a_smaller_board():
+    board, rng = Board(10, 11, 0.06), np.random.default_rng(5)
+    filmed = film(1, rng, board=board, distance=(0.5, 0.9))
+    picture = photograph(filmed.rotations[0], filmed.translations[0], rng, board=board)
+    rows = exact(filmed, board=board).pixels.reshape(10, 9, 2)
+    assert sorted(saddles.sizes(picture)[0]) == [9, 10]
+    apart = np.linalg.norm(rows[0, 1] - rows[0, 0])
+    for corner in rows[0, 2:6]:  # something lies on four of the nine corners of the first row
+        cv2.circle(picture, np.rint(corner).astype(int).tolist(), round(0.45 * apart), 120, -1)
+    grids = saddles.find_grids(cv2.resize(picture, (640, 360), interpolation=cv2.INTER_AREA))
+    assert sorted((grids[0].columns, grids[0].rows)) == [9, 9]
+    assert grids[0].is_cut
+    assert not saddles.sizes(picture)

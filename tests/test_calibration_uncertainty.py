@@ -45,7 +45,7 @@ def test_the_stated_error_is_true_whether_errors_are_shared_or_not(views, shared
 
 def test_independent_errors_alone_would_state_far_too_little():
     o, solution = filmed(0, 24, 1.0)
-    views = fit.by_view(o, solution)
+    views = fit.by_view(o, solution).views
     assert np.sqrt(np.diag(uncertainty.covariance(views)) / np.diag(uncertainty.noise(views))).min() > 1.5
     assert uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)) > 2
 
@@ -174,3 +174,34 @@ def test_black_corners_count_for_nothing():
     assert np.isnan(cut.field.sd_px[~circle.holds(cut.field.pixels)]).all()
     assert cut.lit_cells.sum() < whole.lit_cells.sum() == whole.lit_cells.size
     assert not cut.trusted[~cut.field.lit].any()
+
+
+@pytest.mark.parametrize("views", [3, 20])  # few: the places on the board are eliminated first; many: the poses
+def test_any_part_of_the_views_is_solved_as_the_whole_system_would_be(views):
+    o, solution = filmed(5, 24, 0.3)
+    known = fit.blocks(o, solution, held=1e5).of(np.arange(views))
+    k, corners = solution.free.sum(), known.place.shape[1]
+    size = k + 6 * views + 3 * corners
+    N, right = np.zeros((size, size)), np.zeros(size)
+    own = k + np.arange(6 * views).reshape(views, 6)
+    place = k + 6 * views + np.arange(3 * corners).reshape(corners, 3)
+    N[:k, :k], right[:k] = known.gram[:, :k, :k].sum(0), known.gram[:, :k, -1].sum(0)
+    for v in range(views):
+        N[np.ix_(own[v], own[v])], N[np.ix_(own[v], np.arange(k))] = known.gram[v, k:-1, k:-1], known.gram[v, k:-1, :k]
+        right[own[v]] = known.gram[v, k:-1, -1]
+        for c in range(corners):
+            N[np.ix_(place[c], own[v])] = known.cross[v, c, :, k:-1]
+    for c in range(corners):
+        N[np.ix_(place[c], place[c])] = known.place[:, c].sum(0) + known.held * np.eye(3)
+        N[np.ix_(place[c], np.arange(k))] = known.cross[:, c, :, :k].sum(0)
+        right[place[c]] = known.cross[:, c, :, -1].sum(0)
+    N = np.tril(N) + np.tril(N, -1).T
+    scale = 1 / np.sqrt(np.diag(N))
+    expected = scale * np.linalg.solve(N * np.outer(scale, scale), right * scale)
+    step = known.step()
+    np.testing.assert_allclose(step.common, expected[:k], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(step.own, expected[own], rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(step.errors, expected[place], rtol=1e-5, atol=1e-8)
+    # What holds the errors at zero is no information of the views.
+    spread = np.linalg.inv(N * np.outer(scale, scale))[:k, :k] * np.outer(scale[:k], scale[:k])
+    assert (np.diag(np.linalg.inv(known.views.information.sum(0))) > 0.999 * np.diag(spread)).all()

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.calibration.pyramid import reduced
+
 _WIDTH = 320
 """Longest side of the mean picture in which the circle is searched, px."""
 _RAYS = 360
@@ -45,12 +47,7 @@ class Light:
 
     def take(self, grey: np.ndarray) -> None:
         """Add a picture (height, width) uint8; one of another size than the first is left out."""
-        import cv2
-
-        height, width = grey.shape
-        self._scale = min(1.0, _WIDTH / max(height, width))
-        size = max(1, round(width * self._scale)), max(1, round(height * self._scale))
-        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        small, self._scale = reduced(grey, _WIDTH)
         if not self._count:
             self._sum = np.zeros(small.shape)
         if small.shape == self._sum.shape:
@@ -65,8 +62,8 @@ class Light:
         found = find(self._sum / self._count)
         if found is None:
             return None
-        x, y = ((value + 0.5) / self._scale - 0.5 for value in (found.x, found.y))
-        return Circle(x, y, found.radius / self._scale)
+        x, y = ((value + 0.5) * self._scale - 0.5 for value in (found.x, found.y))
+        return Circle(x, y, found.radius * self._scale)
 
 
 def find(mean: np.ndarray) -> Circle | None:

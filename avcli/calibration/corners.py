@@ -4,15 +4,21 @@ A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from avcli.calibration import circles, markers, saddles, sharpness
+from avcli.calibration.pyramid import reduced
 from avcli.calibration.sharpness import Blur
 from avcli.calibration.target import Board
 
 _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
+LEAST_GUESSED = 16
+"""Inner corners of a checkerboard whose size is guessed: noise may look like a smaller one."""
+_AT_ONCE = 96
+"""Corners that are polished at once: what they need stays in the processor's cache."""
 PATCH = 12
 """px; half the side of the square around each corner that is kept for `polish`."""
 
@@ -117,13 +123,7 @@ def _find_checkerboard(
 
 def shrunk(grey: np.ndarray) -> np.ndarray:
     """The picture at a size at which the size of a board can be guessed later."""
-    import cv2
-
-    height, width = grey.shape
-    scale = max(height, width) / _KEEP_WIDTH
-    if scale <= 1:
-        return grey
-    return cv2.resize(grey, (round(width / scale), round(height / scale)), interpolation=cv2.INTER_AREA)
+    return reduced(grey, _KEEP_WIDTH)[0]
 
 
 def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
@@ -171,7 +171,7 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     """
     votes: dict[tuple[int, int], int] = {}
     for small in pictures:
-        for inner in saddles.sizes(small)[:1]:
+        for inner in saddles.sizes(small, LEAST_GUESSED)[:1]:
             few, many = sorted((inner[0] + 1, inner[1] + 1))
             size = (many, few) if board.columns > board.rows else (few, many)
             votes[size] = votes.get(size, 0) + 1
@@ -195,8 +195,7 @@ def polish(
     *,
     reach: float = 0.75,
     clear: float = 1.0,
-    half: int = PATCH,
-    rounds: int = 5,
+    rounds: tuple[int, ...] = (6, 6, PATCH),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 
@@ -212,8 +211,7 @@ def polish(
         to_board: (n, 2, 5) board offset in squares as a polynomial in the pixel offset (a, b): a, b, a², ab, b².
         reach: squares from the corner that are used, less than 1.
         clear: squares from the nearer edge that are used; less than 1 leaves out what is printed in the squares.
-        half: px from the corner that are used.
-        rounds: Gauss-Newton steps of the corners that have not settled after three.
+        rounds: px from the corner that each Gauss-Newton step uses. Corners that have not settled take four more.
 
     Returns:
         pixels (n, 2), and the standard deviation of each corner's error along one axis, (n,) px; the corner as it was
@@ -221,15 +219,15 @@ def polish(
     """
     n = len(pixels)
     out, sd = pixels.copy(), np.full(n, np.inf)
-    for begin in range(0, n, 512):
-        part = slice(begin, begin + 512)
+    for begin in range(0, n, _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
         out[part], sd[part] = _polish_some(
-            patches[part], pixels[part], origins[part], to_board[part], reach, clear, half, 3, 0.005
+            patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.02
         )
         slow = begin + np.flatnonzero(~np.isfinite(sd[part]))
         if len(slow):
             out[slow], sd[slow] = _polish_some(
-                patches[slow], pixels[slow], origins[slow], to_board[slow], reach, clear, half, rounds, 0.05
+                patches[slow], pixels[slow], origins[slow], to_board[slow], reach, clear, (PATCH,) * 5, 0.05
             )
     return out, sd
 
@@ -241,55 +239,65 @@ def _polish_some(
     to_board: np.ndarray,
     reach: float,
     clear: float,
-    half: int,
-    rounds: int,
+    rounds: tuple[int, ...],
     still: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     n = len(pixels)
-    span = np.arange(-half, half + 1)
-    middle = slice(PATCH - half, PATCH + half + 1)
     # Single precision is enough for grey levels; what is solved is double.
-    grey = patches[:, middle, middle].reshape(n, -1).astype(np.float32)
-    dv, du = (a.ravel().astype(np.float32) for a in np.meshgrid(span, span, indexing="ij"))
     base = (origins - pixels).astype(np.float32)
-    to_board = to_board.astype(np.float32)
     shift, blur = np.zeros((n, 2), np.float32), np.full(n, 0.8, np.float32)
-    mask = np.zeros(0)
-    linear = to_board[:, :, :2]
-    slope = np.linalg.norm(linear, axis=2)[:, :, None]
-    for _ in range(rounds):
-        a = du + (base - shift)[:, :1]
-        b = dv + (base - shift)[:, 1:]
-        terms = np.stack([a, b, a * a, a * b, b * b], 1)
-        x, y = np.moveaxis(to_board @ terms, 1, 0)
-        if not mask.size:
+    coefficients = np.moveaxis(to_board.astype(np.float32), 2, 0)[..., None]  # (5, n, 2, 1)
+    slope = np.hypot(*coefficients[:2])
+    half = 0
+    for size in rounds:
+        a = _offsets(size)[0] + (base - shift)[:, :1]
+        b = _offsets(size)[1] + (base - shift)[:, 1:]
+        edges = []
+        for axis in (0, 1):
+            c, d, cc, cd, dd = coefficients[:, :, axis]
+            by_a, by_b = c + 2 * cc * a + cd * b, d + cd * a + 2 * dd * b
+            place = (a * (by_a + c) + b * (by_b + d)) / 2  # Euler: of a polynomial of first and second degree
+            edges.append((place, by_a, by_b, blur[:, None] * slope[:, axis]))
+        (x, x_a, x_b, x_width), (y, y_a, y_b, y_width) = edges
+        if size != half:
+            half, middle = size, slice(PATCH - size, PATCH + size + 1)
+            # Columns: 1, a, b, saddle, its derivatives to the shift and to the blur, grey; all 0 where masked.
+            columns = np.empty((n, 8, a.shape[1]), np.float32)
             near, far = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
-            mask = ((far < reach) & (near < clear)).astype(np.float32)
-        width = blur[:, None] * slope[:, :, 0][..., None].transpose(1, 0, 2)
-        ex, gx = _edge(x / width[0])
-        ey, gy = _edge(y / width[1])
-        saddle = ex * ey
-        # Derivatives of the model to the board offsets and to the blur, then to the pixel shift.
-        dx, dy = gx * ey / width[0], ex * gy / width[1]
-        by_blur = -(gx * ey * x / width[0] + ex * gy * y / width[1]) / blur[:, None]
-        jx = to_board[:, 0, :1] + 2 * to_board[:, 0, 2:3] * a + to_board[:, 0, 3:4] * b
-        jy = to_board[:, 1, :1] + 2 * to_board[:, 1, 2:3] * a + to_board[:, 1, 3:4] * b
-        kx = to_board[:, 0, 1:2] + to_board[:, 0, 3:4] * a + 2 * to_board[:, 0, 4:5] * b
-        ky = to_board[:, 1, 1:2] + to_board[:, 1, 3:4] * a + 2 * to_board[:, 1, 4:5] * b
-        light = np.stack([np.ones_like(a), a / half, b / half, saddle], 1)
-        gain = _weighted_lstsq(light, grey, mask)
-        contrast = gain[:, 3:]
-        by_shift = np.stack([-(dx * jx + dy * jy) * contrast, -(dx * kx + dy * ky) * contrast], 1)
-        design = np.concatenate([light, by_shift, (by_blur * contrast)[:, None]], 1)
-        left = grey - (gain[:, None] @ light)[:, 0]
-        weighted = design * mask[:, None]
-        normal = (weighted @ design.transpose(0, 2, 1)).astype(float)
-        normal += 1e-9 * np.einsum("naa->na", normal)[..., None] * np.eye(7) + 1e-9 * np.eye(7)
-        step = np.linalg.solve(normal, (weighted @ left[..., None]).astype(float))[..., 0]
+            mask = columns[:, 0] = (far < reach) & (near < clear)
+            grey = patches[:, middle, middle].reshape(n, -1)
+            level = grey.mean(1, dtype=np.float32, keepdims=True)
+            np.multiply(grey - level, mask, out=columns[:, 7])
+        x /= x_width
+        y /= y_width
+        (ex, gx), (ey, gy) = _edge(x), _edge(y)
+        gx *= ey * mask
+        gy *= ex * mask
+        np.multiply(a, mask, out=columns[:, 1])
+        np.multiply(b, mask, out=columns[:, 2])
+        np.multiply(ex * ey, mask, out=columns[:, 3])
+        np.add(gx * x, gy * y, out=columns[:, 6])
+        gx /= -x_width
+        gy /= -y_width
+        np.add(gx * x_a, gy * y_a, out=columns[:, 4])
+        np.add(gx * x_b, gy * y_b, out=columns[:, 5])
+        normal = (columns @ columns.transpose(0, 2, 1)).astype(float)
+        light = normal[:, :4, :4] + 1e-9 * np.eye(4)
+        gain = np.linalg.solve(light, normal[:, :4, 7:])[..., 0]
+        # The derivatives are those of the saddle; the picture's are as many times larger as its contrast.
+        scale = np.ones((n, 8))
+        scale[:, 4:7] = gain[:, 3:]
+        scale[:, 6] /= -blur
+        normal *= scale[:, :, None] * scale[:, None]
+        rest = normal[:, :7, 7] - (normal[:, :7, :4] @ gain[..., None])[..., 0]
+        normal = normal[:, :7, :7]
+        normal += (1e-9 * np.einsum("naa->na", normal)[..., None] + 1e-9) * np.eye(7)
+        step = np.linalg.solve(normal, rest[..., None])[..., 0]
         shift += np.clip(step[:, 4:6], -0.5, 0.5).astype(np.float32)
         blur = np.clip(blur + np.clip(step[:, 6], -0.3, 0.3), 0.3, 4.0).astype(np.float32)
+    left = columns[:, 7] - (gain[:, None].astype(np.float32) @ columns[:, :4])[:, 0]
     count = mask.sum(1).astype(float)
-    noise = np.sqrt((mask * left**2).sum(1) / np.maximum(count - 7, 1))
+    noise = np.sqrt((left**2).sum(1) / np.maximum(count - 7, 1))
     settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, 4:6], axis=1) < still)
     clear_enough = (count >= 24) & (np.abs(gain[:, 3]) > 3 * noise)
     inverse = np.linalg.inv(normal)
@@ -304,8 +312,9 @@ def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return value, 1.2 * (1 - value * value)
 
 
-def _weighted_lstsq(design: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    weighted = design * weight[:, None]
-    normal = (weighted @ design.transpose(0, 2, 1)).astype(float)
-    normal += 1e-9 * np.eye(normal.shape[-1])
-    return np.linalg.solve(normal, (weighted @ target[..., None]).astype(float))[..., 0].astype(np.float32)
+@cache
+def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets of the pixels of a patch along u and v, (pixels,) each."""
+    span = np.arange(-half, half + 1)
+    dv, du = (a.ravel().astype(np.float32) for a in np.meshgrid(span, span, indexing="ij"))
+    return du, dv

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration import fit, robust, uncertainty
+from avcli.calibration import fit, uncertainty
+from avcli.calibration.blocks import Blocks
 from avcli.calibration.circle import Circle
 from avcli.lens import Lens
 
@@ -186,7 +187,7 @@ def split_halves(
     splits: int = 50,
     refit: bool = False,
     seed: int = 0,
-    views: uncertainty.Views | None = None,
+    known: Blocks | None = None,
 ) -> Halves:
     """Test the stated uncertainty: fit the lens to random halves of the views, compare what they differ by and state.
 
@@ -197,9 +198,9 @@ def split_halves(
         pixels: (n, 2) px at which the lenses are compared, such as those that light reaches and that are trusted.
         splits: how many random splits.
         refit: fit each half, and the board's errors, from the solution on until it stands; otherwise one Gauss-Newton
-            step from it, which differs by a tenth of a standard deviation and costs milliseconds.
+            step of both from it, which differs by a tenth of a standard deviation and costs milliseconds.
         seed: of the splits.
-        views: fit.by_view of both; None computes it.
+        known: fit.by_view of both; None computes it.
 
     Returns:
         Halves; its ratio is NaN with fewer than eight views, or without a pixel that the lens images.
@@ -212,25 +213,27 @@ def split_halves(
     count = moved.shape[-1]
     lens_of_free = np.flatnonzero(solution.free) < count
     moved = moved[:, :, np.flatnonzero(solution.free)[lens_of_free]].reshape(-1, lens_of_free.sum())
-    all_views = fit.by_view(observations, solution) if views is None else views
+    square = moved.T @ moved / len(rays)
+    known = known or fit.by_view(observations, solution)
 
     def half(keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = all_views.of(keep)
-        step = own.step
+        own = known.of(keep)
         if refit:
-            some = observations.of_views(keep)
-            start = solution.of_views(keep)
-            if some.errors.any():
-                some, start = robust.with_board_errors(some, start)
-            found = fit.refine(some, start, solution.free, solution.delta_px, 25)
+            some, found = observations.of_views(keep), solution.of_views(keep)
+            if known.held:
+                some, found = fit.refine_with_errors(some, found, 25, 1e-8)
+            else:
+                found = fit.refine(some, found, solution.free, solution.delta_px, 25)
             step, own = (found.parameters - solution.parameters)[solution.free], fit.by_view(some, found)
-        return step[lens_of_free], uncertainty.covariance(own)[np.ix_(lens_of_free, lens_of_free)]
+        else:
+            step = own.step().common
+        return step[lens_of_free], uncertainty.covariance(own.views)[np.ix_(lens_of_free, lens_of_free)]
 
     actual, stated = np.zeros(splits), np.zeros(splits)
     for index, (one, other) in enumerate(uncertainty.halves(observations.views, splits, seed)):
         (a, spread_a), (b, spread_b) = half(one), half(other)
-        actual[index] = np.sum((moved @ (a - b)) ** 2) / len(rays)
-        stated[index] = np.einsum("na,ab,nb->", moved, spread_a + spread_b, moved, optimize=True) / len(rays)
+        actual[index] = (a - b) @ square @ (a - b)
+        stated[index] = np.sum(square * (spread_a + spread_b))
     good = np.isfinite(actual) & np.isfinite(stated) & (stated > 0)
     if not good.any():
         return Halves()

@@ -8,18 +8,20 @@ last.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
 from avcli.calibration import uncertainty
-from avcli.calibration.uncertainty import Views
+from avcli.calibration.blocks import Blocks, damped
 from avcli.lens import KannalaBrandt, Lens, variants
 
 SHAPE = 3
 """Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
 BOARD_ERROR = 0.01
 """Standard deviation of a corner's place on the board, in squares, before it is seen."""
+_WIDE = 1e3
+"""Size of a picture, in focal lengths, that bounds no lens."""
 _UNSEEN_PX = 100.0
 """Residual of a corner that the lens, as it stands in an iteration, does not image."""
 
@@ -43,6 +45,11 @@ class Observations:
     sigma: np.ndarray
     half_extent: np.ndarray
     errors: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
+
+    @cached_property
+    def corner(self) -> np.ndarray:
+        """(n,) which of the board's corners that were seen each is, from 0."""
+        return np.unique(self.points[:, 0] + 1j * self.points[:, 1], return_inverse=True)[1]
 
     @property
     def views(self) -> int:
@@ -157,8 +164,7 @@ def places(observations: Observations, solution: Solution) -> np.ndarray:
 
 def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
-    flat = places(observations, solution)
-    inside = np.einsum("nij,nj->ni", solution.rotations[observations.view], flat)
+    inside = (solution.rotations[observations.view] @ places(observations, solution)[:, :, None])[:, :, 0]
     return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
 
 
@@ -215,26 +221,24 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, P) and to the pose (n, 2, 6)."""
     o, s = observations, solution
-    flat = places(o, s)
     R = s.rotations[o.view]
-    turned = np.einsum("nij,nj->ni", R, flat)
+    turned = (R @ places(o, s)[:, :, None])[:, :, 0]
     pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])
     residual = o.pixels - pixels
-    unseen = ~(np.isfinite(residual).all(1) & np.isfinite(by_point).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
-    u, v = (o.points / o.half_extent).T
-    zero = np.zeros_like(u)
-    bend = np.stack(
-        [
-            R[:, :, 2] * (1 - u**2)[:, None],
-            R[:, :, 2] * (1 - v**2)[:, None],
-            R[:, :, 1] * o.points[:, 1:],
-        ],
-        -1,
-    )
-    common = np.concatenate([by_lens, by_point @ bend], -1)
-    own = np.concatenate([-by_point @ cross_matrix(turned), by_point], -1)
-    residual[unseen] = np.stack([zero[unseen] + _UNSEEN_PX, zero[unseen]], -1)
-    common[unseen] = own[unseen] = 0.0
+    own = np.empty((len(turned), 2, 6))
+    own[:, :, 3:] = by_point
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):  # the cross product of the point with the derivative
+        own[:, :, axis] = turned[:, None, i] * by_point[:, :, j] - turned[:, None, j] * by_point[:, :, i]
+    common = np.zeros((len(turned), 2, by_lens.shape[2] + SHAPE))
+    common[:, :, :-SHAPE] = by_lens
+    if s.free[-SHAPE:].any():
+        u, v = (o.points / o.half_extent).T
+        bend = np.stack([R[:, :, 2] * (1 - u**2)[:, None], R[:, :, 2] * (1 - v**2)[:, None]], -1)
+        common[:, :, -SHAPE:-1] = by_point @ bend
+        common[:, :, -1] = (by_point @ R[:, :, 1:2])[:, :, 0] * o.points[:, 1:]
+    if not np.isfinite(residual.sum() + own.sum() + by_lens.sum()):
+        unseen = ~(np.isfinite(residual).all(1) & np.isfinite(own).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
+        residual[unseen], common[unseen], own[unseen] = [_UNSEEN_PX, 0.0], 0.0, 0.0
     scale = 1.0 / o.sigma
     return residual * scale[:, None], common * scale[:, None, None], own * scale[:, None, None]
 
@@ -255,46 +259,50 @@ def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
     return cost, weight
 
 
-class _Normal(NamedTuple):
-    """Cost and normal equations of one linearisation: A common, C of each view, B between, g and h right-hand sides."""
+def blocks(observations: Observations, solution: Solution, used: np.ndarray | None = None, held: float = 0.0) -> Blocks:
+    """The normal equations of `solution.free` and the poses, at the solution and with its robust weights.
 
-    cost: float
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    g: np.ndarray
-    h: np.ndarray
+    Args:
+        observations, solution: where to linearise.
+        used: (n,) bool, the corners that count; None: all.
+        held: 1 / m²; where it is above 0 the corners' places on the board are unknown too, held at the print's.
+    """
+    o = observations
+    residual, common, own = _linearise(o, solution)
+    cost, weight = _huber(residual, solution.delta_px)
+    if used is not None:
+        cost, weight = cost * used, weight * used
+    columns = np.concatenate([common[:, :, solution.free], own, residual[:, :, None]], 2)
+    columns *= np.sqrt(weight)[:, None, None]
+    counts = 2.0 * (np.bincount(o.view, used, o.views) if used is not None else np.bincount(o.view))
+    size, corners = columns.shape[2], 0
+    place, cross = np.zeros((o.views, 0, 3, 3)), np.zeros((o.views, 0, 3, size))
+    errors = np.zeros((0, 3))
+    if held:
+        corner = o.corner
+        corners = int(corner.max()) + 1
+        by_place = columns[:, :, -4:-1] @ solution.rotations[o.view]
+        place, cross = np.zeros((o.views, corners, 3, 3)), np.zeros((o.views, corners, 3, size))
+        turned = np.swapaxes(by_place, 1, 2)
+        place[o.view, corner] = turned @ by_place
+        cross[o.view, corner] = turned @ columns
+        errors = np.zeros((corners, 3))
+        errors[corner] = o.errors
+    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held)
 
 
-def _normal_equations(observations: Observations, solution: Solution, delta: float) -> _Normal:
-    residual, common, own = _linearise(observations, solution)
-    cost, weight = _huber(residual, delta)
-    columns = (
-        np.concatenate([common[:, :, solution.free], own, residual[:, :, None]], 2) * np.sqrt(weight)[:, None, None]
-    )
-    G = observations.gram(columns)
-    k = columns.shape[2] - 7
-    A, g = G[:, :k, :k].sum(0), G[:, :k, -1].sum(0)
-    return _Normal(float(cost.sum()), A, G[:, k:-1, :k], G[:, k:-1, k:-1], g, G[:, k:-1, -1])
-
-
-def _moved(solution: Solution, common: np.ndarray, own: np.ndarray) -> Solution:
+def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = None) -> Solution:
+    """The solution after a step of the common unknowns that are free (k,), and of the poses (views, 6)."""
     parameters = solution.parameters.copy()
     parameters[solution.free] += common
-    turn = rotation_from_vector(own[:, :3])
+    if own is None:
+        return replace(solution, parameters=parameters)
     return replace(
         solution,
         parameters=parameters,
-        rotations=turn @ solution.rotations,
+        rotations=rotation_from_vector(own[:, :3]) @ solution.rotations,
         translations=solution.translations + own[:, 3:],
     )
-
-
-def _damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
-    """Add `damping` times its diagonal to each of (..., m, m) blocks, and enough that none is singular."""
-    diagonal = np.einsum("...ii->...i", blocks)
-    added = np.asarray(damping)[..., None] * diagonal + 1e-12 * diagonal.max(-1, keepdims=True) + 1e-12
-    return blocks + added[..., None] * np.eye(blocks.shape[-1])
 
 
 def refine(
@@ -304,41 +312,57 @@ def refine(
 
     Stops when a step lowers the cost by less than `gain` of it.
     """
-    solution = replace(start, free=np.asarray(free, bool), delta_px=delta)
-    cost, A, B, C, g, h = _normal_equations(observations, solution, delta)
-    damping = 1e-3
+    return _refined(observations, replace(start, free=np.asarray(free, bool), delta_px=delta), 0.0, iterations, gain)[1]
+
+
+def refine_with_errors(
+    observations: Observations, start: Solution, iterations: int = 8, gain: float = 1e-4
+) -> tuple[Observations, Solution]:
+    """Levenberg-Marquardt on `start.free`, all poses, and where the corners really are on the board.
+
+    Returns:
+        the observations with their errors, and the solution for them.
+    """
+    errors = np.zeros((len(observations.view), 3)) if len(observations.errors) == 1 else observations.errors
+    held = (start.sigma_px / error_prior(observations)) ** 2
+    return _refined(replace(observations, errors=errors), start, held, iterations, gain)
+
+
+def gauss_newton(observations: Observations, solution: Solution, held: float = 0.0) -> tuple[Observations, Solution]:
+    """One step of `solution.free`, the poses, and (`held` as in `blocks`) the places of the corners on the board."""
+    step = blocks(observations, solution, held=held).step()
+    if held:
+        observations = replace(observations, errors=observations.errors + step.errors[observations.corner])
+    return observations, stepped(solution, step.common, step.own)
+
+
+def _refined(
+    observations: Observations, solution: Solution, held: float, iterations: int, gain: float
+) -> tuple[Observations, Solution]:
+    now, damping = blocks(observations, solution, held=held), 1e-3
     for _ in range(iterations):
         while True:
-            inverse_C = np.linalg.inv(_damped(C, damping))
-            fold = np.einsum("vab,vbc->vac", inverse_C, B)
-            schur = _damped(A, damping) - np.einsum("vab,vac->bc", B, fold)
-            common = _solve(schur, g - np.einsum("vab,va->b", fold, h))
-            own = np.einsum("vab,vb->va", inverse_C, h - np.einsum("vab,b->va", B, common))
-            trial = _moved(solution, common, own)
-            if _is_possible(trial):
-                found = _normal_equations(observations, trial, delta)
-                if found.cost <= cost:
+            step = now.step(damping)
+            trial, moved = stepped(solution, step.common, step.own), observations
+            if held:
+                moved = replace(observations, errors=observations.errors + step.errors[observations.corner])
+            if is_possible(trial):
+                found = blocks(moved, trial, held=held)
+                if found.total <= now.total:
                     break
             damping *= 6
             if damping > 1e10:
-                return solution
-        drop = (cost - found.cost) / max(cost, 1e-300)
-        solution, (cost, A, B, C, g, h) = trial, found
+                return observations, solution
+        drop = (now.total - found.total) / max(now.total, 1e-300)
+        observations, solution, now = moved, trial, found
         damping = max(damping / 6, 1e-12)
-        if drop < gain or cost < 1e-18 * len(observations.pixels):
+        if drop < gain or now.total < 1e-18 * len(observations.pixels):
             break
-    return solution
+    return observations, solution
 
 
-def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Solve a symmetric system whose unknowns differ by orders of magnitude, well enough even where it is singular."""
-    if not len(vector):
-        return vector
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
-    return scale * np.linalg.lstsq(matrix * np.outer(scale, scale), vector * scale, rcond=1e-15)[0]
-
-
-def _is_possible(solution: Solution) -> bool:
+def is_possible(solution: Solution) -> bool:
+    """Whether a solution is finite and its lens images anything."""
     p = solution.parameters
     finite = np.isfinite(p).all() and np.isfinite(solution.rotations).all() and np.isfinite(solution.translations).all()
     return bool(finite and abs(p[-1]) < 0.5 and solution.lens.is_possible)
@@ -363,8 +387,8 @@ def refine_poses(
 
     cost, C, h = normal(solution)
     for _ in range(iterations):
-        step = np.linalg.solve(_damped(C, damping), h[..., None])[..., 0]
-        trial = _moved(solution, np.zeros(0), step)
+        step = np.linalg.solve(damped(C, damping), h[..., None])[..., 0]
+        trial = stepped(solution, np.zeros(0), step)
         found = normal(trial)
         better = found[0] < cost
         pick = better[:, None]
@@ -383,37 +407,14 @@ def refine_poses(
     return solution
 
 
-def by_view(observations: Observations, solution: Solution) -> Views:
-    """What each view says about the unknowns in `solution.free`, at the solution and with its robust weights.
-
-    The view's pose is eliminated. So are the board's errors, if there are any: what the lens owes to them is not known
-    better than they are.
-    """
-    o = observations
-    residual, common, own = _linearise(o, solution)
-    cost, weight = _huber(residual, solution.delta_px)
-    root = np.sqrt(weight)[:, None, None]
-    common, own, residual = common[:, :, solution.free] * root, own * root, residual * root[:, 0]
-    freedom = 2.0 * np.bincount(o.view, minlength=o.views) - own.shape[-1]
-    if o.errors.any():
-        by_error = own[:, :, 3:] @ solution.rotations[o.view]
-        variance = max(float(cost.sum()) / max(float(freedom.sum()), 1.0), 1e-300)
-        common, learned = _without_board_errors(o, common, own, by_error, variance)
-        freedom -= learned / o.views
-    B = o.per_view(np.einsum("nia,nib->nab", own, common))
-    C = o.per_view(np.einsum("nia,nib->nab", own, own))
-    g = o.per_view(np.einsum("nia,ni->na", common, residual))
-    h = o.per_view(np.einsum("nia,ni->na", own, residual))
-    fold = np.linalg.solve(_damped(C, 0.0), B)
-    score = g - np.einsum("vab,va->vb", fold, h)
-    if o.errors.any():
-        score -= score.mean(0)  # what pulls the board's errors to zero is not of a view
-    return Views(
-        information=o.per_view(np.einsum("nia,nib->nab", common, common)) - np.einsum("vab,vac->vbc", B, fold),
-        score=score,
-        cost=o.per_view(cost),
-        freedom=freedom,
-    )
+def by_view(observations: Observations, solution: Solution) -> Blocks:
+    """The normal equations of a fit that stands; the board's errors are unknowns if there are any."""
+    held = 0.0
+    if observations.errors.any():
+        known = blocks(observations, solution)
+        held = max(float(known.cost.sum() / max(known.counts.sum() - 6 * len(known.cost), 1.0)), 1e-300)
+        held /= error_prior(observations) ** 2
+    return blocks(observations, solution, held=held)
 
 
 def error_prior(observations: Observations) -> float:
@@ -422,43 +423,9 @@ def error_prior(observations: Observations) -> float:
     return BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
 
 
-def _without_board_errors(
-    o: Observations, common: np.ndarray, own: np.ndarray, by_error: np.ndarray, variance: float
-) -> tuple[np.ndarray, float]:
-    """The derivatives (n, 2, p) to the common unknowns less what the board's errors explain of them.
-
-    Args:
-        o: the corners.
-        common, own, by_error: weighted derivatives (n, 2, p) to the common unknowns, (n, 2, 6) to the poses, and
-            (n, 2, 3) to the place of the corner on the board.
-        variance: of a whitened residual.
-
-    Returns:
-        the derivatives, and how many unknowns the errors amount to.
-    """
-    points, corner = np.unique(o.points, axis=0, return_inverse=True)
-    size, p = 3 * len(points), common.shape[-1]
-    held = np.eye(size) * (variance / error_prior(o) ** 2)
-    normal, own_place, shared = held.copy(), np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, p))
-    np.add.at(own_place, corner, np.einsum("nia,nib->nab", by_error, by_error))
-    np.add.at(shared, corner, np.einsum("nia,nib->nab", by_error, common))
-    for rows in np.split(np.arange(len(o.view)), o.starts[1:]):
-        Q = np.linalg.qr(own[rows].reshape(-1, own.shape[-1]))[0].reshape(len(rows), 2, -1)
-        along = np.einsum("nia,nib->nab", by_error[rows], Q)  # what the pose takes of it
-        flat = along.reshape(-1, Q.shape[-1])
-        columns = (3 * corner[rows][:, None] + np.arange(3)).ravel()
-        normal[np.ix_(columns, columns)] -= flat @ flat.T
-        shared[corner[rows]] -= along @ np.einsum("nib,nia->ba", Q, common[rows])
-    place = np.arange(size).reshape(-1, 3)
-    normal[place[:, :, None], place[:, None, :]] += own_place
-    gain = np.linalg.solve(normal, shared.reshape(size, p)).reshape(len(points), 3, p)
-    learned = size - float(np.trace(np.linalg.solve(normal, held)))
-    return common - by_error @ gain[corner], learned
-
-
 def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
     """Covariance (P, P) of the common unknowns by views, 0 where not fitted, and a corner's error along an axis, px."""
-    views = by_view(observations, solution)
+    views = by_view(observations, solution).views
     out = np.zeros((len(solution.parameters),) * 2)
     out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
     return out, float(np.sqrt(views.variance))
@@ -493,30 +460,34 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     """
     few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, 12)).round().astype(int))
     sample = _thinned(observations.of_views(few))
-    sides = np.array([width, height], float)
+    middle = (np.array([width, height]) - 1) / 2
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
-
     kind = variants()[model]
     coefficients = [*kind.start, *[0.0] * (len(kind.names()) - 4 - len(kind.start))]
+    unit = kind.of_image([1.0, 1.0, 0.0, 0.0, *coefficients], _WIDE, _WIDE)
 
-    def centred(f: float) -> Lens:
-        return kind.of_image([f, f, (width - 1) / 2, (height - 1) / 2, *coefficients], width, height)
+    def scores(focal: np.ndarray) -> np.ndarray:
+        """Median misfit of the views for each focal length, px: all at once, as views of one lens of 1 px."""
+        tried, views = len(focal), sample.views
+        every = Observations(
+            np.add.outer(views * np.arange(tried), sample.view).ravel(),
+            np.tile(sample.points, (tried, 1)),
+            ((sample.pixels - middle) / focal[:, None, None]).reshape(-1, 2),
+            np.ones(tried * len(sample.view)),
+            sample.half_extent,
+        )
+        found = refine_poses(every, start_from_rays(every, unit), 4)
+        return np.median(view_rms(every, found).reshape(tried, views), axis=1) * focal
 
-    def score(f: float) -> float:
-        found = refine_poses(sample, start_from_rays(sample, centred(f)), 4)
-        return float(np.median(view_rms(sample, found)))
-
-    candidates = np.unique(np.outer(1 / angles, sides))
-    scores = [score(f) for f in candidates]
-    best = int(np.argmin(scores))
-    low, high = candidates[max(best - 1, 0)], candidates[min(best + 1, len(candidates) - 1)]
-    for _ in range(6):  # golden section
-        a, b = high - 0.618 * (high - low), low + 0.618 * (high - low)
-        low, high = (low, b) if score(a) < score(b) else (a, high)
-    return refine_poses(observations, start_from_rays(observations, centred((low + high) / 2)), 6)
+    focal = np.unique(np.outer(1 / angles, [width, height]))
+    best = int(np.argmin(scores(focal)))
+    focal = np.geomspace(focal[max(best - 1, 0)], focal[min(best + 1, len(focal) - 1)], 9)
+    f = float(focal[np.argmin(scores(focal))])
+    lens = kind.of_image([f, f, *middle, *coefficients], width, height)
+    return refine_poses(observations, start_from_rays(observations, lens), 6, gain=1e-3)
 
 
-def _thinned(observations: Observations, most: int = 24) -> Observations:
+def _thinned(observations: Observations, most: int = 16) -> Observations:
     """At most so many corners of each view, spread over the board."""
     keep = np.zeros(len(observations.view), bool)
     for start, count in zip(observations.starts, np.bincount(observations.view), strict=True):

@@ -24,7 +24,8 @@ _GUESS_AFTER = (4, 12)
 """Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
 _SELDOM = 4
-"""Where the first pictures show no board that is known, one is recognised in every fourth of the others alone."""
+"""Where the first pictures show no board that is known, one is looked for in every fourth of the others alone. Once it
+is recognised, it is searched in the pictures between them too."""
 _NAMED = 5
 """Pictures that a message names before it counts the others."""
 
@@ -203,17 +204,22 @@ class Seen:
 
 def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool:
     """Tell whether a board stood where it stood in one of the others: its corners moved less than `motion_px` (RMS)."""
-    for other in others:
-        common, mine, theirs = np.intersect1d(view.ids, other.ids, assume_unique=True, return_indices=True)
-        if 2 * len(common) > max(len(view.ids), len(other.ids)):
-            if np.mean(((view.pixels[mine] - other.pixels[theirs]) ** 2).sum(1)) < motion_px**2:
-                return True
-            if (
-                len(view.ids) == len(other.ids)
-                and np.mean(((view.pixels[::-1] - other.pixels) ** 2).sum(1)) < motion_px**2
-            ):
-                return True  # a board may be read turned by 180 degrees
-    return False
+    if not others:
+        return False
+    counts = np.array([len(other.ids) for other in others])
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    ids = np.concatenate([other.ids for other in others])
+    pixels = np.concatenate([other.pixels for other in others])
+    mine = np.full((max(int(ids.max()), int(view.ids.max())) + 1, 2), np.nan)
+    mine[view.ids] = view.pixels
+    moved = ((mine[ids] - pixels) ** 2).sum(1)
+    common = np.add.reduceat(np.isfinite(moved).astype(int), starts)
+    total = np.add.reduceat(np.nan_to_num(moved), starts)
+    if ((2 * common > np.maximum(counts, len(view.ids))) & (total < common * motion_px**2)).any():
+        return True
+    alike = np.repeat(counts == len(view.ids), counts)  # a board may be read turned by 180 degrees
+    turned = ((pixels[alike].reshape(-1, len(view.ids), 2) - view.pixels[::-1]) ** 2).sum(2).mean(1)
+    return bool((turned < motion_px**2).any())
 
 
 def collect(
@@ -273,6 +279,8 @@ class _Search:
         first: the pictures so far, while another board may still be tried.
         shown: the boards that pictures show, while the board is unknown.
         rows: that they show together.
+        passed: pictures that were not looked at while the board is unknown, the last ones.
+        not_looked: how many there are.
     """
 
     seen: Seen
@@ -284,6 +292,13 @@ class _Search:
     first: list[Picture] = field(default_factory=list)
     shown: list[Board] = field(default_factory=list)
     rows: int = 0
+    passed: list[Picture] = field(default_factory=list)
+    not_looked: int = 0
+
+    @staticmethod
+    def _is_passed(number: int) -> bool:
+        """Whether a picture is not looked at while the board is unknown."""
+        return number >= _GUESS_AFTER[0] and number % _SELDOM != 0
 
     @classmethod
     def of(
@@ -311,6 +326,9 @@ class _Search:
         self._add(picture, grey, view)
         if not known:
             self.first = [*self.first[1 - _GUESS_AFTER[-1] :], picture]
+            if self._is_passed(len(self.seen) - 1):
+                self.not_looked += 1
+                self.passed = [*self.passed[1 - _GUESS_AFTER[-1] :], picture]
             if isinstance(found, Board):
                 self.shown.append(found)
                 self.recognise()
@@ -349,7 +367,15 @@ class _Search:
     def end(self) -> None:
         """After the last picture: recognise or try with what there is, and settle how many rows the board has."""
         if not self.seen.is_known:
+            if self.shown and self.wanted:  # the pictures between those that were looked at may show it too
+                looked = [recognise.look(corners.to_grey(picture.image), self.wanted) for picture in self.passed]
+                self.shown += [board for board in looked if board]
             self.recognise(at_last=len(self.seen) <= _GUESS_AFTER[0])
+            if not self.seen.is_known and self.not_looked:
+                self.say(
+                    f"the first {_GUESS_AFTER[0]} pictures show no board that is known; of the others every "
+                    f"{_SELDOM}th was looked at, {self.not_looked} were not (--kind and --board search them all)"
+                )
         else:
             self.try_another_size()
         seen = self.seen
@@ -408,7 +434,7 @@ class _Search:
                             item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
                         )
                         board = self.sought
-                        rest = isinstance(board, Wanted) and number >= _GUESS_AFTER[-1] and number % _SELDOM
+                        rest = isinstance(board, Wanted) and self._is_passed(number)
                         seen = pool.submit(look, picture.image, None if rest else board, self.is_thorough)
                         waiting.append((picture, board, seen))
                         if self.eager or len(waiting) >= _THREADS:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from avcli.calibration.pyramid import reduced
 from avcli.calibration.target import Board, Kind, dictionary_of
 
 if TYPE_CHECKING:
@@ -123,13 +124,7 @@ def _find_tags(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray, 
 
 def _reduced(grey: np.ndarray) -> tuple[np.ndarray, float]:
     """A picture in which tags are searched, and the factor back to the full one."""
-    import cv2
-
-    scale = max(grey.shape) / _SEARCH_WIDTH
-    if scale < 1.25:
-        return grey, 1.0
-    height, width = grey.shape
-    return cv2.resize(grey, (round(width / scale), round(height / scale)), interpolation=cv2.INTER_AREA), scale
+    return (grey, 1.0) if max(grey.shape) < 1.25 * _SEARCH_WIDTH else reduced(grey, _SEARCH_WIDTH)
 
 
 def _quads(grey: np.ndarray, *, touching: bool) -> np.ndarray:

@@ -166,12 +166,12 @@ def assess(
         refusals=(),
         advice=(),
     )
-    views = fit.by_view(observations, solution)
+    known = fit.by_view(observations, solution)
     quality = replace(
         quality,
-        inflation=uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)),
+        inflation=uncertainty.inflation(uncertainty.covariance(known.views), uncertainty.noise(known.views)),
         halves=field.split_halves(
-            observations, solution, quality.field.pixels[quality.trusted], splits=splits, views=views
+            observations, solution, quality.field.pixels[quality.trusted], splits=splits, known=known
         ),
     )
     refusals = _refusals(quality, observations, solution)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from avcli.calibration import circles, markers, saddles
-from avcli.calibration.corners import View
+from avcli.calibration.corners import LEAST_GUESSED, View
 from avcli.calibration.target import KINDS, Board, Kind
 
 _NOMINAL_M = 0.095
@@ -18,8 +18,6 @@ _MOST_ROWS = 40
 _MOST_BENT = 0.15
 """Median of the second difference of neighbouring corners over the distance of the outer two. It is at most 0.136 on
 derlunz, dyf and fish_1, and mostly more in blotches."""
-_LEAST_CORNERS = 16
-"""Inner corners of a checkerboard that is recognised without being told: noise may look like a smaller one."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def look(grey: np.ndarray, wanted: Wanted) -> Board | None:
     if kind in (None, "checkerboard"):
         if wanted.size and saddles.find_board(grey, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
             return Board(*wanted.size, scaled=False)
-        for inner in saddles.sizes(grey, _LEAST_CORNERS)[:1]:
+        for inner in saddles.sizes(grey, LEAST_GUESSED)[:1]:
             if min(inner) < 3 or not _is_regular(grey, inner):
                 break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)

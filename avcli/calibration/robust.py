@@ -217,59 +217,33 @@ def _board_offsets(observations: Observations, solution: Solution, square: float
 # --- the board's own errors -------------------------------------------------------------------------------------------
 
 
-def with_board_errors(observations: Observations, solution: Solution) -> tuple[Observations, Solution]:
+def with_board_errors(
+    observations: Observations, solution: Solution, good: np.ndarray
+) -> tuple[Observations, Solution]:
     """Find where the corners really are on the board, beside the lens (Strobl and Hirzinger 2011).
 
     No printer and no glue are exact. What the board does wrong is the same in every picture, so that many pictures tell
     it from the lens.
 
     Args:
-        observations: the corners that belong.
-        solution: the fit to them.
+        observations: all corners.
+        solution: the fit to the corners in `good`.
+        good: (n,) bool.
 
     Returns:
-        the observations with their errors, and the solution for them.
+        the observations with their errors, 0 for a corner that no view shows, and the solution for those in `good`.
     """
-    points, corner = np.unique(observations.points, axis=0, return_inverse=True)
-    prior = fit.error_prior(observations)
-    errors = np.zeros((len(points), 3))
-    for _ in range(4):
-        observations = replace(observations, errors=errors[corner])
-        errors = errors + _board_step(observations, solution, corner, errors, prior)
-        observations = replace(observations, errors=errors[corner])
-        solution = fit.refine(observations, solution, solution.free, solution.delta_px, 4, 1e-4)
-    return observations, solution
+    some, solution = fit.refine_with_errors(observations.of_corners(good), solution)
+    errors = np.zeros((int(observations.corner.max()) + 1, 3))
+    errors[observations.corner[good]] = some.errors
+    return replace(observations, errors=errors[observations.corner]), solution
 
 
 def fit_board(observations: Observations, solution: Solution, good: np.ndarray) -> tuple[Observations, Solution]:
     """Fit with the board's errors: all corners with them, and the solution for those in `good` (n,) bool."""
-    some, solution = with_board_errors(observations.of_corners(good), solution)
-    solution = fit.fit(some, solution, board_shape=bool(solution.free[-fit.SHAPE :].any()))
-    return replace(observations, errors=errors_of(some, observations)), solution
-
-
-def _board_step(
-    observations: Observations, solution: Solution, corner: np.ndarray, errors: np.ndarray, prior: float
-) -> np.ndarray:
-    """One least-squares step of each corner's place on the board, (corners, 3) m; `prior` m holds what is not seen."""
-    o, R = observations, solution.rotations[observations.view]
-    inside = np.einsum("nij,nj->ni", R, fit.places(o, solution)) + solution.translations[o.view]
-    seen, by_point, _ = solution.lens.project_jacobian(inside)
-    residual, J = o.pixels - seen, by_point @ R
-    good = np.isfinite(residual).all(1) & np.isfinite(J).all((1, 2))
-    length = np.linalg.norm(np.where(good[:, None], residual, 0.0), axis=1) / o.sigma
-    weight = good * np.minimum(1.0, solution.delta_px / np.maximum(length, 1e-12)) / (o.sigma * solution.sigma_px) ** 2
-    J, residual = np.where(good[:, None, None], J, 0.0), np.where(good[:, None], residual, 0.0)
-    normal, right = np.zeros((len(errors), 3, 3)), np.zeros((len(errors), 3))
-    np.add.at(normal, corner, np.einsum("n,nia,nib->nab", weight, J, J))
-    np.add.at(right, corner, np.einsum("n,nia,ni->na", weight, J, residual))
-    return np.linalg.solve(normal + np.eye(3) / prior**2, (right - errors / prior**2)[..., None])[..., 0]
-
-
-def errors_of(learned: Observations, observations: Observations) -> np.ndarray:
-    """The board's errors that were found from some corners, (n, 3) m for others; 0 for a corner that was not seen."""
-    known = dict(zip(map(tuple, learned.points.tolist()), learned.errors.tolist(), strict=True))
-    return np.array([known.get(point, [0.0, 0.0, 0.0]) for point in map(tuple, observations.points.tolist())])
+    learned, solution = with_board_errors(observations, solution, good)
+    some = learned.of_corners(good)
+    return learned, fit.fit(some, solution, board_shape=bool(solution.free[-fit.SHAPE :].any()))
 
 
 # --- pictures held out ------------------------------------------------------------------------------------------------
@@ -312,6 +286,8 @@ def held_out(
 ) -> HeldOut:
     """Measure the error on views that took no part: the lens from the others, the pose from the view itself, robustly.
 
+    The lens of the others is two Gauss-Newton steps from that of all; where that is no lens, damped steps find it.
+
     Args:
         observations: the corners of every view that shows the board.
         solution: the fit to the corners in `good`.
@@ -319,25 +295,43 @@ def held_out(
         board_errors: also learn the board's errors (`with_board_errors`) from the other views.
         folds: how many parts; view i is in part i mod folds.
     """
-    everywhere = posed(observations, solution, good)
-    kept = observations.views_of(good)
     folds = min(folds, observations.views)
     if folds < 2:
         return HeldOut(np.full(len(good), np.nan), good)
+    if board_errors:
+        observations, solution = with_board_errors(observations, solution, good)
+    everywhere = posed(observations, solution, good)
+    kept = observations.views_of(good)
     part = np.arange(observations.views) % folds
+    held = fit.by_view(observations.of_corners(good), solution).held
+    known = fit.blocks(observations, everywhere, good, held)
     squared = np.zeros(len(good))
     for fold in range(folds):
-        train, test = (part != fold) & kept, part == fold
-        seen = observations.of_corners(good & train[observations.view])
-        if 2 * len(seen.pixels) <= solution.free.sum() + 6 * seen.views:
+        train, test = known.of((part != fold) & kept), part == fold
+        if train.counts.sum() <= solution.free.sum() + 6 * len(train.counts):
             return HeldOut(np.full(len(good), np.nan), good)
-        learned = fit.refine(seen, everywhere.of_views(train), solution.free, solution.delta_px, 6, 1e-4)
-        held = observations.of_views(test)
-        if board_errors:
-            seen, learned = with_board_errors(seen, learned)
-            held = replace(held, errors=errors_of(seen, held))
+        step = train.step()
+        learned = fit.stepped(everywhere.of_views((part != fold) & kept), step.common, step.own)
+        errors = observations.errors + step.errors[observations.corner] if held else observations.errors
+        others = good & ~test[observations.view]
+        some = replace(observations, errors=errors).of_corners(others)
+        if fit.is_possible(learned):  # again, since robust weights change with the lens
+            again, learned = fit.gauss_newton(some, learned, held)
+        if fit.is_possible(learned):
+            some = again
+        else:  # a lens that the others hardly tell needs damped steps
+            learned = everywhere.of_views((part != fold) & kept)
+            if held:
+                some, learned = fit.refine_with_errors(some, learned)
+            else:
+                learned = fit.refine(some, learned, solution.free, solution.delta_px, 6, 1e-4)
+        seen = observations.of_views(test)
+        if held:
+            place = np.zeros((int(observations.corner.max()) + 1, 3))
+            place[observations.corner[others]] = some.errors
+            seen = replace(seen, errors=place[observations.corner][test[observations.view]])
         there = replace(everywhere.of_views(test), parameters=learned.parameters)
-        there = fit.refine_poses(held, there, 8, solution.delta_px, 1e-5)
-        rest = (fit.residuals(held, there) ** 2).sum(1)
+        there = fit.refine_poses(seen, there, 8, solution.delta_px, 1e-5)
+        rest = (fit.residuals(seen, there) ** 2).sum(1)
         squared[test[observations.view]] = np.nan_to_num(rest, nan=100.0**2)
     return HeldOut(squared, good)

@@ -11,18 +11,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.calibration.pyramid import reduced
+
 _MOST = 1500
 """Saddle points that are looked at: the strongest ones."""
 _GRIDS = 6
 """Groups of corners that are grown into grids: the largest ones."""
 _NEAREST = 20
 """Corners around a corner that may be its neighbours."""
+_MANY = 400
+"""Corners from which the nearest ones are looked up in a tree."""
+_BY_CHANCE = 60
+"""In a picture full of corners chance joins some: groups with fewer than one in so many of them are not looked at."""
 _LEAST_CONTRAST = 6.0
 """Grey levels between the dark and the bright side of a corner."""
 _LEAST_SHOWN = 0.8
 """Share of a board's corners that must be found; glare or a finger may hide the others."""
 _FULL_LINE = 0.7
 """Share of an outer row that must be found; less is an edge of the board, or clutter."""
+_CUT_LINE = 0.4
+"""Share of a line beyond a grid from which the grid counts as a part of a larger board. Edges and clutter beside the
+boards of derlunz, dyf and fish_1 fill at most 0.33 of one."""
 _WIDTHS = (640, 1280, 320)
 """px; boards are looked for in pictures reduced to these widths: small ones are quick, and hide blur and noise."""
 _RING = 32
@@ -38,6 +47,7 @@ class Grid:
         pixels: (n, 2) px.
         columns, rows: extent of the grid along u and v.
         dark: whether the square between cells (0, 0) and (1, 1) is dark.
+        is_cut: whether there are further corners, too few to be told from the edge of a board.
     """
 
     cells: np.ndarray
@@ -45,6 +55,7 @@ class Grid:
     columns: int
     rows: int
     dark: bool
+    is_cut: bool
 
     def as_board(self, inner: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
         """Number the corners as a board of `inner` corners along a row and a column does.
@@ -178,10 +189,7 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     to, back = np.full((n, 4), -1), np.full((n, 4), -1)
     if n < 4:
         return to, back
-    squared = ((corners.pixels[:, None] - corners.pixels[None]) ** 2).sum(2)
-    np.fill_diagonal(squared, np.inf)
-    other = np.argpartition(squared, min(_NEAREST, n - 1) - 1, axis=1)[:, :_NEAREST]
-    distance = np.sqrt(np.take_along_axis(squared, other, 1))
+    distance, other = _nearest(corners.pixels, min(_NEAREST, n - 1))
     apart = corners.pixels[other] - corners.pixels[:, None]
     heading = np.arctan2(apart[..., 1], apart[..., 0])
     # (n, other, arm): an odd arm of one is an even arm of the next, since dark and bright change sides.
@@ -207,6 +215,19 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     to[to[rows, arms], back[rows, arms]] = -1
     to[rows, arms] = -1
     return to, back
+
+
+def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of each of the pixels (n, 2) to the `count` nearest others, and which they are, (n, count)."""
+    if len(pixels) > _MANY:
+        from scipy.spatial import cKDTree
+
+        distance, other = map(np.asarray, cKDTree(pixels).query(pixels, count + 1))
+        return distance[:, 1:], other[:, 1:]
+    squared = ((pixels[:, None] - pixels[None]) ** 2).sum(2)
+    np.fill_diagonal(squared, np.inf)
+    other = np.argpartition(squared, count - 1, axis=1)[:, :count]
+    return np.sqrt(np.take_along_axis(squared, other, 1)), other
 
 
 def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], int]]:
@@ -296,8 +317,13 @@ def _confirmed(
     return {name: at for name, at, fine in zip(names, settled, good, strict=True) if fine}
 
 
-def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
-    """Take away outer rows and columns too little of which was found: an edge of the board may look like one."""
+def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[dict[tuple[int, int], np.ndarray], bool]:
+    """Take away outer rows and columns too little of which was found: an edge of the board may look like one.
+
+    Returns:
+        what is left, and whether much of a line was taken away.
+    """
+    every = list(cells)
     while cells:
         names = np.array(list(cells))
         low, high = names.min(0), names.max(0)
@@ -311,7 +337,19 @@ def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> dict[tuple[int, int], 
         if sparse is None:
             break
         cells = {cell: at for cell, at in cells.items() if cell[sparse[0]] != sparse[1]}
-    return cells
+    return cells, bool(cells) and len(every) > len(cells) and _is_cut(np.array(every), np.array(list(cells)))
+
+
+def _is_cut(every: np.ndarray, left: np.ndarray) -> bool:
+    """Whether one of the lines next to the cells that are left (n, 2) holds many of all the cells (m, 2)."""
+    low, high = left.min(0), left.max(0)
+    for axis in (0, 1):
+        along = every[(every[:, 1 - axis] >= low[1 - axis]) & (every[:, 1 - axis] <= high[1 - axis]), axis]
+        length = high[1 - axis] - low[1 - axis] + 1
+        counts = [int((along == line).sum()) for line in (low[axis] - 1, high[axis] + 1)]
+        if max(counts) >= max(_CUT_LINE * length, 4):
+            return True
+    return False
 
 
 def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, least: int = 9) -> list[Grid]:
@@ -331,14 +369,14 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
     out: list[Grid] = []
     largest = 0
     for found in _labelled(*_neighbours(corners))[:_GRIDS]:
-        if len(found) < max(4, least // 2, largest // 4):
+        if len(found) < max(4, least // 2, largest // 4, len(corners.pixels) // _BY_CHANCE):
             break
         cells = {cell: corners.pixels[index] for cell, index in found.items()}
         start = cells[(0, 0)]
         if any((np.abs(grid.pixels - start).max(1) < 2).any() for grid in out):
             continue
         _grown(relief, cells, radius)
-        cells = _trimmed(cells)
+        cells, is_cut = _trimmed(cells)
         if len(cells) < least:
             continue
         largest = max(largest, len(cells))
@@ -347,7 +385,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
         names = names - low
         columns, rows = (names.max(0) + 1).tolist()
         order = np.lexsort((names[:, 0], names[:, 1]))
-        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0)))
+        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0), is_cut))
     return sorted(out, key=lambda grid: -len(grid.pixels))
 
 
@@ -382,27 +420,22 @@ def find_board(
 
 def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
     """The picture at each of the widths, and the factor back to the full one."""
-    import cv2
-
-    height, width = grey.shape
     done: set[float] = set()
     for longest in _WIDTHS:
-        scale = max(1.0, max(height, width) / longest)
-        if scale in done:
-            continue
-        done.add(scale)
-        if scale == 1.0:
-            yield grey, scale
-        else:
-            size = max(round(width / scale), 16), max(round(height / scale), 16)
-            yield cv2.resize(grey, size, interpolation=cv2.INTER_AREA), scale
+        small, scale = reduced(grey, longest)
+        if scale not in done:
+            done.add(scale)
+            yield small, scale
 
 
 def sizes(grey: np.ndarray, least: int = 9) -> list[tuple[int, int]]:
-    """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first."""
+    """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first.
+
+    A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count.
+    """
     for small, _ in _reduced(grey):
         whole = [g for g in find_grids(small, least=least) if len(g.pixels) == g.columns * g.rows >= least]
-        whole = [g for g in whole if min(g.columns, g.rows) >= 2]
+        whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut]
         if whole:
             return [(g.columns, g.rows) for g in whole]
     return []

@@ -32,7 +32,6 @@ class BoardSettings:
         above=0.0,
         flag="--square",
     )
-    charuco: bool = setting(False, "The same as --kind charuco.")
     dictionary: str | None = setting(
         None,
         "Dictionary of the markers of a ChArUco board, as OpenCV calls it: 4X4_50 to 7X7_1000, APRILTAG_36h11, and so "

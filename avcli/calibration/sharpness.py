@@ -121,24 +121,20 @@ def advice(views: Sequence[HasBlur], names: Sequence[str]) -> list[str]:
 
 def _edges(cells: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middles of the edges between neighbours, the way along each, and the way across to the next edge, (m, 2) px."""
-    place = dict(zip(map(tuple, cells.tolist()), pixels, strict=True))
+    low = cells.min(0)
+    grid = np.full((*(cells.max(0) - low + 1), 2), np.nan)
+    grid[tuple((cells - low).T)] = pixels
     found = []
-    for (u, v), here in place.items():
-        for du, dv in ((1, 0), (0, 1)):
-            there = place.get((u + du, v + dv))
-            if there is None:
-                continue
-            sides = [
-                (place[a] + place[b] - here - there) / 2
-                for way in (1, -1)
-                if (a := (u + way * dv, v + way * du)) in place
-                and (b := (u + du + way * dv, v + dv + way * du)) in place
-            ]
-            if sides:
-                found.append(((here + there) / 2, there - here, min(sides, key=lambda side: float(side @ side))))
-    if not found:
-        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2))
-    middles, along, across = (np.array(column) for column in zip(*found, strict=True))
+    for lattice in (grid, grid.swapaxes(0, 1)):  # edges along the first axis; their neighbours are along the second
+        here, there = lattice[:-1], lattice[1:]
+        across = np.diff((here + there) / 2, axis=1)
+        gap = np.full((len(here), 1, 2), np.nan)
+        before, after = np.concatenate([gap, -across], 1), np.concatenate([across, gap], 1)
+        nearer = np.nan_to_num((after**2).sum(-1), nan=np.inf) <= np.nan_to_num((before**2).sum(-1), nan=np.inf)
+        edges = np.stack([(here + there) / 2, there - here, np.where(nearer[..., None], after, before)], -2)
+        edges = edges.reshape(-1, 3, 2)
+        found.append(edges[np.isfinite(edges).all((1, 2))])
+    middles, along, across = np.moveaxis(np.concatenate(found), 1, 0)
     return middles, along, across
 
 

@@ -1,6 +1,6 @@
 """Pictures without the fisheye: perspective, cylindrical, or the whole field at once."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,7 +117,10 @@ def straighten(
 
 
 def straightened(
-    pictures: Iterable[Picture], camera: KnownCamera, straight: Straightened
+    pictures: Iterable[Picture],
+    camera: KnownCamera,
+    straight: Straightened,
+    skip: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[Picture, np.ndarray]]:
     """Straighten the pictures of a camera one after another.
 
@@ -125,16 +128,27 @@ def straightened(
         pictures: as the camera took them.
         camera: the camera.
         straight: see `straighten`.
+        skip: gets a sentence for each picture that is not of the camera's size, which is then left out.
 
     Returns:
         each picture, and what it becomes (height, width[, channels]).
 
     Raises:
-        ValueError: a picture is not of the camera's size.
+        ValueError: a picture is not of the camera's size; with `skip`, none is.
     """
+    shown = 0
     for picture in pictures:
-        camera.require_size((picture.image.shape[1], picture.image.shape[0]), picture.name)
+        try:
+            camera.require_size((picture.image.shape[1], picture.image.shape[0]), picture.name)
+        except ValueError as error:
+            if skip is None:
+                raise
+            skip(str(error))
+            continue
+        shown += 1
         yield picture, resample(picture.image, straight)
+    if skip and not shown:
+        raise ValueError(f"no picture is of the size of {camera.name}, {camera.size[0]} × {camera.size[1]} px")
 
 
 def resample(image: np.ndarray, straightened: Straightened) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,15 @@ import click
 import avcli.calibration.settings as settings
 from avcli import __version__
 from avcli.commands import avcalib_convert, avcalib_live, avcalib_room
-from avcli.commands.avcalib_pictures import collect, parse_board, read_camera, usage_errors, views_for, write_camera
+from avcli.commands.avcalib_pictures import (
+    check_sources,
+    collect,
+    parse_board,
+    read_camera,
+    usage_errors,
+    views_for,
+    write_camera,
+)
 from avcli.commands.filter import FilterGroup, GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
@@ -21,6 +30,8 @@ from avcli.settings import settings_of
 if TYPE_CHECKING:
     from avcli.calibration.calibrate import Calibration
     from avcli.calibration.gather import Seen
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices of a fit are small: threads cost more than they bring
 
 _THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "kind": "checkerboard", "square_mm": 95.0, "rate_hz": 2.0}}
 
@@ -94,6 +105,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
     _check_options(session, values)
     given = settings_from(settings.LiveSettings, values)
     fitted = settings_from(settings.FitSettings, values)
+    board, camera = parse_board(session, values), check_sources(session, [source])[0]
     with contextlib.ExitStack() as stack:
         show = None
         if given.port:
@@ -108,7 +120,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
         else:
             refuse_without_effect(["host"], "without a page")
         guide = live.Guide(fitted, given.enough_px, session.warn, show, given.stops)
-        seen = avcalib_live.film(session, source, values, guide)
+        seen = avcalib_live.film(session, camera, board, values, guide)
     if guide.state.enough and sys.stderr.isatty() and not session.quiet:
         click.echo("\a", err=True, nl=False)
     _finish(session, seen, values)

@@ -10,24 +10,24 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from avcli.commands.avcalib_pictures import check_sources, ending_on_interrupt, parse_board
+from avcli.commands.avcalib_pictures import ending_on_interrupt
 from avcli.commands.filter import Session
 from avcli.commands.options import refuse_without_effect
 
 if TYPE_CHECKING:
     from avcli.calibration.gather import Seen
     from avcli.calibration.live import Guide
+    from avcli.calibration.recognise import Wanted
     from avcli.formats.footage import Picture, Source
 
 _PATIENCE_S = 60.0
 """How long an unplugged camera is waited for."""
 
 
-def film(session: Session, name: str, values: Mapping[str, Any], guide: Guide) -> Seen:
+def film(session: Session, source: Source, board: Wanted, values: Mapping[str, Any], guide: Guide) -> Seen:
     """Look for the board in what is filmed until the guide knows enough, the source ends, or Ctrl-C."""
     from avcli.calibration import gather
 
-    board, source = parse_board(session, values), check_sources(session, [name])[0]
     if source.kind != "camera":
         refuse_without_effect(["size"], "without a camera")
     with contextlib.ExitStack() as stack, session.timing("film"):

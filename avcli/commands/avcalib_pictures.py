@@ -36,9 +36,7 @@ def parse_board(session: Session, values: Mapping[str, Any]) -> Wanted:
     from avcli.calibration import recognise, target
 
     given = settings_from(BoardSettings, values)
-    kind: target.Kind | None = "charuco" if given.charuco else given.kind
-    if given.charuco and given.kind not in (None, "charuco"):
-        session.usage(f"--charuco contradicts --kind {given.kind}")
+    kind: target.Kind | None = given.kind
     if given.legacy or (given.dictionary and kind is None):
         if kind not in (None, "charuco"):
             refuse_without_effect(["legacy"], f"with --kind {kind}")

@@ -62,8 +62,12 @@ def undistort_command(
         sink = footage.Sink(target, size, rate_hz or footage.frame_rate(names[0]) or 10.0, single=single)
     total = footage.count_pictures(names, rate_hz)
     pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
+
+    def skip(words: str) -> None:
+        session.warn(f"left out: {words}")
+
     with sink, session.timing("straighten"):
-        for picture, new in undistort.straightened(pictures, camera, straight):
+        for picture, new in undistort.straightened(pictures, camera, straight, skip):
             sink.write(picture, new)
     if straight.is_cut:
         session.warn(

@@ -208,8 +208,9 @@ CONFIG = Format(
             "room_config": Key(_ROOM, "the room"),
             "sensors": Key(
                 _SENSORS,
-                'what each sensor is, by its name: {"ceiling": {"kind": "camera"}, "ring": {"kind": "microphones"}}; '
-                "if neither this nor a record gives the kind of a sensor, it is guessed from the name",
+                'what each sensor is; the keys are names of sensors: {"ceiling": {"kind": "camera"}, "ring": {"kind": '
+                '"microphones"}}. A sensor whose kind is neither here nor in its records gets the kind that its name '
+                "suggests",
             ),
             "written_by": Key(
                 Written({"type": "object"}),

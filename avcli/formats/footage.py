@@ -244,7 +244,7 @@ def pictures(
             all.
         size: width and height in px to ask of a camera.
         skip: gets a sentence for each file that cannot be read, which is then left out.
-        grey: the brightness of JPEG files is enough, which is quicker.
+        grey: the brightness of JPEG files and videos is enough, which is quicker.
 
     Raises:
         MediaError: a source cannot be opened, or a picture file is broken; with `skip`, none of them gives a picture.
@@ -264,7 +264,7 @@ def pictures(
             elif member.kind == "url":
                 found = _live_pictures(member.name, rate_hz)
             else:
-                found = _video_pictures(member.name, rate_hz)
+                found = _video_pictures(member.name, rate_hz, grey=grey)
             for picture in found:
                 while held and skip:
                     skip(held.pop(0))
@@ -390,7 +390,7 @@ def depths(name: str) -> Iterator[np.ndarray]:
         yield from (picture.image for picture in depth_pictures(name))
 
 
-def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False) -> Iterator[Picture]:
+def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False, grey: bool = False) -> Iterator[Picture]:
     import cv2
 
     capture = _open_video(source, deep=deep)
@@ -407,9 +407,9 @@ def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False) -
                 continue
             good, image = capture.retrieve()
             if good:
-                yield Picture(
-                    f"{source} at {now:.2f} s", now, image[:, :, ::-1] if image.ndim == 3 and not deep else image
-                )
+                if image.ndim == 3 and not deep:
+                    image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image[:, :, ::-1]
+                yield Picture(f"{source} at {now:.2f} s", now, image)
             if rate_hz:
                 due = max(due + 1 / rate_hz, now + 0.5 / rate_hz)
     finally:

@@ -15,7 +15,15 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from avcli.lens.radial import KNOTS, Radial, cubics, first_sign_change, fold_of_odd_polynomial, odd_polynomial
+from avcli.lens.radial import (
+    KNOTS,
+    Radial,
+    cubics,
+    first_sign_change,
+    fold_of_odd_polynomial,
+    odd_polynomial,
+    odd_powers,
+)
 
 _FINE_KNOTS = 8192  # of a table that no Newton step follows
 _FOLD_KNOTS = 8  # of it next to a fold, where slopes are known less well
@@ -144,17 +152,21 @@ class Lens(ABC):
             factor, rows_x, rows_y = self._by_point(across, z, ex, ey, m, slope)
             by_k = self._by_coefficients(across.s)
             mx, my = across.x * factor, across.y * factor
-            scale = np.array(self.scale_px)[:, None]
+            scale = self.scale_px
             pixels = _where_seen(across.seen, self.cx + scale[0] * mx, self.cy + scale[1] * my)
-            by_point = scale * np.stack([np.stack(rows_x, -1), np.stack(rows_y, -1)], -2)
+            by_point = np.empty((*across.seen.shape, 2, 3))
+            for axis, rows in enumerate((rows_x, rows_y)):
+                for i, row in enumerate(rows):
+                    np.multiply(row, scale[axis], out=by_point[..., axis, i])
             by_parameter = np.zeros((*across.seen.shape, 2, len(self.names())))
             by_parameter[..., 0, 2] = by_parameter[..., 1, 3] = 1.0
             by_parameter[..., :2] = self._by_focal_lengths(x, y, mx, my, by_point)
-            own = slice(4, 4 + len(by_k))
-            by_parameter[..., 0, own] = scale[0] * np.stack([ex * k for k in by_k], -1)
-            by_parameter[..., 1, own] = scale[1] * np.stack([ey * k for k in by_k], -1)
-        hidden = ~across.seen[..., None, None]
-        return pixels, np.where(hidden, np.nan, by_point), np.where(hidden, np.nan, by_parameter)
+            for i, k in enumerate(by_k, 4):
+                np.multiply(scale[0] * ex, k, out=by_parameter[..., 0, i])
+                np.multiply(scale[1] * ey, k, out=by_parameter[..., 1, i])
+        if not across.seen.all():
+            by_point[~across.seen] = by_parameter[~across.seen] = np.nan
+        return pixels, by_point, by_parameter
 
     def project_clamped(self, points: np.ndarray) -> np.ndarray:
         """Project points (..., 3), those outside the field of view from the field's edge nearest to them; (..., 2)."""
@@ -436,7 +448,7 @@ class KannalaBrandt(FourTerms, Angular):
         return odd_polynomial(s, *self.radial_terms)
 
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
-        return [s**n for n in (3, 5, 7, 9)]
+        return odd_powers(s)
 
 
 @dataclass(frozen=True)
@@ -459,7 +471,7 @@ class BrownConrady(FourTerms, Perspective):
         return odd_polynomial(s, *self.radial_terms)
 
     def _by_coefficients(self, s: np.ndarray) -> Sequence[np.ndarray]:
-        return [s**n for n in (3, 5, 7, 9)]
+        return odd_powers(s)
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,15 @@ def odd_polynomial(s: np.ndarray, k1: float, k2: float, k3: float, k4: float) ->
     return value, 1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))
 
 
+def odd_powers(s: np.ndarray) -> list[np.ndarray]:
+    """s^3, s^5, s^7, s^9 of s (...): the derivatives of `odd_polynomial` to its coefficients."""
+    square = s * s
+    powers = [s * square]
+    for _ in range(3):
+        powers.append(powers[-1] * square)
+    return powers
+
+
 def fold_of_odd_polynomial(k1: float, k2: float, k3: float, k4: float) -> float:
     """The smallest s > 0 at which `odd_polynomial` stops growing; infinity where it never does."""
     return math.sqrt(first_sign_change([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))

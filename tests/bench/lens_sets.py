@@ -283,8 +283,9 @@ def _our_honesty(case: Case, splits: int) -> Row:
         for half in pair:
             some, start = found.observations.of_views(half), found.solution.of_views(half)
             if some.errors.any():
-                some, start = robust.with_board_errors(some, start)
-            solved = fit.refine(some, start, found.solution.free, found.solution.delta_px, 25)
+                some, solved = fit.refine_with_errors(some, start, 25, 1e-8)
+            else:
+                solved = fit.refine(some, start, start.free, start.delta_px, 25)
             solved = replace(solved, covariance=fit.covariance(some, solved)[0])
             lenses.append(solved.lens)
             variance += _variance(solved, case.field)

@@ -1,0 +1,197 @@
+"""The normal equations of a fit, view by view, from which any part of the views is solved without another look.
+
+The unknowns are common to all views (the lens, the board's shape), or of one view (its pose), or of one corner of the
+board (where it really is on the print). Views share no pose and corners no place, so that either kind is eliminated
+block by block, and what is left is small and dense (the Schur complement; Triggs et al. 2000, section 6.1).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from avcli.calibration.uncertainty import Views
+
+POSE = 6
+"""Unknowns of a view."""
+
+
+class Step(NamedTuple):
+    """A Gauss-Newton step: of the common unknowns (k,), of the poses (views, 6), and of the places (corners, 3) m."""
+
+    common: np.ndarray
+    own: np.ndarray
+    errors: np.ndarray
+
+
+class _Reduced(NamedTuple):
+    """The equations after one kind of unknowns, "first", is eliminated.
+
+    Attributes:
+        dense: (q + k + 1,) squared: of the other kind, the common ones, and the right-hand side.
+        fold: (blocks, size, q + k + 1), what the first kind follows from.
+        diagonal: (blocks, size, size), of the first kind.
+        by_corner: whether the places on the board are the first kind.
+        q: unknowns of the other kind.
+    """
+
+    dense: np.ndarray
+    fold: np.ndarray
+    diagonal: np.ndarray
+    by_corner: bool
+    q: int
+
+
+class Blocks(NamedTuple):
+    """Whitened, robustly weighted normal equations.
+
+    Attributes:
+        gram: (views, k + 7, k + 7), products of the derivatives to the k common unknowns, to the pose, and of the
+            residuals.
+        cost: (views,), the robust cost.
+        counts: (views,), residuals.
+        place: (views, corners, 3, 3), products of the derivatives to a corner's place on the board; no corners where
+            the places are known.
+        cross: (views, corners, 3, k + 7), their products with the columns of `gram`.
+        errors: (corners, 3) m, how far the corners are from where they should be.
+        held: 1 / m², the weight with which `errors` are held at zero.
+    """
+
+    gram: np.ndarray
+    cost: np.ndarray
+    counts: np.ndarray
+    place: np.ndarray
+    cross: np.ndarray
+    errors: np.ndarray
+    held: float
+
+    def of(self, keep: np.ndarray) -> "Blocks":
+        """Some views only: `keep` (views,) bool, or indices."""
+        return self._replace(
+            gram=self.gram[keep],
+            cost=self.cost[keep],
+            counts=self.counts[keep],
+            place=self.place[keep],
+            cross=self.cross[keep],
+        )
+
+    @property
+    def total(self) -> float:
+        """The cost of all views and of the errors."""
+        return float(self.cost.sum() + self.held * (self.errors**2).sum())
+
+    @property
+    def _k(self) -> int:
+        return self.gram.shape[-1] - POSE - 1
+
+    def step(self, damping: float = 0.0) -> Step:
+        """Solve for all unknowns, `damping` times the diagonal added (Levenberg and Marquardt)."""
+        k, reduced = self._k, self._eliminated(damping)
+        response = _solved(reduced.dense[: reduced.q, : reduced.q], reduced.dense[: reduced.q, reduced.q :])
+        left = reduced.dense[reduced.q :, reduced.q :] - reduced.dense[reduced.q :, : reduced.q] @ response
+        common = _least(left[:k, :k], left[:k, k])
+        other = response[:, k] - response[:, :k] @ common
+        first = reduced.fold[..., -1] - reduced.fold[..., :-1] @ np.concatenate([other, common])
+        if reduced.by_corner:
+            return Step(common, other.reshape(-1, POSE), first)
+        return Step(common, first, other.reshape(-1, 3))
+
+    def _eliminated(self, damping: float = 0.0) -> _Reduced:
+        """Eliminate the kind of unknowns that leaves fewer of the other."""
+        k, (views, corners) = self._k, self.place.shape[:2]
+        A = self.gram[:, :k, :k].sum(0)
+        poses = damped(self.gram[:, k:-1, k:-1], damping)
+        border = self.gram[:, k:-1][..., np.r_[:k, k + POSE]]  # of the poses: common unknowns, right-hand side
+        end = np.empty((k + 1, k + 1))
+        end[:k, :k] = A + damping * np.diag(np.diag(A))
+        end[:k, k] = end[k, :k] = self.gram[:, :k, -1].sum(0)
+        end[k, k] = 0.0
+        if not corners:
+            return _eliminate(poses, border, end, by_corner=False, q=0)
+        shared = self.cross.sum(0)
+        shared[..., -1] -= self.held * self.errors
+        places = damped(self.place.sum(0) + self.held * np.eye(3), damping)
+        around = shared[..., np.r_[:k, k + POSE]]
+        by_corner = POSE * views <= 3 * corners
+        W = self.cross[..., k:-1]
+        if by_corner:
+            first, dense, q = places, poses, POSE * views
+            between = W.transpose(1, 2, 0, 3).reshape(corners, 3, q)
+            mine, theirs = around, border
+        else:
+            first, dense, q = poses, places, 3 * corners
+            between = W.transpose(0, 3, 1, 2).reshape(views, POSE, q)
+            mine, theirs = border, around
+        whole = np.zeros((q + k + 1, q + k + 1))
+        size = dense.shape[-1]
+        at = np.arange(q).reshape(-1, size)
+        whole[at[:, :, None], at[:, None, :]] = dense
+        whole[:q, q:] = theirs.reshape(q, k + 1)
+        whole[q:, :q] = whole[:q, q:].T
+        whole[q:, q:] = end
+        return _eliminate(first, np.concatenate([between, mine], -1), whole, by_corner=by_corner, q=q)
+
+    @property
+    def views(self) -> Views:
+        """What each view says about the common unknowns, with its pose and the places of the corners eliminated."""
+        k, count = self._k, len(self.gram)
+        A, B, C = self.gram[:, :k, :k], self.gram[:, k:-1, :k], self.gram[:, k:-1, k:-1]
+        g, h, learned = self.gram[:, :k, -1], self.gram[:, k:-1, -1:], 0.0
+        if self.place.shape[1]:  # the columns less what the places explain of them
+            gain, learned = self._learned()
+            flat = gain.reshape(-1, k)
+            both = self.cross.reshape(count, len(flat), -1).transpose(0, 2, 1) @ flat
+            square = flat.T @ (self.place @ gain).reshape(count, len(flat), k)
+            A = A - both[:, :k] - both[:, :k].transpose(0, 2, 1) + square
+            B, g = B - both[:, k:-1], g - both[:, -1]
+        fold = np.linalg.solve(damped(C, 0.0), B)
+        score = g - (fold.transpose(0, 2, 1) @ h)[..., 0]
+        if self.place.shape[1]:
+            score = score - score.mean(0)  # what pulls the errors to zero is not of a view
+        return Views(
+            information=A - B.transpose(0, 2, 1) @ fold,
+            score=score,
+            cost=self.cost,
+            freedom=self.counts - POSE - learned / count,
+        )
+
+    def _learned(self) -> tuple[np.ndarray, float]:
+        """How the places follow the common unknowns, (corners, 3, k), and how many unknowns they amount to."""
+        k, reduced = self._k, self._eliminated()
+        q, corners = reduced.q, self.place.shape[1]
+        inverse = np.linalg.inv(reduced.dense[:q, :q])
+        response = inverse @ reduced.dense[:q, q : q + k]
+        if not reduced.by_corner:
+            return response.reshape(corners, 3, k), 3 * corners - self.held * float(np.trace(inverse))
+        between = reduced.fold[..., :q]
+        spread = np.trace(np.linalg.inv(reduced.diagonal), axis1=1, axis2=2).sum()
+        flat = between.reshape(-1, q)
+        spread += float(((flat @ inverse) * flat).sum())
+        return reduced.fold[..., q : q + k] - between @ response, 3 * corners - self.held * float(spread)
+
+
+def _eliminate(first: np.ndarray, border: np.ndarray, dense: np.ndarray, *, by_corner: bool, q: int) -> _Reduced:
+    fold = np.linalg.solve(first, border)
+    size = border.shape[-1]
+    left = dense - border.reshape(-1, size).T @ fold.reshape(-1, size)
+    return _Reduced(left, fold, first, by_corner, q)
+
+
+def damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
+    """Add `damping` times its diagonal to each of (..., m, m) blocks, and enough that none is singular."""
+    diagonal = np.einsum("...ii->...i", blocks)
+    out = blocks.copy()
+    added = np.asarray(damping)[..., None] * diagonal + 1e-12 * diagonal.max(-1, initial=0.0, keepdims=True) + 1e-12
+    np.einsum("...ii->...i", out)[...] += added
+    return out
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(matrix, right) if len(matrix) else right
+
+
+def _least(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Solve a symmetric system whose unknowns differ by orders of magnitude, well enough even where it is singular."""
+    if not len(vector):
+        return vector
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    return scale * np.linalg.lstsq(matrix * np.outer(scale, scale), vector * scale, rcond=1e-15)[0]
