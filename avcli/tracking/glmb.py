@@ -407,7 +407,12 @@ class GLMB:
             rows = [row for row in self.likely_rows if existence[row] > 0.5]
             leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
         before = max(one.blindness.left for one in self.rates)
+        onset = not blindness.left
         blindness.empty(dt, leaving)
+        if onset and blindness.left:
+            for other in self.rates:
+                if other.blindness is not blindness:
+                    other.blindness.share(blindness)
         left = max(one.blindness.left for one in self.rates)
         if left <= before:
             return existence
