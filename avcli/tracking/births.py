@@ -64,6 +64,10 @@ class Undetected:
         """Return the probability that the record's sensor detects one of them."""
         return scan.p_newcomer * self.detectable.item(scan.column)
 
+    def due(self, scan: Scan) -> float:
+        """Return how many of them a record should show."""
+        return self.p_detect(scan) * float(self.expected.sum())
+
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
         if not len(z):

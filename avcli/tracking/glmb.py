@@ -54,6 +54,7 @@ from avcli.tracking.unseen import UnseenMap
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
+ROUNDS = 20  # of weighing detections that are many more than were expected
 PRUNED = 100  # new labels, after which notes about old ones are dropped
 
 
@@ -250,12 +251,20 @@ class GLMB:
         birth = [b * left for b, left in zip(birth, room, strict=True)]
         if shown is None:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
-        background = [c + b + t for c, b, t in zip(scan.clutter, birth, twice, strict=True)]
-        existence = [b / whole for b, whole in zip(birth, background, strict=True)]
-        false = [
-            u * (c - local) / whole
-            for u, c, local, whole in zip(unclaimed, scan.clutter, scan.local, background, strict=True)
-        ]
+
+        def weighed(more: float) -> tuple[list[float], list[float]]:
+            """Return what births are worth, and which detections are false, with so much more clutter than thought."""
+            usual = [(c - local) * more for c, local in zip(scan.clutter, scan.local, strict=True)]
+            whole = [c + local + b + t for c, local, b, t in zip(usual, scan.local, birth, twice, strict=True)]
+            return (
+                [b / w for b, w in zip(birth, whole, strict=True)],
+                [u * c / w for u, c, w in zip(unclaimed, usual, whole, strict=True)],
+            )
+
+        existence, false = weighed(1.0)
+        if settings.learn and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+            for _ in range(ROUNDS):
+                existence, false = weighed(rates.clutter_with(math.fsum(false)) / scan.expected_clutter)
         if settings.learn:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)

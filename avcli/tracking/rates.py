@@ -11,7 +11,7 @@ from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 20.0, 1.0
+PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 6.0, 1.0
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
@@ -47,6 +47,20 @@ class Rates:
         self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self._estimate()
+
+    def surprised(self, unclaimed: float, due: float) -> bool:
+        """Return whether a record has many more detections of nobody known than new people and clutter explain.
+
+        Args:
+            unclaimed: expected number of these detections.
+            due: the same before the record, of new people.
+        """
+        usual = due + self.clutter
+        return unclaimed > usual + SURPRISE * math.sqrt(usual + 1)
+
+    def clutter_with(self, more: float) -> float:
+        """Return the false detections to expect in a record, if a further one has so many."""
+        return (self.clutter_sum + more) / (self.clutter_count + 1)
 
     def _estimate(self) -> None:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
