@@ -207,13 +207,13 @@ class Blindness:
                 self.returned, self.emptied = self.returned + back, self.emptied + (not back)
                 self._records = 0
             return
+        self._records, self._again = min(self._records, 1), 0
         if self.left:
             self._odds = min(self._odds * math.exp(SIGHTED * min(dt, 100.0)), 1e9)
         elif self.probability < ONSET:
             return
         else:
             self._odds, self._records = max(self.emptied / self.returned, TOGETHER * leaving / BLIND), 1
-        self._again = 0
         self.left = self._odds / (1 + self._odds)
 
     def learn(self, gaps: Sequence[float], dt: float) -> None:
