@@ -127,6 +127,23 @@ def test_tracks_that_clutter_began_do_not_count_as_people_who_left():
     assert np.sum(fusion.state()["exits"]["happened"]) < 4  # 22 when three detections were enough
 
 
+def test_a_first_record_full_of_detections_is_rather_clutter_than_a_crowd():
+    """As many as are expected are people at once; of twenty each is doubted, until others come in the same places."""
+    rng, nan = np.random.default_rng(0), np.full((20, 3, 3), np.nan)
+    at = np.column_stack([rng.uniform(0, 4.66, (20, 2)), np.zeros(20)])
+
+    def said(records, count=20):
+        fusion = Fusion(Settings(show="all"), population=Population())
+        for k in range(records):
+            record = Detections(k / 10, "ceiling", at[:count], nan[:count], np.full(count, np.nan), "camera")
+            [out] = fusion.step(k / 10, [(k / 10, "ceiling", record)])
+        return out.existence
+
+    assert said(1, 3).min() > 0.9
+    assert said(1).max() < 0.6
+    assert said(3).mean() > 0.95
+
+
 def test_how_people_hide_is_learnt_from_people_who_come_back():
     """Who is hidden for 4 s every 20 s is detected 10 times a second in between."""
     hiding, sure = Hiding(sensor("ceiling")), np.ones(1)

@@ -189,6 +189,31 @@ def other_detections(
     return beside.tolist(), again.tolist()
 
 
+def weighed(
+    scan: Scan, unclaimed: Sequence[float], birth: Sequence[float], twice: Sequence[float], more: float = 1.0
+) -> tuple[list[float], list[float]]:
+    """Weigh the detections that no known person caused: new people, known ones a second time, or false.
+
+    Args:
+        scan: the record.
+        unclaimed: J probabilities that no known person caused the detection.
+        birth: J densities per m² of detecting a new person.
+        twice: the same of one whom another detection shows, see `other_detections`.
+        more: by what factor there is more clutter than the record took for usual, but for places that are false again
+            and again.
+
+    Returns:
+        J probabilities that it is a new person if it is no known one, and J that it is usual clutter.
+    """
+    new, false = [], []
+    for u, c, local, b, t in zip(unclaimed, scan.clutter, scan.local, birth, twice, strict=True):
+        usual = (c - local) * more
+        whole = usual + local + b + t
+        new.append(b / whole)
+        false.append(u * usual / whole)
+    return new, false
+
+
 def births(
     unclaimed: Sequence[float],
     existence: Sequence[float],

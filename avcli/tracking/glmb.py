@@ -35,6 +35,7 @@ from avcli.tracking.births import (
     first_detections,
     newcomers,
     other_detections,
+    weighed,
 )
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
@@ -251,21 +252,12 @@ class GLMB:
         birth = [b * left for b, left in zip(birth, room, strict=True)]
         if shown is None:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
-
-        def weighed(more: float) -> tuple[list[float], list[float]]:
-            """Return what births are worth, and which detections are false, with so much more clutter than thought."""
-            usual = [(c - local) * more for c, local in zip(scan.clutter, scan.local, strict=True)]
-            whole = [c + local + b + t for c, local, b, t in zip(usual, scan.local, birth, twice, strict=True)]
-            return (
-                [b / w for b, w in zip(birth, whole, strict=True)],
-                [u * c / w for u, c, w in zip(unclaimed, usual, whole, strict=True)],
-            )
-
-        existence, false = weighed(1.0)
-        if settings.learn and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
-            for _ in range(ROUNDS):
-                existence, false = weighed(rates.clutter_with(math.fsum(false)) / scan.expected_clutter)
+        existence, false = weighed(scan, unclaimed, birth, twice)
         if settings.learn:
+            if rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+                for _ in range(ROUNDS):
+                    more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
+                    existence, false = weighed(scan, unclaimed, birth, twice, more)
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
         self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
