@@ -11,7 +11,7 @@ from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 6.0, 1.0
+PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 14.0, 1.0
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
