@@ -19,8 +19,8 @@ from avcli.tracking.learning import Habits
 from avcli.tracking.learnt import LEARNT, read_learnt, write_learnt
 from avcli.tracking.model import Population
 from avcli.tracking.picture import bounds, picture, ticks
-from avcli.tracking.places import REACH, Places
-from avcli.tracking.rates import KEEP, PRIOR_EVENTS, Blindness, Hiding, Rates
+from avcli.tracking.places import Places
+from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates
 from avcli.tracking.settings import Settings, sensor
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))
@@ -49,18 +49,29 @@ def test_factors_are_positive_and_finite_whatever_happened(events, keep):
 
 
 def test_a_place_far_from_all_others_is_the_gamma_poisson_posterior():
-    """Prior worth 2 events in the room and 3 at a place; 5 happened where 1 was expected, 9 were expected elsewhere."""
+    """Prior worth 2 events in the room and 3 at a place; 5 happened where 1 was expected, 9 were expected elsewhere.
+
+    The factors of the room, of 2 m around a place and of .5 m around it are posteriors, each the next one's prior.
+    """
     places = Places(ROOM, 2.0, 3.0)
     here, far = np.array([0.1, 0.1]), np.array([7.9, 5.9])
     places.expect(np.stack([here, far]), np.array([1.0, 9.0]))
     places.happen(here, 5.0)
     overall = (2 + 5) / (2 + 10)
     assert places.overall == pytest.approx(overall)
-    assert places.at(here[None]) == pytest.approx(overall * (3 + 5) / (3 + overall * 1))
-    assert places.at(far[None]) == pytest.approx(overall * 3 / (3 + overall * 9))
-    beside = here + np.array([2 * places.step, 0])
-    weight = math.exp(-((2 * places.step / REACH) ** 2) / 2)
-    assert places.at(beside[None]) == pytest.approx(overall * (3 + 5 * weight) / (3 + overall * weight))
+    around = overall * (3 + 5) / (3 + overall * 1)
+    assert places.at(here[None]) == pytest.approx(around * (3 + 5) / (3 + around * 1), rel=1e-4)
+    around = overall * 3 / (3 + overall * 9)
+    assert places.at(far[None]) == pytest.approx(around * 3 / (3 + around * 9), rel=1e-2)
+
+
+def test_who_vanishes_amid_the_room_may_vanish_anywhere_near():
+    """One person left at the door: a metre from it the factor is higher than at the other end of the room."""
+    places = Places(ROOM, 1.0, 0.2)
+    places.expect(places.centres().reshape(-1, 2), np.full(places.factor.size, 0.5 / places.factor.size))
+    places.happen(DOOR)
+    at, beside, away = (float(places.at((DOOR - [x, 0.0])[None])[0]) for x in (0.0, 1.0, 4.9))
+    assert at > 2 * beside > 2 * away
 
 
 def test_what_is_taken_back_leaves_no_trace():
@@ -116,6 +127,23 @@ def test_tracks_that_clutter_began_do_not_count_as_people_who_left():
     assert np.sum(fusion.state()["exits"]["happened"]) < 4  # 22 when three detections were enough
 
 
+def test_a_first_record_full_of_detections_is_rather_clutter_than_a_crowd():
+    """As many as are expected are people at once; of twenty each is doubted, until others come in the same places."""
+    rng, nan = np.random.default_rng(0), np.full((20, 3, 3), np.nan)
+    at = np.column_stack([rng.uniform(0, 4.66, (20, 2)), np.zeros(20)])
+
+    def said(records, count=20):
+        fusion = Fusion(Settings(show="all"), population=Population())
+        for k in range(records):
+            record = Detections(k / 10, "ceiling", at[:count], nan[:count], np.full(count, np.nan), "camera")
+            [out] = fusion.step(k / 10, [(k / 10, "ceiling", record)])
+        return out.existence
+
+    assert said(1, 3).min() > 0.9
+    assert said(1).max() < 0.6
+    assert said(3).mean() > 0.95
+
+
 def test_how_people_hide_is_learnt_from_people_who_come_back():
     """Who is hidden for 4 s every 20 s is detected 10 times a second in between."""
     hiding, sure = Hiding(sensor("ceiling")), np.ones(1)
@@ -126,7 +154,7 @@ def test_how_people_hide_is_learnt_from_people_who_come_back():
             hiding.learn(np.array([0.999]), np.array([0.1]), sure, 0.1)
     assert 1 / hiding.hide == pytest.approx(20, rel=0.2)
     assert 1 / hiding.show == pytest.approx(4, rel=0.2)
-    assert hiding.events < 10 * PRIOR_EVENTS / (1 - KEEP)
+    assert hiding.events < EVENTS / (1 - KEEP)
 
 
 @given(
@@ -160,6 +188,36 @@ def test_a_sensor_that_lost_everybody_is_believed_blind_at_first_and_empty_later
     assert left[0] < 0.1
     assert left == sorted(left)
     assert left[-1] > 0.99
+
+
+def blind(records, seen=()):
+    """A camera that sees people for ten records, nobody for 30, and in so many others known people in some, `seen`."""
+    blindness = Blindness(True)
+    for k in range(40 + records):
+        blindness.update(0.1, 1e-6 if 10 <= k < 40 else 1e6)
+        blindness.empty(0.1, 0.01)
+        if k - 40 in seen:
+            blindness.learn([3.0 if k - 40 == seen[0] else 0.1], 0.1)
+    return blindness
+
+
+def test_people_have_come_back_if_more_than_one_record_shows_them():
+    after = int(LOST) + 1
+    assert (blind(after).returned, blind(after).emptied) == (1.0, pytest.approx(1.05))
+    assert blind(after, seen=(0, 1)).returned == 2.0
+    assert blind(after, seen=(0,)).emptied == pytest.approx(1.05)  # a false detection where somebody was
+
+
+def test_what_blinds_one_sensor_may_blind_another():
+    one, other = Blindness(True), Blindness(True, tells=False)
+    other.share(one)
+    assert other.probability == pytest.approx(COMMON)
+    one.left = 1.0  # everybody left
+    other.share(one)
+    assert other.probability == pytest.approx(COMMON)
+    never = Blindness(False)
+    never.share(Blindness(True))
+    assert never.probability == 0
 
 
 # --- what is kept -----------------------------------------------------------------------------------------------------

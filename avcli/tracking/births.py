@@ -64,6 +64,10 @@ class Undetected:
         """Return the probability that the record's sensor detects one of them."""
         return scan.p_newcomer * self.detectable.item(scan.column)
 
+    def due(self, scan: Scan) -> float:
+        """Return how many of them a record should show."""
+        return self.p_detect(scan) * float(self.expected.sum())
+
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
         if not len(z):
@@ -183,6 +187,31 @@ def other_detections(
     np.multiply.at(beside, one, 1 - claimed * np.exp(-apart / (body + spread[one])))
     np.add.at(again, one, AGAIN / math.pi * np.exp(-apart / width) / width * claimed)
     return beside.tolist(), again.tolist()
+
+
+def weighed(
+    scan: Scan, unclaimed: Sequence[float], birth: Sequence[float], twice: Sequence[float], more: float = 1.0
+) -> tuple[list[float], list[float]]:
+    """Weigh the detections that no known person caused: new people, known ones a second time, or false.
+
+    Args:
+        scan: the record.
+        unclaimed: J probabilities that no known person caused the detection.
+        birth: J densities per m² of detecting a new person.
+        twice: the same of one whom another detection shows, see `other_detections`.
+        more: by what factor there is more clutter than the record took for usual, but for places that are false again
+            and again.
+
+    Returns:
+        J probabilities that it is a new person if it is no known one, and J that it is usual clutter.
+    """
+    new, false = [], []
+    for u, c, local, b, t in zip(unclaimed, scan.clutter, scan.local, birth, twice, strict=True):
+        usual = (c - local) * more
+        whole = usual + local + b + t
+        new.append(b / whole)
+        false.append(u * usual / whole)
+    return new, false
 
 
 def births(

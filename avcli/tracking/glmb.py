@@ -35,6 +35,7 @@ from avcli.tracking.births import (
     first_detections,
     newcomers,
     other_detections,
+    weighed,
 )
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
@@ -54,6 +55,7 @@ from avcli.tracking.unseen import UnseenMap
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
+ROUNDS = 20  # of weighing detections that are many more than were expected
 PRUNED = 100  # new labels, after which notes about old ones are dropped
 
 
@@ -250,13 +252,12 @@ class GLMB:
         birth = [b * left for b, left in zip(birth, room, strict=True)]
         if shown is None:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
-        background = [c + b + t for c, b, t in zip(scan.clutter, birth, twice, strict=True)]
-        existence = [b / whole for b, whole in zip(birth, background, strict=True)]
-        false = [
-            u * (c - local) / whole
-            for u, c, local, whole in zip(unclaimed, scan.clutter, scan.local, background, strict=True)
-        ]
+        existence, false = weighed(scan, unclaimed, birth, twice)
         if settings.learn:
+            if rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+                for _ in range(ROUNDS):
+                    more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
+                    existence, false = weighed(scan, unclaimed, birth, twice, more)
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
         self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
@@ -407,7 +408,12 @@ class GLMB:
             rows = [row for row in self.likely_rows if existence[row] > 0.5]
             leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
         before = max(one.blindness.left for one in self.rates)
+        onset = not blindness.left
         blindness.empty(dt, leaving)
+        if onset and blindness.left:
+            for other in self.rates:
+                if other.blindness is not blindness:
+                    other.blindness.share(blindness)
         left = max(one.blindness.left for one in self.rates)
         if left <= before:
             return existence

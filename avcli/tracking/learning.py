@@ -14,7 +14,7 @@ from avcli.tracking.model import Population
 from avcli.tracking.places import Places
 
 # Expected events that the prior is worth, in the whole area and at one place.
-EXITS, ENTRIES = (1.0, 1.0), (3.0, 1.0)
+EXITS, ENTRIES = (1.0, 0.2), (3.0, 1.0)
 SURE_HITS, SURE = 3, 5.0  # detections, and nats, from which on a track certainly was a person
 AT_START = 1.0  # s; who is detected first before was there already
 REFRESH = 1.0  # s between two computations of the maps

@@ -16,6 +16,7 @@ from avcli.tracking.settings import Settings
 WALK = 0.5  # m/s, the least speed of somebody who is walking
 NEAR = 1.0  # m, from a track's position: as near as this the person is there
 BLUR = 2.0  # times the error that the position had when the person was detected last, if that is more
+SOONER = 35.0  # by this factor people who walk near a wall leave sooner
 REPORT, THERE = 0.5, 0.35  # from which a person is reported: probability to be in the room, and to be there
 AREA = ((0.0, 0.0), (4.66, 4.66))  # m, the thesis's room, where the room is not known
 
@@ -42,7 +43,7 @@ class Population:
 
     area: Corners = AREA
     motion: Motion = WALKING
-    stay: float = 40.0
+    stay: float = 70.0
     pass_by: float = 2.0
     edge: float = 0.7
     arrivals: float = 0.05
@@ -58,7 +59,7 @@ class Population:
         area = AREA if room is None else ((0.0, 0.0), room)
         if settings.doors == "anywhere":
             return Population(area, motion, settings.stay, pass_by=settings.stay, appear=1.0)
-        return Population(area, motion, settings.stay, pass_by=settings.stay / 20)
+        return Population(area, motion, settings.stay, pass_by=settings.stay / SOONER)
 
     @cached_property
     def corners(self) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from avcli.tracking.model import Corners
 
 STEP, CELLS = 0.25, 60  # m, wider where a side of the area would have more cells than that
-REACH = 0.5  # m, standard deviation of the kernel by which a place learns from those beside it
+REACH = (2.0, 0.5)  # m, standard deviations of the kernels by which a place learns from those beside it
 
 
 class Places:
@@ -41,7 +41,7 @@ class Places:
         self.happened, self.expected = np.zeros(self.shape), np.zeros(self.shape)
         self.factor = np.ones(self.shape)
         self.overall = 1.0
-        self._kernels = [_kernel(n, self.step / REACH) for n in self.shape]
+        self._kernels = [[_kernel(n, self.step / reach) for n in self.shape] for reach in REACH]
 
     def state(self) -> dict[str, Any]:
         """Return what was noted, as `restore` takes it."""
@@ -78,14 +78,16 @@ class Places:
         """Compute the factors anew from what was noted."""
         happened, expected = self.happened.sum(), self.expected.sum()
         self.overall = (self.worth + max(happened, 0.0)) / (self.worth + expected)
-        here, due = (
-            np.maximum(self._kernels[0] @ one @ self._kernels[1], 0.0) for one in (self.happened, self.expected)
-        )
-        self.factor = self.overall * (self.worth_here + here) / (self.worth_here + self.overall * due)
+        factor: np.ndarray | float = self.overall
+        for across, along in self._kernels:
+            here, due = (np.maximum(across @ one @ along, 0.0) for one in (self.happened, factor * self.expected))
+            factor = factor * (self.worth_here + here) / (self.worth_here + due)
+        self.factor = np.asarray(factor)
 
     def learnt(self) -> np.ndarray:
         """Return how much of each place's own factor is learnt, (nx, ny) from 0, the prior, to 1."""
-        here, due = (self._kernels[0] @ one @ self._kernels[1] for one in (self.happened, self.overall * self.expected))
+        across, along = self._kernels[-1]
+        here, due = (across @ one @ along for one in (self.happened, self.overall * self.expected))
         return 1 - self.worth_here / (self.worth_here + np.maximum(np.maximum(here, due), 0.0))
 
     def fade(self, keep: float) -> None:

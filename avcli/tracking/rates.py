@@ -11,10 +11,11 @@ from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 20.0, 4.0
-KEEP = 0.995  # weight of what was learnt before, for each record
+PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 14.0, 1.0
+KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
+COMMON = 0.05  # probability that what blinds one sensor blinds another one, too
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
 ONSET = 0.9  # probability of blindness from which it may be that everybody left
@@ -46,6 +47,20 @@ class Rates:
         self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self._estimate()
+
+    def surprised(self, unclaimed: float, due: float) -> bool:
+        """Return whether a record has many more detections of nobody known than new people and clutter explain.
+
+        Args:
+            unclaimed: expected number of these detections.
+            due: the same before the record, of new people.
+        """
+        usual = due + self.clutter
+        return unclaimed > usual + SURPRISE * math.sqrt(usual + 1)
+
+    def clutter_with(self, more: float) -> float:
+        """Return the false detections to expect in a record, if a further one has so many."""
+        return (self.clutter_sum + more) / (self.clutter_count + 1)
 
     def _estimate(self) -> None:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
@@ -131,7 +146,7 @@ class Hiding:
             share * min((1 - hid) * rest * (1 - stay) / max(one, 1e-12), 1.0)
             for share, hid, one in zip(sure, before, detectable, strict=True)
         ]
-        keep = KEEP if self.events > 10 * PRIOR_EVENTS else 1.0
+        keep = KEEP if self.events > EVENTS else 1.0
         self.events = self.events * keep + math.fsum(shown)
         self.hidden = self.hidden * keep + math.fsum([s * gap for s, gap in zip(shown, gaps, strict=True)])
         in_sight = [(share - s) * gap for share, s, gap in zip(sure, shown, gaps, strict=True)]
@@ -160,6 +175,7 @@ class Blindness:
         self.ever, self.tells, self.probability, self.left, self._odds = ever, tells, 0.0, 0.0, EMPTIED
         self.returned, self.emptied = 1.0, EMPTIED
         self._records = 0  # since it sees again, with 1 where it does not; 0: that is long ago
+        self._again = 0  # of these, in which known people are detected, from the first that it had lost
 
     def update(self, dt: float, ratio: float) -> None:
         """Take in that a record, dt s after the last one, is so much likelier if the sensor is not blind."""
@@ -168,6 +184,11 @@ class Blindness:
         rest, stay = BLIND / (BLIND + SIGHTED), math.exp(-(BLIND + SIGHTED) * dt)
         blind = rest + (self.probability - rest) * stay
         self.probability = blind / (blind + (1 - blind) * max(ratio, 1e-300))
+
+    def share(self, other: Blindness) -> None:
+        """Take in that another sensor has just lost everybody: what blinds that one may blind this one, too."""
+        if self.ever:
+            self.probability += (1 - self.probability) * COMMON * (1 - other.left)
 
     def empty(self, dt: float, leaving: float) -> None:
         """Weigh whether everybody left, after `update`.
@@ -182,8 +203,11 @@ class Blindness:
             self.left = 0.0
             self._records += self._records > 0
             if self._records > LOST:
-                self.emptied, self._records = self.emptied + 1, 0
+                back = self._again > 1  # one may be a false detection where somebody was
+                self.returned, self.emptied = self.returned + back, self.emptied + (not back)
+                self._records = 0
             return
+        self._records, self._again = min(self._records, 1), 0
         if self.left:
             self._odds = min(self._odds * math.exp(SIGHTED * min(dt, 100.0)), 1e9)
         elif self.probability < ONSET:
@@ -194,8 +218,8 @@ class Blindness:
 
     def learn(self, gaps: Sequence[float], dt: float) -> None:
         """Learn from people whom the sensor has detected again, n s after it did so last; dt: of its records."""
-        if self._records and any(gap > LOST * dt for gap in gaps):
-            self.returned, self._records = self.returned + 1, 0
+        if self._again or any(gap > LOST * dt for gap in gaps):
+            self._again += 1
 
 
 _LEARNT: dict[type, tuple[str, ...]] = {

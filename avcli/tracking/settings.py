@@ -58,8 +58,8 @@ class Settings:
         choices=("poisson", "adaptive"),
     )
     stay: float = setting(
-        40.0,
-        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 20 times sooner.",
+        70.0,
+        "Mean time, in s, that a person stays; with --doors walls, people who walk near a wall leave 35 times sooner.",
         unit="S",
         above=0.0,
         most=math.inf,

@@ -107,6 +107,10 @@ class UnseenMap:
         at = self._cells(positions)
         return self.entries.at(positions) * self.number[at] / np.maximum(self.area[at], 1e-9)
 
+    def due(self, scan: Scan) -> float:
+        """Return how many of them a record should show."""
+        return scan.p_newcomer * float((self.share[scan.column] * self.able[scan.column]).sum())
+
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
         at = self._cells(z)
