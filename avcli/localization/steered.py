@@ -72,6 +72,7 @@ class SteeredLocalizer:
             keep=settings.keep,
         )
         self.correlator = Correlator(array, self.band, self.response.half_lags, settings.beta)
+        self.health = Health(array, self.correlator, self.response)
         self.voices = VoiceMeter(array, self.band)
         self.talkers = TalkerSearch(array, settings, self.correlator, self.response)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
@@ -82,9 +83,9 @@ class SteeredLocalizer:
         self.reach = int(np.floor(settings.context / self.hop + 1e-9))
         self.offsets = np.arange(-self.reach, self.reach + 1) * self.hop
         self.gate = Gate(1.0 / self.hop)
-        self.health = Health(array, self.band, self.response)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
+        self.named: set[tuple[int, str]] = set()
         self._noise: NoiseLaw | None = None
 
     @property
@@ -174,13 +175,17 @@ class SteeredLocalizer:
             ]
             talkers = self.decide(time, together(sounding, self.health.out))
             features = self.voices.features(now, self.health.out, talkers)
-            noise = self.noise(1)
-            self.health.doubt(now, noise.deviation)
-            if talkers and talkers[0].score > 0.9:
-                notices += [str(fault) for fault in self.health.judge(now, talkers[0].position)]
-                if self.on_the_edge(talkers[0].position)[:2].any():
-                    notices.append("a source is on the edge of the room or outside it")
-        return Decision.of(time, talkers, notices, features)
+            self.health.examine(now, self.noise(1).deviation)
+            notices += self._news()
+            if talkers and talkers[0].score > 0.9 and self.on_the_edge(talkers[0].position)[:2].any():
+                notices.append("a source is on the edge of the room or outside it")
+        return Decision.of(time, talkers, notices, features, self.health.faults)
+
+    def _news(self) -> list[str]:
+        """Return a sentence about each fault of a channel that has not been named yet."""
+        new = [fault for fault in self.health.faults if (fault.channel, fault.kind) not in self.named]
+        self.named |= {(fault.channel, fault.kind) for fault in new}
+        return [str(fault) for fault in new]
 
     def noise(self, windows: float) -> NoiseLaw:
         """Return what so many windows of white noise, independent in each channel, do to the response."""
