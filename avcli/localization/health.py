@@ -31,8 +31,8 @@ MEMORY, RECENT = 30.0, 8
 STARTS, KEEP = 6, 48
 """Around how many places a window's hypotheses are compared, and how many cells the search for them keeps."""
 
-EARLIEST, AFTER, SELDOM = 6, 15, 10
-"""After so many windows without a doubt, one of so many is tested."""
+EARLIEST, AFTER, SELDOM = 4, 15, 10
+"""How many more windows doubt needs for a verdict; after how many without a doubt one of how many is tested."""
 
 LEVELLED, UNUSUAL_DB = 20, 12.0
 """After how many windows the levels are compared, and by how many dB a channel differs that is named."""
@@ -221,27 +221,28 @@ class Health:
         remedies, deaf = list[Remedy](), None
         for h in order:
             subset, turned = self.hypotheses[h]
-            if turned:
-                remedy = _turned_over(subset, len(good))
-                reached = self._reached(remedy, good, deviation)[0]
-                remedies.append(replace(remedy, gain=reached - healthy))
-                continue
             alone, places = self._left(subset, good, deviation)
-            lagged, usual = self._listened(subset, places, good)
-            if deaf is None or h == best_out:
-                deaf = subset if np.abs(lagged).max() < 0.35 * usual else ()
-            for remedy in self._remedies(subset, lagged):
-                fitted = self._improved(remedy, subset, good, deviation, healthy)
-                # Put right, every pair of the array agrees as well as those do that agreed without these channels.
-                left = good.sum() - len(subset)
-                share = DELAYED if fitted.delay.any() else WHOLE
-                if fitted.gain + healthy > share * alone * good.sum() * (good.sum() - 1) / (left * (left - 1)):
-                    remedies.append(fitted)
+            # Put right, every pair of the array agrees as well as those do that agreed without these channels.
+            left = good.sum() - len(subset)
+            whole = alone * good.sum() * (good.sum() - 1) / max(left * (left - 1), 1)
+            if turned:
+                over = _turned_over(subset, len(good))
+                found = [replace(over, gain=self._reached(over, good, deviation)[0] - healthy)]
+            else:
+                lagged, usual = self._listened(subset, places, good)
+                if deaf is None or h == best_out:
+                    deaf = subset if np.abs(lagged).max() < 0.35 * usual else ()
+                found = [
+                    self._improved(remedy, subset, good, deviation, healthy)
+                    for remedy in self._remedies(subset, lagged)
+                ]
+            shares = [DELAYED if remedy.delay.any() else WHOLE for remedy in found]
+            remedies += [one for one, share in zip(found, shares, strict=True) if one.gain + healthy > share * whole]
         best = self._chosen([remedy for remedy in remedies if remedy.gain > 2.0 * DOUBT], good, deviation, healthy)
         if best and (not best.delay.any() or (self.likely and _alike(best, self.likely))):
             self._apply(best)
         elif best:  # a delay is believed when other windows tell it again
-            self.likely, self.patience = best, RECENT
+            self.likely, self.patience = best, EARLIEST
         elif deaf and self.windows >= 2 * RECENT:
             self.faulty[list(deaf)] = True
             self._forget()

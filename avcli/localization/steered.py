@@ -276,7 +276,8 @@ class SteeredLocalizer:
         sharpness = self.law.sharpness / noise.deviation
         others = self.response.ambiguity(peak.gccs, offsets, peak.position, peak.velocity, sharpness)
         covariance = self.law.covariance(peak.normal, others, judged.features, low, high)
-        return covariance + uncertainty.beyond(self.on_the_edge(peak.position))
+        covariance = covariance + uncertainty.beyond(self.on_the_edge(peak.position))
+        return covariance + uncertainty.UNSURE_M**2 * np.eye(3) if self.health.doubted.any() else covariance
 
     def on_the_edge(self, position: np.ndarray) -> np.ndarray:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
