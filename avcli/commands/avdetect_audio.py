@@ -107,7 +107,9 @@ def main(
                     strict=True,
                 )
             ]
-            write({"timestamp": decision.time, "sensor": "audio", "kind": "microphones", "objects": objects})
+            faults = {"channel_faults": [fault.record() for fault in decision.faults]} if decision.faults else {}
+            named = {"timestamp": decision.time, "sensor": "audio", "kind": "microphones"}
+            write({**named, "objects": objects, **faults})
 
 
 def _with_first(first: Block, rest: Iterable[Block]) -> Iterator[Block]:

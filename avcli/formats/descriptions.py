@@ -169,6 +169,18 @@ GROUNDTRUTH = Format(
         }
     ),
 )
+FAULT = Object(
+    {
+        "channel": Key(bounds.CHANNELS, "the channel, from 1", required=True),
+        "fault": Key(
+            Choice(("late", "polarity", "swapped", "level", "unexplained")), "what is wrong with it", required=True
+        ),
+        "delay_s": Key(bounds.COORDINATE, "by which it is late, s"),
+        "microphone": Key(bounds.CHANNELS, "whose sound it carries, from 1"),
+        "level_db": Key(Number(), "its level over that of the median channel, dB"),
+        "corrected": Key(Boolean(), "whether the fault does no harm any more; else the channel is left out"),
+    }
+)
 LOCALIZATION = Format(
     "localization",
     "The detections of one sensor at one time (Listing .4 of the thesis, with more keys)",
@@ -179,6 +191,9 @@ LOCALIZATION = Format(
             "kind": Key(Choice(KINDS), 'kind of the sensor; if it is absent, "sensors" in config.json gives it'),
             "objects": Key(
                 _objects(DETECTION), "the detections; an empty list where the sensor found nothing", required=True
+            ),
+            "channel_faults": Key(
+                ListOf(FAULT), "what is known by then to be wrong with the microphones' channels", read=False
             ),
         }
     ),

@@ -10,6 +10,7 @@ from avcli.formats.experiment import Config
 from avcli.formats.features import Feature
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
+from avcli.localization.faults import Fault
 from avcli.numeric import SPEED_OF_SOUND_M_S, speed_of_sound
 
 
@@ -102,6 +103,7 @@ class Decision:
         notices: what was noticed about the channels, one sentence each.
         skipped: how many time steps before it were skipped, since the localizer was behind a live stream.
         features: name -> what tells these talkers from others.
+        faults: what is known to be wrong with the channels by then.
     """
 
     time: float
@@ -111,6 +113,7 @@ class Decision:
     notices: tuple[str, ...] = ()
     skipped: int = 0
     features: Mapping[str, Feature] = field(default_factory=dict)
+    faults: tuple[Fault, ...] = ()
 
     @classmethod
     def of(
@@ -119,6 +122,7 @@ class Decision:
         talkers: Sequence[Talker] = (),
         notices: Iterable[str] = (),
         features: Mapping[str, Feature] | None = None,
+        faults: tuple[Fault, ...] = (),
     ) -> "Decision":
         """Make a decision of the talkers that were found."""
         return cls(
@@ -128,6 +132,7 @@ class Decision:
             np.array([talker.score for talker in talkers], dtype=np.float64),
             tuple(notices),
             features=features or {},
+            faults=faults,
         )
 
     def detections(self, sensor: str = "audio") -> Detections:

@@ -127,13 +127,19 @@ class SteeredResponse:
         """Return each pair's GCC at the lag of a place (3,) m, (pairs,)."""
         return _cubic(gcc, self.lags(position[None]) + self.half_lags)[:, 0]
 
-    def search(self, gcc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,)."""
+    def search(self, gcc: np.ndarray, keep: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,).
+
+        Args:
+            gcc: (pairs, lags).
+            keep: how many cells go on to the next level; None: as many as usual.
+        """
+        keep = keep or self.keep
         ladder = self._ladder(gcc)
         centres, half = self.cells, self.half_cell
         bound = self.bound(ladder, self.coarse)
         for _ in range(self.levels):
-            best = np.argpartition(-bound, self.keep)[: self.keep] if len(bound) > self.keep else np.arange(len(bound))
+            best = np.argpartition(-bound, keep)[:keep] if len(bound) > keep else np.arange(len(bound))
             half = 0.5 * half
             centres = (centres[best][:, None, :] + self.children * (2.0 * half)).reshape(-1, 3)
             bound = self.bound(ladder, self._spans(centres, half))

@@ -15,6 +15,7 @@ from avcli.formats.features import Feature
 from avcli.localization import uncertainty
 from avcli.localization.array import Array, Decision, Talker, time_steps
 from avcli.localization.events import Gate
+from avcli.localization.health import Health
 from avcli.localization.memory import Memory, Trace, level_distance
 from avcli.localization.noise import NoiseLaw, draw_noise_law
 from avcli.localization.settings import SteeredSettings
@@ -22,7 +23,7 @@ from avcli.localization.srp import SteeredResponse
 from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.talkers import Peak, TalkerSearch
 from avcli.localization.voice import VoiceMeter
-from avcli.localization.windows import Ballot, Band, Correlator, Heard, Window, together
+from avcli.localization.windows import Band, Correlator, Heard, Window, together
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class SteeredLocalizer:
             keep=settings.keep,
         )
         self.correlator = Correlator(array, self.band, self.response.half_lags, settings.beta)
+        self.health = Health(array, self.correlator, self.response)
         self.voices = VoiceMeter(array, self.band)
         self.talkers = TalkerSearch(array, settings, self.correlator, self.response)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
@@ -81,9 +83,9 @@ class SteeredLocalizer:
         self.reach = int(np.floor(settings.context / self.hop + 1e-9))
         self.offsets = np.arange(-self.reach, self.reach + 1) * self.hop
         self.gate = Gate(1.0 / self.hop)
-        self.ballot = Ballot(self.response.first, self.response.second, len(array.microphones))
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
+        self.named: set[tuple[int, str]] = set()
         self._noise: NoiseLaw | None = None
 
     @property
@@ -136,13 +138,17 @@ class SteeredLocalizer:
         for index in range(next(reversed(windows), middle - self.reach - 1) + 1, middle + self.reach + 1):
             if self._place(index) + size > stream.end and not ended:
                 return False
-            windows[index] = self.sounding(self.correlator.correlate(*stream.window(self._place(index), size)))
+            windows[index] = self.sounding(self.heard(*stream.window(self._place(index), size)))
             stream.forget(self._place(index + 1))
         return True
 
     def _place(self, index: int) -> int:
         """Return the first sample of a window on the clock."""
         return round((index * self.hop + self.delay) * self.array.sample_rate) - self.band.size // 2
+
+    def heard(self, samples: np.ndarray, taper: np.ndarray) -> Window:
+        """Return what a window of samples (m, size) under a taper (size,) holds, its channels put right."""
+        return self.correlator.correlate(samples, taper, self.health.order, self.health.turn)
 
     def sounding(self, window: Window) -> Window:
         """Return the window, empty where it holds no more than the room's noise or a mere tone."""
@@ -167,15 +173,19 @@ class SteeredLocalizer:
                 for window, offset in zip(around, self.offsets.tolist(), strict=True)
                 if window is not None
             ]
-            talkers = self.decide(time, together(sounding, self.ballot))
-            features = self.voices.features(now, self.ballot.outvoted, talkers)
-            if talkers and talkers[0].score > 0.9:
-                value = self.response.at(now.gcc, talkers[0].position)
-                if value.mean() >= 3.0 * self.noise(1).location:
-                    notices += self.ballot.cast(value)
-                if self.on_the_edge(talkers[0].position)[:2].any():
-                    notices.append("a source is on the edge of the room or outside it")
-        return Decision.of(time, talkers, notices, features)
+            talkers = self.decide(time, together(sounding, self.health.out))
+            features = self.voices.features(now, self.health.out, talkers)
+            self.health.examine(now, self.noise(1).deviation)
+            notices += self._news()
+            if talkers and talkers[0].score > 0.9 and self.on_the_edge(talkers[0].position)[:2].any():
+                notices.append("a source is on the edge of the room or outside it")
+        return Decision.of(time, talkers, notices, features, self.health.faults)
+
+    def _news(self) -> list[str]:
+        """Return a sentence about each fault of a channel that has not been named yet."""
+        new = [fault for fault in self.health.faults if (fault.channel, fault.kind) not in self.named]
+        self.named |= {(fault.channel, fault.kind) for fault in new}
+        return [str(fault) for fault in new]
 
     def noise(self, windows: float) -> NoiseLaw:
         """Return what so many windows of white noise, independent in each channel, do to the response."""
@@ -266,7 +276,8 @@ class SteeredLocalizer:
         sharpness = self.law.sharpness / noise.deviation
         others = self.response.ambiguity(peak.gccs, offsets, peak.position, peak.velocity, sharpness)
         covariance = self.law.covariance(peak.normal, others, judged.features, low, high)
-        return covariance + uncertainty.beyond(self.on_the_edge(peak.position))
+        covariance = covariance + uncertainty.beyond(self.on_the_edge(peak.position))
+        return covariance + uncertainty.UNSURE_M**2 * np.eye(3) if self.health.doubted.any() else covariance
 
     def on_the_edge(self, position: np.ndarray) -> np.ndarray:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""

@@ -159,23 +159,11 @@ class TalkerSearch:
         places = position + velocity * offsets[:, None]
         ranges = np.linalg.norm(places[:, None] - self.array.microphones, axis=2)
         delays = (ranges - ranges.mean(axis=1, keepdims=True)) / self.array.speed_of_sound
-        steered = (spectra * self._turned(delays)).sum(axis=1)
+        steered = (spectra * self.correlator.band.turned(delays, self.array.sample_rate)).sum(axis=1)
         power = (spectra.real**2 + spectra.imag**2).sum(axis=1)
         excess = steered.real**2 + steered.imag**2 - power
         weight = self.correlator.band.weight
         return weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
-
-    def _turned(self, delays: np.ndarray) -> np.ndarray:
-        """Return by how much the band's bins turn in so many s (...), (..., bins) complex64.
-
-        A bin's turn is that of a multiple of 32 bins times that of the rest: fewer exponentials.
-        """
-        band = self.correlator.band
-        count = band.bins.stop - band.bins.start
-        turn = 2j * np.pi * self.array.sample_rate / band.size * delays[..., None]
-        far = np.exp(turn * (band.bins.start + 32 * np.arange(-(-count // 32)))).astype(np.complex64)
-        near = np.exp(turn * np.arange(32)).astype(np.complex64)
-        return (far[..., :, None] * near[..., None, :]).reshape(*delays.shape, -1)[..., :count]
 
     def fitted(
         self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray

@@ -15,6 +15,10 @@ import numpy as np
 FLOOR = 0.0005
 """m: the standard deviation that no localization undercuts."""
 
+UNSURE_M = 0.2
+"""m: what the standard deviation grows by while channels disagree and it is not known yet which of them are right: the
+places that such an array answers best were up to 0.45 m off."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),

@@ -46,6 +46,17 @@ class Band:
         # The lag step is as long as the band allows (2.75 steps a period of the highest frequency), whatever the rate.
         return cls(size, slice(first, last + 1), weight, fft_length(int(np.ceil(5.5 * last))) / size)
 
+    def turned(self, delays: np.ndarray, sample_rate: float) -> np.ndarray:
+        """Return by how much the band's bins turn in so many s (...), (..., bins) complex64.
+
+        A bin's turn is that of a multiple of 32 bins times that of the rest: fewer exponentials.
+        """
+        count = self.bins.stop - self.bins.start
+        turn = 2j * np.pi * sample_rate / self.size * delays[..., None]
+        far = np.exp(turn * (self.bins.start + 32 * np.arange(-(-count // 32)))).astype(np.complex64)
+        near = np.exp(turn * np.arange(32)).astype(np.complex64)
+        return (far[..., :, None] * near[..., None, :]).reshape(*delays.shape, -1)[..., :count]
+
 
 @dataclass(frozen=True)
 class Correlated:
@@ -125,8 +136,20 @@ class Correlator:
         weight = band.weight if weight is None else weight
         return correlation.gcc(whitened, band.bins, band.size, self.half_lags, band.oversampling, weight)
 
-    def correlate(self, samples: np.ndarray, taper: np.ndarray) -> Window:
-        """Correlate one window of samples (m, size) under a taper (size,)."""
+    def correlate(
+        self,
+        samples: np.ndarray,
+        taper: np.ndarray,
+        order: np.ndarray | None = None,
+        turn: np.ndarray | None = None,
+    ) -> Window:
+        """Correlate one window of samples (m, size) under a taper (size,).
+
+        Args:
+            samples, taper: of the window.
+            order: (m,) which channel is each microphone's; None: each its own.
+            turn: (m, bins) by which the spectra of the microphones are multiplied.
+        """
         peak = np.maximum(samples.max(axis=1), -samples.min(axis=1))
         broken, notices = np.zeros(len(samples), bool), list[str]()
         if not np.isfinite(peak).all():
@@ -140,12 +163,17 @@ class Correlator:
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
         dead = level <= 1e-6 * np.median(level)
-        good, found = _believed(samples, peak, dead, broken)
+        believed, found = _believed(samples, peak, dead, broken)
+        good = believed
+        if order is not None:
+            spectra, good = spectra[order], good[order]
+        if turn is not None:
+            spectra = spectra * turn
         whitened = correlation.whiten(spectra, self.beta)
         gcc = self.gcc(whitened)
         good, twins = self._without_twins(gcc, good)
         alive = not dead.all()
-        heard = (tapered[good if good.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
+        heard = (tapered[believed if believed.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
         size = self.band.size
         correlated = Correlated(
             gcc,
@@ -212,49 +240,6 @@ def _believed(
     return good, notices
 
 
-class Ballot:
-    """Lets the pairs vote about their channels wherever a place is clearly answered.
-
-    A channel that is late, that stands elsewhere, or that is swapped with another adds nothing where all others agree,
-    and one of wrong polarity takes away.
-
-    Args:
-        first, second: (pairs,) the microphones of each pair.
-        channels: how many there are.
-
-    Attributes:
-        outvoted: (channels,) bool, which are left out.
-    """
-
-    def __init__(self, first: np.ndarray, second: np.ndarray, channels: int):
-        self.first, self.second = first, second
-        self.outvoted = np.zeros(channels, bool)
-        self.votes = np.zeros(channels)
-        self.ballots = 0
-
-    def cast(self, value: np.ndarray) -> list[str]:
-        """Take each pair's GCC (pairs,) at such a place, and return a notice of each channel that is newly outvoted."""
-        channels = len(self.votes)
-        votes = np.bincount(self.first, value, channels) + np.bincount(self.second, value, channels)
-        self.votes = 0.95 * self.votes + votes
-        self.ballots += 1
-        if self.ballots < 5:
-            return []
-        usual = np.median(self.votes)
-        outvoted = self.votes < 0.1 * usual
-        new = np.flatnonzero(outvoted & ~self.outvoted)
-        if (~outvoted).sum() < max(4, 0.5 * channels):
-            return []
-        self.outvoted = outvoted
-        inverted = self.votes < -0.3 * usual
-        return [
-            f"channel {c + 1} has the wrong polarity and is left out"
-            if inverted[c]
-            else f"channel {c + 1} does not agree with the others (late, swapped, or elsewhere) and is left out"
-            for c in new
-        ]
-
-
 @dataclass(frozen=True)
 class Heard:
     """The windows around one moment in which something sounds, without the channels that are left out.
@@ -274,19 +259,20 @@ class Heard:
     count: float
 
 
-def together(windows: list[tuple[Correlated, float]], ballot: Ballot) -> Heard | None:
+def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard | None:
     """Put windows around one moment together, None where too few channels are left in any.
 
     Args:
         windows: each with its offset in s from the moment.
-        ballot: tells which channels are left out.
+        out: (m,) bool, which channels are left out.
     """
     gccs, spectra, shares, parts, offsets = [], [], [], [], []
+    first, second = correlation.pairs(len(out))
     for window, offset in windows:
-        good = window.good & ~ballot.outvoted
+        good = window.good & ~out
         if good.sum() < 4:
             continue
-        kept = good[ballot.first] & good[ballot.second]
+        kept = good[first] & good[second]
         whole = bool(good.all())
         gccs.append(window.gcc if whole else window.gcc * kept[:, None])
         spectra.append(window.whitened if whole else window.whitened * good[:, None])

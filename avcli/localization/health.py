@@ -1,0 +1,418 @@
+"""What is wrong with an array's channels: found from the talkers' own sound, named once, and put right where it can be.
+
+A healthy array agrees on where a talker is. Hypotheses about the channels (these are left out, those are of wrong
+polarity) are compared by how well the others agree on any place, window after window. Where leaving channels out helps
+much, they are listened to: steered to the places on which the others agree, a late channel correlates with their sum at
+its delay, and a channel that carries another microphone's sound does so after the two are exchanged. A correction is
+believed only if the whole array, so corrected, agrees much better than the array without the channels.
+"""
+
+from collections import deque
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from avcli.localization import correlation
+from avcli.localization.array import Array
+from avcli.localization.faults import Fault
+from avcli.localization.srp import SteeredResponse
+from avcli.localization.windows import Band, Correlated, Correlator
+
+LONGEST_S = 0.06
+"""s: the largest delay of a channel that is looked for."""
+
+TOLD_S = 0.0005
+"""s: the least delay that is told from a microphone that hangs up to 17 cm from where the config says."""
+
+MEMORY, RECENT = 30.0, 8
+"""How many windows of sound the evidence is of, and how many are listened to again for a verdict."""
+
+STARTS, KEEP = 6, 48
+"""Around how many places a window's hypotheses are compared, and how many cells the search for them keeps."""
+
+EARLIEST, AFTER, SELDOM = 4, 15, 10
+"""How many more windows doubt needs for a verdict; after how many without a doubt one of how many is tested."""
+
+LEVELLED, UNUSUAL_DB = 20, 12.0
+"""After how many windows the levels are compared, and by how many dB a channel differs that is named."""
+
+DOUBT, EACH = 40.0, 4.0
+"""By how much the log likelihood must rise to doubt channels, and by how much more for each of them."""
+
+CANDIDATES, RIVAL = 4, 0.75
+"""How many hypotheses of a kind are listened to, and the share of the best remedy's gain that makes another a rival."""
+
+WHOLE, DELAYED = 0.75, 0.95
+"""The share of the agreement of a healthy array that a corrected one must reach, and where delays were fitted to it."""
+
+PARAMETER = 30.0
+"""What a delay that is fitted costs of the log likelihood."""
+
+FEW = 12
+"""Up to how many channels two are doubted, or three and four turned over, at once; of more, one after another."""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A change of the channels that may put them right.
+
+    Attributes:
+        order: (m,) which channel is taken for each microphone, of those as they are now.
+        sign: (m,) by which it is multiplied.
+        delay: (m,) s by which it is late.
+        gain: of the log likelihood over the array as it is.
+    """
+
+    order: np.ndarray
+    sign: np.ndarray
+    delay: np.ndarray
+    gain: float = 0.0
+
+    @property
+    def changed(self) -> np.ndarray:
+        """Which microphones (m,) it changes."""
+        return (self.order != np.arange(len(self.order))) | (self.sign < 0.0) | (self.delay != 0.0)
+
+
+def _alike(one: Remedy, other: Remedy) -> bool:
+    """Tell whether two remedies do the same, to within 5 cm of path."""
+    same = (one.order == other.order).all() and (one.sign == other.sign).all()
+    return bool(same and (np.abs(one.delay - other.delay) < 0.00015).all())
+
+
+class Health:
+    """The state of an array's channels, and the evidence for it.
+
+    Args:
+        array: the microphones.
+        correlator, response: of the array.
+
+    Attributes:
+        order: (m,) which channel of the recording is taken for each microphone.
+        sign: (m,) by which that channel is multiplied.
+        delay: (m,) s by which it is late.
+        doubted: (m,) bool, which are left out as the latest windows have it.
+        held: (m,) bool, which are left out since several remedies would do.
+        faulty: (m,) bool, which are left out for good.
+        loud: (m,) dB, by how much the level of each is unusual; else 0.
+    """
+
+    def __init__(self, array: Array, correlator: Correlator, response: SteeredResponse):
+        self.array, self.correlator, self.response = array, correlator, response
+        self.band: Band = correlator.band
+        count = len(array.microphones)
+        self.order, self.sign, self.delay = np.arange(count), np.ones(count), np.zeros(count)
+        self.doubted, self.held, self.faulty = np.zeros((3, count), bool)
+        self.level, self.loud = np.zeros((2, count))
+        self.size = round(self.band.size * self.band.oversampling)
+        self.step = 1.0 / (array.sample_rate * self.band.oversampling)
+        self.reach = min(int(LONGEST_S / self.step), self.size // 2 - 2)
+        self.hypotheses = _hypotheses(count)
+        gains = np.ones((len(self.hypotheses), count))
+        for row, (subset, turned) in zip(gains, self.hypotheses, strict=True):
+            row[list(subset)] = -1.0 if turned else 0.0
+        self.weights = (gains[:, response.first] * gains[:, response.second]).T.astype(np.float32)
+        self.price = np.array([(DOUBT + EACH * len(subset)) * bool(subset) for subset, _ in self.hypotheses])
+        self._forget()
+
+    def _forget(self) -> None:
+        self.likelihood, self.windows = np.zeros(len(self.hypotheses)), 0
+        self.patience = self.waited = EARLIEST
+        self.recent: deque[Correlated] = deque(maxlen=RECENT)
+        self.likely: Remedy | None = None
+
+    @property
+    def out(self) -> np.ndarray:
+        """Which channels (m,) are left out."""
+        return self.doubted | self.held | self.faulty
+
+    @property
+    def turn(self) -> np.ndarray | None:
+        """By what the spectra (m, bins) of the ordered channels are multiplied; None where nothing is put right."""
+        if not self.delay.any() and (self.sign == 1.0).all():
+            return None
+        return self._turned(self.sign, self.delay)
+
+    def _turned(self, sign: np.ndarray, delay: np.ndarray) -> np.ndarray:
+        return (sign[:, None] * self.band.turned(delay, self.array.sample_rate)).astype(np.complex64)
+
+    def examine(self, window: Correlated, deviation: float) -> None:
+        """Test the channels in a window in which something sounds, and put right or leave out what is faulty.
+
+        The log likelihood of a hypothesis is half the square of its pairs' mean GCC over its standard deviation, at the
+        place where that is largest.
+
+        Args:
+            window: its channels are put right by what was found before.
+            deviation: of a GCC of noise.
+        """
+        self.windows += 1
+        self._weigh(window)
+        good = window.good & ~self.faulty
+        if good.sum() < 5 or (self.windows > AFTER and self.windows % SELDOM and not self.doubted.any()):
+            return
+        self.recent.append(window)
+        best = self._compared(window.gcc, good, deviation)
+        self.likelihood = (1.0 - 1.0 / MEMORY) * self.likelihood + 0.5 * best**2
+        gain = self.likelihood - self.likelihood[0] - self.price
+        gain[[not good[list(subset)].all() for subset, _ in self.hypotheses]] = -np.inf
+        chosen = int(np.argmax(gain))
+        subset, turned = self.hypotheses[chosen]
+        self.doubted[:] = False
+        self.doubted[list(subset)] = True
+        if not chosen or len(self.recent) < RECENT:
+            return
+        # To turn one half over is to turn the other half over.
+        halves = (set(subset), set(range(len(good))) - set(subset))
+        rest = [h for h, (other, _) in enumerate(self.hypotheses) if set(other) not in halves]
+        if turned and gain[chosen] > max(1.5 * gain[rest].max(), self.likelihood[0]):
+            self._apply(_turned_over(subset, len(good)))
+            return
+        self.patience -= 1
+        if self.patience == 0:
+            self.waited *= 2
+            self.patience = self.waited
+            self._diagnose(gain, deviation)
+
+    def _weigh(self, window: Correlated) -> None:
+        """Compare the channels' levels: the whitened spectra hide how quiet a channel is."""
+        power = (window.spectra.real**2 + window.spectra.imag**2).sum(axis=1, dtype=np.float64)
+        self.level = self.level + (10.0 * np.log10(np.maximum(power, 1e-30)) - self.level) / min(self.windows, MEMORY)
+        above = self.level - np.median(self.level)
+        if self.windows == LEVELLED:
+            self.loud = np.where((np.abs(above) > UNUSUAL_DB) & window.good, above, 0.0)
+
+    def _compared(self, gcc: np.ndarray, good: np.ndarray, deviation: float) -> np.ndarray:
+        """Return each hypothesis's mean GCC, in standard deviations of noise, where it is largest.
+
+        Args:
+            gcc: (pairs, lags).
+            good: (m,) bool, the channels that are used.
+            deviation: of a GCC of noise.
+        """
+        kept = good[self.response.first] & good[self.response.second]
+        weights = self.weights * kept[:, None]
+        clipped = np.minimum(gcc, 10.0 * deviation) * kept[:, None]
+        sums = [(self._values(clipped, at).T @ weights).max(axis=0) for at in self._around(clipped, deviation)]
+        scale = np.sqrt(np.maximum(np.abs(weights).sum(axis=0), 1.0)) * deviation
+        return np.maximum(np.max(sums, axis=0), 0.0) / scale
+
+    def _around(self, gcc: np.ndarray, deviation: float) -> list[np.ndarray]:
+        """Return the places (n, 3) m around each of those that many pairs answer, whatever the others say."""
+        response = self.response
+        starts = _apart(response.search(np.clip(gcc, 0.0, 7.0 * deviation), KEEP)[0], STARTS, 0.3)
+        return [np.clip(start + _LATTICE, response.low, response.high) for start in starts]
+
+    def _values(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return each pair's GCC at the lags of points (n, 3) m, (pairs, n)."""
+        lag = np.rint(self.response.lags(points)).astype(np.intp) + (self.response.rows + self.response.half_lags)
+        return gcc.ravel().take(lag)
+
+    def _diagnose(self, gain: np.ndarray, deviation: float) -> None:
+        """Listen to the channels of the likeliest hypotheses in the recent windows, and put right what is clear."""
+        gain = np.where(np.isfinite(gain), gain + self.price, 0.0)
+        kinds = np.array([-len(subset) if turned else len(subset) for subset, turned in self.hypotheses])
+        sizes = (kinds == 1, kinds == 2, kinds == 3, kinds < 0)
+        order = [h for kind in sizes for h in np.argsort(-gain * kind)[:CANDIDATES] if gain[h] * kind[h] > 0.0]
+        good = np.all([window.good for window in self.recent], axis=0) & ~self.faulty
+        healthy = self._reached(_turned_over((), len(good)), good, deviation)[0]
+        best_out = int(np.argmax(gain * (kinds > 0)))
+        remedies, deaf = list[Remedy](), None
+        for h in order:
+            subset, turned = self.hypotheses[h]
+            alone, places = self._left(subset, good, deviation)
+            # Put right, every pair of the array agrees as well as those do that agreed without these channels.
+            left = good.sum() - len(subset)
+            whole = alone * good.sum() * (good.sum() - 1) / max(left * (left - 1), 1)
+            if turned:
+                over = _turned_over(subset, len(good))
+                found = [replace(over, gain=self._reached(over, good, deviation)[0] - healthy)]
+            else:
+                lagged, usual = self._listened(subset, places, good)
+                if deaf is None or h == best_out:
+                    deaf = subset if np.abs(lagged).max() < 0.35 * usual else ()
+                found = [
+                    self._improved(remedy, subset, good, deviation, healthy)
+                    for remedy in self._remedies(subset, lagged)
+                ]
+            shares = [DELAYED if remedy.delay.any() else WHOLE for remedy in found]
+            remedies += [one for one, share in zip(found, shares, strict=True) if one.gain + healthy > share * whole]
+        best = self._chosen([remedy for remedy in remedies if remedy.gain > 2.0 * DOUBT], good, deviation, healthy)
+        if best and (not best.delay.any() or (self.likely and _alike(best, self.likely))):
+            self._apply(best)
+        elif best:  # a delay is believed when other windows tell it again
+            self.likely, self.patience = best, EARLIEST
+        elif deaf and self.windows >= 2 * RECENT:
+            self.faulty[list(deaf)] = True
+            self._forget()
+
+    def _chosen(self, remedies: list[Remedy], good: np.ndarray, deviation: float, healthy: float) -> Remedy | None:
+        """Return the remedy that is clearly the best, two of them where both are needed, or None."""
+        if not remedies:
+            return None
+        most = max(remedy.gain for remedy in remedies)
+        remedies = [remedy for remedy in remedies if remedy.gain > RIVAL * most]
+        best = min(remedies, key=lambda remedy: (np.count_nonzero(remedy.delay), remedy.changed.sum(), -remedy.gain))
+        # What changes more, and the same channels too, is the same story with more to fit.
+        rivals = [one for one in remedies if not _alike(one, best) and not one.changed[best.changed].all()]
+        for one in rivals:
+            if not (one.changed & best.changed).any():
+                both = Remedy(
+                    np.where(one.changed, one.order, best.order), one.sign * best.sign, one.delay + best.delay
+                )
+                if self._reached(both, good, deviation)[0] - healthy > 1.3 * best.gain:
+                    return both
+        if rivals and (good & ~self.held & ~best.changed).sum() >= 5:
+            self.held = self.held | best.changed
+        return None if rivals else best
+
+    def _improved(
+        self, remedy: Remedy, subset: tuple[int, ...], good: np.ndarray, deviation: float, healthy: float
+    ) -> Remedy:
+        """Return a remedy with its gain, its delays fitted again to the places that it leads to."""
+        reached, places = self._reached(remedy, good, deviation)
+        best = replace(remedy, gain=reached - healthy - PARAMETER * np.count_nonzero(remedy.delay))
+        for _ in range(2 * bool(remedy.delay.any())):
+            again = self._remedies(subset, self._listened(subset, places, good)[0])
+            if not again:
+                break
+            reached, places = self._reached(again[0], good, deviation)
+            gain = reached - healthy - PARAMETER * np.count_nonzero(again[0].delay)
+            if gain <= best.gain:
+                break
+            best = replace(again[0], gain=gain)
+        return best
+
+    def _reached(self, remedy: Remedy, good: np.ndarray, deviation: float) -> tuple[float, list[np.ndarray]]:
+        """Return the log likelihood of the recent windows, corrected, and the place (3,) m in each."""
+        good = good[remedy.order]
+        turn = self._turned(remedy.sign, remedy.delay)
+        fitted = [
+            self._best(self.correlator.gcc(window.whitened[remedy.order] * turn), good, deviation)
+            for window in self.recent
+        ]
+        return sum(0.5 * value**2 for value, _ in fitted), [place for _, place in fitted]
+
+    def _left(self, subset: tuple[int, ...], good: np.ndarray, deviation: float) -> tuple[float, list[np.ndarray]]:
+        """Return the log likelihood of the recent windows without some channels, and the place (3,) m in each."""
+        kept = good.copy()
+        kept[list(subset)] = False
+        fitted = [self._best(window.gcc, kept, deviation) for window in self.recent]
+        return sum(0.5 * value**2 for value, _ in fitted), [place for _, place in fitted]
+
+    def _listened(
+        self, subset: tuple[int, ...], places: list[np.ndarray], good: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """Return how some channels correlate with the sum of the others, steered to a place in each recent window.
+
+        Args:
+            subset: the channels.
+            places: (3,) m for each window.
+            good: (m,) bool, the channels that are used.
+
+        Returns:
+            (channels, lags) means, lags from -reach to reach, and the median of the others' own at lag 0.
+        """
+        members = good.copy()
+        members[list(subset)] = False
+        cross = np.zeros((len(good), len(self.band.weight)), np.complex64)
+        for window, place in zip(self.recent, places, strict=True):
+            ranges = np.linalg.norm(place - self.array.microphones, axis=1)
+            delays = (ranges - ranges.mean()) / self.array.speed_of_sound
+            aligned = window.whitened * self.band.turned(delays, self.array.sample_rate)
+            total = (aligned * members[:, None]).sum(axis=0)
+            cross += aligned * (total - aligned * members[:, None]).conj()
+        cross *= self.band.weight / self.band.weight.sum() / (members.sum() - members)[:, None]
+        usual = float(np.median(cross.real.sum(axis=1)[members]))
+        spectrum = np.zeros((len(subset), self.size // 2 + 1), np.complex64)
+        spectrum[:, self.band.bins] = 0.5 * self.size * cross[list(subset)]
+        lagged = np.fft.irfft(spectrum, self.size, axis=1)
+        return np.concatenate([lagged[:, -self.reach :], lagged[:, : self.reach + 1]], axis=1), usual
+
+    def _remedies(self, subset: tuple[int, ...], lagged: np.ndarray) -> list[Remedy]:
+        """Return what may put some channels right, given how they correlate with the others (channels, lags)."""
+        count = len(self.order)
+        same, sign, delay = np.arange(count), np.ones(count), np.zeros(count)
+        for c, row in zip(subset, lagged, strict=True):
+            at = int(np.clip(np.argmax(np.abs(row)), 1, len(row) - 2))
+            before, peak, after = (np.abs(row[at - 1 : at + 2]) if row[at] > 0.0 else -row[at - 1 : at + 2]).tolist()
+            offset = float(correlation.interpolate_peak(*(np.array(value) for value in (before, peak, after))))
+            late = (at + offset - self.reach) * self.step
+            sign[c] = 1.0 if row[at] > 0.0 else -1.0
+            delay[c] = late if abs(late) > TOLD_S else 0.0
+        found = [Remedy(same, sign, delay)]
+        found = [one for one in found if one.changed.sum() == len(subset)]
+        for pair in combinations(subset, 2):
+            swapped = same.copy()
+            swapped[list(pair)] = pair[::-1]
+            rest = ~np.isin(same, pair)
+            found.append(Remedy(swapped, np.where(rest, sign, 1.0), np.where(rest, delay, 0.0)))
+        fitted = (count - 4) // 2  # a place takes three of the differences, and as many are left to judge the delays
+        return [one for one in found if np.count_nonzero(one.delay) <= fitted]
+
+    def _best(self, gcc: np.ndarray, good: np.ndarray, deviation: float) -> tuple[float, np.ndarray]:
+        """Return the largest mean GCC of some channels, in standard deviations of noise, and its place (3,) m."""
+        kept = good[self.response.first] & good[self.response.second]
+        clipped = np.minimum(gcc, 10.0 * deviation) * kept[:, None]
+        start = self.response.search(clipped)[0][0]
+        place, _, value = self.response.follow(clipped[None], np.zeros(1), start, 0.0)
+        return float(value * len(kept) / (np.sqrt(max(kept.sum(), 1)) * deviation)), place
+
+    def _apply(self, remedy: Remedy) -> None:
+        """Put the channels right from now on."""
+        self.order = self.order[remedy.order]
+        self.sign = self.sign[remedy.order] * remedy.sign
+        self.delay = self.delay[remedy.order] + remedy.delay
+        self.doubted[:] = self.held[:] = False
+        self._forget()
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is known to be wrong, in the order of the microphones."""
+        found: list[Fault] = []
+        for c, channel in enumerate((self.order + 1).tolist()):
+            if self.order[c] != c:
+                found.append(Fault(channel, "swapped", microphone=c + 1))
+            if self.sign[c] < 0.0:
+                found.append(Fault(channel, "polarity"))
+            if self.delay[c]:
+                found.append(Fault(channel, "late", delay_s=float(self.delay[c])))
+            if self.faulty[c]:
+                found.append(Fault(channel, "unexplained", corrected=False))
+            if self.loud[c]:
+                found.append(Fault(channel, "level", level_db=float(self.loud[c])))
+        return tuple(found)
+
+
+def _turned_over(subset: tuple[int, ...], count: int) -> Remedy:
+    """Return the remedy that turns some of so many channels over."""
+    sign = np.ones(count)
+    sign[list(subset)] = -1.0
+    return Remedy(np.arange(count), sign, np.zeros(count))
+
+
+def _hypotheses(count: int) -> list[tuple[tuple[int, ...], bool]]:
+    """Return which of so many channels each hypothesis doubts, and whether it turns them over or leaves them out."""
+    largest_out = 3 if 7 <= count <= 8 else 2 if count <= FEW else 1
+    out = [subset for size in range(1, 1 + largest_out) for subset in combinations(range(count), size)]
+    largest = min(count // 2, 4 if count <= 8 else 2 if count <= FEW else 1)
+    over = [subset for size in range(1, largest + 1) for subset in combinations(range(count), size)]
+    kept = [(subset, False) for subset in out if count - len(subset) >= 4]
+    return [((), False), *kept, *[(subset, True) for subset in over]]
+
+
+_LEVEL = np.arange(-6, 7) * 0.025
+_LATTICE = np.array([[x, y, z] for x in _LEVEL for y in _LEVEL for z in np.arange(-3, 4) * 0.1])
+"""m: the places around a start at which hypotheses are compared."""
+
+
+def _apart(places: np.ndarray, count: int, distance: float) -> list[np.ndarray]:
+    """Return the first places (3,) m of (n, 3), no two of them nearer than a distance in m, so many at most."""
+    chosen: list[np.ndarray] = []
+    for place in places:
+        if all(np.linalg.norm(place - one) > distance for one in chosen):
+            chosen.append(place)
+            if len(chosen) == count:
+                break
+    return chosen

@@ -1,0 +1,92 @@
+"""Faulty channels: what is said of them, and that they make no talker who is not there."""
+
+import numpy as np
+import pytest
+from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
+
+from avcli.localization.array import Array
+from avcli.localization.settings import SteeredSettings
+from avcli.localization.steered import SteeredLocalizer
+from avcli.localization.stream import Block
+
+FS = 16000
+PLACE = np.array([1.4, 3.1, 1.55])
+
+
+@pytest.fixture(scope="module")
+def talk():
+    """3 s of one talker in a room that echoes a little, with noise 30 dB below."""
+    samples = heard(PLACE, voice(3.0, FS, np.random.default_rng(21)), FS, reflection=0.6, order=2)
+    return noisy(samples, 30, np.random.default_rng(22))
+
+
+def localize(samples, microphones=MICROPHONES):
+    localizer = SteeredLocalizer(Array(microphones, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
+    return list(localizer.localize([Block(samples)]))
+
+
+def late(samples, channel, count):
+    return np.column_stack([np.roll(x, count * (c == channel)) for c, x in enumerate(samples.T)])
+
+
+def turned(samples, *channels):
+    return samples * np.where(np.isin(np.arange(samples.shape[1]), channels), -1.0, 1.0)
+
+
+def check(decisions, expected):
+    """The faults are named, each once, and from then on there is one talker, at the right place."""
+    last = decisions[-1].faults
+    assert {(fault.channel, fault.kind) for fault in last} == expected
+    known = [d for d in decisions if len(d.faults) == len(last)]
+    assert len(known) >= 8
+    positions = np.concatenate([d.positions for d in known])
+    assert (np.hypot(*(positions - PLACE)[:, :2].T) < 0.1).mean() >= 0.95
+    assert len(positions) >= 0.9 * (len(known) - 3)
+    notices = [notice for d in decisions for notice in d.notices]
+    assert len(notices) == len(set(notices)) == len(last)
+    return last
+
+
+def test_two_channels_of_wrong_polarity(talk):
+    check(localize(turned(talk, 2, 5)), {(3, "polarity"), (6, "polarity")})
+
+
+def test_two_channels_that_are_exchanged(talk):
+    faults = check(localize(talk[:, [0, 3, 2, 1, 4, 5, 6, 7]]), {(4, "swapped"), (2, "swapped")})
+    assert {fault.channel: fault.microphone for fault in faults} == {2: 4, 4: 2}
+
+
+def test_a_late_channel_and_one_of_wrong_polarity(talk):
+    faults = check(localize(turned(late(talk, 1, 51), 4)), {(2, "late"), (5, "polarity")})
+    assert [fault.delay_s for fault in faults if fault.kind == "late"] == [pytest.approx(51 / FS, abs=2e-4)]
+
+
+def test_a_quiet_channel_is_named_and_does_no_harm(talk):
+    quiet = localize(talk * np.where(np.arange(8) == 6, 0.02, 1.0))
+    (fault,) = quiet[-1].faults
+    assert (fault.channel, fault.kind, fault.corrected) == (7, "level", True)
+    assert fault.level_db == pytest.approx(-34.0, abs=6.0)
+    assert str(fault) in [notice for d in quiet for notice in d.notices]
+
+
+def test_noise_alone_is_left_out(talk):
+    noise = np.random.default_rng(23).standard_normal(len(talk)) * talk.std()
+    decisions = localize(np.column_stack([talk[:, :3], noise, talk[:, 4:]]))
+    assert [(f.channel, f.kind, f.corrected) for f in decisions[-1].faults] == [(4, "unexplained", False)]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_microphones_that_hang_a_little_elsewhere_are_not_called_late(talk, seed):
+    moved = MICROPHONES + np.random.default_rng(seed).normal(0.0, 0.02, MICROPHONES.shape)
+    assert {fault.kind for fault in localize(talk, moved)[-1].faults} <= {"unexplained"}
+
+
+def test_a_healthy_array_in_a_room_with_echoes_and_noise_is_not_blamed():
+    samples = heard(PLACE, voice(2.0, FS, np.random.default_rng(24)), FS, reflection=0.8, order=3)
+    assert localize(noisy(samples, 12, np.random.default_rng(25)))[-1].faults == ()
+
+
+def test_faults_are_records_and_sentences(talk):
+    decision = localize(turned(talk, 2))[-1]
+    assert [fault.record() for fault in decision.faults] == [{"channel": 3, "fault": "polarity", "corrected": True}]
+    assert str(decision.faults[0]) == "channel 3 has the wrong polarity; this is corrected"
