@@ -313,3 +313,18 @@ def test_a_thin_edge_is_lit_alike_wherever_the_grid_of_the_light_falls(context):
 
     pictures = np.stack([drawn(shift) for shift in ((0, 0), (2, 2), (1, 3), (3, 1))])
     assert np.ptp(pictures, axis=0).max() < 20
+
+
+@pytest.mark.parametrize("camera", [WIDE_KB, DIVISION], ids=["wide", "division"])
+def test_no_part_of_a_cone_lies_outside_its_rectangle(camera, context):
+    standing = [{"waypoints": [{"position_m": at}]} for at in ([2.0, 2.3], [3.1, 1.2])]
+    scene = scene_of({**camera, "camera_position_m": [2.2, 1.8, 1.9]}, standing)
+    renderer = renderer_of(scene, context)
+    prepared = renderer.prepare(people.pose(scene.people, TIMES))
+    renderer.draw(prepared, 0)
+    seen = renderer.people_seen.read()
+    width, height = renderer.canvas.size
+    prepared._quads[np.isfinite(prepared._quads).all(-1)] = [0, 0, width, 0, 0, height]  # the whole picture
+    renderer._find(prepared.instances(0))
+    assert renderer.people_seen.read() == seen
+    assert np.frombuffer(seen, np.float32).any()

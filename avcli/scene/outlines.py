@@ -15,6 +15,9 @@ SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
 _SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
 _SHADOW_MARGIN_PX = 4.0
 _OUTLINE_MARGIN_PX = 1.5
+_BALLS = 0.0, 0.5, 1.0  # of a cone that are looked at, as fractions of its axis
+_SLACK = 1.04  # by which a ball's outline may be larger than the ellipse through four of its points
+_CONES_TOGETHER = 2048
 _SEAM = 3.7  # between the patterns of two people's clothes, so that no two are painted alike
 
 _SHEET_SAMPLES = 1 << 26  # of one picture of silhouettes, at most; a single larger one has a picture of its own
@@ -166,25 +169,44 @@ class Outlines:
 
         Both hold the outlines of balls along its axis, as the camera sees them: as cones of rays.
         """
-        ra, rb = self.bodies.ra, self.bodies.rb
         n, p = a.shape[:2]
-        points = np.empty((n, p, 4, 12, 3))
-        angles = np.arange(12) * np.pi / 6
+        rectangles, quads = np.empty((n, p, 4)), np.empty((n, p, 6))
+        together = max(1, _CONES_TOGETHER // max(p, 1))  # what fits into a processor's cache is many times faster
+        for first in range(0, n, together):
+            now = slice(first, first + together)
+            ovals = self._ovals(a[now].reshape(-1, 3), b[now].reshape(-1, 3))
+            rectangles[now], quads[now] = (
+                _rectangles(*ovals).reshape(-1, p, 4),
+                _parallelograms(*ovals).reshape(-1, p, 6),
+            )
+        return rectangles, quads
+
+    def _ovals(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The images of balls along the axes of m cones: middles (m, balls, 2) px, half diameters that are conjugate
+        (m, balls, 2, 2) px, and by how much they may be larger for the bending of the lens (m, balls) px.
+        """
+        lengths = np.tile(np.stack([self.bodies.ra, self.bodies.rb]), len(a) // max(len(self.bodies.ra), 1))
+        f = np.array(_BALLS)[:, None]
+        centre = a[:, None] * (1 - f) + b[:, None] * f
+        radius = lengths[0][:, None] * (1 - f[:, 0]) + lengths[1][:, None] * f[:, 0]
+        square = np.einsum("mbi,mbi->mb", centre, centre)
+        # A ball that holds the camera has no outline: it is left out, as NaN.
         with np.errstate(invalid="ignore", divide="ignore"):
-            for k, f in enumerate((0.0, 1 / 3, 2 / 3, 1.0)):
-                centre, radius = a + f * (b - a), ra + f * (rb - ra)
-                distance = np.linalg.norm(centre, axis=-1, keepdims=True)
-                direction = centre / distance
-                sine = radius[None, :, None] / distance
-                # A ball that holds the camera has no outline: it is left out, as NaN.
-                tangent = sine / np.sqrt(1 - sine**2) / np.cos(np.pi / 12)
-                u = np.cross(direction, np.where(np.abs(direction[..., :1]) < 0.8, [1.0, 0, 0], [0, 1.0, 0]))
-                u /= np.linalg.norm(u, axis=-1, keepdims=True)
-                v = np.cross(direction, u)
-                ring = np.cos(angles)[:, None] * u[..., None, :] + np.sin(angles)[:, None] * v[..., None, :]
-                points[:, :, k] = direction[..., None, :] + tangent[..., None] * ring
-        pixels = self.canvas.camera.lens.project_clamped(points.reshape(n * p, 48, 3)).reshape(n, p, 48, 2)
-        return bounds(pixels, _OUTLINE_MARGIN_PX), _parallelograms(pixels)
+            tangent = radius / np.sqrt(square - radius**2)
+            direction = centre / np.sqrt(square)[..., None]
+            x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+            upright = np.abs(x) < 0.8
+            u = np.where(upright[..., None], np.stack([0 * x, z, -y], -1), np.stack([-z, 0 * x, x], -1))
+            u *= (tangent / np.sqrt(np.einsum("mbi,mbi->mb", u, u)))[..., None]
+            v = np.stack(
+                [y * u[..., 2] - z * u[..., 1], z * u[..., 0] - x * u[..., 2], x * u[..., 1] - y * u[..., 0]], -1
+            )
+            points = np.stack([direction + u, direction - u, direction + v, direction - v], 2)
+            pixels = self.canvas.camera.lens.project_clamped(points.reshape(-1, 3)).reshape(*points.shape[:3], 2)
+        ends, others = pixels[:, :, ::2], pixels[:, :, 1::2]
+        middles, halves = 0.5 * (ends + others), 0.5 * (ends - others)
+        bent = np.linalg.norm(middles[:, :, 0] - middles[:, :, 1], axis=-1)
+        return middles.mean(2), halves, bent
 
     def _inside(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Rectangles of the cones cut to the picture, and which of them are not empty."""
@@ -203,19 +225,32 @@ class Outlines:
         )  # fmt: skip
 
 
-def _parallelograms(pixels: np.ndarray) -> np.ndarray:
-    """Origin and two edges (n, p, 6) of the parallelogram around each cone's pixels (n, p, 48, 2), along its axis."""
-    along = pixels[:, :, 36:].mean(2) - pixels[:, :, :12].mean(2)
+def _reach(halves: np.ndarray, bent: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """How far ovals (m, balls) reach along unit vectors (m, 1, 2), px: the projection of an ellipse, and a little more."""
+    across = np.einsum("mbki,mbi->mbk", halves, np.broadcast_to(way, (*bent.shape, 2)))
+    return _SLACK * np.sqrt(np.einsum("mbk,mbk->mb", across, across)) + bent + _OUTLINE_MARGIN_PX
+
+
+def _rectangles(middles: np.ndarray, halves: np.ndarray, bent: np.ndarray) -> np.ndarray:
+    """Rectangles (m, 4) in pixel edges around ovals; NaN where a ball holds the camera."""
+    reach = np.stack([_reach(halves, bent, np.eye(2)[k]) for k in (0, 1)], -1)
+    return np.concatenate([(middles - reach).min(1), (middles + reach).max(1)], -1) + 0.5
+
+
+def _parallelograms(middles: np.ndarray, halves: np.ndarray, bent: np.ndarray) -> np.ndarray:
+    """Origin and two edges (m, 6) of the rectangle around each cone's ovals, along its axis in the picture."""
+    along = middles[:, -1:] - middles[:, :1]
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     along = np.where(length > 1.0, along / np.maximum(length, 1e-9), [1.0, 0.0])
     across = np.stack([-along[..., 1], along[..., 0]], -1)
-    far, aside = np.sum(pixels * along[:, :, None], -1), np.sum(pixels * across[:, :, None], -1)
-    low_far = far.min(-1, keepdims=True) - _OUTLINE_MARGIN_PX
-    low_aside = aside.min(-1, keepdims=True) - _OUTLINE_MARGIN_PX
-    long = far.max(-1, keepdims=True) + _OUTLINE_MARGIN_PX - low_far
-    wide = aside.max(-1, keepdims=True) + _OUTLINE_MARGIN_PX - low_aside
-    origin = low_far * along + low_aside * across + 0.5
-    return np.concatenate([origin, long * along, wide * across], -1)
+    sides = []
+    for way in (along, across):
+        place, reach = np.sum(middles * way, -1), _reach(halves, bent, way)
+        sides.append(((place - reach).min(1, keepdims=True), (place + reach).max(1, keepdims=True)))
+    (near, far), (left, right) = sides
+    along, across = along[:, 0], across[:, 0]
+    origin = near * along + left * across + 0.5
+    return np.concatenate([origin, (far - near) * along, (right - left) * across], -1)
 
 
 def _packed(tiles: list[Tile], largest: int) -> list[tuple[tuple[int, int], list[Tile]]]:
