@@ -226,7 +226,7 @@ class Outlines:
 
 
 def _reach(halves: np.ndarray, bent: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """How far ovals (m, balls) reach along unit vectors (m, 1, 2), px: the projection of an ellipse, and a little more."""
+    """How far ovals (m, balls) reach along unit vectors (m, 1, 2), px: an ellipse's projection, and a little more."""
     across = np.einsum("mbki,mbi->mbk", halves, np.broadcast_to(way, (*bent.shape, 2)))
     return _SLACK * np.sqrt(np.einsum("mbk,mbk->mb", across, across)) + bent + _OUTLINE_MARGIN_PX
 
