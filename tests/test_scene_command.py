@@ -378,3 +378,51 @@ def test_the_samples_in_the_docstring_run():
     tried = doctest.testmod(film)
     assert tried.attempted
     assert not tried.failed
+
+
+def test_one_picture_of_the_two_can_be_asked_for(tmp_path):
+    both = simulate(tmp_path / "both", SMALL)
+    for wanted, other in (("rgb", "depth"), ("depth", "rgb")):
+        lines = simulate(tmp_path / wanted, SMALL, "--pictures", wanted)
+        exp = tmp_path / wanted / "exp"
+        assert not (exp / "video" / other).exists()
+        assert [line["objects"] for line in lines] == [line["objects"] for line in both]
+        for line, full in zip(lines, both, strict=True):
+            assert line["frame"] == {wanted: full["frame"][wanted]}
+            assert (exp / line["frame"][wanted]).read_bytes() == (
+                tmp_path / "both" / "exp" / full["frame"][wanted]
+            ).read_bytes()
+            assert records.frame(line).depth == line["frame"].get("depth")
+    assert ("background_depth" in json.loads((tmp_path / "rgb/exp/config.json").read_text())["camera_config"]) is False
+    found = run("avdetect-video", "--detector", "depth", "-C", exp, stdin=b"".join(map(records.encode, lines)))
+    assert found.returncode == 0, found.stderr
+    assert [len(records.decode(line)["objects"]) for line in found.stdout.splitlines()] == [1] * 4
+    result = run("avsim-scene", "s1", "-C", tmp_path / "no", "--pictures", "depth", "--jpeg", "80")
+    assert result.returncode == 2
+    assert "--jpeg" in result.stderr
+
+
+def test_what_does_not_change_is_neither_drawn_nor_encoded_again(tmp_path, monkeypatch):
+    from avcli.scene import load, output
+    from avcli.scene.settings import Drawing, Effects
+
+    encoded = []
+    encode = media.encode_png
+    monkeypatch.setattr(media, "encode_png", lambda picture: encoded.append(picture.shape) or encode(picture))
+    empty = load.build({**SMALL, "people": [], "duration_s": 2.0}, "empty")
+
+    def written(name, effects):
+        encoded.clear()
+        drawn = film.Film(empty, Drawing(), effects)
+        (tmp_path / name).mkdir()
+        lines = list(output.write(drawn, tmp_path / name, output.Files(), drawn._timing))
+        return drawn.account, [(tmp_path / name / line["frame"]["rgb"]).read_bytes() for line in lines]
+
+    account, files = written("clean", Effects())
+    assert (account.drawn, account.again) == (1, 20)
+    assert len(encoded) == 3  # colour, depth, and the depth of the empty room
+    assert len(files) == 21
+    assert len(set(files)) == 1
+    _, files = written("noisy", Effects(read_noise=2.0))
+    assert len(encoded) == 23  # every colour picture has noise of its own
+    assert len(set(files)) == 21

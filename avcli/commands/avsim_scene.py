@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from avcli.scene.worlds import Wishes
 
 PICTURES = ("frames", "masks", "coco", "sheet", *settings_of(Drawing), *settings_of(Effects))  # what only they need
+COLOUR = ("sheet", "samples", "shutter_s", *settings_of(Effects))  # what needs colour
 PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 
 
@@ -88,6 +89,8 @@ def main(session: Session, scenario: str, **options: Any) -> None:
     directory = session.experiment
     if options["no_video"]:
         refuse_without_effect(PICTURES, "with --no-video")
+    if options["pictures"] == "depth":
+        refuse_without_effect(COLOUR, "with --pictures depth")
     if directory.exists() and not directory.is_dir():
         session.usage(f"{directory}: not a directory")
     files = output.Files(options["frames"], options["masks"], options["coco"], options["sheet"])
@@ -98,6 +101,8 @@ def main(session: Session, scenario: str, **options: Any) -> None:
         with session.output() as write, contextlib.closing(records):
             for record in session.progress(records, len(scene.times)):
                 write(record)
+    if film.drawing:
+        session.note(film.account.text())
 
 
 def _film(session: Session, scene: Scenario, options: dict[str, Any]) -> Film:

@@ -47,9 +47,13 @@ class Outlines:
     Args:
         canvas: whose camera looks.
         bodies: at n times, p cones in all.
+        still_px: a person keeps the pose of an earlier time until a part of them has moved by more in the picture, px.
+
+    Attributes:
+        held: (n, people) index of the time whose pose each person has.
     """
 
-    def __init__(self, canvas: Canvas, bodies: Bodies) -> None:
+    def __init__(self, canvas: Canvas, bodies: Bodies, still_px: float = 0.0) -> None:
         self.canvas, self.bodies = canvas, bodies
         R, origin = canvas.T_camera_room[:3, :3], canvas.T_camera_room[:3, 3]
         a, b = bodies.a @ R.T + origin, bodies.b @ R.T + origin
@@ -65,12 +69,45 @@ class Outlines:
         self._a, self._b = swell(a), swell(b)
         self._axis, self._bulge = axis, bulge
         self._first = np.searchsorted(bodies.person, np.arange(bodies.balls.shape[1]))  # cone of each person
+        self._rectangles, self._quads, places = self._outline(a, b)
+        self.held = self._hold(places, still_px)
+        self._balls = bodies.balls
+        if (self.held != np.arange(len(bodies.times))[:, None]).any():
+            self._keep_poses()
         self._shadows = self._shadow_rectangles()
-        self._rectangles, self._quads = self._outline(a, b)
 
-    def instances(self, index: int) -> np.ndarray:
-        """Parallelogram and shape of each cone in the picture at one time, (m, 22)."""
-        _, inside = self._inside(index)
+    def _hold(self, places: np.ndarray, still_px: float) -> np.ndarray:
+        """Which time's pose each person has, (n, people), by the places (n, p, k, 2) px of their cones."""
+        n, people = places.shape[0], self.bodies.balls.shape[1]
+        held = np.zeros((n, people), int)
+        if not people:
+            return held
+        last = places[0].copy()
+        for index in range(1, n):
+            step = places[index] - last
+            far = np.einsum("pki,pki->pk", step, step).max(1)
+            appeared = np.isnan(last).any((1, 2)) != np.isnan(places[index]).any((1, 2))
+            moves = np.where(appeared, np.inf, np.nan_to_num(far, nan=0.0))
+            moved = np.maximum.reduceat(moves, self._first) > still_px**2
+            held[index] = np.where(moved, index, held[index - 1])
+            mine = moved[self.bodies.person]
+            last[mine] = places[index][mine]
+        return held
+
+    def _keep_poses(self) -> None:
+        """Give everybody the pose that they have at each time."""
+        cones = self.held[:, self.bodies.person], np.arange(len(self.bodies.person))
+        for name in ("_a", "_b", "_axis", "_front", "_middle", "_rectangles", "_quads"):
+            setattr(self, name, getattr(self, name)[cones])
+        self._balls = self._balls[self.held, np.arange(self.held.shape[1])]
+
+    def instances(self, index: int, tiles: np.ndarray | None = None) -> np.ndarray:
+        """Parallelogram and shape of each cone in the picture at one time, (m, 22); only of those that touch tiles."""
+        rectangles, inside = self._inside(index)
+        if tiles is not None:
+            total = np.pad(tiles.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+            x0, y0, x1, y1 = _tile_bounds(rectangles)
+            inside &= total[y1, x1] - total[y0, x1] - total[y1, x0] + total[y0, x0] > 0
         return np.hstack([self._quads[index], self._geometry(index)])[inside]
 
     def rows(self, index: int) -> np.ndarray:
@@ -89,7 +126,7 @@ class Outlines:
 
     def balls(self, index: int) -> np.ndarray:
         """The balls that cast soft shadows at one time, (people * 20, 4)."""
-        return self.bodies.balls[index].reshape(-1, 4)
+        return self._balls[index].reshape(-1, 4)
 
     def shadow_rectangles(self, index: int) -> np.ndarray:
         """Where each person darkens the room, in coarse pixels, and which balls are theirs: (people, 6)."""
@@ -99,25 +136,34 @@ class Outlines:
         rows = np.hstack([rectangles, first, first + each])
         return rows[np.isfinite(rows).all(1)]
 
-    def tiles(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Which tiles of the picture people touch at one time, and which their shadows, (rows, columns) bool each."""
+    def tiles(self, index: int, people: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which tiles of the picture some people (bool each) touch at one time, and which their shadows do.
+
+        Returns:
+            Two times (rows, columns) bool.
+        """
         width, height = self.canvas.size
         rectangles, inside = self._inside(index)
 
         def marked(group: np.ndarray) -> np.ndarray:
-            tiles = np.zeros((-(-height // TILE), -(-width // TILE)), bool)
-            for x0, y0, x1, y1 in (group / TILE).tolist():
-                tiles[int(y0) : int(np.ceil(y1)), int(x0) : int(np.ceil(x1))] = True
+            count = np.zeros((-(-height // TILE) + 1, -(-width // TILE) + 1), int)
+            x0, y0, x1, y1 = _tile_bounds(group)
+            for y, x, sign in ((y0, x0, 1), (y0, x1, -1), (y1, x0, -1), (y1, x1, 1)):
+                np.add.at(count, (y, x), sign)
+            tiles: np.ndarray = count.cumsum(0).cumsum(1)[:-1, :-1] > 0
             return tiles
 
-        return marked(rectangles[inside]), marked(clip(self._shadows[index], self.canvas.size))
+        # A shadow is drawn a sample farther, and mixed with the next sample.
+        reach = 2 * SHADOW_PITCH * np.array([-1, -1, 1, 1])
+        shadows = clip(self._shadows[index] + reach, self.canvas.size)[people]
+        return marked(rectangles[inside & people[self.bodies.person]]), marked(shadows)
 
-    def sheets(self, index: int) -> list[Sheet]:
-        """Lay out people's silhouettes at one time in rows, on as few pictures as this OpenGL can hold.
+    def sheets(self, index: int, people: np.ndarray) -> list[Sheet]:
+        """Lay out some people's silhouettes at one time in rows, on as few pictures as this OpenGL can hold.
 
         People of whom nothing can be drawn have no tile.
         """
-        packed = _packed(self._shape_boxes(index), self.canvas.largest)
+        packed = _packed([tile for tile in self._shape_boxes(index) if people[tile.person]], self.canvas.largest)
         return [Sheet(size, tiles, self._shape_instances(index, tiles)) for size, tiles in packed]
 
     def _shape_instances(self, index: int, tiles: list[Tile]) -> np.ndarray:
@@ -156,7 +202,7 @@ class Outlines:
 
     def _shadow_rectangles(self) -> np.ndarray:
         """Where in the picture a person darkens the room: around the place under them, (n, people, 4)."""
-        middle = self.bodies.balls[..., :2].mean(2)
+        middle = self._balls[..., :2].mean(2)
         turn = np.arange(16) * np.pi / 8
         ring = _SHADOW_REACH * np.stack([np.cos(turn), np.sin(turn)], -1)
         floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
@@ -164,22 +210,22 @@ class Outlines:
         pixels = self.canvas.camera.lens.project_clamped(floor @ T[:3, :3].T + T[:3, 3])
         return bounds(pixels, _SHADOW_MARGIN_PX)
 
-    def _outline(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _outline(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Around each cone in the picture: a rectangle (n, p, 4) and a parallelogram along its axis (n, p, 6).
 
-        Both hold the outlines of balls along its axis, as the camera sees them: as cones of rays.
+        Third are the places of balls along the axis (n, p, balls, 2) px. Rectangle and parallelogram hold the
+        outlines of these balls, as the camera sees them: as cones of rays.
         """
         n, p = a.shape[:2]
-        rectangles, quads = np.empty((n, p, 4)), np.empty((n, p, 6))
+        rectangles, quads, places = np.empty((n, p, 4)), np.empty((n, p, 6)), np.empty((n, p, len(_BALLS), 2))
         together = max(1, _CONES_TOGETHER // max(p, 1))  # what fits into a processor's cache is many times faster
         for first in range(0, n, together):
             now = slice(first, first + together)
             ovals = self._ovals(a[now].reshape(-1, 3), b[now].reshape(-1, 3))
-            rectangles[now], quads[now] = (
-                _rectangles(*ovals).reshape(-1, p, 4),
-                _parallelograms(*ovals).reshape(-1, p, 6),
-            )
-        return rectangles, quads
+            found = _rectangles(*ovals), _parallelograms(*ovals), ovals[0]
+            for whole, part in zip((rectangles, quads, places), found, strict=True):
+                whole[now] = part.reshape(whole[now].shape)
+        return rectangles, quads, places
 
     def _ovals(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The images of balls along the axes of m cones: middles (m, balls, 2) px, half diameters that are conjugate
@@ -223,6 +269,11 @@ class Outlines:
             ],
             1,
         )  # fmt: skip
+
+
+def _tile_bounds(rectangles: np.ndarray) -> np.ndarray:
+    """First and end column and row (4, m) of the tiles that rectangles (m, 4) px touch."""
+    return np.concatenate([rectangles[:, :2] // TILE, -(-rectangles[:, 2:] // TILE)], 1).astype(int).T
 
 
 def _reach(halves: np.ndarray, bent: np.ndarray, way: np.ndarray) -> np.ndarray:

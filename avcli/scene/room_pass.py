@@ -24,29 +24,37 @@ class RoomPicture(NamedTuple):
     colour: moderngl.Texture
 
 
-def draw_room(canvas: Canvas, solids: furniture.Solids) -> RoomPicture:
-    """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet."""
+def draw_room(canvas: Canvas, solids: furniture.Solids, *, colour: bool = True) -> RoomPicture:
+    """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet.
+
+    Args:
+        canvas: to draw with.
+        solids: the furniture.
+        colour: whether it is drawn; otherwise it is black.
+    """
     ctx, uniforms = canvas.ctx, canvas.surroundings
     table = canvas.table(_solid_rows(solids))
     found = _surfaces(canvas, solids, table)
+    picture = ctx.texture(canvas.size, 4)
+    if not colour:
+        return RoomPicture(found["seen"], found["surface"], picture)
     light = _light(canvas, solids, found)
-    colour = ctx.texture(canvas.size, 4)
     inputs = {**found, "light": light, "solids": table}
     shade = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_SHADE, **uniforms)
-    canvas.fill(shade, ctx.framebuffer([colour]), inputs)
+    canvas.fill(shade, ctx.framebuffer([picture]), inputs)
     if uniforms["samples"] > 1:
         marks = ctx.depth_renderbuffer(canvas.size)
         target = ctx.framebuffer(depth_attachment=marks)
         target.clear(depth=1.0)
         ctx.depth_func = "1"
         canvas.fill(canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_EDGES), target, found, depth=True)
-        target = ctx.framebuffer([colour], marks)
+        target = ctx.framebuffer([picture], marks)
         target.depth_mask = False
         ctx.depth_func = ">"
         smooth = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_SMOOTH, **uniforms, level=0.5)
         canvas.fill(smooth, target, inputs, depth=True)
         ctx.depth_func = "<"
-    return RoomPicture(found["seen"], found["surface"], colour)
+    return RoomPicture(found["seen"], found["surface"], picture)
 
 
 def _surfaces(canvas: Canvas, solids: furniture.Solids, table: moderngl.Texture) -> dict[str, moderngl.Texture]:

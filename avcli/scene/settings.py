@@ -31,6 +31,16 @@ class Drawing:
         "Bits of a depth pixel: 16 in steps of 0.1 mm, 8 in steps of 20 mm; longer steps where the room is larger.",
         choices=tuple(DEPTH_STEPS_M),
     )
+    pictures: str = setting(
+        "both", "Draw and write colour and depth, or one alone, which is quicker.", choices=("both", "rgb", "depth")
+    )
+    still_px: float = setting(
+        0.25,
+        "People keep their pose in the pictures until a part of them has moved by more than this; 0 draws every pose.",
+        unit="PX",
+        least=0.0,
+        flag="--still",
+    )
     shutter_s: float = setting(0.0, "Exposure time, s: motion blur.", unit="S", least=0.0, flag="--shutter")
 
     def depth_step_m(self, farthest: float) -> float:
