@@ -426,3 +426,48 @@ def test_what_does_not_change_is_neither_drawn_nor_encoded_again(tmp_path, monke
     _, files = written("noisy", Effects(read_noise=2.0))
     assert len(encoded) == 23  # every colour picture has noise of its own
     assert len(set(files)) == 21
+
+
+def test_a_sensor_is_a_set_of_effects_that_options_refine(tmp_path):
+    from avcli.scene.settings import Drawing, Effects, with_sensor
+
+    drawing, effects = with_sensor("ip-camera", Drawing(), Effects(jpeg_quality=95))
+    assert effects.jpeg_quality == 95
+    assert effects.time_stamp
+    assert drawing.shutter_s > 0
+    assert with_sensor("clean", Drawing(), Effects()) == (Drawing(), Effects())
+    pictures = {}
+    for name, scenario, options in (
+        ("clean", SMALL, []),
+        ("key", {**SMALL, "sensor": "webcam"}, []),
+        ("option", SMALL, ["--sensor", "webcam"]),
+        ("other", {**SMALL, "sensor": "webcam"}, ["--sensor", "clean"]),
+        ("stamp", SMALL, ["--time-stamp"]),
+    ):
+        line = simulate(tmp_path / name, scenario, *options)[2]
+        pictures[name] = media.read_rgb(tmp_path / name / "exp" / line["frame"]["rgb"]).astype(int)
+    assert (pictures["key"] == pictures["option"]).all()
+    assert (pictures["other"] == pictures["clean"]).all()
+    changed = (pictures["key"] != pictures["clean"]).any(-1)
+    assert changed.mean() > 0.5
+    assert np.abs(pictures["key"] - pictures["clean"]).mean() < 15
+    rows, columns = np.nonzero((pictures["stamp"] != pictures["clean"]).any(-1))
+    assert 0 < len(rows) < 3000
+    assert rows.max() < 20
+
+
+def test_blur_and_sharpening_change_the_finest_contrast():
+    from avcli.scene import sensor
+    from avcli.scene.settings import Effects
+
+    picture = np.full((64, 64, 3), 100, np.uint8)
+    picture[:, 32:] = 140
+    soft, sharp = (
+        sensor.expose(picture, effects, (32, 32), np.random.default_rng(0)).astype(int)
+        for effects in (Effects(blur_px=1.5), Effects(sharpening=1.0))
+    )
+    assert (np.diff(soft[30, :, 0]) >= 0).all()
+    assert np.diff(soft[30, :, 0]).max() < 20
+    assert sharp.max() > 145
+    assert sharp.min() < 95
+    assert (sharp[:, :20] == 100).all()

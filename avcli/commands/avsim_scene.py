@@ -11,7 +11,7 @@ import click
 
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
-from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, Drawing, Effects
+from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, SENSORS, Drawing, Effects
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
@@ -19,8 +19,16 @@ if TYPE_CHECKING:
     from avcli.scene.scenario import Scenario
     from avcli.scene.worlds import Wishes
 
-PICTURES = ("frames", "masks", "coco", "sheet", *settings_of(Drawing), *settings_of(Effects))  # what only they need
-COLOUR = ("sheet", "samples", "shutter_s", *settings_of(Effects))  # what needs colour
+PICTURES = (
+    "sensor",
+    "frames",
+    "masks",
+    "coco",
+    "sheet",
+    *settings_of(Drawing),
+    *settings_of(Effects),
+)  # what only they need
+COLOUR = ("sheet", "sensor", "samples", "shutter_s", *settings_of(Effects))  # what needs colour
 PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 
 
@@ -58,6 +66,12 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @click.option("--sheet", metavar="FILE", help="Write a contact sheet of twelve frames, a PNG.")
 @click.option("--gltf", metavar="FILE", help="Write the scene at its middle as binary glTF, for any viewer.")
 @from_settings(Drawing, "shutter_s")
+@click.option(
+    "--sensor",
+    type=click.Choice([*SENSORS]),
+    help="Take pictures like a webcam, an IP camera, or a perfect sensor (clean); the options below refine it. "
+    "Default: what the scenario says, else clean.",
+)
 @from_settings(Effects)
 @click.option("--print-scenario", is_flag=True, help="Print the scenario with every default filled in, and exit.")
 @click.option(
@@ -110,7 +124,10 @@ def _film(session: Session, scene: Scenario, options: dict[str, Any]) -> Film:
 
     drawing = None if options["no_video"] else settings_from(Drawing, options)
     try:
-        return film.Film(scene, drawing, settings_from(Effects, options), seed=session.seed, timing=session.timing)
+        return film.Film(
+            scene, drawing, settings_from(Effects, options), sensor_name=options["sensor"], seed=session.seed,
+            timing=session.timing,
+        )  # fmt: skip
     except render.NoGraphics as error:
         session.fail(str(error))
 

@@ -17,10 +17,11 @@ from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.scene import annotations, load, people, render, sensor, worlds
 from avcli.scene.scenario import Scenario
-from avcli.scene.settings import Drawing, Effects
+from avcli.scene.settings import Drawing, Effects, with_sensor
 
 _CHUNK = 100  # frames whose bodies are posed together: memory does not grow with the scene
-_SHUTTER_PICTURES = 8  # that are averaged while the shutter is open
+_SHUTTER_PICTURES = 8  # that are averaged while the shutter is open, at most
+_SHUTTER_STEP_PX = 1.0  # by which people move from one to the next; where they move by less, one is enough
 
 _SENSORS = {"audio": {"kind": MICROPHONES}, "video": {"kind": CAMERA}}
 """What avdetect-audio and avdetect-video call themselves in their records, for config.json."""
@@ -84,7 +85,8 @@ class Film:
     Args:
         scenario: what happens.
         drawing: how frames are drawn; None: nothing is drawn, the film is ground truth alone.
-        effects: what the sensor does to the pictures; None: nothing.
+        effects: what the sensor does to the pictures, beside what the sensor's name says; None: nothing.
+        sensor_name: one of `settings.SENSORS`; None: that of the scenario.
         seed: of the sensor's noise.
         timing: called with the name of each step, returns a context manager around it.
 
@@ -101,10 +103,14 @@ class Film:
         drawing: Drawing | None,
         effects: Effects | None = None,
         *,
+        sensor_name: str | None = None,
         seed: int = 0,
         timing: Timing = lambda step: contextlib.nullcontext(),
     ) -> None:
-        self.scenario, self.drawing, self.effects, self.seed = scenario, drawing, effects or Effects(), seed
+        self.scenario, self.seed = scenario, seed
+        self.drawing, self.effects = drawing, effects or Effects()
+        if drawing:
+            self.drawing, self.effects = with_sensor(sensor_name or scenario.sensor, drawing, self.effects)
         self._timing = timing
         self.account = Account()
         self._renderer: render.Renderer | None = None
@@ -162,7 +168,7 @@ class Film:
                 if rgb is not None:
                     with self._timing("sensor effects"):
                         lens = self.scenario.config.camera.lens
-                        rgb = sensor.expose(rgb, self.effects, (lens.cx, lens.cy), generator)
+                        rgb = sensor.expose(rgb, self.effects, (lens.cx, lens.cy), generator, time)
                 with self._timing("annotate"):
                     record = annotations.truth(self.scenario, bodies, index, picture)
                 yield Frame(time, record, picture, rgb)
@@ -171,7 +177,9 @@ class Film:
         """The mean light while the shutter is open: half its time before a frame's time, and half after."""
         instants = shutter * (np.arange(_SHUTTER_PICTURES) + 0.5) / _SHUTTER_PICTURES - shutter / 2
         prepared = renderer.prepare(people.pose(self.scenario.people, time + instants))
-        pictures = (renderer.draw(prepared, k).rgb for k in range(_SHUTTER_PICTURES))
+        count = int(np.clip(np.ceil(prepared.travel_px / _SHUTTER_STEP_PX), 1, _SHUTTER_PICTURES))
+        middles = ((np.arange(count) + 0.5) * _SHUTTER_PICTURES / count).astype(int)
+        pictures = (renderer.draw(prepared, k).rgb for k in middles.tolist())
         return sensor.blurred([picture for picture in pictures if picture is not None])
 
 
@@ -232,6 +240,7 @@ def simulate(
     camera_height: float | None = None,
     drawing: Drawing | None = None,
     effects: Effects | None = None,
+    sensor_name: str | None = None,
 ) -> Scene:
     """Simulate people who walk and talk in a room under a camera.
 
@@ -254,7 +263,8 @@ def simulate(
         camera_config: a camera_config (or an object that holds one) instead of the scenario's.
         camera_height: m, instead of the scenario's.
         drawing: samples per pixel, depth resolution, shutter; None: the defaults.
-        effects: what the sensor does to the pictures; None: nothing.
+        effects: what the sensor does to the pictures, beside what the sensor's name says; None: nothing.
+        sensor_name: "webcam", "ip-camera" or "clean"; None: that of the scenario.
 
     Returns:
         The scene: `config`, `truth`, `shots()`.
@@ -268,6 +278,6 @@ def simulate(
         scenario, seed=seed, people=people, wishes=wishes, duration=duration, camera=camera,
         camera_config=camera_config, camera_height=camera_height,
     )  # fmt: skip
-    film = Film(loaded, (drawing or Drawing()) if video else None, effects, seed=seed)
+    film = Film(loaded, (drawing or Drawing()) if video else None, effects, sensor_name=sensor_name, seed=seed)
     config = Config(film.config(background=video), loaded.name)
     return Scene(config, film.background, tuple(loaded.warnings), film)

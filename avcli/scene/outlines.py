@@ -51,6 +51,7 @@ class Outlines:
 
     Attributes:
         held: (n, people) index of the time whose pose each person has.
+        travel_px: how far people's parts move in the picture from the first time to the last, at most.
     """
 
     def __init__(self, canvas: Canvas, bodies: Bodies, still_px: float = 0.0) -> None:
@@ -70,6 +71,8 @@ class Outlines:
         self._axis, self._bulge = axis, bulge
         self._first = np.searchsorted(bodies.person, np.arange(bodies.balls.shape[1]))  # cone of each person
         self._rectangles, self._quads, places = self._outline(a, b)
+        way = places[-1] - places[0]
+        self.travel_px = float(np.sqrt(np.nan_to_num(np.einsum("pki,pki->pk", way, way)).max(initial=0.0)))
         self.held = self._hold(places, still_px)
         self._balls = bodies.balls
         if (self.held != np.arange(len(bodies.times))[:, None]).any():
