@@ -451,7 +451,7 @@ def test_a_sensor_is_a_set_of_effects_that_options_refine(tmp_path):
     changed = (pictures["key"] != pictures["clean"]).any(-1)
     assert changed.mean() > 0.5
     assert np.abs(pictures["key"] - pictures["clean"]).mean() < 15
-    rows, columns = np.nonzero((pictures["stamp"] != pictures["clean"]).any(-1))
+    rows, _ = np.nonzero((pictures["stamp"] != pictures["clean"]).any(-1))
     assert 0 < len(rows) < 3000
     assert rows.max() < 20
 
@@ -471,3 +471,49 @@ def test_blur_and_sharpening_change_the_finest_contrast():
     assert sharp.max() > 145
     assert sharp.min() < 95
     assert (sharp[:, :20] == 100).all()
+
+
+def test_an_empty_room_is_kept_for_the_next_run(tmp_path):
+    from avcli.scene import load
+    from avcli.scene.settings import Drawing
+
+    rooms = tmp_path / "avcli" / "rooms"
+
+    def frame(scenario, folder=rooms):
+        drawn = film.Film(load.build({**scenario, "duration_s": 0}, "room"), Drawing(), rooms=folder)
+        return next(drawn.frames()).rgb.tobytes(), drawn.cache.saved_s if drawn.cache else None
+
+    drawn, _ = frame(SMALL, None)
+    assert not rooms.exists()
+    assert frame(SMALL) == (drawn, 0)
+    (kept,) = rooms.iterdir()
+    again, saved = frame({**SMALL, "name": "other"})
+    assert again == drawn
+    assert saved > 0
+    frame({**SMALL, "furniture": [{"kind": "chair", "position_m": [1, 1]}]})
+    assert len(list(rooms.iterdir())) == 2
+    kept.write_bytes(b"no picture")
+    assert frame(SMALL) == (drawn, 0)
+    shutil.rmtree(rooms)
+    rooms.write_text("not a folder")
+    assert frame(SMALL) == (drawn, 0)
+    for options in ([], ["--no-cache"]):
+        env = {"XDG_CACHE_HOME": str(tmp_path / "home")}
+        command = ("avsim-scene", "-", "-v", "--duration", "0", *options)
+        result = run(*command, "-C", tmp_path / f"exp{len(options)}", stdin=json.dumps(SMALL), env=env)
+        assert result.returncode == 0, result.stderr
+        assert "drawn by" in result.stderr
+        assert (tmp_path / "home").exists()  # made by the first run
+
+
+def test_the_cache_of_rooms_is_bounded(tmp_path):
+    from avcli.scene import furniture, room_cache
+
+    noise = np.random.default_rng(0).integers(0, 256, (100, 100, 3), np.uint8)  # 30 kB each
+    for index in range(5):
+        cache = room_cache.RoomCache(tmp_path, index, furniture.join([]), most_bytes=100_000)
+        cache.store("GL", noise, 0.5)
+        os.utime(next(tmp_path.glob(f"{cache._key('GL')}.*")), (index, index))
+    left = [room_cache.RoomCache(tmp_path, k, furniture.join([])).load("GL", (100, 100)) is not None for k in range(5)]
+    assert left == [False, False, True, True, True]
+    assert room_cache.RoomCache(tmp_path, 4, furniture.join([])).load("another GL", (100, 100)) is None

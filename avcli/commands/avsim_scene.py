@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from avcli.scene.worlds import Wishes
 
 PICTURES = (
+    "no_cache",
     "sensor",
     "frames",
     "masks",
@@ -73,6 +74,9 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
     "Default: what the scenario says, else clean.",
 )
 @from_settings(Effects)
+@click.option(
+    "--no-cache", is_flag=True, help="Draw the empty room even if an earlier run kept it, and do not keep it."
+)
 @click.option("--print-scenario", is_flag=True, help="Print the scenario with every default filled in, and exit.")
 @click.option(
     "--force",
@@ -116,17 +120,20 @@ def main(session: Session, scenario: str, **options: Any) -> None:
             for record in session.progress(records, len(scene.times)):
                 write(record)
     if film.drawing:
+        session.note(f"drawn by {film.drawn_by}")
+        if film.cache and film.cache.saved_s:
+            session.note(f"the empty room is kept from an earlier run, in which it took {film.cache.saved_s:.2f} s")
         session.note(film.account.text())
 
 
 def _film(session: Session, scene: Scenario, options: dict[str, Any]) -> Film:
-    from avcli.scene import film, render
+    from avcli.scene import film, render, room_cache
 
     drawing = None if options["no_video"] else settings_from(Drawing, options)
     try:
         return film.Film(
             scene, drawing, settings_from(Effects, options), sensor_name=options["sensor"], seed=session.seed,
-            timing=session.timing,
+            rooms=None if options["no_cache"] else room_cache.folder(), timing=session.timing,
         )  # fmt: skip
     except render.NoGraphics as error:
         session.fail(str(error))

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -16,6 +17,7 @@ from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.scene import annotations, load, people, render, sensor, worlds
+from avcli.scene.room_cache import RoomCache
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects, with_sensor
 
@@ -88,10 +90,12 @@ class Film:
         effects: what the sensor does to the pictures, beside what the sensor's name says; None: nothing.
         sensor_name: one of `settings.SENSORS`; None: that of the scenario.
         seed: of the sensor's noise.
+        rooms: folder that keeps the colours of empty rooms for other runs (`room_cache.folder()`); None: none does.
         timing: called with the name of each step, returns a context manager around it.
 
     Attributes:
         account: of the frames that were drawn last.
+        cache: of the empty room; None without `rooms`.
 
     Raises:
         render.NoGraphics: this machine cannot draw.
@@ -105,6 +109,7 @@ class Film:
         *,
         sensor_name: str | None = None,
         seed: int = 0,
+        rooms: Path | None = None,
         timing: Timing = lambda step: contextlib.nullcontext(),
     ) -> None:
         self.scenario, self.seed = scenario, seed
@@ -113,19 +118,28 @@ class Film:
             self.drawing, self.effects = with_sensor(sensor_name or scenario.sensor, drawing, self.effects)
         self._timing = timing
         self.account = Account()
+        self.cache: RoomCache | None = None
         self._renderer: render.Renderer | None = None
         if drawing:
             camera, room = scenario.config.camera, scenario.config.room.dimensions
             step = drawing.depth_step_m(render.farthest(camera, room))
             with timing("open the renderer and draw the room"):
+                sections = [scenario.raw[key] for key in ("camera_config", "room_config", "furniture")]
+                self.cache = RoomCache(rooms, [*sections, drawing.samples], scenario.solids) if rooms else None
                 self._renderer = render.Renderer(
-                    camera, room, scenario.solids, step, drawing.samples, colour=drawing.pictures != "depth"
-                )
+                    camera, room, scenario.solids, step, drawing.samples,
+                    colour=drawing.pictures != "depth", cache=self.cache,
+                )  # fmt: skip
 
     @property
     def background(self) -> np.ndarray | None:
         """Depth of the empty room, (height, width) uint16 in steps; None where nothing is drawn."""
         return self._renderer.room_depth if self._renderer else None
+
+    @property
+    def drawn_by(self) -> str:
+        """Names of the OpenGL that draws; empty where nothing is drawn."""
+        return self._renderer.canvas.drawn_by if self._renderer else ""
 
     def config(self, *, background: bool) -> dict[str, Any]:
         """The config.json of the film: the scenario's sections, and what a reader of the frames has to know.

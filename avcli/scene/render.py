@@ -8,6 +8,7 @@ room, smooth the outlines.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from avcli.formats.experiment import Camera
 from avcli.scene import furniture, people, shaders
 from avcli.scene.canvas import Canvas, NoGraphics, farthest, open_context, put
 from avcli.scene.outlines import SHADOW_PITCH, SHAPE_PITCH, TILE, Outlines, Sheet
-from avcli.scene.room_pass import draw_room
+from avcli.scene.room_cache import RoomCache
+from avcli.scene.room_pass import RoomPicture, draw_room
 from avcli.scene.settings import Drawing
 
 if TYPE_CHECKING:
@@ -66,6 +68,7 @@ class Renderer:
         samples: colour samples per pixel at outlines.
         context: to share; None opens one.
         colour: whether colours are drawn; depth alone is quicker.
+        cache: keeps the colours of the empty room for another run; None: they are drawn.
 
     Attributes:
         drawn_share: sum over the frames of the share of the picture that was drawn for them.
@@ -89,11 +92,12 @@ class Renderer:
         context: moderngl.Context | None = None,
         *,
         colour: bool = True,
+        cache: RoomCache | None = None,
     ) -> None:
         self.depth_step, self.samples = depth_step or Drawing().depth_step_m(farthest(camera, room)), samples
         self.colour, self.drawn_share = colour, 0.0
         self.canvas = Canvas(camera, room, samples, context)
-        self.room_seen, self._room_surface, self._room_colour = draw_room(self.canvas, solids, colour=colour)
+        self.room_seen, self._room_surface, self._room_colour = self._room(solids, cache if colour else None)
         self._make_targets()
         self._make_programs()
         width, height = self.canvas.size
@@ -140,6 +144,18 @@ class Renderer:
         self._stale, self._outlines, self._index = (bodies, shadows), outlines, index
         self.drawn_share += (painted | dimmed).mean()
         return self._frame
+
+    def _room(self, solids: furniture.Solids, cache: RoomCache | None) -> RoomPicture:
+        """Draw the empty room, or take its colours from the cache."""
+        canvas, begin = self.canvas, perf_counter()
+        known = cache.load(canvas.drawn_by, canvas.size) if cache else None
+        picture = draw_room(canvas, solids, colour=self.colour and known is None)
+        if known is not None:
+            picture.colour.write(np.dstack([known, np.full(known.shape[:2], 255, np.uint8)]).tobytes())
+        elif cache:
+            pixels = np.frombuffer(picture.colour.read(), np.uint8).reshape(*canvas.size[::-1], 4)
+            cache.store(canvas.drawn_by, np.ascontiguousarray(pixels[..., :3]), perf_counter() - begin)
+        return picture
 
     def _make_targets(self) -> None:
         """What is drawn into: the cones that are seen, their paint, shadows, and the frame itself."""

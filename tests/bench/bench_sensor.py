@@ -8,8 +8,8 @@ Each folder of real pictures is one row. The presets of `avcli.scene.settings.SE
 
 All are medians over pictures of 640 px height, inside what the lens lights. Detail: standard deviation of the
 brightness less its blur of 2 px. Saturation: mean of HSV's, of 255. Noise: J. Immerkaer, "Fast noise variance
-estimation" (1996), in the flattest fifth of blocks of 16 px. Blocks: difference of columns at the edges of JPEG's blocks
-over the usual one. Clipped: percent of pixels at 250 or more. Edges: 99th percentile of the gradient.
+estimation" (1996), in the flattest fifth of blocks of 16 px. Blocks: difference of columns at the edges of JPEG's
+blocks over the usual one. Clipped: percent of pixels at 250 or more. Edges: 99th percentile of the gradient.
 """
 
 import argparse
