@@ -1,8 +1,8 @@
 """The colours of empty rooms that were drawn before, kept in the user's cache: drawing them is most of a short run.
 
 Each is a PNG that appears whole or not at all. Its name is a checksum of all that its pixels depend on, and the time
-that drawing took. When the folder is full, the rooms that were used longest ago go first. A fault of the cache is none of
-the run: what cannot be read is drawn, what cannot be written is not kept.
+that drawing took. When the folder is full, the rooms that were used longest ago go first. What cannot be read is drawn,
+and what cannot be written is not kept: a fault of the cache ends no run.
 """
 
 import contextlib
