@@ -144,7 +144,7 @@ class _FrameWriter:
     kind: str
     narrow: bool
     depth_too: bool
-    last: dict[str, tuple[np.ndarray, bytes]] = field(default_factory=dict)
+    last: dict[str, tuple[np.ndarray, list[bytes | memoryview]]] = field(default_factory=dict)
 
     def pictures(self, frame: Frame, masks: bool) -> dict[str, Picture]:
         """What is to be written of a frame, by its key in the record's "frame"."""
@@ -173,20 +173,23 @@ class _FrameWriter:
         """A depth picture in the bits that are written; 0 where it is too far for them."""
         return np.where(depth < 256, depth, 0).astype(np.uint8) if self.narrow else depth
 
-    def encoded(self, picture: np.ndarray, kind: str) -> bytes:
-        """The content of a picture's file."""
+    def encoded(self, picture: np.ndarray, kind: str) -> list[bytes | memoryview]:
+        """The parts of a picture's file; raw pixels are not copied."""
         picture = self.bits(picture) if picture.dtype == np.uint16 else picture
         if kind == "png":
-            return media.encode_png(picture)
-        stream = io.BytesIO()
-        np.save(stream, picture)
-        return stream.getvalue()
+            return [media.encode_png(picture)]
+        head = io.BytesIO()
+        picture = np.ascontiguousarray(picture)
+        np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(picture))
+        return [head.getvalue(), picture.data]
 
-    def write(self, name: str, content: bytes) -> None:
+    def write(self, name: str, content: list[bytes | memoryview]) -> None:
         """Write one file, whole or not at all."""
         path = self.directory / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        atomic.write_bytes(path, content)
+        with atomic.replacing(path) as temporary, open(temporary, "wb") as stream:
+            for part in content:
+                stream.write(part)
 
 
 class _Coco:
