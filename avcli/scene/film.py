@@ -23,7 +23,7 @@ from avcli.scene.settings import Drawing, Effects, with_sensor
 
 _CHUNK = 100  # frames whose bodies are posed together: memory does not grow with the scene
 _SHUTTER_PICTURES = 8  # that are averaged while the shutter is open, at most
-_SHUTTER_STEP_PX = 1.0  # by which people move from one to the next; where they move by less, one is enough
+_SHUTTER_STEP_PX = 3.0  # by which people move from one to the next; where they move by less, one is enough
 
 _SENSORS = {"audio": {"kind": MICROPHONES}, "video": {"kind": CAMERA}}
 """What avdetect-audio and avdetect-video call themselves in their records, for config.json."""

@@ -91,11 +91,11 @@ class Effects:
 SENSORS: dict[str, dict[str, Any]] = {
     "clean": {},
     "webcam": {
-        "shutter_s": 0.02, "exposure_ev": 0.15, "vignetting": 0.25, "aberration_px": 1.0, "full_well_e": 5000.0,
+        "shutter_s": 0.01, "exposure_ev": 0.15, "vignetting": 0.25, "aberration_px": 1.0, "full_well_e": 5000.0,
         "read_noise": 1.2, "blur_px": 0.8, "sharpening": 1.2, "jpeg_quality": 80,
     },
     "ip-camera": {
-        "shutter_s": 0.01, "vignetting": 0.15, "aberration_px": 0.5, "full_well_e": 8000.0, "read_noise": 1.0,
+        "shutter_s": 0.005, "vignetting": 0.15, "aberration_px": 0.5, "full_well_e": 8000.0, "read_noise": 1.0,
         "blur_px": 0.6, "sharpening": 0.7, "time_stamp": True, "jpeg_quality": 70,
     },
 }  # fmt: skip

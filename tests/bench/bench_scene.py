@@ -285,7 +285,8 @@ def table(rows: list[dict[str, Any]], renderer: str) -> str:
     heads = {
         "method": "method", "lens": "lens", "width": "width, px", "people": "people", "cpu_ms": "CPU ms a frame",
         "wall_ms": "wall ms", "pose_cpu_ms": "CPU ms to pose", "start_cpu_ms": "CPU ms to start",
-        "median_mm": "median error, mm", "p99.9_mm": "99.9 % error, mm", "wrong_percent": "wrong pixels, %", "megabytes": "MB",
+        "median_mm": "median error, mm", "p99.9_mm": "99.9 % error, mm", "wrong_percent": "wrong pixels, %",
+        "megabytes": "MB",
     }  # fmt: skip
     lines = [
         "# Run time and error of avsim-scene",
