@@ -10,6 +10,7 @@
 #: make bench-scene bench-sensor bench-audio bench-localization bench-detection bench-tracking bench-metrics bench-calibration
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
+#: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make setup-bench   the peers that some benchmarks compare with
 #: make fit-localization fit-voice fit-detection fit-looks fit-tracking     the coefficients of the stages, fitted again
 #:                    (minutes each; fit-voice needs recordings: FIT_FLAGS="--speech DIR")

@@ -1,5 +1,6 @@
 """What several stages compute: FFT lengths, the speed of sound, optimal assignment. It imports numpy alone."""
 
+import functools
 import math
 import sys
 from collections.abc import Callable
@@ -15,6 +16,7 @@ _WORK_WORTH_SCIPY = 3_000_000
 Assignment = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
+@functools.lru_cache(maxsize=64)
 def fft_length(least: int) -> int:
     """Return the smallest even length of at least `least` whose FFT is fast: 2^a 3^b 5^c with a > 0.
 

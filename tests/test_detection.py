@@ -333,6 +333,11 @@ def test_a_lying_person_is_placed_within_what_is_said(view, background):
     assert away @ np.linalg.solve(found.covariances[0], away) < 6.0
 
 
+def test_no_boxes_give_no_places(view):
+    found = locate_boxes(np.zeros((0, 4)), view)
+    assert (found.positions.shape, found.covariances.shape, found.seen.shape) == ((0, 2), (0, 2, 2), (0,))
+
+
 def test_rays_above_the_horizon_give_no_place():
     tilted = View(KannalaBrandt(300.0, 300.0, 320.0, 240.0), camera_pose([0, 0, 2.5], [0, 0, 0]), (640, 480))
     assert not locate_boxes(np.array([[300.0, 20.0, 340.0, 60.0]]), tilted).seen[0]

@@ -328,7 +328,7 @@ def test_another_camera_is_a_twin(tmp_path):
     assert media.read_rgb(tmp_path / "exp" / lines[0]["frame"]["rgb"]).shape == (60, 80, 3)
 
 
-@pytest.mark.parametrize("name", ["meeting", "wide-lens"])
+@pytest.mark.parametrize("name", ["materials", "meeting", "wide-lens"])
 def test_the_examples_are_scenarios(name):
     result = run("avsim-scene", ROOT / "examples" / "scenarios" / f"{name}.json", "--print-scenario")
     assert result.returncode == 0, result.stderr

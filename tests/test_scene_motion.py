@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from avcli.scene import people, scenario
 from avcli.scene.motion import Motion
+from avcli.scene.postures import POSTURES
 
 T = np.linspace(-1, 12, 1301)
 
@@ -155,3 +156,67 @@ def test_nobody_is_a_scene_too():
     bodies = people.pose([], np.arange(3.0))
     assert bodies.a.shape == (3, 0, 3)
     assert bodies.keypoints.shape == (3, 0, 17, 3)
+
+
+def joints(t=1.0, **person):
+    """The joints of one person who stays at (2, 2) and faces +y, by name: (3,) m."""
+    point = {"position_m": [2.0, 2.0], "heading_deg": 90, "stay_s": 9.0, "pose": person.pop("pose", "stand")}
+    scene = of({"look": "blue", "waypoints": [point], **person})
+    bodies = people.pose(scene.people, np.array([t]))
+    for array in (bodies.a, bodies.b, bodies.front, bodies.flat_axis, bodies.keypoints, bodies.balls):
+        assert np.isfinite(array).all()
+    return dict(zip(people.KEYPOINTS, bodies.keypoints[0, 0], strict=True))
+
+
+@pytest.mark.parametrize("pose", list(POSTURES))
+def test_in_every_posture_limbs_keep_their_length_and_left_is_left(pose):
+    k = joints(pose=pose)
+    for one, other, share in (("hip", "knee", 0.245), ("knee", "ankle", 0.246), ("shoulder", "elbow", 0.172)):
+        for side in ("left", "right"):
+            length = np.linalg.norm(k[f"{side}_{one}"] - k[f"{side}_{other}"])
+            assert length == pytest.approx(share * 1.75, rel=1e-6)
+    for joint in ("shoulder", "hip", "eye", "ear"):
+        assert k[f"left_{joint}"][0] < k[f"right_{joint}"][0], joint
+    hips, nose = k["left_hip"][2], k["nose"][2]
+    if POSTURES[pose].seated:
+        assert 0.45 < hips < 0.6
+        assert 0.85 < nose < 1.35
+    elif pose == "lie":
+        assert max(place[2] for place in k.values()) < 0.35
+        assert k["nose"][1] < 1.5 < k["left_hip"][1] < k["left_ankle"][1]
+    else:
+        assert hips < {"crouch": 0.45, "bend": 0.85}.get(pose, 0.95)
+        assert nose < {"crouch": 1.1, "bend": 1.1}.get(pose, 1.7)
+
+
+def test_hands_are_where_the_posture_needs_them():
+    for pose in ("table", "type", "write", "lean"):
+        for side in ("left", "right"):
+            wrist = joints(pose=pose)[f"{side}_wrist"]
+            assert 0.72 < wrist[2] < 0.86, pose
+            assert 0.25 < wrist[1] - 2.0 < 0.6, pose
+    box, none = joints(carries="box"), joints()
+    assert box["left_wrist"][2] > none["left_wrist"][2] + 0.1
+    assert joints(pose="raise")["right_wrist"][2] > 1.7
+
+
+def test_who_rolls_sits_and_does_not_step():
+    way = [{"position_m": [1.0, 2.0]}, {"position_m": [3.0, 2.0]}]
+    scene = of({"look": "blue", "wheelchair": True, "waypoints": way})
+    bodies = people.pose(scene.people, np.linspace(0.2, 1.8, 9))
+    k = dict(zip(people.KEYPOINTS, bodies.keypoints[:, 0].transpose(1, 0, 2), strict=True))
+    assert np.ptp(k["left_hip"][:, 2]) < 1e-9
+    ahead = k["left_ankle"][:, 0] - k["left_hip"][:, 0]
+    assert np.ptp(ahead) < 0.02
+    assert (ahead > 0.2).all()
+
+
+@pytest.mark.parametrize("height", [0.95, 1.2, 1.49, 1.5, 1.9])
+def test_children_have_larger_heads_and_about_their_stated_height(height):
+    scene = of({"look": "blue", "height_m": height, "waypoints": [{"position_m": [2.0, 2.0]}]})
+    bodies = people.pose(scene.people, np.array([1.0]))
+    top = np.maximum(bodies.a[..., 2] + bodies.ra, bodies.b[..., 2] + bodies.rb).max()
+    assert top == pytest.approx(height, rel=0.05)
+    ears = np.linalg.norm(bodies.keypoints[0, 0, 3] - bodies.keypoints[0, 0, 4]) / height
+    grown = 0.16 / 1.75
+    assert ears == pytest.approx(grown * (1 + 0.7 * max(1.5 - height, 0)), rel=1e-6)

@@ -64,7 +64,10 @@ def image_absorption(
 
 
 def image_rt60(
-    room_dimensions_m: ArrayLike, absorption: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+    room_dimensions_m: ArrayLike,
+    absorption: ArrayLike,
+    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
+    air: float = 0.0,
 ) -> float:
     """Return the reverberation time of image sources, s: T30 as the mean over places of source and microphone.
 
@@ -76,9 +79,12 @@ def image_rt60(
         room_dimensions_m: (3,) m.
         absorption: (6,) or a number, of energy, above 0 and below 1.
         speed_of_sound_m_s: m/s.
+        air: 1/m, the pressure also decays by exp(−air · d) on a way d.
     """
     longest = sabine_rt60(room_dimensions_m, absorption) * SPEED_OF_SOUND_M_S / speed_of_sound_m_s
-    return _Decay(room_dimensions_m, longest, speed_of_sound_m_s).time(absorption)
+    if air > 0:
+        longest = 1 / (1 / longest + 2 * air * speed_of_sound_m_s / (6 * np.log(10)))
+    return _Decay(room_dimensions_m, longest, speed_of_sound_m_s).time(absorption, air)
 
 
 class _Decay:
@@ -118,18 +124,16 @@ class _Decay:
         """Return the distances of the images of one pair of places within the reach, (n,), and their orders, (6, n)."""
         coefficients = np.ones(6)
         images = image_microphones(self._room, pair[1], coefficients, pair[0], self._reach)
-        n = np.rint((images.positions - images.mirrored * pair[1][:, None]) / (2 * self._room[:, None]))
-        orders = np.stack([np.abs(n - (images.mirrored < 0)), np.abs(n)], axis=1).reshape(6, -1)
-        return images.distances(pair[0]), orders
+        return images.distances(pair[0]), images.orders(self._room, pair[1])
 
-    def time(self, absorption: ArrayLike) -> float:
+    def time(self, absorption: ArrayLike, air: float = 0.0) -> float:
         """Return T30, s, the mean over pairs of places; see `image_rt60`."""
         lost = np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6))
         edges = np.linspace(0, self._end, 1500)
-        later = self._later(lost, np.maximum(edges, self._reach))
+        later = self._later(lost, air, np.maximum(edges, self._reach))
         times = []
         for distances, orders in self._pairs:
-            energy = np.exp(lost @ orders) / (4 * np.pi * distances) ** 2
+            energy = np.exp(lost @ orders - 2 * air * distances) / (4 * np.pi * distances) ** 2
             begun = np.bincount((distances / edges[1]).astype(int), energy, len(edges))[: len(edges)]
             level = 10 * np.log10(np.cumsum(begun[::-1])[::-1] + later)
             first, last = np.searchsorted(-level, [5 - level[0], 35 - level[0]])
@@ -140,7 +144,7 @@ class _Decay:
                 times.append(-60 / np.polyfit(seconds, level[first:last], 1)[0])
         return float(np.mean(times))
 
-    def _later(self, lost: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    def _later(self, lost: np.ndarray, air: float, distances: np.ndarray) -> np.ndarray:
         """Return the energy of all images beyond some distances, (n,), as a mean over places."""
         spectrum = np.ones(2 * CELLS + 1, complex)
         for (cells, *orders), of_walls in zip(self._axes, lost.reshape(3, 2), strict=True):
@@ -148,7 +152,9 @@ class _Decay:
             spectrum *= np.fft.rfft(np.bincount(cells, gains, CELLS), 4 * CELLS)
         squares = (np.arange(CELLS) + 1.5) / CELLS * self._end**2  # the floors of three numbers lose 1.5 on average
         energy = np.maximum(np.fft.irfft(spectrum, 4 * CELLS)[:CELLS], 0.0) / (16 * np.pi**2 * squares)
+        energy *= np.exp(-2 * air * np.sqrt(squares))
         beyond = np.append(np.cumsum(energy[::-1])[::-1], 0.0)
         rates, shares = decay_rates(self._room, np.exp(lost / 2), self._speed)
+        shares, rates = shares * rates / (rates + 2 * air * self._speed), rates + 2 * air * self._speed
         rest = np.sum(shares * np.exp(-rates * self._end / self._speed)) * self._speed / (4 * np.pi * self.volume)
         return np.interp(distances**2, np.append(squares, squares[-1] + squares[0] / 1.5), beyond) + rest

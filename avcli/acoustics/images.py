@@ -53,6 +53,16 @@ class Images:
             squares += difference
         return np.sqrt(squares, out=squares)
 
+    def orders(self, room_dimensions_m: np.ndarray, microphone_m: np.ndarray) -> np.ndarray:
+        """Return how often the sound of each has met each wall x0 x1 y0 y1 z0 z1, (6, n).
+
+        Args:
+            room_dimensions_m: (3,) m.
+            microphone_m: (3,) m, whose images they are.
+        """
+        around = np.rint((self.positions - self.mirrored * microphone_m[:, None]) / (2 * room_dimensions_m[:, None]))
+        return np.abs(np.stack([around - (self.mirrored < 0), around], axis=1)).reshape(6, -1)
+
     def moved(self, by_m: np.ndarray) -> "Images":
         """Return the images when the microphone has moved: each moves as it is mirrored.
 
@@ -261,11 +271,11 @@ class DelaySpectrum:
         nodes, weights = np.polynomial.legendre.leggauss(32 + 4 * width)
         cells = nodes * width / 2
         weights = weights * width / 2 * kernel(cells)
-        self._inverse = np.empty(self.bins)
-        for start in range(0, self.bins, self.ROWS):  # a long response has millions of bins
-            frequencies = np.arange(start, min(start + self.ROWS, self.bins)) / self._cells
-            transform = (np.cos(2 * np.pi * np.outer(frequencies, cells)) * weights).sum(axis=1)
-            self._inverse[start : start + self.ROWS] = 1 / transform
+        highest = max(self.bins - 1, 1) / self._cells
+        smooth = np.polynomial.Chebyshev.interpolate(
+            lambda f: (np.cos(2 * np.pi * np.outer(f, cells)) * weights).sum(axis=1), 16 + 4 * width, [0.0, highest]
+        )
+        self._inverse = 1 / smooth(np.arange(self.bins) / self._cells)
 
     def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the spectra of several sums, (m, bins) complex128.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.images import NEAREST_M
-from avcli.acoustics.responses import MARGIN, Responses
+from avcli.acoustics.responses import Responses
 from avcli.acoustics.sampling import Interpolation, Switching
 from avcli.acoustics.surroundings import Surroundings
 from avcli.acoustics.trajectory import KNOTS_AROUND, cubic, knot_velocity
@@ -36,6 +36,10 @@ class MovingSource:
         error_db: numerical error of a response, dB.
         heading: (3,) where the source looks until it moves.
         rng: draws the noise that continues the images, where the surroundings have it.
+
+    Attributes:
+        computed: responses that were computed for all its microphones.
+        passed: nodes of its path that were passed.
     """
 
     def __init__(
@@ -47,15 +51,14 @@ class MovingSource:
         heading: ArrayLike = (1.0, 0.0, 0.0),
         rng: np.random.Generator | None = None,
     ):
-        self._surroundings, self._nodes = surroundings, nodes
+        self._surroundings, self._nodes, self._margin = surroundings, nodes, surroundings.margin
         longest = surroundings.longest_delay
         window = int(nodes.window_s * surroundings.sample_rate_hz)
-        self._length = fft_length(longest + 2 * MARGIN + min(max(window, longest // 4), 4 * longest + 4096))
-        self._block = self._length - longest - 2 * MARGIN
+        self._length = fft_length(longest + 2 * self._margin + min(max(window, longest // 4), 4 * longest + 4096))
+        self._block = self._length - longest - 2 * self._margin
         self._responses = Responses(surroundings, self._length, band, error_db, rng, isinstance(nodes, Switching))
 
-        self._knots: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, position, dry signal since the last knot
-        self._next, self._velocity = 1, np.zeros(3)  # the knot to go to, and the velocity where the source is
+        self._way = Way(surroundings.sample_rate_hz)
         self._begin = 0  # the sample that the arrays below begin with
         self._dry, self._path = np.zeros(0), np.zeros(0)  # signal, and where on the path it was emitted, in nodes
         self._travelled = 0.0  # length of the path so far, in nodes
@@ -67,7 +70,8 @@ class MovingSource:
         self._pending_begin, self._pending = 0, np.zeros(0)
         self._pending_place: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # position, heading, microphones
         self._transfer: np.ndarray | None = None
-        self._heard_begin, self._heard = 0, np.zeros((len(surroundings.microphones_m), 0))
+        self._heard = Heard(len(surroundings.microphones_m), 0)
+        self.computed = self.passed = 0
 
     def move(self, time_s: float, position_m: ArrayLike, dry: ArrayLike = ()) -> None:
         """Go on to a position.
@@ -80,42 +84,30 @@ class MovingSource:
         Raises:
             ValueError: the time does not increase, or `dry` has another length.
         """
-        position, dry = np.array(position_m, dtype=float), np.asarray(dry, dtype=float)
-        rate = self._surroundings.sample_rate_hz
-        if not self._knots:
-            self._begin = self._heard_begin = first_sample(time_s, rate)
-            self._pending_begin = self._begin
-            self._heard_begin -= MARGIN
-        else:
-            before = self._knots[-1][0]
-            expected = first_sample(time_s, rate) - first_sample(before, rate)
-            if time_s <= before or len(dry) != expected:
-                raise ValueError(f"{len(dry)} samples from {before} s to {time_s} s, expected {expected}")
-        self._knots.append((time_s, position, dry))
-        if self._next + KNOTS_AROUND < len(self._knots):
-            self._go()
-            if self._next > KNOTS_AROUND:
-                del self._knots[0]
-                self._next -= 1
+        if self._way.time is None:
+            self._begin = self._pending_begin = first_sample(time_s, self._surroundings.sample_rate_hz)
+            self._heard = Heard(len(self._surroundings.microphones_m), self._begin - self._margin)
+        for part in self._way.to(time_s, position_m, dry):
+            self._go(part)
         self._render()
 
     def finish(self) -> None:
         """End the path at the last position; all that is heard of it is then settled."""
-        if len(self._knots) >= 2:
-            while self._next < len(self._knots):
-                self._go()
+        parts = self._way.end()
+        for part in parts:
+            self._go(part)
+        if parts:
             self._last = (
                 self._node - 1 if self._path.size == 0 else int(np.ceil(self._path[-1])) + self._nodes.half_width
             )
             self._render()
             self._convolve(len(self._pending))
-        self._knots = []
         self._last = -np.inf
 
     @property
     def settled(self) -> float:
         """The sample before which the sound does not change any more; infinite when all is settled."""
-        return np.inf if self._last == -np.inf else self._pending_begin - MARGIN
+        return np.inf if self._last == -np.inf else self._pending_begin - self._margin
 
     @property
     def bounded(self) -> bool:
@@ -125,35 +117,20 @@ class MovingSource:
     @property
     def exhausted(self) -> bool:
         """Whether all its sound at the microphones has been taken."""
-        return self._last == -np.inf and not self._heard.any()
+        return self._last == -np.inf and self._heard.empty
 
     def take(self, begin: int, end: int) -> np.ndarray:
         """Return and forget what is heard from sample `begin` to before `end`, (m, n); zeros where there is nothing."""
-        heard = np.zeros((len(self._heard), end - begin))
-        first, last = max(begin, self._heard_begin), min(end, self._heard_begin + self._heard.shape[1])
-        if last > first:
-            heard[:, first - begin : last - begin] = self._heard[
-                :, first - self._heard_begin : last - self._heard_begin
-            ]
-        drop = min(max(end - self._heard_begin, 0), self._heard.shape[1])
-        self._heard, self._heard_begin = self._heard[:, drop:], self._heard_begin + drop
-        return heard
+        return self._heard.take(begin, end)
 
-    def _go(self) -> None:
-        """Follow the path to the next knot, by a cubic with the velocities of a spline at its ends."""
-        knots, here = self._knots, self._next
-        ends = here == len(knots) - 1
-        (t0, p0, _), (t1, p1, dry) = knots[here - 1], knots[here]
-        told = np.array([knot[0] for knot in knots]), np.array([knot[1] for knot in knots])
-        before = knot_velocity(*told, 0) if here == 1 else self._velocity
-        self._velocity = knot_velocity(*told, here)
-        self._next += 1
-        cubic = _Cubic(t0, p0, before, t1, p1, self._velocity)
+    def _go(self, part: "Part") -> None:
+        """Note the nodes on the next part of the path."""
+        cubic, t0, t1 = part.cubic, part.cubic.t0, part.cubic.t1
         rate, nodes = self._surroundings.sample_rate_hz, self._nodes
         first = first_sample(t0, rate)
         times = np.arange(first, first_sample(t1, rate)) / rate
         if len(times) == 0:
-            if ends and self._places:
+            if part.ends and self._places:
                 beyond = self._beyond(self._travelled)
                 pace = float(self._nodes_a_second(cubic, np.array([t1]))[0])
                 self._add_nodes(cubic, beyond, first / rate + (beyond - self._travelled) / pace)
@@ -166,24 +143,24 @@ class MovingSource:
         if not self._places:
             crossed = np.concatenate([np.arange(1 - nodes.half_width, 0), crossed])
             at = np.concatenate([times[0] + np.arange(1 - nodes.half_width, 0) / (steps[0] * rate), at])
-        if ends:
+        if part.ends:
             beyond = self._beyond(path[-1])
             crossed = np.concatenate([crossed, beyond])
             at = np.concatenate([at, times[-1] + (beyond - path[-2]) / (steps[-1] * rate)])
         self._add_nodes(cubic, crossed, at)
         self._travelled = float(path[-1])
-        self._dry, self._path = np.append(self._dry, dry), np.append(self._path, path[:-1])
+        self._dry, self._path = np.append(self._dry, part.dry), np.append(self._path, path[:-1])
 
-    def _nodes_a_second(self, cubic: "_Cubic", times: np.ndarray) -> np.ndarray:
+    def _nodes_a_second(self, cubic: "Cubic", times: np.ndarray) -> np.ndarray:
         """Return how many nodes a second the source passes at times on a part of its path, (n,)."""
         surroundings = self._surroundings
-        speeds = np.sqrt((cubic.velocity(times) ** 2).sum(axis=1))
+        speeds = cubic.speed(times)
         heard_s = surroundings.longest_delay / surroundings.sample_rate_hz
         receding = surroundings.fastest_microphone(cubic.t0, cubic.t1 + heard_s)
         speeds = (speeds + receding) / (1 - receding / surroundings.speed_of_sound_m_s)
         return self._nodes.nodes_a_second(speeds, self._nearest(cubic, times))
 
-    def _nearest(self, cubic: "_Cubic", times: np.ndarray) -> np.ndarray:
+    def _nearest(self, cubic: "Cubic", times: np.ndarray) -> np.ndarray:
         """Return the distance of the nearest microphone at times on a part of the path, (n,) m, found every 0.5 ms."""
         every = max(1, int(0.0005 * self._surroundings.sample_rate_hz))
         moments = np.append(times[::every], times[-1])
@@ -195,13 +172,12 @@ class MovingSource:
         """Return the nodes after the end of the path, on which its last samples are interpolated."""
         return np.arange(np.ceil(end), np.ceil(end) + self._nodes.half_width + 1, dtype=int)
 
-    def _add_nodes(self, cubic: "_Cubic", nodes: np.ndarray, at: np.ndarray) -> None:
+    def _add_nodes(self, cubic: "Cubic", nodes: np.ndarray, at: np.ndarray) -> None:
         """Note where the source is at nodes, and how it looks there; the path goes straight on beyond its ends."""
-        for node, time, position, moving in zip(nodes, at, cubic.position(at), cubic.velocity(at), strict=True):
-            level = moving * (1.0, 1.0, 0.0)
-            if (length := np.linalg.norm(level)) > 0.05:
-                self._heading = level / length
-            self._places[int(node)] = (position, self._heading, time)
+        looks = headings(cubic.velocity(at), self._heading)
+        for node, time, position, heading in zip(nodes, at, cubic.position(at), looks, strict=True):
+            self._heading = heading
+            self._places[int(node)] = (position, heading, time)
 
     def _render(self) -> None:
         nodes = self._nodes
@@ -234,6 +210,7 @@ class MovingSource:
                 complete -= self._block
             self._dry, self._path, self._begin = self._dry[reached:], self._path[reached:], self._begin + reached
             self._node += 1
+            self.passed += 1
 
     def _convolve(self, count: int) -> None:
         """Send the first `count` pending samples through the room."""
@@ -245,11 +222,11 @@ class MovingSource:
             if self._transfer is None:
                 assert self._pending_place is not None  # pending sound has a position
                 self._transfer = self._responses.at(*self._pending_place)
+                self.computed += 1
             emitted = np.fft.rfft(block, self._length)[: self._responses.bins]
-            begin = self._pending_begin + start - MARGIN - self._heard_begin
-            end = begin + len(block) + self._surroundings.longest_delay + 2 * MARGIN
-            self._heard = _lengthened(self._heard, end)
-            self._heard[:, begin:end] += np.fft.irfft(emitted * self._transfer, self._length)[:, : end - begin]
+            count_heard = len(block) + self._surroundings.longest_delay + 2 * self._margin
+            sound = np.fft.irfft(emitted * self._transfer, self._length)[:, :count_heard]
+            self._heard.add(slice(None), self._pending_begin + start - self._margin, sound)
         self._pending, self._pending_begin = self._pending[count:], self._pending_begin + count
 
 
@@ -258,17 +235,126 @@ def first_sample(time_s: float, sample_rate_hz: float) -> int:
     return int(np.ceil(time_s * sample_rate_hz - 1e-4))
 
 
-def _lengthened(array: np.ndarray, length: int) -> np.ndarray:
-    """Return the array with zeros after it, and some to spare, so that it need not be copied each time."""
-    if length <= array.shape[-1]:
-        return array
-    return np.concatenate(
-        [array, np.zeros((*array.shape[:-1], max(length, 4096) + length // 2 - array.shape[-1]))], axis=-1
-    )
+def headings(velocities_m_s: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return where a person looks who moves so, (n, 3) unit vectors: ahead, and while standing where they looked last.
+
+    Args:
+        velocities_m_s: (n, 3) m/s.
+        before: (3,) where the person looked before.
+    """
+    level = velocities_m_s * (1.0, 1.0, 0.0)
+    speeds = np.linalg.norm(level, axis=1)
+    walks = speeds > 0.05
+    looks = np.concatenate([before[None], level / np.where(walks, speeds, 1.0)[:, None]])
+    latest = np.maximum.accumulate(np.where(walks, np.arange(1, len(walks) + 1), 0))
+    return looks[latest]
+
+
+class Heard:
+    """Sound at microphones that is being added up and taken from its beginning.
+
+    Args:
+        rows: number of microphones.
+        begin: the first sample.
+    """
+
+    def __init__(self, rows: int, begin: int):
+        self._begin, self._sound = begin, np.zeros((rows, 0))
+
+    @property
+    def empty(self) -> bool:
+        """Whether no sound is left."""
+        return not self._sound.any()
+
+    def add(self, rows: slice | int, begin: int, sound: np.ndarray) -> None:
+        """Add sound, (…, n), at some microphones from a sample on, which has not been taken."""
+        end = begin - self._begin + sound.shape[-1]
+        if end > self._sound.shape[1]:  # with some to spare, so that it need not be copied each time
+            spare = max(end, 4096) + end // 2 - self._sound.shape[1]
+            self._sound = np.concatenate([self._sound, np.zeros((len(self._sound), spare))], axis=1)
+        self._sound[rows, begin - self._begin : end] += sound
+
+    def take(self, begin: int, end: int) -> np.ndarray:
+        """Return and forget the sound from sample `begin` to before `end`, (rows, n); zeros where there is nothing."""
+        taken = np.zeros((len(self._sound), end - begin))
+        first, last = max(begin, self._begin), min(end, self._begin + self._sound.shape[1])
+        if last > first:
+            taken[:, first - begin : last - begin] = self._sound[:, first - self._begin : last - self._begin]
+        drop = min(max(end - self._begin, 0), self._sound.shape[1])
+        self._sound, self._begin = self._sound[:, drop:], self._begin + drop
+        return taken
 
 
 @dataclass(frozen=True)
-class _Cubic:
+class Part:
+    """A part of a path between two positions that were told, and the signal emitted on it.
+
+    Attributes:
+        cubic: where it goes.
+        dry: (n,) samples from its beginning to before its end.
+        ends: whether the path ends with it.
+    """
+
+    cubic: "Cubic"
+    dry: np.ndarray
+    ends: bool
+
+
+class Way:
+    """A path that is told position by position, as parts with the velocities of a spline at their ends.
+
+    Args:
+        sample_rate_hz: Hz.
+
+    Attributes:
+        time: the last time that was told, s; None before the first.
+    """
+
+    def __init__(self, sample_rate_hz: float):
+        self._rate = sample_rate_hz
+        self._knots: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, position, dry signal since the last knot
+        self._next, self._velocity = 1, np.zeros(3)  # the knot to go to, and the velocity at the one before
+        self.time: float | None = None
+
+    def to(self, time_s: float, position_m: ArrayLike, dry: ArrayLike) -> list[Part]:
+        """Take the next position; return the parts, none or one, that do not change any more.
+
+        Raises:
+            ValueError: the time does not increase, or `dry` has another length than its samples since the last.
+        """
+        dry = np.asarray(dry, dtype=float)
+        if self.time is not None:
+            expected = first_sample(time_s, self._rate) - first_sample(self.time, self._rate)
+            if time_s <= self.time or len(dry) != expected:
+                raise ValueError(f"{len(dry)} samples from {self.time} s to {time_s} s, expected {expected}")
+        self.time = time_s
+        self._knots.append((time_s, np.array(position_m, dtype=float), dry))
+        if self._next + KNOTS_AROUND >= len(self._knots):
+            return []
+        part = self._part()
+        if self._next > KNOTS_AROUND:
+            del self._knots[0]
+            self._next -= 1
+        return [part]
+
+    def end(self) -> list[Part]:
+        """Return the parts that are left, to the last position; the path has then ended."""
+        parts = [self._part() for _ in range(self._next, len(self._knots))]
+        self._knots = []
+        return parts
+
+    def _part(self) -> Part:
+        knots, here = self._knots, self._next
+        (t0, p0, _), (t1, p1, dry) = knots[here - 1], knots[here]
+        told = np.array([knot[0] for knot in knots]), np.array([knot[1] for knot in knots])
+        before = knot_velocity(*told, 0) if here == 1 else self._velocity
+        self._velocity = knot_velocity(*told, here)
+        self._next += 1
+        return Part(Cubic(t0, p0, before, t1, p1, self._velocity), dry, here == len(knots) - 1)
+
+
+@dataclass(frozen=True)
+class Cubic:
     """A cubic in time through two points with two velocities, which goes straight on before and after them."""
 
     t0: float
@@ -286,10 +372,26 @@ class _Cubic:
         return points + np.minimum(u, 0.0) * step * self.v0 + np.maximum(u - 1.0, 0.0) * step * self.v1
 
     def velocity(self, times: np.ndarray) -> np.ndarray:
+        u = np.clip((np.asarray(times) - self.t0) / (self.t1 - self.t0), 0.0, 1.0)[:, None]
+        once, twice = self._bends()
+        return self.v0 + u * (once + u * twice)
+
+    @property
+    def longest(self) -> float:
+        """A length, m, that the way is not longer than: that of the polygon of its control points (Bézier)."""
+        third = (self.t1 - self.t0) / 3
+        controls = self.p0, self.p0 + third * self.v0, self.p1 - third * self.v1, self.p1
+        return float(np.linalg.norm(np.diff(controls, axis=0), axis=1).sum())
+
+    def speed(self, times: np.ndarray) -> np.ndarray:
+        u = np.clip((np.asarray(times) - self.t0) / (self.t1 - self.t0), 0.0, 1.0)
+        once, twice = self._bends()
+        v0 = self.v0
+        powers = [v0 @ v0, 2 * v0 @ once, once @ once + 2 * v0 @ twice, 2 * once @ twice, twice @ twice]
+        return np.sqrt(np.maximum(np.polyval(powers[::-1], u), 0.0))
+
+    def _bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return how the velocity changes with the share u of the time: it is v0 + u (once + u twice)."""
         step = self.t1 - self.t0
-        u = np.clip((np.asarray(times) - self.t0) / step, 0.0, 1.0)[:, None]
-        return (
-            self.v0
-            + 2 * u * (3 * (self.p1 - self.p0) / step - (2 * self.v0 + self.v1))
-            + 3 * u**2 * (2 * (self.p0 - self.p1) / step + (self.v0 + self.v1))
-        )
+        once = 6 * (self.p1 - self.p0) / step - 4 * self.v0 - 2 * self.v1
+        return once, 6 * (self.p0 - self.p1) / step + 3 * (self.v0 + self.v1)

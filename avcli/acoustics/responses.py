@@ -2,13 +2,12 @@
 
 import numpy as np
 
+from avcli.acoustics.bands import spectra_of_bands
 from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, image_microphones
 from avcli.acoustics.noise import diffuse_noise
-from avcli.acoustics.surroundings import MOTION_STEP_S, STRIDE_M, Surroundings
+from avcli.acoustics.surroundings import MARGIN, MOTION_STEP_S, STRIDE_M, Surroundings
 from avcli.numeric import fft_length
 
-MARGIN = 48
-"""samples before and after an impulse that its band-limited form may spread to."""
 TAIL_REFERENCE_S = 0.01
 """s; the level of the noise that continues the images is that of their last part of this length (as in gpuRIR)."""
 
@@ -48,9 +47,16 @@ class Responses:
         self._images: list[Images] = []
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
-        self._levels = np.zeros(len(surroundings.microphones_m))
+        self._rt60_s = np.array([surroundings.rt60_s]) if surroundings.bands is None else surroundings.bands.rt60_s
+        self._levels = np.zeros((len(self._rt60_s), len(surroundings.microphones_m)))
         self.bounded = False
         self._noise: np.ndarray | None = None
+        self._tail: np.ndarray | None = None
+        self._walls: list[np.ndarray] = []  # of each microphone: (n, bands) gains of its images by walls and air
+        self._used = np.zeros(1, int)  # the bands that the signal reaches
+        if surroundings.bands is not None:
+            self._of_bands = spectra_of_bands(length, self.bins, surroundings.sample_rate_hz)
+            self._used = np.flatnonzero(np.abs(self._of_bands).max(axis=1) > 1e-3)
 
     def at(self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> np.ndarray:
         """Return the spectra of the responses, delayed by MARGIN, (m, bins) complex128.
@@ -62,10 +68,12 @@ class Responses:
         """
         impulses = self.impulses(position, heading, microphones)
         for delays, _ in impulses:
-            delays += MARGIN
-        spectra = self._spectrum(impulses)
+            delays += self._surroundings.margin
+        spectra = self.joined(self._spectrum(impulses))
         if self._rng is not None and self._tail_end > self._tail_begin:
-            spectra += self._tail(self._rng)
+            if self._tail is None or self._fresh:
+                self._tail = (self._drawn(self._rng) * self._levels[:, :, None]).sum(axis=0)
+            spectra += self._tail
         spectra *= self._lowpass
         return spectra
 
@@ -73,6 +81,8 @@ class Responses:
         self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return for each microphone the delays, (n,) samples, and amplitudes, (n,), of the images it hears.
+
+        In octave bands there are as many of these as the signal reaches bands, one after another.
 
         Args:
             position: (3,) m.
@@ -82,46 +92,75 @@ class Responses:
         now = microphones[0]
         if self._chosen_at is None or _apart(position, self._chosen_at[0]) + _apart(now, self._chosen_at[1]) > STRIDE_M:
             self._chosen_at = position, now
+            self._walls, self._tail = [], None
             self._images = [self._choose(microphone, position, heading, now) for microphone in range(len(now))]
         moved = microphones - self._chosen_at[1]
-        return [
-            self._arrivals(microphone, images, position, heading, moved[:, microphone])
-            for microphone, images in enumerate(self._images)
-        ]
+        impulses = []
+        for microphone, images in enumerate(self._images):
+            delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, moved[:, microphone])
+            if self._surroundings.bands is None:
+                impulses.append((delays, amplitudes))
+                continue
+            gains = self._walls[microphone] if towards is None else self._walls[microphone] * towards[:, self._used]
+            impulses += [(delays.copy(), of_band) for of_band in gains.T * amplitudes]
+        return impulses
 
-    def _tail(self, rng: np.random.Generator) -> np.ndarray:
-        """Return the spectra of the noise that continues the images at their level, (m, bins)."""
+    def joined(self, spectra: np.ndarray) -> np.ndarray:
+        """Return the spectra of the microphones, (m, bins), from those of `impulses`."""
+        if self._surroundings.bands is None:
+            return spectra
+        by_band = spectra.reshape(-1, len(self._used), spectra.shape[1])
+        return np.einsum("mkb,kb->mb", by_band, self._of_bands[self._used, : spectra.shape[1]])
+
+    def _drawn(self, rng: np.random.Generator) -> np.ndarray:
+        """Return the spectra of the noise that continues the images, at the level 1, (bands, m, bins)."""
         if self._noise is None or self._fresh:
-            rate, decay = self._surroundings.sample_rate_hz, 3 * np.log(10) / self._surroundings.rt60_s
-            count = self._tail_end - self._tail_begin
-            envelope = np.exp(-decay * (np.arange(count) / rate + TAIL_REFERENCE_S / 2))
+            s, count = self._surroundings, self._tail_end - self._tail_begin
+            times = np.arange(count) / s.sample_rate_hz + TAIL_REFERENCE_S / 2
             if self._fresh:  # as gpuRIR: logistic, and independent at each microphone
-                noise = rng.logistic(scale=np.sqrt(3) / np.pi, size=(len(self._levels), count))
+                noise = rng.logistic(scale=np.sqrt(3) / np.pi, size=(len(s.microphones_m), count))
             else:
-                s = self._surroundings
-                noise = diffuse_noise(count, s.microphones_m, rate, s.speed_of_sound_m_s, rng)
-            tail = np.zeros((len(self._levels), self._length))
-            tail[:, self._tail_begin + MARGIN :][:, :count] = envelope * noise
-            self._noise = np.fft.rfft(tail)[:, : self.bins]
-        return self._noise * self._levels[:, None]
+                noise = diffuse_noise(count, s.microphones_m, s.sample_rate_hz, s.speed_of_sound_m_s, rng)
+            self._noise = np.empty((len(self._rt60_s), len(s.microphones_m), self.bins), complex)
+            tail = np.zeros((len(s.microphones_m), self._length))
+            for band, rt60_s in enumerate(self._rt60_s):
+                envelope = np.exp(-3 * np.log(10) / rt60_s * times)
+                tail[:, self._tail_begin + s.margin :][:, :count] = envelope * noise
+                self._noise[band] = np.fft.rfft(tail)[:, : self.bins]
+                if s.bands is not None:
+                    self._noise[band] *= self._of_bands[band]
+        return self._noise
 
     def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> Images:
         """Choose the images that a microphone hears, and note how loud the last of all images are."""
         s = self._surroundings
         images = image_microphones(s.room_dimensions_m, microphones[microphone], s.reflection, position, s.reach_m)
-        delays, amplitudes = self._arrivals(microphone, images, position, heading, np.zeros((1, 3)))
+        gains = np.ones((len(images), 1))
+        if s.bands is not None:
+            gains = s.bands.gains(
+                images.orders(s.room_dimensions_m, microphones[microphone]), images.distances(position)
+            )
+            images = Images(images.positions, np.sign(images.gains), images.mirrored)
+        delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, np.zeros((1, 3)))
+        heard = gains if towards is None else gains * towards
         reference = TAIL_REFERENCE_S * s.sample_rate_hz
-        last = amplitudes[delays > self._tail_begin - reference]
-        self._levels[microphone] = np.sqrt(np.sum(last**2) / reference)
-        if s.error_db is None:
-            return images
-        far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
-        return images[audible(delays, amplitudes * far, s.error_db)]
+        last = delays > self._tail_begin - reference
+        self._levels[:, microphone] = np.sqrt(np.sum((amplitudes[last, None] * heard[last]) ** 2, axis=0) / reference)
+        if s.error_db is not None:
+            far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
+            loudness = amplitudes if s.bands is None else amplitudes * np.sqrt(np.mean(heard**2, axis=1))
+            kept = audible(delays, loudness * far, s.error_db)
+            images, gains, amplitudes = images[kept], gains[kept], amplitudes[kept]
+        self._walls.append(gains[:, self._used])
+        return images
 
     def _arrivals(
         self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return delays and amplitudes of images whose microphone has moved, (k, 3) m, since they were chosen."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return delays and amplitudes of images whose microphone has moved, (k, 3) m, since they were chosen.
+
+        The third is the source's gain towards them in bands, (n, 8); None where it is the same all around.
+        """
         s = self._surroundings
         receding: np.ndarray | float = 0.0
         if (moved != moved[0]).any():
@@ -132,17 +171,21 @@ class Responses:
         self.bounded |= bool((distances < NEAREST_M).any())
         amplitudes = images.amplitudes(distances)
         a = 1.0 if s.directivities is None else s.directivities[microphone]
-        if a != 1 or s.source_directivity != 1:
+        turned = s.bands is not None and s.bands.behind_db.any()
+        towards = None
+        if a != 1 or s.source_directivity != 1 or turned:
             away = (position[:, None] - images.positions) / np.maximum(distances, NEAREST_M)
             if a != 1 and s.orientations is not None:  # an image looks where the microphone looks, mirrored
                 amplitudes *= a + (1 - a) * (s.orientations[microphone][:, None] * images.mirrored * away).sum(axis=0)
             if s.source_directivity != 1:
                 amplitudes *= s.source_directivity - (1 - s.source_directivity) * (heading[:, None] * away).sum(axis=0)
+            if turned and s.bands is not None:
+                towards = s.bands.towards(-(heading[:, None] * away).sum(axis=0))
         # Sound that is emitted in ds is heard in (1 − n·v_source/c) / (1 − n·v_microphone/c) ds, and is louder the
         # shorter that is; the motion of a microphone does not change the pressure at its position.
         amplitudes /= 1 - receding
         distances *= s.samples_per_m
-        return distances, amplitudes
+        return distances, amplitudes, towards
 
 
 def _apart(here: np.ndarray, there: np.ndarray) -> float:
@@ -162,10 +205,10 @@ def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np
     spectrum = DelaySpectrum(fft_length(4 * samples))
     distinct, copies = np.unique(positions_m, axis=0, return_inverse=True)
     responses = np.empty((len(distinct), len(surroundings.microphones_m), samples))
-    images = Responses(surroundings, fft_length(samples + 2 * MARGIN), 0.5, -60.0)
+    images = Responses(surroundings, spectrum.length, 0.5, -60.0)
     for response, position in zip(responses, distinct, strict=True):
         impulses = images.impulses(position, np.array([1.0, 0.0, 0.0]), surroundings.microphones_m[None])
-        response[:] = np.fft.irfft(spectrum(impulses), spectrum.length)[:, :samples]
+        response[:] = np.fft.irfft(images.joined(spectrum(impulses)), spectrum.length)[:, :samples]
     return responses[copies.ravel()]
 
 

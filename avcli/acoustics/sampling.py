@@ -50,8 +50,10 @@ class Interpolation:
 
     def weights(self, places: np.ndarray) -> np.ndarray:
         """Return the weights at places relative to a node, (n,) in units of the spacing: (n,)."""
-        grid = (np.arange(len(self.table)) - self.half_width * self.STEPS) / self.STEPS
-        return np.interp(places, grid, self.table, left=0.0, right=0.0)
+        cells = np.clip((places + self.half_width) * self.STEPS, 0.0, len(self.table) - 1.0)
+        below = np.minimum(cells.astype(np.intp), len(self.table) - 2)
+        cells -= below
+        return self.table[below] + cells * (self.table[below + 1] - self.table[below])
 
 
 def interpolation(
@@ -88,6 +90,9 @@ def interpolation(
     found = (np.exp(2j * np.pi * turns[:, None, None] * offsets) * taps).sum(axis=1)
     errors = np.mean(np.abs(found - 1) ** 2, axis=1)
     allowed = 10 ** (error_db / 10) * power.sum()
+    bands = np.linspace(0.0, frequencies.max(initial=0.0) or 1.0, 2049)
+    power = np.histogram(frequencies, bands, weights=power)[0]
+    frequencies = (bands[1:] + bands[:-1]) / 2
     spacing = 0.25
     while power.sum() > 0 and spacing > 1e-4:
         lost = np.sum(power * np.interp(frequencies * spacing / speed_of_sound_m_s, turns, errors))

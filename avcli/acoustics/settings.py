@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from avcli.settings import DEFAULT_RT60_S, check, setting
 
-PATTERNS = ("omni", "subcardioid", "cardioid", "hypercardioid", "bidirectional")
+PATTERNS = ("omni", "subcardioid", "cardioid", "hypercardioid", "bidirectional", "voice")
 MODELS = ("image", "sabine", "eyring")
 
 
@@ -34,7 +34,9 @@ class Settings:
         flag="--mouth-height",
     )
     source_directivity: str = setting(
-        "omni", "Directivity of a talking head, which faces the direction of walking.", choices=PATTERNS
+        "omni",
+        "Directivity of a talking head, which faces the direction of walking; voice: of a human one, by octave bands.",
+        choices=PATTERNS,
     )
     rt60_s: float | None = setting(
         None,
@@ -65,6 +67,14 @@ class Settings:
         most=10000,
         flag="--speed-of-sound",
         default_text="the config's, else 343",
+    )
+    humidity_percent: float = setting(
+        50.0,
+        "Relative humidity of the air, %, which absorbs sound where the room's surfaces have materials.",
+        unit="PERCENT",
+        least=0,
+        most=100,
+        flag="--humidity",
     )
     error_db: float = setting(
         -40.0,

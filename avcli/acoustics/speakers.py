@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from avcli.acoustics.delayline import DirectSource
 from avcli.acoustics.moving import MovingSource, first_sample
-from avcli.acoustics.responses import MARGIN
 from avcli.acoustics.sampling import Interpolation, Switching, interpolation
 from avcli.acoustics.signals import (
     FADE_S,
@@ -34,7 +34,9 @@ class _Person:
     sampling: Interpolation | Switching
     band: float
     quiet: float
-    sources: list[MovingSource] = field(default_factory=list)  # one for each group of microphones; none: silent
+    sources: list[MovingSource | DirectSource] = field(
+        default_factory=list
+    )  # one for each group of microphones; none: silent
     time: float = 0.0
     mouth: np.ndarray = field(default_factory=lambda: np.zeros(3))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -84,11 +86,12 @@ class Speakers:
         self._switch_s, self._seed = switch_s, seed
         self._mouth_height_m = mouth_height_m
         self._people: dict[int, _Person] = {}
-        self._sources: list[tuple[_Group, MovingSource]] = []
+        self._sources: list[tuple[_Group, MovingSource | DirectSource]] = []
         self._finished = False
         self.time: float | None = None
         self.moved_inside = self.jumps = 0
         self._bounded = False
+        self._computed = self._passed = 0
 
     def step(self, people: Identified) -> np.ndarray:
         """Take the people's positions at a time, and whose turn it is from then on.
@@ -136,20 +139,29 @@ class Speakers:
         """The sample before which the sound does not change any more; infinite after `finish`."""
         if self._finished:
             return np.inf
-        now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz) - MARGIN
-        return min([now, *(source.settled for _, source in self._sources)])
+        now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz)
+        return min([now - self._surroundings.margin, *(source.settled for _, source in self._sources)])
 
     @property
     def bounded(self) -> bool:
         """Whether a mouth was nearer than NEAREST_M to a microphone, which hears it as at that distance."""
         return self._bounded or any(source.bounded for _, source in self._sources)
 
+    @property
+    def work(self) -> tuple[int, int]:
+        """How many responses were computed, and how many more it would have been if all were new and nobody silent."""
+        computed = self._computed + sum(source.computed for _, source in self._sources)
+        return computed, self._passed + sum(source.passed for _, source in self._sources) - computed
+
     def take(self, begin: int, end: int) -> np.ndarray:
         """Return and forget the sound at the microphones from sample `begin` to before `end`, (m, n) Pa."""
         heard = np.zeros((len(self._surroundings.microphones_m), end - begin))
         for group, source in self._sources:
-            self._bounded |= source.bounded
             heard[group.channels] += source.take(begin, end)[group.copies]
+        for _, source in self._sources:
+            if source.exhausted:
+                self._bounded |= source.bounded
+                self._computed, self._passed = self._computed + source.computed, self._passed + source.passed
         self._sources = [(group, source) for group, source in self._sources if not source.exhausted]
         return heard
 
@@ -191,13 +203,18 @@ class Speakers:
 
     def _begin(self, person: _Person, identity: int, time: float, mouth: np.ndarray) -> None:
         for number, group in enumerate(self._groups):
-            source = MovingSource(
-                group.surroundings,
-                person.sampling,
-                person.band,
-                self._error_db - 15,
-                rng=np.random.default_rng([self._seed, identity % 2**63, *[number] * (number > 0)]),
-            )
+            source: MovingSource | DirectSource
+            direct = self._surroundings.bands is None and not np.any(self._surroundings.reflection)
+            if direct and isinstance(person.sampling, Interpolation):
+                source = DirectSource(group.surroundings)
+            else:
+                source = MovingSource(
+                    group.surroundings,
+                    person.sampling,
+                    person.band,
+                    self._error_db - 15,
+                    rng=np.random.default_rng([self._seed, identity % 2**63, *[number] * (number > 0)]),
+                )
             source.move(time, mouth)
             person.sources.append(source)
             self._sources.append((group, source))

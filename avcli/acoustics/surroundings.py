@@ -6,12 +6,13 @@
 import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from avcli.acoustics import absorption as absorptions
 from avcli.acoustics import decay
+from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, air_absorption, reach_samples
 from avcli.acoustics.images import MOST_IMAGES, image_count
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.trajectory import Trajectory
@@ -20,6 +21,8 @@ from avcli.formats.schema import shown
 from avcli.numeric import SPEED_OF_SOUND_M_S
 from avcli.settings import DEFAULT_RT60_S, settings_of
 
+MARGIN = 48
+"""samples before and after an impulse that its form may spread to where all frequencies are absorbed alike."""
 STRIDE_M = 0.5
 """m; the audible images are chosen anew after source and microphones have moved by this much."""
 MOTION_STEP_S = 0.001
@@ -29,6 +32,8 @@ COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
 and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
 AFFORDABLE_IMAGES = 300_000
 """images of a microphone with which --ism-decay is advised."""
+LEAST_ABSORBED = 0.005
+"""energy; a material absorbs no less of it and reflects no less."""
 LONG_S, MANY_IMAGES = 20.0, 1_000_000
 """s of computing for a second of a moving voice, and images of a microphone; the user is warned of more."""
 MOST_SAMPLES = 1 << 25
@@ -56,6 +61,8 @@ class Surroundings:
         source_directivity: a of the source's pattern; 1 is omnidirectional.
         rt60_s: reverberation time, s.
         end_s: end of the noise that continues the images after reach_m, s; 0: without noise.
+        bands: what walls, air and the source's head do in octave bands, instead of the size of `reflection` and the
+            source's pattern; None: the same at all frequencies.
         trajectories: (m,) the paths of the microphones that move, None for one that stands at microphones_m.
     """
 
@@ -71,12 +78,18 @@ class Surroundings:
     source_directivity: float = 1.0
     rt60_s: float = 0.0
     end_s: float = 0.0
+    bands: Bands | None = None
     trajectories: tuple[Trajectory | None, ...] = ()
 
     @property
     def samples_per_m(self) -> float:
         """Samples in which sound travels a metre."""
         return self.sample_rate_hz / self.speed_of_sound_m_s
+
+    @property
+    def margin(self) -> int:
+        """Samples before and after an impulse that its band-limited form may spread to."""
+        return MARGIN if self.bands is None else MARGIN + reach_samples(self.sample_rate_hz)
 
     @property
     def tail_s(self) -> float:
@@ -119,7 +132,10 @@ class Surroundings:
         """Return sentences about the decay of sound here: T60, absorption, number of images, Schroeder frequency."""
         room, absorption = self.room_dimensions_m, 1 - np.asarray(self.reflection) ** 2
         sentences = []
-        if ((absorption > 0) & (absorption < 1)).all():
+        if self.bands is not None:
+            times = ", ".join(f"{time:.2f}" for time in self.bands.rt60_s)
+            sentences.append(f"T30 of the octave bands from {BANDS_HZ[0]} Hz: {times} s")
+        elif ((absorption > 0) & (absorption < 1)).all():
             seconds = decay.image_rt60(room, absorption, self.speed_of_sound_m_s)
             sentences.append(f"image sources between these walls decay by 60 dB in {seconds:.3f} s (T30)")
         images = image_count(room, self.reach_m) if (absorption < 1).all() else 1
@@ -154,8 +170,17 @@ def surroundings_of(
     _refuse_beyond_settings(config)
     positions, paths = _microphones(config, trajectories or {})
     speed = settings.speed_of_sound_m_s or room.speed_of_sound_m_s
-    rt60, absorption = walls_of(room, settings, say)
+    bands = bands_of(room, settings, speed)
+    room_has_materials = bands is not None
+    if bands is None:
+        rt60, absorption = walls_of(room, settings, say)
+        if settings.source_directivity == "voice":
+            bands = Bands(np.repeat(absorption[:, None], 8, axis=1), np.zeros(8), np.array(BEHIND_DB), np.full(8, rt60))
+    else:
+        rt60, absorption = float(bands.rt60_s.max()), bands.absorption.min(axis=1)
     diagonal_m = float(np.linalg.norm(room.dimensions))
+    if room_has_materials and settings.ism_decay_db is None:
+        settings = _affordable(settings, room, rt60, speed, say)
     followed_s = rt60 * (DECAY_HEARD_DB - settings.error_db) / 60
     if settings.ism_decay_db is not None:
         followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
@@ -169,7 +194,8 @@ def surroundings_of(
         speed_of_sound_m_s=speed,
         directivities=microphones.directivities,
         orientations=microphones.orientations,
-        source_directivity=DIRECTIVITIES[settings.source_directivity],
+        source_directivity=DIRECTIVITIES.get(settings.source_directivity, 1.0),
+        bands=bands,
         rt60_s=rt60,
         end_s=max(rt60, diagonal_m / speed) if settings.ism_decay_db is not None and rt60 > 0 else 0.0,
         trajectories=paths,
@@ -190,6 +216,29 @@ def _refuse_beyond_settings(config: Config) -> None:
         least, most = bounds[name][1].least or 0.0, bounds[name][1].most or math.inf
         if value is not None and not least <= value <= most:
             raise ValueError(f'{config.name}: "{key}" must be from {least:g} to {most:g}, found {shown(value)}')
+
+
+def bands_of(room: Room, settings: Settings, speed_of_sound_m_s: float) -> Bands | None:
+    """Return what the materials of a room and its air do in octave bands; None where its absorption is one number.
+
+    Materials count where neither a reverberation time nor an absorption is set.
+
+    Args:
+        room: of the configuration.
+        settings: of the simulation.
+        speed_of_sound_m_s: m/s, from which the temperature of the air follows.
+    """
+    if room.surfaces is None or settings.rt60_s is not None or settings.absorption is not None:
+        return None
+    absorption = np.clip(room.surfaces.absorption[:, [*range(7), 6]], LEAST_ABSORBED, 1 - LEAST_ABSORBED)
+    temperature = 293.15 * (speed_of_sound_m_s / 343.2) ** 2 - 273.15
+    air = air_absorption(BANDS_HZ, temperature, settings.humidity_percent) * np.log(10) / 20
+    times = [
+        decay.image_rt60(room.dimensions, of_walls, speed_of_sound_m_s, of_air)
+        for of_walls, of_air in zip(absorption.T, air, strict=True)
+    ]
+    behind = np.array(BEHIND_DB) if settings.source_directivity == "voice" else np.zeros(8)
+    return Bands(absorption, air, behind, np.array(times))
 
 
 def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnings.warn) -> tuple[float, np.ndarray]:
@@ -232,11 +281,22 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
         return 0.0, np.ones(6)
 
 
-def affordable_decay(surroundings: Surroundings) -> float:
+def affordable_decay(room_dimensions_m: np.ndarray, rt60_s: float, speed_of_sound_m_s: float) -> float:
     """Return how far image sources can be followed with AFFORDABLE_IMAGES of each microphone, whole dB, at most 15."""
-    reach_m = np.cbrt(AFFORDABLE_IMAGES / image_count(surroundings.room_dimensions_m, 1.0))
-    heard_m = max(surroundings.rt60_s * surroundings.speed_of_sound_m_s, reach_m)
-    return float(np.floor(min(15.0, 60 * reach_m / heard_m)))
+    reach_m = np.cbrt(AFFORDABLE_IMAGES / image_count(room_dimensions_m, 1.0))
+    return float(np.floor(min(15.0, 60 * reach_m / max(rt60_s * speed_of_sound_m_s, reach_m))))
+
+
+def _affordable(
+    settings: Settings, room: Room, rt60_s: float, speed_of_sound_m_s: float, say: Callable[[str], None]
+) -> Settings:
+    """Return settings with which a room whose materials absorb little is affordable: noise continues its images."""
+    followed_m = rt60_s * (DECAY_HEARD_DB - settings.error_db) / 60 * speed_of_sound_m_s
+    decay_db = affordable_decay(room.dimensions, rt60_s, speed_of_sound_m_s)
+    if image_count(room.dimensions, followed_m) <= MANY_IMAGES or decay_db < 1:
+        return settings
+    say(f"these materials reverberate for {rt60_s:.1f} s; images are followed for {decay_db:g} dB, then noise")
+    return replace(settings, ism_decay_db=decay_db)
 
 
 def _check_cost(images: float, surroundings: Surroundings, settings: Settings, say: Callable[[str], None]) -> None:
@@ -249,7 +309,7 @@ def _check_cost(images: float, surroundings: Surroundings, settings: Settings, s
         say: called with the warning.
     """
     what = f"T60 {surroundings.rt60_s:g} s: sound reaches {images:.2g} images of each microphone"
-    affordable = affordable_decay(surroundings)
+    affordable = affordable_decay(surroundings.room_dimensions_m, surroundings.rt60_s, surroundings.speed_of_sound_m_s)
     remedy = f"use --ism-decay {affordable:g}, which follows the strong images and continues with noise"
     if affordable < 1:
         remedy = "use a shorter reverberation time"

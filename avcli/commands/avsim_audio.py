@@ -166,6 +166,7 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
         with session.timing("simulation"):
             recorder.finish()
         store(tape.end())
+        session.note(recorder.described())
         if options["rir"]:
             from avcli.acoustics import exchange
 
@@ -269,7 +270,12 @@ def _recorder(
     from avcli.acoustics.recorder import Recorder
 
     room = session.config.room
-    if settings.rt60_s is None and settings.absorption is None:
+    stated = settings.rt60_s is not None or settings.absorption is not None
+    if stated or room.surfaces is None:
+        refuse_without_effect(("humidity_percent",), "where the room's surfaces have no materials")
+    if room.surfaces is not None and not stated:
+        refuse_without_effect(("absorption_model", "strict"), "where the room's surfaces have materials")
+    elif not stated:
         _refuse_without_effect(room.reverberation_time_s if room.absorption is None else None, room.absorption)
     with session.timing("voices"):
         recorder = Recorder(

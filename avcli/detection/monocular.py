@@ -147,7 +147,9 @@ def locate_boxes(
         room: (2,) m, size of the room, whose walls nobody is behind; None if it is not known.
         law: the fitted errors of boxes and of positions by them.
     """
-    boxes = np.asarray(boxes, float)
+    boxes = np.asarray(boxes, float).reshape(-1, 4)
+    if not len(boxes):
+        return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool))
     fits = _fitted(boxes, view, parts, turns, law, _MOST)
     loose = np.flatnonzero(np.where(fits.good & ~_MOST.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
     if len(loose):

@@ -6,10 +6,13 @@ from avcli.detection.body import MID_BODY_M, Person
 from avcli.detection.view import View
 
 COLOUR = {"depth": (40, 220, 60), "monocular": (255, 190, 0)}
+UNEXPLAINED = (255, 60, 60)
 
 
 def draw(picture: np.ndarray, people: list[Person], view: View) -> np.ndarray:
     """Draw boxes, body axes from the floor up, two-sigma ellipses on the floor, and positions as text.
+
+    A box is turned as the person stands where that is known, and red if no body explains it.
 
     Args:
         picture: (height, width, 3) uint8 RGB; it is not changed.
@@ -24,9 +27,15 @@ def draw(picture: np.ndarray, people: list[Person], view: View) -> np.ndarray:
     angles = np.linspace(0, 2 * np.pi, 33)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for person in people:
-        colour = COLOUR[person.method]
+        colour = COLOUR[person.method] if person.explained else UNEXPLAINED
         x0, y0, x1, y1 = np.rint(person.bbox_px).astype(int).tolist()
-        cv2.rectangle(out, (x0, y0), (x1, y1), colour, thick)
+        if person.turned_px is None:
+            cv2.rectangle(out, (x0, y0), (x1, y1), colour, thick)
+        else:
+            x, y, width, height, turn = person.turned_px.tolist()
+            cv2.polylines(
+                out, [np.rint(cv2.boxPoints(((x, y), (width, height), turn))).astype(int)], True, colour, thick
+            )
         values, vectors = np.linalg.eigh(person.covariance[:2, :2])
         ellipse = circle * (2 * np.sqrt(values)) @ vectors.T + person.position[:2]
         _polyline(out, view.project(np.column_stack([ellipse, np.zeros(len(ellipse))])), (255, 80, 40), thick)

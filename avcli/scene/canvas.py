@@ -106,7 +106,7 @@ class Canvas:
         self,
         program: moderngl.Program,
         target: moderngl.Framebuffer,
-        textures: Mapping[str, moderngl.Texture] | None = None,
+        textures: Mapping[str, moderngl.Texture | moderngl.Texture3D] | None = None,
         *,
         depth: bool = False,
     ) -> None:

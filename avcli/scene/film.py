@@ -16,7 +16,7 @@ from avcli.formats.experiment import Config, Layout
 from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
-from avcli.scene import annotations, load, people, render, sensor, worlds
+from avcli.scene import annotations, interior, load, people, render, sensor, worlds
 from avcli.scene.room_cache import RoomCache
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects, with_sensor
@@ -126,8 +126,9 @@ class Film:
             with timing("open the renderer and draw the room"):
                 sections = [scenario.raw[key] for key in ("camera_config", "room_config", "furniture")]
                 self.cache = RoomCache(rooms, [*sections, drawing.samples], scenario.solids) if rooms else None
+                dressed = interior.interior(scenario.config.room, scenario.solids)
                 self._renderer = render.Renderer(
-                    camera, room, scenario.solids, step, drawing.samples,
+                    camera, room, scenario.solids, step, drawing.samples, dressed=dressed,
                     colour=drawing.pictures != "depth", cache=self.cache,
                 )  # fmt: skip
 

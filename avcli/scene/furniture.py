@@ -17,6 +17,7 @@ PAINT, WOOD, PLASTIC, METAL, CLOTH, CARD = range(6)
 _PLAIN = ("paint", "wood", "plastic", "metal", "cloth", "card")  # which have the colour of their piece alone
 MATERIALS = (*_PLAIN, *(name for name in materials.table() if name not in _PLAIN))
 """The names of all materials, in the order of the numbers that Solids have."""
+_LUMINOUS = (MATERIALS.index("window"), MATERIALS.index("lamp"))
 _LARGEST_MESH = 200_000
 _GREY, _WOOD = (0.62, 0.63, 0.62), (0.72, 0.53, 0.34)
 _LENGTH = bounds.LENGTH
@@ -128,10 +129,10 @@ _FIELDS = ("kind", "centre", "axes", "half", "material", "colour", "casts")
 
 def blockers(solids: Solids) -> Solids:
     """Return what casts shadows in the room: the solids, and instead of meshes a box within each mesh's bounds."""
-    kept = solids.kind != TRIANGLE
+    kept = (solids.kind != TRIANGLE) & ~np.isin(solids.material, _LUMINOUS)
     plain = solids[kept]
     boxes = []
-    for start, end in _runs(~kept):
+    for start, end in _runs(solids.kind == TRIANGLE):
         corners = np.concatenate([solids.centre[start:end], *solids.axes[start:end, :2].transpose(1, 0, 2)])
         low, high = corners.min(0), corners.max(0)
         boxes.append(_solid(BOX, (low + high) / 2, np.eye(3), 0.4 * (high - low), PAINT, np.zeros(3)))
@@ -289,6 +290,19 @@ def _mesh(corners: np.ndarray, material: int, colour: np.ndarray) -> Solids:
     return Solids(
         np.full(n, TRIANGLE), corners[:, 0], axes, np.zeros((n, 3)), np.full(n, material), np.tile(colour, (n, 1))
     )
+
+
+def box(centre: np.ndarray, axes: np.ndarray, size: np.ndarray, material: str, colour: np.ndarray) -> Solids:
+    """Return one box.
+
+    Args:
+        centre: (3,) m.
+        axes: (3, 3), rows are its own axes in the room.
+        size: (3,) m along them.
+        material: its name.
+        colour: (3,) sRGB fractions.
+    """
+    return _solid(BOX, centre, axes, np.asarray(size) / 2, MATERIALS.index(material), colour)
 
 
 def _solid(

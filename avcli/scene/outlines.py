@@ -12,7 +12,7 @@ from avcli.scene.people import Bodies
 TILE = 32  # px, the grain in which a frame is redrawn
 SHADOW_PITCH = 8  # px, the grid on which people's shadows are computed
 SHAPE_PITCH = 2  # px, the grid on which visible fractions are counted
-_SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
+SHADOW_REACH = 0.65  # m around a person, where their shadow has faded
 _SHADOW_MARGIN_PX = 4.0
 _OUTLINE_MARGIN_PX = 1.5
 _BALLS = 0.0, 0.5, 1.0  # of a cone that are looked at, as fractions of its axis
@@ -47,6 +47,7 @@ class Outlines:
     Args:
         canvas: whose camera looks.
         bodies: at n times, p cones in all.
+        shadow_reach: m around a person, where their shadow has faded.
         still_px: a person keeps the pose of an earlier time until a part of them has moved by more in the picture, px.
 
     Attributes:
@@ -54,7 +55,9 @@ class Outlines:
         travel_px: how far people's parts move in the picture from the first time to the last, at most.
     """
 
-    def __init__(self, canvas: Canvas, bodies: Bodies, still_px: float = 0.0) -> None:
+    def __init__(
+        self, canvas: Canvas, bodies: Bodies, shadow_reach: float = SHADOW_REACH, still_px: float = 0.0
+    ) -> None:
         self.canvas, self.bodies = canvas, bodies
         R, origin = canvas.T_camera_room[:3, :3], canvas.T_camera_room[:3, 3]
         a, b = bodies.a @ R.T + origin, bodies.b @ R.T + origin
@@ -77,7 +80,7 @@ class Outlines:
         self._balls = bodies.balls
         if (self.held != np.arange(len(bodies.times))[:, None]).any():
             self._keep_poses()
-        self._shadows = self._shadow_rectangles()
+        self._shadows = self._shadow_rectangles(shadow_reach)
 
     def _hold(self, places: np.ndarray, still_px: float) -> np.ndarray:
         """Which time's pose each person has, (n, people), by the places (n, p, k, 2) px of their cones."""
@@ -203,11 +206,11 @@ class Outlines:
             for person, (wide, tall), (x, y) in zip(kept.tolist(), extent.tolist(), places.tolist(), strict=True)
         ]
 
-    def _shadow_rectangles(self) -> np.ndarray:
+    def _shadow_rectangles(self, reach: float) -> np.ndarray:
         """Where in the picture a person darkens the room: around the place under them, (n, people, 4)."""
         middle = self._balls[..., :2].mean(2)
         turn = np.arange(16) * np.pi / 8
-        ring = _SHADOW_REACH * np.stack([np.cos(turn), np.sin(turn)], -1)
+        ring = reach * np.stack([np.cos(turn), np.sin(turn)], -1)
         floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
         T = self.canvas.T_camera_room
         pixels = self.canvas.camera.lens.project_clamped(floor @ T[:3, :3].T + T[:3, 3])

@@ -16,7 +16,8 @@ import numpy as np
 from avcli.formats.experiment import Camera
 from avcli.scene import furniture, people, shaders
 from avcli.scene.canvas import Canvas, NoGraphics, farthest, open_context, put
-from avcli.scene.outlines import SHADOW_PITCH, SHAPE_PITCH, TILE, Outlines, Sheet
+from avcli.scene.interior import Interior
+from avcli.scene.outlines import SHADOW_PITCH, SHADOW_REACH, SHAPE_PITCH, TILE, Outlines, Sheet
 from avcli.scene.room_cache import RoomCache
 from avcli.scene.room_pass import RoomPicture, draw_room
 from avcli.scene.settings import Drawing
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Frame", "NoGraphics", "Renderer", "farthest", "open_context"]
 
 _CONE = "2f 4f 4f 4f 4f 4f", ("origin", "edges", "ball_a", "ball_b", "bulge", "middle")  # layout and names of a cone
-_UNITS = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "painted": 6}
+_UNITS = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, "balls": 5, "painted": 6, "probes": 8}
 """Where the shaders of a frame find their textures."""
 
 
@@ -67,6 +68,7 @@ class Renderer:
         depth_step: m of one step of the depth picture; None: the finest usual one that holds the room in 16 bits.
         samples: colour samples per pixel at outlines.
         context: to share; None opens one.
+        dressed: the room's looks and light, None where it states none.
         colour: whether colours are drawn; depth alone is quicker.
         cache: keeps the colours of the empty room for another run; None: they are drawn.
 
@@ -90,14 +92,19 @@ class Renderer:
         depth_step: float | None = None,
         samples: int = 4,
         context: moderngl.Context | None = None,
+        dressed: Interior | None = None,
         *,
         colour: bool = True,
         cache: RoomCache | None = None,
     ) -> None:
         self.depth_step, self.samples = depth_step or Drawing().depth_step_m(farthest(camera, room)), samples
-        self.colour, self.drawn_share = colour, 0.0
+        self.colour, self.drawn_share, self._dressed = colour, 0.0, dressed
         self.canvas = Canvas(camera, room, samples, context)
-        self.room_seen, self._room_surface, self._room_colour = self._room(solids, cache if colour else None)
+        if dressed is not None:
+            self.canvas.surroundings |= dressed.uniforms
+        self.room_seen, self._room_surface, self._room_colour, self._probes = self._room(
+            solids, cache if colour else None
+        )
         self._make_targets()
         self._make_programs()
         width, height = self.canvas.size
@@ -117,7 +124,8 @@ class Renderer:
             bodies: at n times.
             still_px: as `Outlines` has it; 0 draws every pose.
         """
-        return Outlines(self.canvas, bodies, still_px)
+        reach = SHADOW_REACH if self._dressed is None else self._dressed.uniforms["reach"]
+        return Outlines(self.canvas, bodies, reach, still_px)
 
     def draw(self, outlines: Outlines, index: int) -> Frame:
         """Draw the frame of one time: the same object again where nobody has moved since the last one.
@@ -149,7 +157,7 @@ class Renderer:
         """Draw the empty room, or take its colours from the cache."""
         canvas, begin = self.canvas, perf_counter()
         known = cache.load(canvas.drawn_by, canvas.size) if cache else None
-        picture = draw_room(canvas, solids, colour=self.colour and known is None)
+        picture = draw_room(canvas, solids, self._dressed, colour=self.colour and known is None)
         if known is not None:
             picture.colour.write(np.dstack([known, np.full(known.shape[:2], 255, np.uint8)]).tobytes())
         elif cache:
@@ -180,12 +188,15 @@ class Renderer:
         self._cones = program(shaders.PEOPLE_VERTEX, shaders.PEOPLE_FRAGMENT, room_depth=0, size=size)
         self._shapes = program(shaders.SHAPE_VERTEX, shaders.SHAPE_FRAGMENT, pitch=float(SHAPE_PITCH))
         shadow_units = {"coarse": SHADOW_PITCH, "seen": 0, "surface": 1, "balls": 2, "size": self._shadow.size}
-        self._shadows = program(shaders.SHADOW_VERTEX, shaders.SHADOW_FRAGMENT, **{**uniforms, **shadow_units})
+        shadow, shade = shaders.SHADOW_FRAGMENT, shaders.SHADE
+        if self._dressed is not None:
+            shadow, shade = self._dressed.shaders.shadow, self._dressed.shaders.people
+        self._shadows = program(shaders.SHADOW_VERTEX, shadow, **{**uniforms, **shadow_units})
         units = {**_UNITS, "size": size}
         base = shaders.BASE.replace("MARK", shaders.MARK if self.samples > 1 else "")
         self._base = program(flat, base, **units, per_step=1.0 / self.depth_step)
         self._dim = program(flat, shaders.DIM, **units)
-        self._shade = program(flat, shaders.SHADE, **uniforms, **units, level=0.9999)
+        self._shade = program(flat, shade, **uniforms, **units, level=0.9999)
         self._smooth = program(flat, shaders.SMOOTH.replace("SAMPLES", str(self.samples)), **units, level=0.5)
 
     def _find(self, instances: np.ndarray, tiles: np.ndarray) -> None:
@@ -215,6 +226,8 @@ class Renderer:
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         self._paint_of_people.use(_UNITS["painted"])
+        if self._probes is not None:
+            self._probes.use(_UNITS["probes"])
         peopled = bool(len(rows)) and self.colour
         ctx.enable(ctx.DEPTH_TEST)
         if peopled:

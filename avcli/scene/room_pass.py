@@ -8,39 +8,59 @@ import numpy as np
 
 from avcli.scene import furniture, room_shaders, shaders
 from avcli.scene.canvas import COARSE, Canvas, bounds, clip, linear, put
+from avcli.scene.look_shaders import LATTICE
 
 if TYPE_CHECKING:
     import moderngl
+
+    from avcli.scene.interior import Interior
 
 _EDGE_SAMPLES = 17  # along each edge of a solid, whose image is a curve
 _MARGIN_PX = 4.0
 
 
 class RoomPicture(NamedTuple):
-    """The empty room: distance and solid of each pixel, surface, and colour."""
+    """The empty room: distance and solid of each pixel, surface, colour, and, where it is dressed, light in its air."""
 
     seen: moderngl.Texture
     surface: moderngl.Texture
     colour: moderngl.Texture
+    probes: moderngl.Texture3D | None
 
 
-def draw_room(canvas: Canvas, solids: furniture.Solids, *, colour: bool = True) -> RoomPicture:
+def _lattice(canvas: Canvas) -> moderngl.Texture3D:
+    """Random numbers that patterns interpolate between; the same for all rooms."""
+    values = np.random.default_rng(0).random((LATTICE,) * 3, dtype=np.float32).astype("f2")
+    return canvas.ctx.texture3d(values.shape, 1, values.tobytes(), dtype="f2")
+
+
+def draw_room(
+    canvas: Canvas, solids: furniture.Solids, dressed: Interior | None = None, *, colour: bool = True
+) -> RoomPicture:
     """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet.
 
     Args:
         canvas: to draw with.
         solids: the furniture.
-        colour: whether it is drawn; otherwise it is black.
+        dressed: the room's looks and light, None where it states none.
+        colour: whether the room is coloured; otherwise it is black.
     """
     ctx, uniforms = canvas.ctx, canvas.surroundings
-    table = canvas.table(_solid_rows(solids))
+    blockers = furniture.blockers(solids)
+    table = canvas.table(np.concatenate([_solid_rows(solids), _solid_rows(blockers)]))
     found = _surfaces(canvas, solids, table)
     picture = ctx.texture(canvas.size, 4)
+    probes = None if dressed is None else _probes(canvas, blockers, dressed)
     if not colour:
-        return RoomPicture(found["seen"], found["surface"], picture)
-    light = _light(canvas, solids, found)
-    inputs = {**found, "light": light, "solids": table}
-    shade = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_SHADE, **uniforms)
+        return RoomPicture(found["seen"], found["surface"], picture, probes)
+    light = _light(canvas, blockers, found, room_shaders.ROOM_LIGHT if dressed is None else dressed.shaders.room_light)
+    inputs: dict[str, moderngl.Texture | moderngl.Texture3D] = {**found, "light": light, "solids": table}
+    room_shade, room_smooth = room_shaders.ROOM_SHADE, room_shaders.ROOM_SMOOTH
+    if dressed is not None:
+        room_shade, room_smooth = dressed.shaders.room_shade, dressed.shaders.room_smooth
+        inputs |= {"looks": canvas.table(dressed.looks), "lattice": _lattice(canvas)}
+        uniforms = {**uniforms, "blockers": len(blockers), "blockers_from": max(len(solids), 1)}
+    shade = canvas.program(shaders.FLAT_VERTEX, room_shade, **uniforms)
     canvas.fill(shade, ctx.framebuffer([picture]), inputs)
     if uniforms["samples"] > 1:
         marks = ctx.depth_renderbuffer(canvas.size)
@@ -51,10 +71,10 @@ def draw_room(canvas: Canvas, solids: furniture.Solids, *, colour: bool = True) 
         target = ctx.framebuffer([picture], marks)
         target.depth_mask = False
         ctx.depth_func = ">"
-        smooth = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_SMOOTH, **uniforms, level=0.5)
+        smooth = canvas.program(shaders.FLAT_VERTEX, room_smooth, **uniforms, level=0.5)
         canvas.fill(smooth, target, inputs, depth=True)
         ctx.depth_func = "<"
-    return RoomPicture(found["seen"], found["surface"], picture)
+    return RoomPicture(found["seen"], found["surface"], picture, probes)
 
 
 def _surfaces(canvas: Canvas, solids: furniture.Solids, table: moderngl.Texture) -> dict[str, moderngl.Texture]:
@@ -74,17 +94,29 @@ def _surfaces(canvas: Canvas, solids: furniture.Solids, table: moderngl.Texture)
     return {"seen": seen, "surface": surface}
 
 
-def _light(canvas: Canvas, solids: furniture.Solids, found: dict[str, moderngl.Texture]) -> moderngl.Texture:
+def _light(
+    canvas: Canvas, blockers: furniture.Solids, found: dict[str, moderngl.Texture], shader: str
+) -> moderngl.Texture:
     """How much light reaches each place past the furniture, on a coarse grid, blurred."""
     ctx, size = canvas.ctx, canvas.size
     grid = -(-size[0] // COARSE), -(-size[1] // COARSE)
     raw, smooth = ctx.texture(grid, 1, dtype="f2"), ctx.texture(grid, 4, dtype="f4")
-    blockers = furniture.blockers(solids)
-    light = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_LIGHT, **canvas.surroundings, blockers=len(blockers))
+    light = canvas.program(shaders.FLAT_VERTEX, shader, **canvas.surroundings, blockers=len(blockers))
     canvas.fill(light, ctx.framebuffer([raw]), {**found, "solids": canvas.table(_solid_rows(blockers))})
     blur = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_BLUR, coarse=COARSE)
     canvas.fill(blur, ctx.framebuffer([smooth]), {**found, "light": raw})
     return smooth
+
+
+def _probes(canvas: Canvas, blockers: furniture.Solids, dressed: Interior) -> moderngl.Texture3D:
+    """Light in the room's air past the furniture, a cell a texel: six directions, one after another along z."""
+    ctx = canvas.ctx
+    nx, ny, nz = (int(n) for n in dressed.cells)
+    flat = ctx.texture((6 * nx, ny * nz), 4, dtype="f4")
+    program = canvas.program(shaders.FLAT_VERTEX, dressed.shaders.probe, **canvas.surroundings, blockers=len(blockers))
+    canvas.fill(program, ctx.framebuffer([flat]), {"solids": canvas.table(_solid_rows(blockers))})
+    cells = np.frombuffer(flat.read(), np.float32).reshape(nz, ny, 6, nx, 4).transpose(2, 0, 1, 3, 4)
+    return ctx.texture3d((nx, ny, 6 * nz), 4, np.ascontiguousarray(cells).tobytes(), dtype="f4")
 
 
 def _rectangles(canvas: Canvas, solids: furniture.Solids) -> np.ndarray:

@@ -119,9 +119,10 @@ void main() {
 
 # Whether furniture stands between two places.
 BLOCKED = """
-uniform int blockers;
+uniform int blockers, blockers_from;   // rows of the table of solids
+
 bool blocked(vec3 o, vec3 d, float far) {
-    for (int k = 0; k < blockers; ++k) {
+    for (int k = blockers_from; k < blockers_from + blockers; ++k) {
         vec4 c = solid_texel(k, 0), x = solid_texel(k, 1), y = solid_texel(k, 2), z = solid_texel(k, 3);
         vec3 reach = vec3(x.w, y.w, z.w), lo = o - c.xyz;
         // A ball around it is asked first.
@@ -260,6 +261,17 @@ vec3 curtain(vec3 p, int id, inout vec3 n) {
     return vec3(0.060, 0.072, 0.105) * deep * (0.92 + 0.16 * noise(vec3(s * 160.0, p.z * 60.0, 0.0)));
 }
 
+vec3 plain_colour(int material, vec3 rgb, vec3 q) {
+    if (material == 1) {
+        float ring = noise(vec3(q.x * 2.5, q.y * 34.0 + 2.0 * noise(vec3(q.xy * 3.0, 5.0)), q.z * 34.0));
+        float pore = noise(vec3(q.x * 14.0, q.y * 300.0, q.z * 300.0));
+        return rgb * (0.80 + 0.32 * ring - 0.10 * pore);
+    }
+    if (material == 4) return rgb * (0.85 + 0.3 * noise(q * 220.0));
+    if (material == 5) return rgb * (0.96 + 0.08 * noise(q * 30.0));
+    return rgb * (0.97 + 0.06 * noise(q * 60.0));
+}
+
 vec3 solid_colour(int index, vec3 p) {
     vec4 c = solid_texel(index, 4);
     vec3 q = p - solid_texel(index, 0).xyz;
@@ -267,15 +279,7 @@ vec3 solid_colour(int index, vec3 p) {
         mat3 axes = mat3(solid_texel(index, 1).xyz, solid_texel(index, 2).xyz, solid_texel(index, 3).xyz);
         q = q * axes;
     }
-    int material = int(c.w + 0.5);
-    if (material == 1) {
-        float ring = noise(vec3(q.x * 2.5, q.y * 34.0 + 2.0 * noise(vec3(q.xy * 3.0, 5.0)), q.z * 34.0));
-        float pore = noise(vec3(q.x * 14.0, q.y * 300.0, q.z * 300.0));
-        return c.rgb * (0.80 + 0.32 * ring - 0.10 * pore);
-    }
-    if (material == 4) return c.rgb * (0.85 + 0.3 * noise(q * 220.0));
-    if (material == 5) return c.rgb * (0.96 + 0.08 * noise(q * 30.0));
-    return c.rgb * (0.97 + 0.06 * noise(q * 60.0));
+    return plain_colour(int(c.w + 0.5), c.rgb, q);
 }
 """
 

@@ -28,7 +28,7 @@ from avcli.formats.schema import (
     Text,
     shown,
 )
-from avcli.scene import doorways, furniture, viewpoint
+from avcli.scene import doorways, fittings, furniture, viewpoint
 from avcli.scene.looks import LOOK, look_of
 from avcli.scene.motion import Motion
 from avcli.scene.people import LOOKS, Person
@@ -256,6 +256,7 @@ def _parsed(
     solids = furniture.join(pieces)
     oddities = [*_counted(fast, "walks are as fast"), *_collisions(people, solids, duration, dimensions)]
     warnings += [f"{name}: {text}" for text in oddities]
+    solids = furniture.join([solids, fittings.solids(config.room)])
     filled = {"name": title, "duration_s": duration, **sections}
     filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
     filled["sensor"] = values["sensor"]

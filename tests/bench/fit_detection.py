@@ -349,7 +349,7 @@ def main() -> None:
         "seed": options.seed,
         "other_seed": options.other_seed,
         "version": __version__,
-        "commit": commit(),
+        "commit": commit() if options.only else stood["commit"],
     }
     origin |= {**found["losses"], "part": part(found["laws"], options.seed)}
     text = json.dumps({**found["laws"], "fitted_on": origin}, indent=2)

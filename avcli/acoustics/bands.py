@@ -1,0 +1,113 @@
+"""Sound in octave bands: what materials, air and the head of a talker do to it, and how bands are joined to a spectrum.
+
+Between the middles of two bands a gain goes from one to the other by a raised cosine of the octaves. The images of a
+room are summed once for each band, and the sums are joined with these curves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from avcli import materials
+
+BANDS_HZ = (*materials.BANDS_HZ, 16000)
+"""Hz, the middles of the octave bands; the walls absorb at 16 kHz as at 8 kHz."""
+REACH_S = 0.012
+"""s; what is joined from bands rings before and after an impulse for no longer, and hardly that long."""
+BEHIND_DB = (2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 18.0, 22.0)
+"""dB in BANDS_HZ, how much less of a voice is heard behind the head than in front: round figures of the order that
+W. T. Chu and A. C. C. Warnock (2002, IRC-RR-104) and B. B. Monson, E. J. Hunter and B. H. Story (2012) measured."""
+
+
+@dataclass(frozen=True)
+class Bands:
+    """What happens to sound in each of BANDS_HZ.
+
+    Attributes:
+        absorption: (6, 8) energy that the walls x0 x1 y0 y1 z0 z1 absorb, from 0 to 1.
+        air: (8,) 1/m, the pressure decays by exp(−air · d) on a way d.
+        behind_db: (8,) dB by which the source is fainter behind it than in front; (1 − cos θ) / 2 of it at the angle θ.
+        rt60_s: (8,) s, T30 of each band.
+    """
+
+    absorption: np.ndarray
+    air: np.ndarray
+    behind_db: np.ndarray
+    rt60_s: np.ndarray
+
+    def gains(self, orders: np.ndarray, distances: np.ndarray) -> np.ndarray:
+        """Return the gains of paths by walls and air, (n, 8), without sign.
+
+        Args:
+            orders: (6, n) how often each path has met each wall.
+            distances: (n,) m.
+        """
+        walls = np.log(np.maximum(1 - self.absorption, 1e-12)) / 2
+        return np.exp(orders.T @ walls - np.outer(distances, self.air))
+
+    def towards(self, cosines: np.ndarray) -> np.ndarray:
+        """Return the gains of the source in directions at angles to where it looks, (n, 8).
+
+        Args:
+            cosines: (n,) of the angles.
+        """
+        return np.exp(-np.log(10) / 40 * np.outer(1 - cosines, self.behind_db))
+
+
+def curves(frequencies_hz: ArrayLike) -> np.ndarray:
+    """Return the share that each band has in the gain at frequencies, (8, n); they sum to 1.
+
+    Args:
+        frequencies_hz: (n,) Hz.
+    """
+    middles = np.log2(BANDS_HZ)
+    octaves = np.clip(np.log2(np.maximum(frequencies_hz, 1.0)), middles[0], middles[-1])
+    away = np.abs(octaves - middles[:, None])
+    return np.where(away < 1, 0.5 + 0.5 * np.cos(np.pi * np.minimum(away, 1.0)), 0.0)
+
+
+def spectra_of_bands(length: int, bins: int, sample_rate_hz: float) -> np.ndarray:
+    """Return the bands' curves as spectra of zero phase whose responses last ±REACH_S, (8, bins).
+
+    Args:
+        length: samples of the transform.
+        bins: the first bins that are wanted.
+        sample_rate_hz: Hz.
+    """
+    responses = np.fft.irfft(curves(np.fft.rfftfreq(length, 1 / sample_rate_hz)), length)
+    reach = min(reach_samples(sample_rate_hz), length // 2 - 1)
+    window = np.zeros(length)
+    taps = np.arange(-reach, reach + 1)
+    window[taps] = 0.5 + 0.5 * np.cos(np.pi * taps / (reach + 1))
+    return np.fft.rfft(responses * window).real[:, :bins]
+
+
+def reach_samples(sample_rate_hz: float) -> int:
+    """Return the samples before and after an impulse that `spectra_of_bands` may spread it to."""
+    return int(np.ceil(REACH_S * sample_rate_hz))
+
+
+def air_absorption(
+    frequencies_hz: ArrayLike, temperature_c: float = 20.0, humidity_percent: float = 50.0
+) -> np.ndarray:
+    """Return how the air absorbs tones, (n,) dB/m, at one atmosphere (ISO 9613-1:1993, equations 3 to 5).
+
+    >>> (1000 * air_absorption([125, 1000, 8000], 20.0, 50.0)).round(2).tolist()  # dB/km; table 1 of the standard
+    [0.44, 4.66, 105.29]
+
+    Args:
+        frequencies_hz: (n,) Hz.
+        temperature_c: °C.
+        humidity_percent: relative humidity, from 0 to 100.
+    """
+    frequencies = np.asarray(frequencies_hz, dtype=float)
+    kelvin = temperature_c + 273.15
+    warm = kelvin / 293.15
+    saturation = 10 ** (-6.8346 * (273.16 / kelvin) ** 1.261 + 4.6151)
+    water = humidity_percent * saturation
+    oxygen = 24 + 4.04e4 * water * (0.02 + water) / (0.391 + water)
+    nitrogen = warm**-0.5 * (9 + 280 * water * np.exp(-4.170 * (warm ** (-1 / 3) - 1)))
+    relaxations = 0.01275 * np.exp(-2239.1 / kelvin) / (oxygen + frequencies**2 / oxygen)
+    relaxations += 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen + frequencies**2 / nitrogen)
+    return 8.686 * frequencies**2 * (1.84e-11 * warm**0.5 + warm**-2.5 * relaxations)

@@ -1,0 +1,125 @@
+"""Octave bands: materials, air and the head of a talker."""
+
+import doctest
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from avcli.acoustics import bands, hear
+from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, air_absorption, curves, spectra_of_bands
+from avcli.acoustics.decay import image_rt60
+from avcli.acoustics.responses import Responses
+from avcli.acoustics.settings import Settings
+from avcli.acoustics.surroundings import Surroundings, surroundings_of
+from avcli.formats.experiment import Config
+from avcli.formats.records import Identified
+
+ROOM = np.array([4.66, 4.66, 3.0])
+MICROPHONES = np.array([[0.6, 4.0, 2.4], [4.0, 1.0, 2.0]])
+RATE, LENGTH = 16000, 1 << 14
+PLACE = np.array([1.73, 2.33, 1.6])
+AHEAD = np.array([1.0, 0.0, 0.0])
+MATERIALS = {"floor": "carpet", "walls": "wood_panel", "ceiling": "acoustic_tile"}
+
+
+def config(**keys):
+    room = {"room_dimensions_m": ROOM.tolist(), "surfaces": MATERIALS, **keys}
+    microphones = {"mic_positions_m": MICROPHONES.tolist(), "audio_sample_rate_hz": RATE}
+    return Config({"room_config": room, "microphone_config": microphones})
+
+
+def response(surroundings, place=PLACE, heading=AHEAD, rng=None):
+    found = Responses(surroundings, LENGTH, 0.5, -60.0, rng)
+    return np.fft.irfft(found.at(place, heading, surroundings.microphones_m[None]), LENGTH)
+
+
+def in_octave(sound, middle_hz):
+    padded = np.append(sound, np.zeros(len(sound)))
+    octaves = np.log2(np.maximum(np.fft.rfftfreq(len(padded), 1 / RATE), 1.0) / middle_hz)
+    smooth = np.where(np.abs(octaves) < 0.5, 0.5 + 0.5 * np.cos(2 * np.pi * octaves), 0.0)  # a sharp edge would ring
+    return np.fft.irfft(np.fft.rfft(padded) * smooth)[: len(sound)]
+
+
+def test_air_absorbs_as_the_standard_says():
+    assert doctest.testmod(bands).failed == 0
+    assert (np.diff(air_absorption(BANDS_HZ)) > 0).all()
+    assert np.isfinite(air_absorption(BANDS_HZ, -20.0, 0.0)).all()
+
+
+def test_bands_are_joined_to_one_spectrum_of_short_responses():
+    np.testing.assert_allclose(curves([1, 50, 125, 180, 1000, 5000, 20000]).sum(axis=0), 1.0)
+    np.testing.assert_allclose(curves(BANDS_HZ), np.eye(8), atol=1e-12)
+    spectra = spectra_of_bands(LENGTH, LENGTH // 2 + 1, RATE)
+    np.testing.assert_allclose(spectra.sum(axis=0), 1.0, atol=1e-12)
+    impulses = np.fft.irfft(spectra, LENGTH)
+    reach = int(np.ceil(bands.REACH_S * RATE))
+    assert np.abs(impulses[:, reach + 1 : -reach - 1]).max() < 1e-12
+
+
+def test_bands_that_are_all_alike_sound_as_without_bands():
+    plain = Surroundings(ROOM, np.full(6, -0.8), MICROPHONES, RATE, 40.0)
+    alike = replace(plain, bands=Bands(np.full((6, 8), 0.36), np.zeros(8), np.zeros(8), np.full(8, 0.3)))
+    expected, found = response(plain), response(alike)
+    later = alike.margin - plain.margin
+    error = found[:, later:] - expected[:, : LENGTH - later]
+    assert 10 * np.log10(np.sum(error**2) / np.sum(expected**2)) < -100
+
+
+@pytest.mark.parametrize("ism_decay_db", [10.0, 20.0])
+def test_each_band_decays_in_its_time(ism_decay_db):
+    rng, times = np.random.default_rng(2), []
+    settings = Settings(error_db=-45.0, ism_decay_db=ism_decay_db)
+    around = surroundings_of(config(), settings)
+    for seed in range(4):
+        microphones, place = rng.uniform(0.5, ROOM - 0.5, (2, 3)), rng.uniform(0.5, ROOM - 0.5)
+        here = replace(around, microphones_m=microphones, directivities=None, orientations=None)
+        for sound in response(here, place, rng=np.random.default_rng(seed))[
+            :, around.margin : around.margin + around.longest_delay
+        ]:
+            for middle in BANDS_HZ[2:6]:
+                energy = np.cumsum(in_octave(sound, middle)[::-1] ** 2)[::-1]
+                level = 10 * np.log10(energy / energy[0])
+                inside = (level < -5) & (level > -35)
+                times.append(-60 / np.polyfit(np.flatnonzero(inside) / RATE, level[inside], 1)[0])
+    found = np.reshape(times, (-1, 4)).mean(axis=0)
+    np.testing.assert_allclose(found, around.bands.rt60_s[2:6], rtol=0.12)
+
+
+def test_air_makes_the_high_bands_shorter():
+    air = air_absorption(16000.0) * np.log(10) / 20
+    without, found = image_rt60((10, 8, 3.5), 0.1), image_rt60((10, 8, 3.5), 0.1, air=float(air))
+    assert 1 / found == pytest.approx(1 / without + 2 * float(air) * 343 / (6 * np.log(10)), rel=0.1)
+
+
+def test_a_voice_is_fainter_behind_the_head_the_more_the_higher():
+    head = Bands(np.ones((6, 8)), np.zeros(8), np.array(BEHIND_DB), np.zeros(8))
+    around = Surroundings(ROOM, np.zeros(6), np.array([[4.0, 2.33, 1.6]]), RATE, 8.0, bands=head)
+    ahead, behind = response(around)[0], response(around, heading=-AHEAD)[0]
+    for middle, expected in zip(BANDS_HZ[1:6], BEHIND_DB[1:6], strict=True):
+        levels = [np.sum(in_octave(sound, middle) ** 2) for sound in (ahead, behind)]
+        assert 10 * np.log10(levels[0] / levels[1]) == pytest.approx(expected, abs=1.0)
+
+
+def test_materials_are_heard_where_no_reverberation_time_is_set():
+    walk = [Identified(t, np.array([0]), np.array([[1.0 + t, 2.0, 0.0]])) for t in np.arange(3) / 10]
+    settings = Settings(error_db=-20.0, ism_decay_db=5.0, source_directivity="voice")
+    heard, again = (hear(config(), walk, settings=settings).samples for _ in range(2))
+    assert np.isfinite(heard).all()
+    assert np.array_equal(heard, again)
+    damp = hear(config(), walk, settings=replace(settings, humidity_percent=10.0)).samples
+    assert not np.array_equal(heard, damp)
+    set_time = Settings(error_db=-20.0, rt60_s=0.15)
+    plain = Config(
+        {"room_config": {"room_dimensions_m": ROOM.tolist()}, "microphone_config": config().raw["microphone_config"]}
+    )
+    assert np.array_equal(hear(config(), walk, settings=set_time).samples, hear(plain, walk, settings=set_time).samples)
+
+
+def test_hard_materials_are_followed_as_far_as_is_affordable():
+    said = []
+    around = surroundings_of(
+        config(surfaces={"floor": "marble", "walls": "marble", "ceiling": "marble"}), Settings(), say=said.append
+    )
+    assert "then noise" in said[0]
+    assert around.end_s == pytest.approx(around.bands.rt60_s.max())
