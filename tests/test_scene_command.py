@@ -378,3 +378,143 @@ def test_the_samples_in_the_docstring_run():
     tried = doctest.testmod(film)
     assert tried.attempted
     assert not tried.failed
+
+
+def test_one_picture_of_the_two_can_be_asked_for(tmp_path):
+    both = simulate(tmp_path / "both", SMALL)
+    for wanted, other in (("rgb", "depth"), ("depth", "rgb")):
+        lines = simulate(tmp_path / wanted, SMALL, "--pictures", wanted)
+        exp = tmp_path / wanted / "exp"
+        assert not (exp / "video" / other).exists()
+        assert [line["objects"] for line in lines] == [line["objects"] for line in both]
+        for line, full in zip(lines, both, strict=True):
+            assert line["frame"] == {wanted: full["frame"][wanted]}
+            assert (exp / line["frame"][wanted]).read_bytes() == (
+                tmp_path / "both" / "exp" / full["frame"][wanted]
+            ).read_bytes()
+            assert records.frame(line).depth == line["frame"].get("depth")
+    assert ("background_depth" in json.loads((tmp_path / "rgb/exp/config.json").read_text())["camera_config"]) is False
+    found = run("avdetect-video", "--detector", "depth", "-C", exp, stdin=b"".join(map(records.encode, lines)))
+    assert found.returncode == 0, found.stderr
+    assert [len(records.decode(line)["objects"]) for line in found.stdout.splitlines()] == [1] * 4
+    result = run("avsim-scene", "s1", "-C", tmp_path / "no", "--pictures", "depth", "--jpeg", "80")
+    assert result.returncode == 2
+    assert "--jpeg" in result.stderr
+
+
+def test_what_does_not_change_is_neither_drawn_nor_encoded_again(tmp_path, monkeypatch):
+    from avcli.scene import load, output
+    from avcli.scene.settings import Drawing, Effects
+
+    encoded = []
+    encode = media.encode_png
+    monkeypatch.setattr(media, "encode_png", lambda picture: encoded.append(picture.shape) or encode(picture))
+    empty = load.build({**SMALL, "people": [], "duration_s": 2.0}, "empty")
+
+    def written(name, effects):
+        encoded.clear()
+        drawn = film.Film(empty, Drawing(), effects)
+        (tmp_path / name).mkdir()
+        lines = list(output.write(drawn, tmp_path / name, output.Files(), drawn._timing))
+        return drawn.account, [(tmp_path / name / line["frame"]["rgb"]).read_bytes() for line in lines]
+
+    account, files = written("clean", Effects())
+    assert (account.drawn, account.again) == (1, 20)
+    assert len(encoded) == 3  # colour, depth, and the depth of the empty room
+    assert len(files) == 21
+    assert len(set(files)) == 1
+    _, files = written("noisy", Effects(read_noise=2.0))
+    assert len(encoded) == 23  # every colour picture has noise of its own
+    assert len(set(files)) == 21
+
+
+def test_a_sensor_is_a_set_of_effects_that_options_refine(tmp_path):
+    from avcli.scene.settings import Drawing, Effects, with_sensor
+
+    drawing, effects = with_sensor("ip-camera", Drawing(), Effects(jpeg_quality=95))
+    assert effects.jpeg_quality == 95
+    assert effects.time_stamp
+    assert drawing.shutter_s > 0
+    assert with_sensor("clean", Drawing(), Effects()) == (Drawing(), Effects())
+    pictures = {}
+    for name, scenario, options in (
+        ("clean", SMALL, []),
+        ("key", {**SMALL, "sensor": "webcam"}, []),
+        ("option", SMALL, ["--sensor", "webcam"]),
+        ("other", {**SMALL, "sensor": "webcam"}, ["--sensor", "clean"]),
+        ("stamp", SMALL, ["--time-stamp"]),
+    ):
+        line = simulate(tmp_path / name, scenario, *options)[2]
+        pictures[name] = media.read_rgb(tmp_path / name / "exp" / line["frame"]["rgb"]).astype(int)
+    assert (pictures["key"] == pictures["option"]).all()
+    assert (pictures["other"] == pictures["clean"]).all()
+    changed = (pictures["key"] != pictures["clean"]).any(-1)
+    assert changed.mean() > 0.5
+    assert np.abs(pictures["key"] - pictures["clean"]).mean() < 15
+    rows, _ = np.nonzero((pictures["stamp"] != pictures["clean"]).any(-1))
+    assert 0 < len(rows) < 3000
+    assert rows.max() < 20
+
+
+def test_blur_and_sharpening_change_the_finest_contrast():
+    from avcli.scene import sensor
+    from avcli.scene.settings import Effects
+
+    picture = np.full((64, 64, 3), 100, np.uint8)
+    picture[:, 32:] = 140
+    soft, sharp = (
+        sensor.expose(picture, effects, (32, 32), np.random.default_rng(0)).astype(int)
+        for effects in (Effects(blur_px=1.5), Effects(sharpening=1.0))
+    )
+    assert (np.diff(soft[30, :, 0]) >= 0).all()
+    assert np.diff(soft[30, :, 0]).max() < 20
+    assert sharp.max() > 145
+    assert sharp.min() < 95
+    assert (sharp[:, :20] == 100).all()
+
+
+def test_an_empty_room_is_kept_for_the_next_run(tmp_path):
+    from avcli.scene import load
+    from avcli.scene.settings import Drawing
+
+    rooms = tmp_path / "avcli" / "rooms"
+
+    def frame(scenario, folder=rooms):
+        drawn = film.Film(load.build({**scenario, "duration_s": 0}, "room"), Drawing(), rooms=folder)
+        return next(drawn.frames()).rgb.tobytes(), drawn.cache.saved_s if drawn.cache else None
+
+    drawn, _ = frame(SMALL, None)
+    assert not rooms.exists()
+    assert frame(SMALL) == (drawn, 0)
+    (kept,) = rooms.iterdir()
+    again, saved = frame({**SMALL, "name": "other"})
+    assert again == drawn
+    assert saved > 0
+    kept.write_bytes(b"no picture")
+    assert frame(SMALL) == (drawn, 0)
+    shutil.rmtree(rooms)
+    rooms.write_text("not a folder")
+    assert frame(SMALL) == (drawn, 0)
+    env = {"XDG_CACHE_HOME": str(tmp_path / "home")}
+    command = ("avsim-scene", "-", "-v", "--no-cache", "--duration", "0", "-C", tmp_path / "exp")
+    result = run(*command, stdin=json.dumps(SMALL), env=env)
+    assert result.returncode == 0, result.stderr
+    assert "drawn by" in result.stderr
+    assert not (tmp_path / "home" / "avcli").exists()
+
+
+def test_the_cache_of_rooms_is_bounded(tmp_path):
+    from avcli.scene import furniture, room_cache
+
+    noise = np.random.default_rng(0).integers(0, 256, (100, 100, 3), np.uint8)  # 30 kB each
+    for index in range(5):
+        cache = room_cache.RoomCache(tmp_path, index, furniture.join([]), most_bytes=100_000)
+        cache.store("GL", noise, 0.5)
+        os.utime(next(tmp_path.glob(f"{cache._key('GL')}.*")), (index, index))
+    left = [room_cache.RoomCache(tmp_path, k, furniture.join([])).load("GL", (100, 100)) is not None for k in range(5)]
+    assert left == [False, False, True, True, True]
+    assert room_cache.RoomCache(tmp_path, 4, furniture.join([])).load("another GL", (100, 100)) is None
+    ball = furniture.build(
+        {"kind": "sphere", "position_m": [1, 1, 1], "radius_m": 0.5, "material": "paint", "color": [1, 1, 1]}, None
+    )
+    assert room_cache.RoomCache(tmp_path, 4, ball).load("GL", (100, 100)) is None

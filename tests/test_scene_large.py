@@ -47,8 +47,8 @@ def test_silhouettes_in_rows_and_on_several_sheets_are_those_of_one_row(monkeypa
     _, _, whole, frame = drawn(scene)
     monkeypatch.setattr(outlines, "_SHEET_SAMPLES", 480 * 130)
     _, _, prepared, other = drawn(scene, largest=480)
-    sheets = prepared.sheets(0)
-    assert len(whole.sheets(0)) == 1
+    sheets = prepared.sheets(0, np.ones(49, bool))
+    assert len(whole.sheets(0, np.ones(49, bool))) == 1
     assert len(sheets) > 1
     assert any(tile.box[1] > 0 for sheet in sheets for tile in sheet.tiles)
     assert all(sheet.size[0] <= 480 for sheet in sheets)

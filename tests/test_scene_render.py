@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from avcli import pose
-from avcli.scene import annotations, furniture, mesh, people, render, scenario
+from avcli.scene import annotations, furniture, mesh, outlines, people, render, scenario
 
 SMALL_KB = {
     "lens_model": "kannala_brandt", "fx_px": 215.6, "fy_px": 215.7, "cx_px": 262.0, "cy_px": 137.8, "k1": -0.0269,
@@ -313,3 +313,78 @@ def test_a_thin_edge_is_lit_alike_wherever_the_grid_of_the_light_falls(context):
 
     pictures = np.stack([drawn(shift) for shift in ((0, 0), (2, 2), (1, 3), (3, 1))])
     assert np.ptp(pictures, axis=0).max() < 20
+
+
+@pytest.mark.parametrize("camera", [WIDE_KB, DIVISION], ids=["wide", "division"])
+def test_no_part_of_a_cone_lies_outside_its_rectangle(camera, context):
+    standing = [{"waypoints": [{"position_m": at}]} for at in ([2.0, 2.3], [3.1, 1.2])]
+    scene = scene_of({**camera, "camera_position_m": [2.2, 1.8, 1.9]}, standing)
+    renderer = renderer_of(scene, context)
+    prepared = renderer.prepare(people.pose(scene.people, TIMES))
+    renderer.draw(prepared, 0)
+    seen = renderer.people_seen.read()
+    width, height = renderer.canvas.size
+    prepared._quads[np.isfinite(prepared._quads).all(-1)] = [0, 0, width, 0, 0, height]  # the whole picture
+    renderer._find(prepared.instances(0), np.ones((-(-height // outlines.TILE), -(-width // outlines.TILE)), bool))
+    assert renderer.people_seen.read() == seen
+    assert np.frombuffer(seen, np.float32).any()
+
+
+STANDING = [
+    {"look": "red", "waypoints": [{"position_m": [1.6, 2.5]}]},
+    {"look": "blue", "waypoints": [{"position_m": [2.9, 2.0]}]},
+    {"look": "grey", "waypoints": [{"position_m": [3.4, 2.6]}, {"position_m": [1.0, 2.6], "speed_m_s": 1.5}]},
+]
+
+
+def test_what_is_drawn_in_part_is_what_is_drawn_whole(context):
+    scene = scene_of(people=STANDING)
+    bodies = people.pose(scene.people, np.arange(0.0, 2.2, 0.3))
+    one, other = renderer_of(scene, context), renderer_of(scene, context)
+    prepared = one.prepare(bodies, still_px=0.25)
+    assert 0 < (np.diff(prepared.held, axis=0) == 0).mean() < 0.9  # some stand for a while
+    for index in range(len(bodies.times)):
+        part = one.draw(prepared, index)
+        other.draw(other.prepare(people.pose([], TIMES)), 0)
+        whole = other.draw(other.prepare(dataclasses.replace(bodies), still_px=0.25), index)
+        for name in ("rgb", "depth", "ids"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name))
+        for (mask, place), (same_mask, same_place) in zip(part.shapes, whole.shapes, strict=True):
+            np.testing.assert_array_equal(mask, same_mask)
+            assert place == same_place
+    assert one.drawn_share < 0.8 * other.drawn_share
+
+
+def test_a_pose_that_is_kept_is_nowhere_off_by_more_than_was_asked(context):
+    scene = scene_of(people=STANDING[:2])
+    bodies = people.pose(scene.people, np.arange(40) / 10)
+    renderer = renderer_of(scene, context)
+    exact, kept = renderer.prepare(bodies), renderer.prepare(bodies, still_px=0.25)
+    assert (exact.held == np.arange(40)[:, None]).all()
+    assert (np.diff(kept.held, axis=0) == 0).mean() > 0.3
+    for index in (7, 23, 39):
+        off = (exact._rectangles - kept._rectangles)[index]
+        assert np.nanmax(np.abs(off)) < 0.5  # of places 0.25, and of the sizes of balls
+
+
+def test_a_frame_in_which_nobody_moved_is_the_last_one(context):
+    scene = scene_of(people=[])
+    renderer = renderer_of(scene, context)
+    first, second = (renderer.prepare(people.pose([], np.arange(3.0))) for _ in range(2))
+    assert renderer.draw(first, 0) is renderer.draw(second, 2)
+    scene = scene_of(people=STANDING[:1])
+    prepared = renderer.prepare(people.pose(scene.people, np.arange(3.0)), still_px=100.0)
+    frame = renderer.draw(prepared, 0)
+    assert renderer.draw(prepared, 2) is frame
+    with pytest.raises(ValueError, match="read-only"):
+        frame.rgb[0, 0] = 0
+
+
+def test_depth_alone_is_the_depth_that_comes_with_colour(context):
+    scene = scene_of()
+    bodies = people.pose(scene.people, TIMES)
+    both, alone = renderer_of(scene, context), renderer_of(scene, context, colour=False)
+    one, other = (renderer.draw(renderer.prepare(bodies), 0) for renderer in (both, alone))
+    assert other.rgb is None
+    np.testing.assert_array_equal(one.depth, other.depth)
+    np.testing.assert_array_equal(one.ids, other.ids)

@@ -272,8 +272,9 @@ def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> 
     root = session.media_root
     for frame in frames:
         if frame is not None:
+            colour = partial(media.read_rgb, root / frame.rgb) if frame.rgb else None
             distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
-            yield footage.UnreadShot(frame.timestamp, partial(media.read_rgb, root / frame.rgb), distance)
+            yield footage.UnreadShot(frame.timestamp, colour, distance)
 
 
 def _picture_shots(

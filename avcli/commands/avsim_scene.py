@@ -11,7 +11,7 @@ import click
 
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
-from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, Drawing, Effects
+from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, SENSORS, Drawing, Effects
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from avcli.scene.scenario import Scenario
     from avcli.scene.worlds import Wishes
 
-PICTURES = ("frames", "masks", "coco", "sheet", *settings_of(Drawing), *settings_of(Effects))  # what only they need
+PICTURES = (
+    "no_cache",
+    "sensor",
+    "frames",
+    "masks",
+    "coco",
+    "sheet",
+    *settings_of(Drawing),
+    *settings_of(Effects),
+)  # what only they need
+COLOUR = ("sheet", "sensor", "samples", "shutter_s", *settings_of(Effects))  # what needs colour
 PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 
 
@@ -57,7 +67,16 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @click.option("--sheet", metavar="FILE", help="Write a contact sheet of twelve frames, a PNG.")
 @click.option("--gltf", metavar="FILE", help="Write the scene at its middle as binary glTF, for any viewer.")
 @from_settings(Drawing, "shutter_s")
+@click.option(
+    "--sensor",
+    type=click.Choice([*SENSORS]),
+    help="Take pictures like a webcam, an IP camera, or a perfect sensor (clean); the options below refine it. "
+    "Default: what the scenario says, else clean.",
+)
 @from_settings(Effects)
+@click.option(
+    "--no-cache", is_flag=True, help="Draw the empty room even if an earlier run kept it, and do not keep it."
+)
 @click.option("--print-scenario", is_flag=True, help="Print the scenario with every default filled in, and exit.")
 @click.option(
     "--force",
@@ -88,6 +107,8 @@ def main(session: Session, scenario: str, **options: Any) -> None:
     directory = session.experiment
     if options["no_video"]:
         refuse_without_effect(PICTURES, "with --no-video")
+    if options["pictures"] == "depth":
+        refuse_without_effect(COLOUR, "with --pictures depth")
     if directory.exists() and not directory.is_dir():
         session.usage(f"{directory}: not a directory")
     files = output.Files(options["frames"], options["masks"], options["coco"], options["sheet"])
@@ -98,14 +119,22 @@ def main(session: Session, scenario: str, **options: Any) -> None:
         with session.output() as write, contextlib.closing(records):
             for record in session.progress(records, len(scene.times)):
                 write(record)
+    if film.drawing:
+        session.note(f"drawn by {film.drawn_by}")
+        if film.cache and film.cache.saved_s:
+            session.note(f"the empty room is kept from an earlier run, in which it took {film.cache.saved_s:.2f} s")
+        session.note(film.account.text())
 
 
 def _film(session: Session, scene: Scenario, options: dict[str, Any]) -> Film:
-    from avcli.scene import film, render
+    from avcli.scene import film, render, room_cache
 
     drawing = None if options["no_video"] else settings_from(Drawing, options)
     try:
-        return film.Film(scene, drawing, settings_from(Effects, options), seed=session.seed, timing=session.timing)
+        return film.Film(
+            scene, drawing, settings_from(Effects, options), sensor_name=options["sensor"], seed=session.seed,
+            rooms=None if options["no_cache"] else room_cache.folder(), timing=session.timing,
+        )  # fmt: skip
     except render.NoGraphics as error:
         session.fail(str(error))
 

@@ -75,10 +75,11 @@ PERSON = Object(
 
 FRAME = Object(
     {
-        "rgb": Key(Text(), "path of the colour picture, relative to the experiment directory", required=True),
-        "depth": Key(Text(), "path of the depth picture"),
+        "rgb": Key(Text(), "path of the colour picture, relative to the experiment directory"),
+        "depth": Key(Text(), "path of the depth picture; a frame has at least one of the two"),
         "mask": Key(Text(), "path of the picture of person numbers (avsim-scene --mask)", read=False),
-    }
+    },
+    needed=(("rgb",), ("depth",)),
 )
 
 AUDIO = Object(

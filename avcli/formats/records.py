@@ -675,10 +675,10 @@ def end_mark(timestamp: float, records: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a frame's pictures lie: paths as the record has them; depth is None where the record has none."""
+    """Where a frame's pictures lie: paths as the record has them; None for the picture that it does not have."""
 
     timestamp: float
-    rgb: str
+    rgb: str | None
     depth: str | None
 
 
@@ -707,7 +707,7 @@ def frame(record: Mapping[str, Any], *, outside: bool = False) -> Frame | None:
         outside: whether a path may lead out of the experiment directory.
 
     Raises:
-        RecordError: the frame has no colour picture, or a path is not text or leads out of the directory.
+        RecordError: the frame has no picture, or a path is not text or leads out of the directory.
     """
     if record.get("frame") is None:
         return None

@@ -37,7 +37,9 @@ def truth(scenario: Scenario, bodies: Bodies, index: int, frame: Frame | None = 
             "speaking": bool(speaking(person, np.array([time]), scenario.duration)[0]),
         }
         if frame is not None:
-            item |= visibility(frame, number)
+            if number not in frame.known:
+                frame.known[number] = visibility(frame, number)
+            item |= frame.known[number]
             item["keypoints_px"] = _keypoints(frame, number, pixels[number], scenario.config.camera, bodies, index)
         objects.append(item)
     return {"timestamp": time, "objects": objects}

@@ -54,6 +54,7 @@ class Canvas:
     Attributes:
         size: (width, height) px.
         largest: px, the longest side of a picture that this OpenGL draws.
+        drawn_by: names of the OpenGL and its version.
         T_camera_room: (4, 4) maps room coordinates to the camera's, m.
         surroundings: uniforms that say where the camera is in the room, and where the lamps are.
         wait: returns when all has been drawn.
@@ -69,6 +70,7 @@ class Canvas:
         self.ctx, self.wait = context or open_context(), _finish()
         self.ctx.enable(self.ctx.DEPTH_TEST)
         self.largest: int = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
+        self.drawn_by = " ".join(self.ctx.info[f"GL_{part}"] for part in ("VENDOR", "RENDERER", "VERSION"))
         if max(self.size) > self.largest:
             raise ValueError(
                 f"an image of {self.size[0]} x {self.size[1]} px: this OpenGL draws at most {self.largest} px per side"

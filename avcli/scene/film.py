@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -15,11 +17,13 @@ from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.scene import annotations, interior, load, people, render, sensor, worlds
+from avcli.scene.room_cache import RoomCache
 from avcli.scene.scenario import Scenario
-from avcli.scene.settings import Drawing, Effects
+from avcli.scene.settings import Drawing, Effects, with_sensor
 
 _CHUNK = 100  # frames whose bodies are posed together: memory does not grow with the scene
-_SHUTTER_PICTURES = 8  # that are averaged while the shutter is open
+_SHUTTER_PICTURES = 8  # that are averaged while the shutter is open, at most
+_SHUTTER_STEP_PX = 3.0  # by which people move from one to the next; where they move by less, one is enough
 
 _SENSORS = {"audio": {"kind": MICROPHONES}, "video": {"kind": CAMERA}}
 """What avdetect-audio and avdetect-video call themselves in their records, for config.json."""
@@ -35,7 +39,7 @@ class Frame:
         timestamp: s.
         record: the ground-truth record, without the paths of its media.
         picture: what was drawn (its `rgb` is without shutter and sensor effects); None where nothing is drawn.
-        rgb: (height, width, 3) uint8, as the sensor gives it; None where nothing is drawn.
+        rgb: (height, width, 3) uint8, as the sensor gives it; None where no colour is drawn.
     """
 
     timestamp: float
@@ -44,15 +48,54 @@ class Frame:
     rgb: np.ndarray | None
 
 
+@dataclass
+class Account:
+    """What was drawn, and what was not drawn twice.
+
+    Attributes:
+        drawn, again: how many frames were drawn, and how many are as the last one.
+        spent: s for the drawn ones.
+        share: sum over all frames of the share of the picture that was drawn.
+    """
+
+    drawn: int = 0
+    again: int = 0
+    spent: float = 0.0
+    share: float = 0.0
+
+    def add(self, seconds: float, share: float, *, again: bool) -> None:
+        """Count a frame; `share` is the sum up to it."""
+        self.share = share
+        if again:
+            self.again += 1
+        else:
+            self.drawn, self.spent = self.drawn + 1, self.spent + seconds
+
+    def text(self) -> str:
+        """One sentence."""
+        count = max(self.drawn + self.again, 1)
+        saved = self.again * self.spent / max(self.drawn, 1)
+        return (
+            f"{self.drawn} of {self.drawn + self.again} frames were drawn, {100 * self.share / count:.0f} % of the "
+            f"picture for each on average; the others are as the one before, which saved {saved:.2f} s of drawing"
+        )
+
+
 class Film:
     """Draws a scenario.
 
     Args:
         scenario: what happens.
         drawing: how frames are drawn; None: nothing is drawn, the film is ground truth alone.
-        effects: what the sensor does to the pictures; None: nothing.
+        effects: what the sensor does to the pictures, beside what the sensor's name says; None: nothing.
+        sensor_name: one of `settings.SENSORS`; None: that of the scenario.
         seed: of the sensor's noise.
+        rooms: folder that keeps the colours of empty rooms for other runs (`room_cache.folder()`); None: none does.
         timing: called with the name of each step, returns a context manager around it.
+
+    Attributes:
+        account: of the frames that were drawn last.
+        cache: of the empty room; None without `rooms`.
 
     Raises:
         render.NoGraphics: this machine cannot draw.
@@ -64,23 +107,40 @@ class Film:
         drawing: Drawing | None,
         effects: Effects | None = None,
         *,
+        sensor_name: str | None = None,
         seed: int = 0,
+        rooms: Path | None = None,
         timing: Timing = lambda step: contextlib.nullcontext(),
     ) -> None:
-        self.scenario, self.drawing, self.effects, self.seed = scenario, drawing, effects or Effects(), seed
+        self.scenario, self.seed = scenario, seed
+        self.drawing, self.effects = drawing, effects or Effects()
+        if drawing:
+            self.drawing, self.effects = with_sensor(sensor_name or scenario.sensor, drawing, self.effects)
         self._timing = timing
+        self.account = Account()
+        self.cache: RoomCache | None = None
         self._renderer: render.Renderer | None = None
         if drawing:
             camera, room = scenario.config.camera, scenario.config.room.dimensions
             step = drawing.depth_step_m(render.farthest(camera, room))
             with timing("open the renderer and draw the room"):
+                sections = [scenario.raw[key] for key in ("camera_config", "room_config", "furniture")]
+                self.cache = RoomCache(rooms, [*sections, drawing.samples], scenario.solids) if rooms else None
                 dressed = interior.interior(scenario.config.room, scenario.solids)
-                self._renderer = render.Renderer(camera, room, scenario.solids, step, drawing.samples, dressed=dressed)
+                self._renderer = render.Renderer(
+                    camera, room, scenario.solids, step, drawing.samples, dressed=dressed,
+                    colour=drawing.pictures != "depth", cache=self.cache,
+                )  # fmt: skip
 
     @property
     def background(self) -> np.ndarray | None:
         """Depth of the empty room, (height, width) uint16 in steps; None where nothing is drawn."""
         return self._renderer.room_depth if self._renderer else None
+
+    @property
+    def drawn_by(self) -> str:
+        """Names of the OpenGL that draws; empty where nothing is drawn."""
+        return self._renderer.canvas.drawn_by if self._renderer else ""
 
     def config(self, *, background: bool) -> dict[str, Any]:
         """The config.json of the film: the scenario's sections, and what a reader of the frames has to know.
@@ -102,32 +162,40 @@ class Film:
         """Draw the frames, one at a time; a second call draws the same film again."""
         generator = np.random.default_rng(self.seed)
         times = self.scenario.times
+        self.account = account = Account()
+        last: render.Frame | None = None
         for start in range(0, len(times), _CHUNK):
             with self._timing("pose the people"):
                 bodies = people.pose(self.scenario.people, times[start : start + _CHUNK])
-                prepared = self._renderer.prepare(bodies) if self._renderer else None
+                still = self.drawing.still_px if self.drawing else 0.0
+                prepared = self._renderer.prepare(bodies, still) if self._renderer else None
             for index, time in enumerate(bodies.times.tolist()):
                 if self._renderer is None or prepared is None:
                     yield Frame(time, annotations.truth(self.scenario, bodies, index), None, None)
                     continue
                 with self._timing("draw"):
+                    begin = perf_counter()
                     picture = self._renderer.draw(prepared, index)
-                    rgb = self._exposed(self._renderer, time, picture.rgb)
-                with self._timing("sensor effects"):
-                    lens = self.scenario.config.camera.lens
-                    rgb = sensor.expose(rgb, self.effects, (lens.cx, lens.cy), generator)
+                    account.add(perf_counter() - begin, self._renderer.drawn_share, again=picture is last)
+                    last, rgb = picture, picture.rgb
+                    if rgb is not None and self.drawing and self.drawing.shutter_s:
+                        rgb = self._exposed(self._renderer, time, self.drawing.shutter_s)
+                if rgb is not None:
+                    with self._timing("sensor effects"):
+                        lens = self.scenario.config.camera.lens
+                        rgb = sensor.expose(rgb, self.effects, (lens.cx, lens.cy), generator, time)
                 with self._timing("annotate"):
                     record = annotations.truth(self.scenario, bodies, index, picture)
                 yield Frame(time, record, picture, rgb)
 
-    def _exposed(self, renderer: render.Renderer, time: float, rgb: np.ndarray) -> np.ndarray:
+    def _exposed(self, renderer: render.Renderer, time: float, shutter: float) -> np.ndarray:
         """The mean light while the shutter is open: half its time before a frame's time, and half after."""
-        shutter = self.drawing.shutter_s if self.drawing else 0.0
-        if not shutter:
-            return rgb
         instants = shutter * (np.arange(_SHUTTER_PICTURES) + 0.5) / _SHUTTER_PICTURES - shutter / 2
         prepared = renderer.prepare(people.pose(self.scenario.people, time + instants))
-        return sensor.blurred([renderer.draw(prepared, k).rgb for k in range(_SHUTTER_PICTURES)])
+        count = int(np.clip(np.ceil(prepared.travel_px / _SHUTTER_STEP_PX), 1, _SHUTTER_PICTURES))
+        middles = ((np.arange(count) + 0.5) * _SHUTTER_PICTURES / count).astype(int)
+        pictures = (renderer.draw(prepared, k).rgb for k in middles.tolist())
+        return sensor.blurred([picture for picture in pictures if picture is not None])
 
 
 # --- the library's door -----------------------------------------------------------------------------------------------
@@ -187,6 +255,7 @@ def simulate(
     camera_height: float | None = None,
     drawing: Drawing | None = None,
     effects: Effects | None = None,
+    sensor_name: str | None = None,
 ) -> Scene:
     """Simulate people who walk and talk in a room under a camera.
 
@@ -209,7 +278,8 @@ def simulate(
         camera_config: a camera_config (or an object that holds one) instead of the scenario's.
         camera_height: m, instead of the scenario's.
         drawing: samples per pixel, depth resolution, shutter; None: the defaults.
-        effects: what the sensor does to the pictures; None: nothing.
+        effects: what the sensor does to the pictures, beside what the sensor's name says; None: nothing.
+        sensor_name: "webcam", "ip-camera" or "clean"; None: that of the scenario.
 
     Returns:
         The scene: `config`, `truth`, `shots()`.
@@ -223,6 +293,6 @@ def simulate(
         scenario, seed=seed, people=people, wishes=wishes, duration=duration, camera=camera,
         camera_config=camera_config, camera_height=camera_height,
     )  # fmt: skip
-    film = Film(loaded, (drawing or Drawing()) if video else None, effects, seed=seed)
+    film = Film(loaded, (drawing or Drawing()) if video else None, effects, sensor_name=sensor_name, seed=seed)
     config = Config(film.config(background=video), loaded.name)
     return Scene(config, film.background, tuple(loaded.warnings), film)

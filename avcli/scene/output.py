@@ -2,11 +2,12 @@
 
 import collections
 import contextlib
+import io
 import json
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -79,13 +80,16 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
     are written in a thread beside the drawing (deflate needs no interpreter).
     """
     kind = files.frames if film.drawing else "none"
-    writer = _FrameWriter(directory, kind, narrow=bool(film.drawing and film.drawing.depth_bits == "8"))
-    if kind != "none" and film.background is not None:
-        writer.write(Layout.background_depth, writer.bits(film.background), "png")
+    drawing = film.drawing
+    depth_too = bool(drawing and drawing.pictures != "rgb")
+    writer = _FrameWriter(directory, kind, bool(drawing and drawing.depth_bits == "8"), depth_too)
+    background = kind != "none" and depth_too and film.background is not None
+    if background and film.background is not None:
+        writer.write(Layout.background_depth, writer.encoded(film.background, "png"))
     written_by = {
         "command": _COMMAND, "version": __version__, "scenario": film.scenario.name, "seed": film.seed,
     }  # fmt: skip
-    write_config(Layout(directory).config, film.config(background=kind != "none") | {"written_by": written_by})
+    write_config(Layout(directory).config, film.config(background=background) | {"written_by": written_by})
     extras: list[_Coco | _Sheet] = []
     if files.coco is not None:
         extras.append(_Coco(files.coco, film.scenario.people))
@@ -99,7 +103,7 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
             with timing("annotate"):
                 for extra in extras:
                     extra.add(frame)
-            job = pool.submit(writer.save, list(paths.values()), timing)
+            job = pool.submit(writer.save, paths, timing)
             names = {name: path for name, (path, _, _) in paths.items()}
             yield frame.record | ({"frame": names} if names else {}), job.result
 
@@ -139,39 +143,53 @@ class _FrameWriter:
     directory: Path
     kind: str
     narrow: bool
+    depth_too: bool
+    last: dict[str, tuple[np.ndarray, list[bytes | memoryview]]] = field(default_factory=dict)
 
     def pictures(self, frame: Frame, masks: bool) -> dict[str, Picture]:
         """What is to be written of a frame, by its key in the record's "frame"."""
         pictures: dict[str, Picture] = {}
-        if frame.picture is None or frame.rgb is None:
+        if frame.picture is None:
             return pictures
-        if self.kind != "none":
+        if self.kind != "none" and frame.rgb is not None:
             pictures["rgb"] = Layout.rgb(frame.timestamp, self.kind), frame.rgb, self.kind
-            pictures["depth"] = Layout.depth(frame.timestamp, self.kind), self.bits(frame.picture.depth), self.kind
+        if self.kind != "none" and self.depth_too:
+            pictures["depth"] = Layout.depth(frame.timestamp, self.kind), frame.picture.depth, self.kind
         if masks:
             stem = Layout.rgb(frame.timestamp).rsplit("RGB_frame_", 1)[1]
             pictures["mask"] = f"video/masks/Mask_frame_{stem}", frame.picture.ids, "png"
         return pictures
 
-    def save(self, pictures: list[Picture], timing: Timing) -> None:
-        """Write pictures."""
+    def save(self, pictures: dict[str, Picture], timing: Timing) -> None:
+        """Write a frame's pictures; one that is the same array as the frame before's is not encoded again."""
         with timing("write (beside the drawing)"):
-            for path, picture, kind in pictures:
-                self.write(path, picture, kind)
+            for name, (path, picture, kind) in pictures.items():
+                known = self.last.get(name)
+                if known is None or known[0] is not picture:
+                    known = self.last[name] = picture, self.encoded(picture, kind)
+                self.write(path, known[1])
 
     def bits(self, depth: np.ndarray) -> np.ndarray:
         """A depth picture in the bits that are written; 0 where it is too far for them."""
         return np.where(depth < 256, depth, 0).astype(np.uint8) if self.narrow else depth
 
-    def write(self, name: str, picture: np.ndarray, kind: str) -> None:
-        """Write one picture, whole or not at all."""
+    def encoded(self, picture: np.ndarray, kind: str) -> list[bytes | memoryview]:
+        """The parts of a picture's file; raw pixels are not copied."""
+        picture = self.bits(picture) if picture.dtype == np.uint16 else picture
+        if kind == "png":
+            return [media.encode_png(picture)]
+        head = io.BytesIO()
+        picture = np.ascontiguousarray(picture)
+        np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(picture))
+        return [head.getvalue(), picture.data]
+
+    def write(self, name: str, content: list[bytes | memoryview]) -> None:
+        """Write one file, whole or not at all."""
         path = self.directory / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        if kind == "png":
-            media.write_png(path, picture)
-        else:
-            with atomic.replacing(path) as temporary, open(temporary, "wb") as stream:
-                np.save(stream, picture)
+        with atomic.replacing(path) as temporary, open(temporary, "wb") as stream:
+            for part in content:
+                stream.write(part)
 
 
 class _Coco:

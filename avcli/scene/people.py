@@ -76,7 +76,7 @@ def pose(people: Sequence[Person], t: np.ndarray) -> Bodies:
     n, p = len(t), len(parts)
 
     def stacked(rows: list[np.ndarray]) -> np.ndarray:
-        return np.stack([np.broadcast_to(row, (n, 3)) for row in rows], 1) if p else np.zeros((n, 0, 3))
+        return np.stack([np.broadcast_to(row, (n, 3)) for row in rows]).swapaxes(0, 1) if p else np.zeros((n, 0, 3))
 
     blends = [
         np.where(found >= 0, found + offset, -1)

@@ -7,18 +7,19 @@ room, smooth the outlines.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from avcli.formats.experiment import Camera
-from avcli.scene import furniture, shaders
+from avcli.scene import furniture, people, shaders
 from avcli.scene.canvas import Canvas, NoGraphics, farthest, open_context, put
 from avcli.scene.interior import Interior
 from avcli.scene.outlines import SHADOW_PITCH, SHADOW_REACH, SHAPE_PITCH, TILE, Outlines, Sheet
-from avcli.scene.people import Bodies
-from avcli.scene.room_pass import draw_room
+from avcli.scene.room_cache import RoomCache
+from avcli.scene.room_pass import RoomPicture, draw_room
 from avcli.scene.settings import Drawing
 
 if TYPE_CHECKING:
@@ -31,24 +32,30 @@ _UNITS = {"seen": 0, "room_seen": 1, "room_colour": 2, "cones": 3, "shadow": 4, 
 """Where the shaders of a frame find their textures."""
 
 
+Shape = tuple[np.ndarray, tuple[int, int]]
+"""A person's whole silhouette, (rows, columns) bool on a grid, and the image place (x, y) of its first sample."""
+
+
 @dataclass(frozen=True)
 class Frame:
     """One rendered frame.
 
     Attributes:
-        rgb: (height, width, 3) uint8.
+        rgb: (height, width, 3) uint8; None where no colour is drawn.
         depth: (height, width) uint16 radial depth in steps of depth_step m; 0 none.
         ids: (height, width) uint8, index of the person + 1, 0 the room.
         shapes: people's whole silhouettes, one (rows, columns) bool array each on a grid of `pitch` px, and the image
             place (x, y) of its first sample.
     """
 
-    rgb: np.ndarray
+    rgb: np.ndarray | None
     depth: np.ndarray
     ids: np.ndarray
-    shapes: list[tuple[np.ndarray, tuple[int, int]]]
+    shapes: list[Shape]
     depth_step: float = 1e-4
     pitch: int = SHAPE_PITCH
+    known: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """What was found out about people in the frame, by their index: a frame may be that of many times."""
 
 
 class Renderer:
@@ -62,8 +69,11 @@ class Renderer:
         samples: colour samples per pixel at outlines.
         context: to share; None opens one.
         dressed: the room's looks and light, None where it states none.
+        colour: whether colours are drawn; depth alone is quicker.
+        cache: keeps the colours of the empty room for another run; None: they are drawn.
 
     Attributes:
+        drawn_share: sum over the frames of the share of the picture that was drawn for them.
         depth_step: m of one step of the depth pictures.
         room_depth: (height, width) uint16, radial depth of the empty room in steps.
         room_seen, people_seen: textures (height, width, 2) float32 of the room and of the people of the last frame:
@@ -83,50 +93,84 @@ class Renderer:
         samples: int = 4,
         context: moderngl.Context | None = None,
         dressed: Interior | None = None,
+        *,
+        colour: bool = True,
+        cache: RoomCache | None = None,
     ) -> None:
         self.depth_step, self.samples = depth_step or Drawing().depth_step_m(farthest(camera, room)), samples
-        self._dressed = dressed
+        self.colour, self.drawn_share, self._dressed = colour, 0.0, dressed
         self.canvas = Canvas(camera, room, samples, context)
         if dressed is not None:
             self.canvas.surroundings |= dressed.uniforms
-        self.room_seen, self._room_surface, self._room_colour, self._probes = draw_room(self.canvas, solids, dressed)
+        self.room_seen, self._room_surface, self._room_colour, self._probes = self._room(
+            solids, cache if colour else None
+        )
         self._make_targets()
         self._make_programs()
         width, height = self.canvas.size
+        self._outlines, self._index = self.prepare(people.pose([], np.zeros(1))), 0
         everywhere = np.ones((-(-height // TILE), -(-width // TILE)), bool)
         self._stale = everywhere, everywhere
-        self._find(np.zeros((0, 22)))
-        self._paint(np.zeros((0, 9, 4)), np.zeros((0, 4)), np.zeros((0, 6)), *self._stale)
-        self.room_depth = self._read_depth()
+        self._paint(self._outlines, 0, *self._stale)
+        rgb = np.zeros((height, width, 3), np.uint8) if colour else None
+        depth, ids = np.zeros((height, width), np.uint16), np.zeros((height, width), np.uint8)
+        self._frame = self._read(Frame(rgb, depth, ids, [], self.depth_step), everywhere)
+        self.room_depth = self._frame.depth
 
-    def prepare(self, bodies: Bodies) -> Outlines:
-        """Compute what the card needs to draw bodies at n times; their frames are then drawn by index."""
+    def prepare(self, bodies: people.Bodies, still_px: float = 0.0) -> Outlines:
+        """Compute what the card needs to draw bodies at n times; their frames are then drawn by index.
+
+        Args:
+            bodies: at n times.
+            still_px: as `Outlines` has it; 0 draws every pose.
+        """
         reach = SHADOW_REACH if self._dressed is None else self._dressed.uniforms["reach"]
-        return Outlines(self.canvas, bodies, reach)
+        return Outlines(self.canvas, bodies, reach, still_px)
 
     def draw(self, outlines: Outlines, index: int) -> Frame:
-        """Draw the frame of one time.
+        """Draw the frame of one time: the same object again where nobody has moved since the last one.
 
         Args:
             outlines: of `prepare`.
             index: of the time.
         """
-        bodies, shadows = outlines.tiles(index)
-        self._find(outlines.instances(index))
-        redrawn = bodies | self._stale[0], (shadows | self._stale[1]) & ~(bodies | self._stale[0])
-        self._paint(outlines.rows(index), outlines.balls(index), outlines.shadow_rectangles(index), *redrawn)
-        self._stale = bodies, shadows
-        self.canvas.wait()
-        width, height = self.canvas.size
-        rgb = np.frombuffer(self._final.read(components=3, attachment=0), np.uint8).reshape(height, width, 3)
-        ids = np.frombuffer(self._ids.read(), np.uint8).reshape(height, width)
-        return Frame(rgb, self._read_depth(), ids, self._silhouettes(outlines, index), self.depth_step)
+        known = outlines is self._outlines or not (outlines.held.size or self._outlines.held.size)
+        moved = outlines.held[index] != outlines.held[self._index] if known else np.ones(outlines.held.shape[1], bool)
+        everybody = np.ones_like(moved)
+        bodies, shadows = outlines.tiles(index, everybody)
+        before = outlines.tiles(self._index, moved) if known else self._stale
+        found, darkened = (one | other for one, other in zip(outlines.tiles(index, moved), before, strict=True))
+        painted = found | (darkened & bodies)
+        dimmed = darkened & ~painted
+        if (painted | dimmed).any():
+            self._find(outlines.instances(index, found), found)
+            self._paint(outlines, index, painted, dimmed)
+            self.canvas.wait()
+            self._frame = self._read(self._frame, painted | dimmed)
+        if not known or moved.any():
+            self._frame = replace(self._frame, shapes=self._silhouettes(outlines, index, moved))
+        self._stale, self._outlines, self._index = (bodies, shadows), outlines, index
+        self.drawn_share += (painted | dimmed).mean()
+        return self._frame
+
+    def _room(self, solids: furniture.Solids, cache: RoomCache | None) -> RoomPicture:
+        """Draw the empty room, or take its colours from the cache."""
+        canvas, begin = self.canvas, perf_counter()
+        known = cache.load(canvas.drawn_by, canvas.size) if cache else None
+        picture = draw_room(canvas, solids, self._dressed, colour=self.colour and known is None)
+        if known is not None:
+            picture.colour.write(np.dstack([known, np.full(known.shape[:2], 255, np.uint8)]).tobytes())
+        elif cache:
+            pixels = np.frombuffer(picture.colour.read(), np.uint8).reshape(*canvas.size[::-1], 4)
+            cache.store(canvas.drawn_by, np.ascontiguousarray(pixels[..., :3]), perf_counter() - begin)
+        return picture
 
     def _make_targets(self) -> None:
         """What is drawn into: the cones that are seen, their paint, shadows, and the frame itself."""
         ctx, size = self.canvas.ctx, self.canvas.size
         self.people_seen, marks = ctx.texture(size, 2, dtype="f4"), ctx.depth_renderbuffer(size)
         self._geometry = ctx.framebuffer([self.people_seen], marks)
+        self._geometry.clear(0, 0, 0, 0, depth=1.0)
         colour, self._depth, self._ids = ctx.texture(size, 4), ctx.texture(size, 1, dtype="u2"), ctx.texture(size, 1)
         edges = ctx.depth_renderbuffer(size)
         self._final = ctx.framebuffer([colour, self._depth, self._ids], edges)
@@ -140,6 +184,7 @@ class Renderer:
     def _make_programs(self) -> None:
         size, program, flat = self.canvas.size, self.canvas.program, shaders.FLAT_VERTEX
         uniforms = self.canvas.surroundings
+        self._blank = program(flat, shaders.BLANK, size=size, level=1.0)
         self._cones = program(shaders.PEOPLE_VERTEX, shaders.PEOPLE_FRAGMENT, room_depth=0, size=size)
         self._shapes = program(shaders.SHAPE_VERTEX, shaders.SHAPE_FRAGMENT, pitch=float(SHAPE_PITCH))
         shadow_units = {"coarse": SHADOW_PITCH, "seen": 0, "surface": 1, "balls": 2, "size": self._shadow.size}
@@ -154,46 +199,49 @@ class Renderer:
         self._shade = program(flat, shade, **uniforms, **units, level=0.9999)
         self._smooth = program(flat, shaders.SMOOTH.replace("SAMPLES", str(self.samples)), **units, level=0.5)
 
-    def _find(self, instances: np.ndarray) -> None:
-        """Find which cone each pixel sees."""
+    def _find(self, instances: np.ndarray, tiles: np.ndarray) -> None:
+        """Find which cone each pixel of some tiles sees."""
         ctx = self.canvas.ctx
         self.canvas.use_rays()
         self._geometry.use()
-        self._geometry.clear(0, 0, 0, 0, depth=1.0)
         ctx.enable(ctx.DEPTH_TEST)
+        ctx.depth_func = "1"
+        self.canvas.quads(self._blank, _tile_corners(tiles, self.canvas.size), "4f/i", ("rectangle",))
+        ctx.depth_func = "<"
         if len(instances):
             self.room_seen.use(0)
             layout, names = _CONE
             self.canvas.quads(self._cones, instances, f"{layout}/i", names)
 
-    def _paint(
-        self, rows: np.ndarray, balls: np.ndarray, shadow_rectangles: np.ndarray, tiles: np.ndarray, dimmed: np.ndarray
-    ) -> None:
-        """Colour the tiles of the picture in which people are or were, and those on which their shadow falls."""
+    def _paint(self, outlines: Outlines, index: int, tiles: np.ndarray, dimmed: np.ndarray) -> None:
+        """Draw depth and colour of the tiles in which people are or were, and the shadow on those where it falls."""
         canvas, ctx = self.canvas, self.canvas.ctx
+        rows, balls = outlines.rows(index), outlines.balls(index)
         ball_table = canvas.table(balls[None] if len(balls) else np.zeros((1, 1, 4)))
-        self._cast_shadows(ball_table, shadow_rectangles)
+        if self.colour:
+            self._cast_shadows(ball_table, outlines.shadow_rectangles(index))
         cone_table = canvas.table(rows if len(rows) else np.zeros((1, 9, 4)))
         corners, aside = _tile_corners(tiles, canvas.size), _tile_corners(dimmed, canvas.size)
         inputs = (self.people_seen, self.room_seen, self._room_colour, cone_table, self._shadow, ball_table)
         for unit, texture in enumerate(inputs):
             texture.use(unit)
+        self._paint_of_people.use(_UNITS["painted"])
         if self._probes is not None:
             self._probes.use(_UNITS["probes"])
-        if len(rows):
-            ctx.enable(ctx.DEPTH_TEST)
+        peopled = bool(len(rows)) and self.colour
+        ctx.enable(ctx.DEPTH_TEST)
+        if peopled:
             ctx.depth_func = ">"
             self._painted.use()
             canvas.quads(self._shade, corners, "4f/i", ("rectangle",))
-        self._paint_of_people.use(_UNITS["painted"])
         self._final.use()
-        ctx.enable(ctx.DEPTH_TEST)
         ctx.depth_func = "1"
         canvas.quads(self._base, corners, "4f/i", ("rectangle",))
-        ctx.disable(ctx.DEPTH_TEST)
-        self._dimmed.use()
-        canvas.quads(self._dim, aside, "4f/i", ("rectangle",))
-        if len(rows) and self.samples > 1:
+        if self.colour:
+            ctx.disable(ctx.DEPTH_TEST)
+            self._dimmed.use()
+            canvas.quads(self._dim, aside, "4f/i", ("rectangle",))
+        if peopled and self.samples > 1:
             ctx.enable(ctx.DEPTH_TEST)
             self._smoothed.use()
             ctx.depth_func = ">"
@@ -216,10 +264,13 @@ class Renderer:
             self.canvas.quads(self._shadows, rectangles, "4f 2f/i", ("rectangle", "balls"))
             ctx.disable(ctx.BLEND)
 
-    def _silhouettes(self, outlines: Outlines, index: int) -> list[tuple[np.ndarray, tuple[int, int]]]:
-        """Draw each person's whole silhouette; returns [(mask, (x, y) of its first sample)]."""
-        shapes = [(np.zeros((0, 0), bool), (0, 0)) for _ in range(outlines.bodies.balls.shape[1])]
-        for sheet in outlines.sheets(index):
+    def _silhouettes(self, outlines: Outlines, index: int, moved: np.ndarray) -> list[Shape]:
+        """Draw the whole silhouettes of those who moved; those of all."""
+        shapes = [
+            (np.zeros((0, 0), bool), (0, 0)) if anew else self._frame.shapes[person]
+            for person, anew in enumerate(moved.tolist())
+        ]
+        for sheet in outlines.sheets(index, moved):
             covered = self._sheet(sheet)
             for tile in sheet.tiles:
                 x0, y0, x1, y1 = tile.box
@@ -242,9 +293,26 @@ class Renderer:
         picture.release()
         return covered
 
-    def _read_depth(self) -> np.ndarray:
-        width, height = self.canvas.size
-        return np.frombuffer(self._depth.read(), np.uint16).reshape(height, width)
+    def _read(self, last: Frame, tiles: np.ndarray) -> Frame:
+        """The last frame with the tiles that were drawn since then, read from the card."""
+        rows, columns = np.flatnonzero(tiles.any(1)), np.flatnonzero(tiles.any(0))
+        x0, y0 = int(columns[0]) * TILE, int(rows[0]) * TILE
+        x1, y1 = np.minimum([(columns[-1] + 1) * TILE, (rows[-1] + 1) * TILE], self.canvas.size).tolist()
+        place = x0, y0, x1 - x0, y1 - y0
+
+        def renewed(old: np.ndarray, attachment: int, components: int) -> np.ndarray:
+            kind = {"uint8": "f1", "uint16": "u2"}[old.dtype.name]
+            read = self._final.read(place, components, attachment=attachment, alignment=1, dtype=kind)
+            part = np.frombuffer(read, old.dtype).reshape(y1 - y0, x1 - x0, *old.shape[2:])
+            if part.shape == old.shape:
+                return part
+            new = old.copy()
+            new[y0:y1, x0:x1] = part
+            new.flags.writeable = False  # the next frame begins with it
+            return new
+
+        rgb = None if last.rgb is None else renewed(last.rgb, 0, 3)
+        return replace(last, rgb=rgb, depth=renewed(last.depth, 1, 1), ids=renewed(last.ids, 2, 1))
 
 
 def _tile_corners(tiles: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -34,14 +34,26 @@ def _lattice(canvas: Canvas) -> moderngl.Texture3D:
     return canvas.ctx.texture3d(values.shape, 1, values.tobytes(), dtype="f2")
 
 
-def draw_room(canvas: Canvas, solids: furniture.Solids, dressed: Interior | None = None) -> RoomPicture:
-    """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet."""
+def draw_room(
+    canvas: Canvas, solids: furniture.Solids, dressed: Interior | None = None, *, colour: bool = True
+) -> RoomPicture:
+    """Draw the room and the furniture: depth at the pixels' centres, colour antialiased where surfaces meet.
+
+    Args:
+        canvas: to draw with.
+        solids: the furniture.
+        dressed: the room's looks and light, None where it states none.
+        colour: whether the room is coloured; otherwise it is black.
+    """
     ctx, uniforms = canvas.ctx, canvas.surroundings
     blockers = furniture.blockers(solids)
     table = canvas.table(np.concatenate([_solid_rows(solids), _solid_rows(blockers)]))
     found = _surfaces(canvas, solids, table)
+    picture = ctx.texture(canvas.size, 4)
+    probes = None if dressed is None else _probes(canvas, blockers, dressed)
+    if not colour:
+        return RoomPicture(found["seen"], found["surface"], picture, probes)
     light = _light(canvas, blockers, found, room_shaders.ROOM_LIGHT if dressed is None else dressed.shaders.room_light)
-    colour = ctx.texture(canvas.size, 4)
     inputs: dict[str, moderngl.Texture | moderngl.Texture3D] = {**found, "light": light, "solids": table}
     room_shade, room_smooth = room_shaders.ROOM_SHADE, room_shaders.ROOM_SMOOTH
     if dressed is not None:
@@ -49,21 +61,20 @@ def draw_room(canvas: Canvas, solids: furniture.Solids, dressed: Interior | None
         inputs |= {"looks": canvas.table(dressed.looks), "lattice": _lattice(canvas)}
         uniforms = {**uniforms, "blockers": len(blockers), "blockers_from": max(len(solids), 1)}
     shade = canvas.program(shaders.FLAT_VERTEX, room_shade, **uniforms)
-    canvas.fill(shade, ctx.framebuffer([colour]), inputs)
+    canvas.fill(shade, ctx.framebuffer([picture]), inputs)
     if uniforms["samples"] > 1:
         marks = ctx.depth_renderbuffer(canvas.size)
         target = ctx.framebuffer(depth_attachment=marks)
         target.clear(depth=1.0)
         ctx.depth_func = "1"
         canvas.fill(canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_EDGES), target, found, depth=True)
-        target = ctx.framebuffer([colour], marks)
+        target = ctx.framebuffer([picture], marks)
         target.depth_mask = False
         ctx.depth_func = ">"
         smooth = canvas.program(shaders.FLAT_VERTEX, room_smooth, **uniforms, level=0.5)
         canvas.fill(smooth, target, inputs, depth=True)
         ctx.depth_func = "<"
-    probes = None if dressed is None else _probes(canvas, blockers, dressed)
-    return RoomPicture(found["seen"], found["surface"], colour, probes)
+    return RoomPicture(found["seen"], found["surface"], picture, probes)
 
 
 def _surfaces(canvas: Canvas, solids: furniture.Solids, table: moderngl.Texture) -> dict[str, moderngl.Texture]:

@@ -33,6 +33,7 @@ from avcli.scene.looks import LOOK, look_of
 from avcli.scene.motion import Motion
 from avcli.scene.people import LOOKS, Person
 from avcli.scene.postures import LOADS, POSTURES, SEATED
+from avcli.scene.settings import SENSORS
 
 _MICROPHONES = (
     (0.115, 4.545, 2.493), (2.401, 4.498, 2.385), (4.545, 4.545, 2.484), (4.498, 2.342, 2.380),
@@ -146,6 +147,7 @@ SCENARIO = Format(
             "microphone_config": Key(Object({}), _AS_CONFIG),
             "room_config": Key(Object({}), _AS_CONFIG),
             "furniture": Key(ListOf(furniture.PIECE), "tables, chairs and other things that do not move"),
+            "sensor": Key(Choice(tuple(SENSORS)), "what the camera's sensor does to the pictures", default="clean"),
             "people": Key(ListOf(_PERSON, 0, 250), "the people; a mask picture numbers at most 250"),
         },
         closed=True,
@@ -172,6 +174,7 @@ class Scenario:
         solids: furniture.Solids, all that does not move.
         people: in the order of the file.
         warnings: sentences on what is odd but can be simulated.
+        sensor: name of one of `settings.SENSORS`.
     """
 
     raw: Mapping[str, Any]
@@ -181,6 +184,7 @@ class Scenario:
     solids: furniture.Solids
     people: tuple[Person, ...]
     warnings: tuple[str, ...]
+    sensor: str = "clean"
 
     @property
     def times(self) -> np.ndarray:
@@ -255,7 +259,8 @@ def _parsed(
     solids = furniture.join([solids, fittings.solids(config.room)])
     filled = {"name": title, "duration_s": duration, **sections}
     filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
-    return Scenario(filled, title, duration, config, solids, tuple(people), tuple(warnings))
+    filled["sensor"] = values["sensor"]
+    return Scenario(filled, title, duration, config, solids, tuple(people), tuple(warnings), values["sensor"])
 
 
 def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

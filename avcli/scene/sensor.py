@@ -1,14 +1,18 @@
-"""What a real sensor does to a perfect picture: motion blur, lens colour, vignetting, exposure, noise, JPEG."""
+"""What a real sensor does to a perfect picture: motion blur, lens, light, noise, sharpening, time stamp and JPEG."""
 
 from collections.abc import Sequence
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from avcli.scene.settings import Effects
 
+_SHARPENED_PX = 1.0  # standard deviation of the blur whose difference sharpening adds
+_BEGIN = datetime(2025, 1, 1, 9)
+
 
 def expose(
-    rgb: np.ndarray, effects: Effects, centre: tuple[float, float], generator: np.random.Generator
+    rgb: np.ndarray, effects: Effects, centre: tuple[float, float], generator: np.random.Generator, time: float = 0.0
 ) -> np.ndarray:
     """Apply a sensor's effects to a picture, in the order in which light meets them.
 
@@ -17,6 +21,7 @@ def expose(
         effects: which, and how strong.
         centre: (x, y) px, where the optical axis meets the picture.
         generator: of the noise.
+        time: s, for the time stamp.
 
     Returns:
         (height, width, 3) uint8.
@@ -26,6 +31,8 @@ def expose(
     if effects.aberration_px:
         rgb = _spread(rgb, effects.aberration_px, centre)
     light = _LIGHT[rgb]
+    if effects.blur_px:
+        light = _softened(light, effects.blur_px)
     if effects.vignetting:
         light = light * (1 - effects.vignetting * _corner_fraction(rgb.shape, centre) ** 2)[..., None]
     if effects.exposure_ev:
@@ -35,7 +42,13 @@ def expose(
         light = light + noise * np.sqrt(np.maximum(light, 0) / np.float32(effects.full_well_e))
     if effects.read_noise:
         light = light + np.float32(effects.read_noise / 255) * generator.standard_normal(light.shape, np.float32)
-    picture = np.rint(255 * np.sqrt(np.clip(light, 0, 1))).astype(np.uint8)
+    picture = np.sqrt(np.clip(light, 0, 1))
+    if effects.sharpening:
+        fine = picture - _softened(picture, _SHARPENED_PX)
+        picture = np.clip(picture + np.float32(effects.sharpening) * fine, 0, 1)
+    picture = np.rint(255 * picture).astype(np.uint8)
+    if effects.time_stamp:
+        _stamp(picture, time)
     return _compressed(picture, effects.jpeg_quality) if effects.jpeg_quality else picture
 
 
@@ -55,6 +68,25 @@ def _spread(rgb: np.ndarray, aberration_px: float, centre: tuple[float, float]) 
         moved = cv2.warpAffine(plane, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         channels.append(moved if sign else plane)
     return np.stack(channels, -1)
+
+
+def _softened(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """A picture (height, width, 3) float32 blurred by a Gaussian of sigma px."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE))
+
+
+def _stamp(picture: np.ndarray, time: float) -> None:
+    """Write date and time into the upper left corner, white with a dark rim; the scene begins at `_BEGIN`."""
+    import cv2
+
+    size = picture.shape[0] / 720
+    text = f"{_BEGIN + timedelta(seconds=time):%Y-%m-%d %H:%M:%S}"
+    place = round(20 * size), round(40 * size)
+    for colour, width in (((20, 20, 20), 5 * size), ((245, 245, 245), 2 * size)):
+        thickness = max(1, round(width))
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, thickness, cv2.LINE_AA)
 
 
 def _compressed(rgb: np.ndarray, quality: int) -> np.ndarray:

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from avcli.settings import setting
 
@@ -30,6 +31,16 @@ class Drawing:
         "16",
         "Bits of a depth pixel: 16 in steps of 0.1 mm, 8 in steps of 20 mm; longer steps where the room is larger.",
         choices=tuple(DEPTH_STEPS_M),
+    )
+    pictures: str = setting(
+        "both", "Draw and write colour and depth, or one alone, which is quicker.", choices=("both", "rgb", "depth")
+    )
+    still_px: float = setting(
+        0.25,
+        "People keep their pose in the pictures until a part of them has moved by more than this; 0 draws every pose.",
+        unit="PX",
+        least=0.0,
+        flag="--still",
     )
     shutter_s: float = setting(0.0, "Exposure time, s: motion blur.", unit="S", least=0.0, flag="--shutter")
 
@@ -65,6 +76,42 @@ class Effects:
         0.0, "Electrons that a white pixel holds, for shot noise; 0 for none.", unit="N", least=0.0, flag="--full-well"
     )
     read_noise: float = setting(0.0, "Standard deviation of the read noise, in 1/255 of white.", unit="S", least=0.0)
+    blur_px: float = setting(
+        0.0, "Standard deviation of the blur of lens and sensor, px.", unit="PX", least=0.0, most=50.0, flag="--blur"
+    )
+    sharpening: float = setting(
+        0.0, "Strength of the camera's sharpening; 1 doubles the finest contrast.", unit="F", least=0.0, most=10.0
+    )
+    time_stamp: bool = setting(False, "Write date and time into the frames, as cameras do.")
     jpeg_quality: int | None = setting(
         None, "Compress frames as JPEG of this quality would.", unit="Q", least=1, most=100, flag="--jpeg"
     )
+
+
+SENSORS: dict[str, dict[str, Any]] = {
+    "clean": {},
+    "webcam": {
+        "shutter_s": 0.01, "exposure_ev": 0.15, "vignetting": 0.25, "aberration_px": 1.0, "full_well_e": 5000.0,
+        "read_noise": 1.2, "blur_px": 0.8, "sharpening": 1.2, "jpeg_quality": 80,
+    },
+    "ip-camera": {
+        "shutter_s": 0.005, "vignetting": 0.15, "aberration_px": 0.5, "full_well_e": 8000.0, "read_noise": 1.0,
+        "blur_px": 0.6, "sharpening": 0.7, "time_stamp": True, "jpeg_quality": 70,
+    },
+}  # fmt: skip
+"""Sensors by name: the effects that differ from a perfect one's, and the shutter. A webcam is a small sensor in room
+light whose pictures come as good JPEGs; an IP camera is better, and compresses more. They were chosen on a part of real
+pictures that is not the one on which they were judged: tests/bench/bench_sensor.py."""
+
+
+def with_sensor(name: str, drawing: Drawing, effects: Effects) -> tuple[Drawing, Effects]:
+    """Add a sensor of `SENSORS` to settings: what is not the default in them is kept."""
+    wanted = SENSORS[name]
+
+    def filled(settings: Any, kind: type) -> Any:
+        usual = kind()
+        names = [field.name for field in dataclasses.fields(kind) if field.name in wanted]
+        free = [name for name in names if getattr(settings, name) == getattr(usual, name)]
+        return dataclasses.replace(settings, **{name: wanted[name] for name in free})
+
+    return filled(drawing, Drawing), filled(effects, Effects)

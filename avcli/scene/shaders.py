@@ -240,6 +240,12 @@ void main() {
 """
 )
 
+# Nobody is seen.
+BLANK = """#version 330
+out vec2 seen;
+void main() { seen = vec2(0.0); }
+"""
+
 BASE = (
     "#version 330"
     + TABLE
