@@ -30,8 +30,8 @@ MOTION_STEP_S = 0.001
 COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
 """s of computing for each microphone and each second of a voice that moves at 1 m/s, for each image of the microphone,
 and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
-AFFORDABLE_IMAGES = 300_000
-"""images of a microphone with which --ism-decay is advised."""
+AFFORDABLE_IMAGES, AFFORDABLE_IN_BANDS = 300_000, 20_000
+"""images of a microphone with which --ism-decay is advised, and with which a room of materials is followed."""
 LEAST_ABSORBED = 0.005
 """energy; a material absorbs no less of it and reflects no less."""
 LONG_S, MANY_IMAGES = 20.0, 1_000_000
@@ -281,9 +281,11 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
         return 0.0, np.ones(6)
 
 
-def affordable_decay(room_dimensions_m: np.ndarray, rt60_s: float, speed_of_sound_m_s: float) -> float:
-    """Return how far image sources can be followed with AFFORDABLE_IMAGES of each microphone, whole dB, at most 15."""
-    reach_m = np.cbrt(AFFORDABLE_IMAGES / image_count(room_dimensions_m, 1.0))
+def affordable_decay(
+    room_dimensions_m: np.ndarray, rt60_s: float, speed_of_sound_m_s: float, images: int = AFFORDABLE_IMAGES
+) -> float:
+    """Return how far image sources can be followed with so many of each microphone, whole dB, at most 15."""
+    reach_m = np.cbrt(images / image_count(room_dimensions_m, 1.0))
     return float(np.floor(min(15.0, 60 * reach_m / max(rt60_s * speed_of_sound_m_s, reach_m))))
 
 
@@ -292,8 +294,8 @@ def _affordable(
 ) -> Settings:
     """Return settings with which a room whose materials absorb little is affordable: noise continues its images."""
     followed_m = rt60_s * (DECAY_HEARD_DB - settings.error_db) / 60 * speed_of_sound_m_s
-    decay_db = affordable_decay(room.dimensions, rt60_s, speed_of_sound_m_s)
-    if image_count(room.dimensions, followed_m) <= MANY_IMAGES or decay_db < 1:
+    decay_db = affordable_decay(room.dimensions, rt60_s, speed_of_sound_m_s, AFFORDABLE_IN_BANDS)
+    if image_count(room.dimensions, followed_m) <= AFFORDABLE_IN_BANDS or decay_db < 1:
         return settings
     say(f"these materials reverberate for {rt60_s:.1f} s; images are followed for {decay_db:g} dB, then noise")
     return replace(settings, ism_decay_db=decay_db)
