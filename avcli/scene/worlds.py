@@ -75,6 +75,7 @@ def random_world(
     return {
         "name": "random",
         "duration_s": float(duration),
+        "sensor": str(g_camera.choice(["webcam", "ip-camera"])),
         "camera_config": camera,
         "room_config": room,
         "furniture": layout.pieces,
