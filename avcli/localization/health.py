@@ -37,7 +37,7 @@ EARLIEST, AFTER, SELDOM = 4, 15, 10
 LEVELLED, UNUSUAL_DB = 20, 12.0
 """After how many windows the levels are compared, and by how many dB a channel differs that is named."""
 
-DOUBT, EACH = 40.0, 4.0
+DOUBT, EACH = 15.0, 4.0
 """By how much the log likelihood must rise to doubt channels, and by how much more for each of them."""
 
 CANDIDATES, RIVAL = 4, 0.75

@@ -100,11 +100,13 @@ def worlds(split: str, count: int) -> Iterator[Scene]:
         world = avcli.simulate("random", seed=seed, video=False, people=2 + number % 3, duration=WORLD_S)
         truth = list(world.truth)
         samples, activity = recorded(world.config, truth, rt60, None)
-        times = np.array([one.timestamp for one in truth])
-        mouths = np.array([one.mouths for one in truth])
+        places: dict[int, list[tuple[float, np.ndarray]]] = {}
+        for one in truth:  # who is outside the room is not in it
+            for identity, mouth in zip(one.ids.tolist(), one.mouths, strict=True):
+                places.setdefault(identity, []).append((one.timestamp, mouth))
         people = [
-            Person(times, mouths[:, index], activity.get(identity, []))
-            for index, identity in enumerate(truth[0].ids.tolist())
+            Person(np.array([t for t, _ in path]), np.array([at for _, at in path]), activity.get(identity, []))
+            for identity, path in places.items()
         ]
         yield Scene(WORLD, rt60, Array.of(world.config), samples, people)
 
