@@ -64,7 +64,8 @@ class Material:
         name: by which configs and scenarios call it.
         text: what it is, in a few words.
         absorption: (7,) of energy, at random incidence, in the bands `BANDS_HZ`.
-        scattering: share of the reflected energy that is not mirrored, at 707 Hz; `scattering_in_bands` spreads it.
+        scattering: share of the reflected energy that is not mirrored, at 707 Hz: an estimate; `scattering_in_bands`
+            spreads it.
         look: how it looks.
         source: of its absorption: a key of the table's sources in brackets, and the row there.
     """
