@@ -1,0 +1,253 @@
+"""What avdetect-audio makes of faulty channels, one or two faults at a time.
+
+    make setup-bench bench-faults            # faults.md and .jsonl in bench-out/: ten minutes
+
+Five recordings of one talker, simulated by pyroomacoustics and not by us, with real speech (CMU ARCTIC) from
+../shared/data or AVCLI_SHARED_DATA: eight microphones in a ring in a usual room, in a harder one, in a live and noisy
+one, a talker who walks, and six microphones. Those that decided settings (--split decide) and those that are reported
+share no room, no place and no voice. A detection is right within 0.5 m in x and y of the talker.
+"""
+
+import argparse
+import importlib.util
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parents[2]
+if importlib.util.find_spec("pyroomacoustics") is None:
+    bench = ROOT / ".venv-bench" / "bin" / "python"
+    if not bench.exists():
+        sys.exit("bench-faults: needs pyroomacoustics; make setup-bench installs it")
+    os.execv(bench, [str(bench), *sys.argv])
+
+import numpy as np  # noqa: E402
+import pyroomacoustics  # noqa: E402
+import soundfile  # noqa: E402
+from scipy.signal import fftconvolve, resample_poly  # noqa: E402
+
+from avcli.localization.array import Array  # noqa: E402
+from avcli.localization.settings import SteeredSettings  # noqa: E402
+from avcli.localization.steered import SteeredLocalizer  # noqa: E402
+from avcli.localization.stream import Block  # noqa: E402
+
+FS, SPEED, SECONDS = 48000, 343.0, 8.0
+SPEAKERS = {"decide": "aew", "report": "axb"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A room (3,) m, its T60 in s, the noise in dB below the talker, the seed, and the number of microphones."""
+
+    name: str
+    room: tuple[float, float, float]
+    rt60: float
+    snr_db: float
+    seed: int
+    walks: bool = False
+    microphones: int = 8
+
+
+CASES = {
+    "decide": (
+        Case("usual", (6, 5, 3), 0.4, 30, 1),
+        Case("another place", (6, 5, 3), 0.4, 30, 2),
+        Case("walker", (6, 5, 3), 0.4, 30, 3, walks=True),
+        Case("live and noisy", (6, 5, 3), 0.7, 15, 4),
+        Case("six microphones", (6, 5, 3), 0.4, 30, 5, microphones=6),
+    ),
+    "report": (
+        Case("usual", (5, 5.5, 3.2), 0.3, 30, 12),
+        Case("harder", (7.2, 4.4, 2.8), 0.5, 25, 11),
+        Case("walker", (7, 6, 3), 0.45, 30, 13, walks=True),
+        Case("live and noisy", (5.5, 5, 3), 0.75, 15, 14),
+        Case("six microphones", (6.4, 4.7, 2.9), 0.4, 30, 15, microphones=6),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples (n, m), microphones (m, 3) m, the talker's path (k, 4) t, x, y, z, and whether he speaks, every 10 ms."""
+
+    samples: np.ndarray
+    microphones: np.ndarray
+    path: np.ndarray
+    speaks: np.ndarray
+
+
+def ring(room: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return microphones near the walls, 2.4 to 2.5 m high, (count, 3) m."""
+    angle = np.arange(count) * 2.0 * np.pi / count + 0.2
+    level = np.clip(1.35 * np.column_stack([np.cos(angle), np.sin(angle)]), -1.0, 1.0)
+    return np.column_stack([room[:2] / 2 + (room[:2] / 2 - 0.15) * level, rng.uniform(2.4, 2.5, count)])
+
+
+def responses(room: np.ndarray, rt60: float, places: np.ndarray, microphones: np.ndarray) -> np.ndarray:
+    """Return room impulse responses (places, m, n), by Eyring's absorption."""
+    surface = 2 * (room[0] * room[1] + room[0] * room[2] + room[1] * room[2])
+    absorption = 1 - np.exp(-24 * np.log(10) * room.prod() / (SPEED * surface * rt60))
+    order = min(int(SPEED * rt60 / room.min()) + 1, 45)
+    shoebox = pyroomacoustics.ShoeBox(room, fs=FS, materials=pyroomacoustics.Material(absorption), max_order=order)
+    shoebox.set_sound_speed(SPEED)
+    for place in places:
+        shoebox.add_source(list(place))
+    shoebox.add_microphone_array(microphones.T)
+    shoebox.compute_rir()
+    length = max(len(one) for row in shoebox.rir for one in row)
+    found = np.zeros((len(places), len(microphones), length))
+    for m, row in enumerate(shoebox.rir):
+        for s, one in enumerate(row):
+            found[s, m, : len(one)] = one
+    return found[:, :, 40:]
+
+
+def voice(speaker: str, first: int) -> np.ndarray:
+    """Return speech of SECONDS, with silence before and after it."""
+    folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
+    spoken = [soundfile.read(path) for path in sorted(folder.glob(f"*_{speaker}_*.wav"))]
+    if not spoken:
+        sys.exit("bench-faults: needs CMU ARCTIC's sentences of aew and axb (AVCLI_SHARED_DATA/speech)")
+    resampled = [resample_poly(x, FS // np.gcd(FS, rate), rate // np.gcd(FS, rate)) for x, rate in spoken]
+    whole = np.tile(np.concatenate(resampled[first:] + resampled[:first]), 3)[: int(SECONDS * FS)]
+    return np.concatenate([np.zeros(FS // 4), 0.05 * whole / np.sqrt(np.mean(whole**2)), np.zeros(FS)])
+
+
+def recording(case: Case, speaker: str) -> Recording:
+    """Simulate a case."""
+    rng, room = np.random.default_rng(case.seed), np.array(case.room, float)
+    microphones = ring(room, case.microphones, rng)
+    dry = voice(speaker, case.seed % 3)
+    if case.walks:
+        share = np.linspace(0.0, 1.0, 40)[:, None]
+        places = np.array([1.0, 1.0, 1.6]) + share * (np.array([room[0] - 2.0, room[1] - 2.2, 0.0]))
+    else:
+        places = np.array([[*rng.uniform(0.8, room[:2] - 0.8), rng.uniform(1.3, 1.7)]])
+    hop = len(dry) / max(len(places) - 1, 1)
+    wet = np.zeros((len(dry), len(microphones)))
+    for k, heard in enumerate(responses(room, case.rt60, places, microphones)):
+        near = np.clip(1.0 - np.abs(np.arange(len(dry)) / hop - k), 0.0, 1.0) if case.walks else 1.0
+        for m, response in enumerate(heard):
+            wet[:, m] += fftconvolve(dry * near, response)[: len(dry)]
+    wet += np.sqrt(np.mean(wet**2)) * 10 ** (-case.snr_db / 20) * rng.standard_normal(wet.shape)
+    energy = np.convolve(dry**2, np.ones(FS // 10) / (FS // 10), "same")
+    path = np.column_stack([np.arange(len(places)) * hop / FS, places])
+    return Recording(wet, microphones, path, (energy > energy.max() * 10**-2.5)[:: FS // 100])
+
+
+# --- faults -----------------------------------------------------------------------------------------------------------
+
+
+def late(samples: np.ndarray, seconds: dict[int, float]) -> np.ndarray:
+    """Delay channels by so many s."""
+    size = 2 * len(samples)
+    frequency = np.fft.rfftfreq(size, 1.0 / FS)
+    found = samples.copy()
+    for c, delay in seconds.items():
+        turned = np.fft.rfft(samples[:, c], size) * np.exp(-2j * np.pi * frequency * delay)
+        found[:, c] = np.fft.irfft(turned, size)[: len(samples)]
+    return found
+
+
+def over(samples: np.ndarray, *channels: int) -> np.ndarray:
+    """Turn channels over."""
+    return samples * np.where(np.isin(np.arange(samples.shape[1]), channels), -1.0, 1.0)
+
+
+def exchanged(samples: np.ndarray, one: int, other: int) -> np.ndarray:
+    """Exchange two channels."""
+    order = np.arange(samples.shape[1])
+    order[[one, other]] = other, one
+    return samples[:, order]
+
+
+def noise(samples: np.ndarray, *channels: int) -> np.ndarray:
+    """Put noise in place of channels."""
+    found = samples.copy()
+    found[:, channels] = samples.std() * np.random.default_rng(7).standard_normal((len(samples), len(channels)))
+    return found
+
+
+FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "none": lambda x: x,
+    "one dead": lambda x: x * (np.arange(x.shape[1]) != 2),
+    "one of noise": lambda x: noise(x, 2),
+    "two of noise": lambda x: noise(x, 2, 5),
+    "one 26 dB quieter": lambda x: x * np.where(np.arange(x.shape[1]) == 2, 0.05, 1.0),
+    "one turned over": lambda x: over(x, 2),
+    "two turned over": lambda x: over(x, 2, 5),
+    "three turned over": lambda x: over(x, 0, 2, 5),
+    "one 3.2 ms late": lambda x: late(x, {2: 0.0032}),
+    "two .23 ms late": lambda x: late(x, {2: 10 / 44100, 5: 10 / 44100}),
+    "3.2 and 11 ms late": lambda x: late(x, {2: 0.0032, 5: 0.011}),
+    "neighbours exchanged": lambda x: exchanged(x, 2, 3),
+    "opposite ones exchanged": lambda x: exchanged(x, 1, 1 + x.shape[1] // 2),
+    "one turned over, one 2 ms late": lambda x: late(over(x, 2), {5: 0.002}),
+    "two exchanged, one turned over": lambda x: over(exchanged(x, 2, 3), 5),
+    "all moved on by one": lambda x: np.roll(x, 1, axis=1),
+}
+MISPLACED = {"places wrong by 2 cm": 0.02, "places wrong by 5 cm": 0.05}
+
+
+def measured(case: Case, heard: Recording, fault: str) -> dict[str, object]:
+    """Return recall, precision and what was said of a case with a fault."""
+    samples, microphones = heard.samples, heard.microphones
+    if fault in MISPLACED:
+        microphones = microphones + np.random.default_rng(case.seed).normal(0.0, MISPLACED[fault], microphones.shape)
+    else:
+        samples = FAULTS[fault](samples)
+    array = Array(microphones, FS, np.array(case.room, float), SPEED)
+    localizer = SteeredLocalizer(array, SteeredSettings(), np.random.default_rng(0))
+    blocks = (Block(samples[i : i + 4096]) for i in range(0, len(samples), 4096))
+    active = hit = 0
+    right, false = [], []
+    said: list[str] = []
+    for decision in localizer.localize(blocks):
+        said += decision.notices
+        place = np.array([np.interp(decision.time, heard.path[:, 0], column) for column in heard.path[:, 1:].T])
+        away = np.hypot(*(decision.positions - place)[:, :2].T)
+        nearest = int(away.argmin()) if len(away) else -1
+        found = bool(len(away) and away[nearest] < 0.5)
+        speaks = bool(heard.speaks[min(int(decision.time * 100), len(heard.speaks) - 1)])
+        active, hit = active + speaks, hit + (speaks and found)
+        right += [float(away[nearest])] if found else []
+        false += [float(s) for k, s in enumerate(decision.scores) if not (found and k == nearest)]
+    return {
+        "case": case.name,
+        "fault": fault,
+        "recall": hit / max(active, 1),
+        "precision": len(right) / max(len(right) + len(false), 1),
+        "median_m": float(np.median(right)) if right else None,
+        "false": len(false),
+        "false_score": float(np.median(false)) if false else None,
+        "said": said,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--split", choices=list(CASES), default="report")
+    parser.add_argument("--only", nargs="+", choices=[*FAULTS, *MISPLACED], help="faults; by default all")
+    parser.add_argument("--out", type=Path, default=Path("bench-out"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    cases = CASES[options.split]
+    heard = [recording(case, SPEAKERS[options.split]) for case in cases]
+    lines = ["| fault | " + " | ".join(case.name for case in cases) + " |", "|---|" + "---|" * len(cases)]
+    with open(options.out / "faults.jsonl", "w") as rows:
+        for fault in options.only or [*FAULTS, *MISPLACED]:
+            found = [measured(case, one, fault) for case, one in zip(cases, heard, strict=True)]
+            rows.writelines(json.dumps(row) + "\n" for row in found)
+            lines.append(
+                f"| {fault} | " + " | ".join(f"{r['recall']:.2f} / {r['precision']:.2f}" for r in found) + " |"
+            )
+            print(lines[-1], flush=True)
+    (options.out / "faults.md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
