@@ -7,7 +7,8 @@
 #: make lint          the checks of style, types and imports
 #: make man           the manual pages, checked, and as HTML in out/man/
 #: make formats       the schemas and the key lists of the manual, from the one description of each format
-#: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-detection bench-tracking bench-metrics bench-calibration
+#: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-detection bench-tracking
+#:      bench-metrics bench-calibration
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
