@@ -174,7 +174,9 @@ FAULT = Object(
     {
         "channel": Key(bounds.CHANNELS, "the channel, from 1", required=True),
         "fault": Key(
-            Choice(("late", "polarity", "swapped", "level", "unexplained")), "what is wrong with it", required=True
+            Choice(("dead", "late", "polarity", "swapped", "level", "unexplained")),
+            "what is wrong with it",
+            required=True,
         ),
         "delay_s": Key(bounds.COORDINATE, "by which it is late, s"),
         "microphone": Key(bounds.CHANNELS, "whose sound it carries, from 1"),

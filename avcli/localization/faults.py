@@ -10,7 +10,7 @@ class Fault:
 
     Attributes:
         channel: from 1, as in the recording.
-        kind: "late", "polarity", "swapped", "level" or "unexplained".
+        kind: "dead", "late", "polarity", "swapped", "level" or "unexplained".
         delay_s: by which it is late.
         microphone: from 1, whose sound it carries.
         level_db: over the median channel.
@@ -33,6 +33,8 @@ class Fault:
         if self.level_db is not None:
             way = "louder" if self.level_db > 0.0 else "quieter"
             return f"channel {self.channel} is {abs(self.level_db):.0f} dB {way} than the others; this does no harm"
+        if self.kind == "dead":
+            return f"channel {self.channel} is dead and left out"
         if self.corrected:
             return f"channel {self.channel} has the wrong polarity; this is corrected"
         return f"channel {self.channel} does not agree with the others and is left out"

@@ -34,8 +34,9 @@ STARTS, KEEP = 6, 48
 EARLIEST, AFTER, SELDOM = 4, 15, 10
 """How many more windows doubt needs for a verdict; after how many without a doubt one of how many is tested."""
 
-LEVELLED, UNUSUAL_DB = 20, 12.0
-"""After how many windows the levels are compared, and by how many dB a channel differs that is named."""
+LEVELLED, UNUSUAL_DB, DEAD = 20, 12.0, 5
+"""After how many windows the levels are compared, by how many dB a channel differs that is named, and for how many
+windows in which somebody is heard a channel without sound is called dead."""
 
 DOUBT, EACH = 15.0, 4.0
 """By how much the log likelihood must rise to doubt channels, and by how much more for each of them."""
@@ -96,6 +97,7 @@ class Health:
         held: (m,) bool, which are left out since several remedies would do.
         faulty: (m,) bool, which are left out for good.
         loud: (m,) dB, by how much the level of each is unusual; else 0.
+        silent: (m,) in how many windows up to the last each was without sound.
     """
 
     def __init__(self, array: Array, correlator: Correlator, response: SteeredResponse):
@@ -104,7 +106,7 @@ class Health:
         count = len(array.microphones)
         self.order, self.sign, self.delay = np.arange(count), np.ones(count), np.zeros(count)
         self.doubted, self.held, self.faulty = np.zeros((3, count), bool)
-        self.level, self.loud = np.zeros((2, count))
+        self.level, self.loud, self.silent = np.zeros((3, count))
         self.size = round(self.band.size * self.band.oversampling)
         self.step = 1.0 / (array.sample_rate * self.band.oversampling)
         self.reach = min(int(LONGEST_S / self.step), self.size // 2 - 2)
@@ -180,6 +182,8 @@ class Health:
         power = (window.spectra.real**2 + window.spectra.imag**2).sum(axis=1, dtype=np.float64)
         self.level = self.level + (10.0 * np.log10(np.maximum(power, 1e-30)) - self.level) / min(self.windows, MEMORY)
         above = self.level - np.median(self.level)
+        # At the beginning of a sound without noise, it has not reached all channels yet.
+        self.silent = np.where(power <= 1e-6 * np.median(power), self.silent + 1, 0)
         if self.windows == LEVELLED:
             self.loud = np.where((np.abs(above) > UNUSUAL_DB) & window.good, above, 0.0)
 
@@ -380,7 +384,9 @@ class Health:
                 found.append(Fault(channel, "late", delay_s=float(self.delay[c])))
             if self.faulty[c]:
                 found.append(Fault(channel, "unexplained", corrected=False))
-            if self.loud[c]:
+            if self.silent[c] >= DEAD:
+                found.append(Fault(channel, "dead", corrected=False))
+            elif self.loud[c]:
                 found.append(Fault(channel, "level", level_db=float(self.loud[c])))
         return tuple(found)
 

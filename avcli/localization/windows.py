@@ -226,8 +226,7 @@ def _believed(
     shifted = shift > 0.01
     if shifted.any():
         shifted &= shift > samples.std(axis=1)
-    notices = [f"channel {c + 1} is dead and left out" for c in np.flatnonzero(dead)]
-    notices += [f"channel {c + 1} is clipped" for c in np.flatnonzero(clipped)]
+    notices = [f"channel {c + 1} is clipped" for c in np.flatnonzero(clipped)]
     good = ~(dead | broken)
     if (good & ~clipped).sum() >= max(5, 0.5 * len(good)):
         good &= ~clipped
