@@ -208,7 +208,7 @@ CONFIG = Format(
             "room_config": Key(_ROOM, "the room"),
             "sensors": Key(
                 _SENSORS,
-                'what each sensor is; the keys are names of sensors: {"ceiling": {"kind": "camera"}, "ring": {"kind": '
+                'the kind of each sensor, by its name: {"ceiling": {"kind": "camera"}, "ring": {"kind": '
                 '"microphones"}}. A sensor whose kind is neither here nor in its records gets the kind that its name '
                 "suggests",
             ),

@@ -68,7 +68,7 @@ _LAMP = Object(
 KEYS = {
     "surfaces": Key(
         _SURFACES,
-        "what the surfaces are made of, by the names of materials: their look, and their absorption where neither "
+        "the material of each surface, by name; it sets the look, and the absorption where neither "
         "reverberation_time_s nor absorption is stated. A surface that is left out is as in a room without this key: "
         "dark curtains, grey vinyl tiles, a white ceiling",
     ),

@@ -111,6 +111,7 @@ class Health:
         self.step = 1.0 / (array.sample_rate * self.band.oversampling)
         self.reach = min(int(LONGEST_S / self.step), self.size // 2 - 2)
         self.hypotheses = _hypotheses(count)
+        self.after = AFTER if count <= FEW else 0  # many pairs tell much at once, and cost much
         gains = np.ones((len(self.hypotheses), count))
         for row, (subset, turned) in zip(gains, self.hypotheses, strict=True):
             row[list(subset)] = -1.0 if turned else 0.0
@@ -152,7 +153,7 @@ class Health:
         self.windows += 1
         self._weigh(window)
         good = window.good & ~self.faulty
-        if good.sum() < 5 or (self.windows > AFTER and self.windows % SELDOM and not self.doubted.any()):
+        if good.sum() < 5 or (self.windows > self.after and self.windows % SELDOM and not self.doubted.any()):
             return
         self.recent.append(window)
         best = self._compared(window.gcc, good, deviation)

@@ -147,7 +147,11 @@ SCENARIO = Format(
             "microphone_config": Key(Object({}), _AS_CONFIG),
             "room_config": Key(Object({}), _AS_CONFIG),
             "furniture": Key(ListOf(furniture.PIECE), "tables, chairs and other things that do not move"),
-            "sensor": Key(Choice(tuple(SENSORS)), "what the camera's sensor does to the pictures", default="clean"),
+            "sensor": Key(
+                Choice(tuple(SENSORS)),
+                "name of the sensor's effects (noise, blur, compression); clean has none",
+                default="clean",
+            ),
             "people": Key(ListOf(_PERSON, 0, 250), "the people; a mask picture numbers at most 250"),
         },
         closed=True,
