@@ -120,9 +120,9 @@ class Stoppable(io.RawIOBase):
 
     def stop(self) -> None:
         """Let the stream end for its reader, now."""
-        if self._signal >= 0:
-            os.close(self._signal)
-            self._signal = -1
+        signal, self._signal = self._signal, -1  # the reader wakes at the close, and may stop it too
+        if signal >= 0:
+            os.close(signal)
 
     def close(self) -> None:
         """Stop, and give back what the waiting needs."""
