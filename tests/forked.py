@@ -1,67 +1,155 @@
-"""Commands run in a child of this process, which has loaded the libraries already: some milliseconds for each run."""
+"""Commands run in children of one process that has loaded all libraries: some milliseconds a run, not half a second.
+
+That process has drawn nothing and started no thread, so its children are as good as new.
+"""
 
 import contextlib
+import functools
+import gc
 import importlib
+import json
 import os
+import pkgutil
 import resource
+import select
 import signal
+import socket
+import subprocess
 import sys
-import tempfile
-import time
+import threading
 import traceback
-from dataclasses import dataclass
+from pathlib import Path
 
-import click
-
-LONGEST_S = 120
-"""s; a run that takes longer hangs."""
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a run ended: its exit status (negative: the signal), and what it wrote."""
-
-    status: int
-    out: bytes
-    err: str
+HANG_S = 1800
+"""s; a process that takes longer hangs. A test measures no wall time: on a busy machine everything takes longer."""
+_LOADED_LATE = [
+    "cv2",
+    "moderngl",
+    "onnxruntime",
+    "orjson",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.sparse.csgraph",
+    "scipy.spatial",
+    "scipy.special",
+    "scipy.stats",
+    "soundfile",
+    "trimesh",
+]
 
 
 def run_forked(
-    command: str | click.Command, *args: object, stdin: bytes = b"", largest_file: int | None = None
-) -> Ended:
-    """Run a command's own main.
+    command: str, *args: object, stdin: bytes = b"", cwd: Path | None = None, largest_file: int | None = None
+) -> subprocess.CompletedProcess:
+    """Run a command's own main in a process of its own; stdout is bytes, stderr text.
 
     Args:
-        command: "avfuse", or a command that is none of ours.
+        command: "avfuse", or the name of a module beside this one that has a `main`.
         args: of its command line.
-        stdin: content of its standard input.
+        stdin: content of its standard input, a pipe.
+        cwd: its directory, by default this process's.
         largest_file: bytes; a write beyond it fails, as on a full disk.
     """
-    if isinstance(command, str):
-        command = importlib.import_module(f"avcli.commands.{command.replace('-', '_')}").main
-    with contextlib.ExitStack() as stack:
-        given, out, err = (stack.enter_context(tempfile.TemporaryFile()) for _ in range(3))
-        given.write(stdin)
-        given.seek(0)
-        child = os.fork()
-        if child == 0:
-            _run(command, [str(arg) for arg in args], (given, out, err), largest_file)
-        status = _waited(child)
-        out.seek(0)
-        err.seek(0)
-        return Ended(status, out.read(), err.read().decode())
+    ours, its = zip(*(os.pipe() if written else os.pipe()[::-1] for written in (False, True, True)), strict=True)
+    reply, its_reply = os.pipe()
+    request = {"command": command, "args": [str(arg) for arg in args], "cwd": str(cwd or os.getcwd()),
+               "env": dict(os.environ), "largest_file": largest_file}  # fmt: skip
+    socket.send_fds(_nursery()[0], [json.dumps(request).encode()], [*its, its_reply])
+    for descriptor in (*its, its_reply):
+        os.close(descriptor)
+    read = [b"", b""]
+
+    def reading(number: int) -> None:
+        with open(ours[number + 1], "rb") as stream:
+            read[number] = stream.read()
+
+    def writing() -> None:
+        with contextlib.suppress(BrokenPipeError), open(ours[0], "wb") as stream:
+            stream.write(stdin)
+
+    threads = [threading.Thread(target=writing), *(threading.Thread(target=reading, args=(n,)) for n in (0, 1))]
+    for thread in threads:
+        thread.start()
+    with open(reply, "rb") as stream:
+        child = int(stream.readline())
+        if not select.select([stream], [], [], HANG_S)[0]:
+            os.kill(child, signal.SIGKILL)
+            raise AssertionError(f"{command} hangs")
+        status = int(stream.readline())
+    for thread in threads:
+        thread.join()
+    return subprocess.CompletedProcess([command, *args], status, read[0], read[1].decode())
 
 
-def _run(main, args, files, largest_file):
+@functools.cache
+def _nursery() -> tuple[socket.socket, subprocess.Popen]:
+    """Start the process whose children the commands are; it ends when the socket to it is closed."""
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    process = subprocess.Popen(
+        [sys.executable, __file__, str(its.fileno())], pass_fds=[its.fileno()], stdin=subprocess.DEVNULL,
+        start_new_session=True,
+    )  # fmt: skip
+    its.close()
+    return ours, process
+
+
+def _serve(requests: socket.socket) -> None:
+    avcli = importlib.import_module("avcli")
+    names = [module.name for module in pkgutil.walk_packages(avcli.__path__, "avcli.")]
+    for name in [name for name in names if not name.endswith("__main__")]:
+        importlib.import_module(name)
+    importlib.import_module("avcli.formats.media").quiet_decoders()  # OpenCV asks once, when it is loaded
+    for name in _LOADED_LATE:
+        importlib.import_module(name)
+    gc.freeze()
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake)
+    replies: dict[int, int] = {}
+    while True:
+        ready = select.select([requests, woken], [], [])[0]
+        if woken in ready:
+            os.read(woken, 4096)
+            for child in list(replies):
+                done, status = os.waitpid(child, os.WNOHANG)
+                if done:
+                    reply = replies.pop(child)
+                    os.write(reply, b"%d\n" % os.waitstatus_to_exitcode(status))
+                    os.close(reply)
+        if requests in ready:
+            message, descriptors, _, _ = socket.recv_fds(requests, 1 << 20, 4)
+            if not message:
+                return
+            child = os.fork()
+            if child == 0:
+                _run(descriptors[:3], **json.loads(message))
+            for descriptor in descriptors[:3]:
+                os.close(descriptor)
+            replies[child] = descriptors[3]
+            os.write(descriptors[3], b"%d\n" % child)
+
+
+def _run(files, command, args, cwd, env, largest_file):
     status = 99
     try:
-        for number, file in enumerate(files):
-            os.dup2(file.fileno(), number)
-        sys.stdin, sys.stdout, sys.stderr = (os.fdopen(n, mode, closefd=False) for n, mode in enumerate("rww"))
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        for number, descriptor in enumerate(files):
+            os.dup2(descriptor, number)
+        os.closerange(3, 1024)
+        sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", 1, errors="backslashreplace", closefd=False)
+        os.chdir(cwd)
+        os.environ.clear()
+        os.environ.update(env)
         if largest_file is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        main.main(args)
+        sys.argv = [command, *args]
+        module = f"avcli.commands.{command.replace('-', '_')}" if command.startswith("av") else command
+        importlib.import_module(module).main()
     except SystemExit as end:
         status = end.code or 0
     except BaseException:
@@ -73,16 +161,5 @@ def _run(main, args, files, largest_file):
         os._exit(status)
 
 
-def _waited(child: int) -> int:
-    end = time.monotonic() + LONGEST_S
-    pause = 0.001
-    while True:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
-        if time.monotonic() > end:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-            raise AssertionError("the run hangs")
-        time.sleep(pause)
-        pause = min(2 * pause, 0.02)
+if __name__ == "__main__":
+    _serve(socket.socket(fileno=int(sys.argv[1])))

@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 
-import copy_records
 import numpy as np
 import orjson
 import pytest
@@ -33,8 +32,8 @@ def config(tmp_path, **changes):
 
 
 def refused(ended, *words, status=1):
-    assert (ended.status, ended.err.count("\n")) == (status, 1), ended.err
-    assert all(word in ended.err for word in words), ended.err
+    assert (ended.returncode, ended.stderr.count("\n")) == (status, 1), ended.stderr
+    assert all(word in ended.stderr for word in words), ended.stderr
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -62,8 +61,8 @@ def test_a_record_beyond_the_bounds_is_refused_or_skipped(line):
     given = DETECTION + line.encode() + b"\n" + DETECTION.replace(b"0.1", b"0.2")
     refused(run_forked("avfuse", stdin=given), "avfuse: <stdin>:2", BAD[line])
     ended = run_forked("avfuse", "--skip-invalid", stdin=given)
-    assert (ended.status, len(ended.out.splitlines())) == (0, 2)
-    assert "avfuse: skipped 1 invalid" in ended.err
+    assert (ended.returncode, len(ended.stdout.splitlines())) == (0, 2)
+    assert "avfuse: skipped 1 invalid" in ended.stderr
 
 
 def test_the_tail_of_a_line_that_is_too_long_is_no_record():
@@ -73,8 +72,8 @@ def test_the_tail_of_a_line_that_is_too_long_is_no_record():
     )
     for text in (long, printed):
         ended = run_forked("avfuse", "--skip-invalid", stdin=DETECTION + text + DETECTION.replace(b"0.1", b"0.2"))
-        assert (ended.status, len(ended.out.splitlines())) == (0, 2)
-        assert ended.err.splitlines()[-1] == "avfuse: skipped 1 invalid record"
+        assert (ended.returncode, len(ended.stdout.splitlines())) == (0, 2)
+        assert ended.stderr.splitlines()[-1] == "avfuse: skipped 1 invalid record"
 
 
 @pytest.mark.parametrize("value", [DEEP, "[" * 1000 + "]" * 1000, '{"a":' * 500 + "1" + "}" * 500])
@@ -104,8 +103,8 @@ def test_people_can_be_named_by_text(tmp_path):
     ]
     (tmp_path / "truth.jsonl").write_bytes(b"".join(rows))
     ended = run_forked("aveval", tmp_path / "truth.jsonl", "-", stdin=b"".join(rows).replace(b"anna", b"T 7"))
-    assert (ended.status, ended.err) == (0, "")
-    assert orjson.loads(ended.out.splitlines()[0])["summary"]["HOTA"] == 1.0
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert orjson.loads(ended.stdout.splitlines()[0])["summary"]["HOTA"] == 1.0
     mixed = b"".join(rows[:5] + [row.replace(b'"anna"', b"3") for row in rows[5:]])
     refused(run_forked("aveval", tmp_path / "truth.jsonl", "-", stdin=mixed), "<stdin>:6: ", "text for some people")
     loaded = records.load(tmp_path / "truth.jsonl")
@@ -218,7 +217,7 @@ def test_a_record_cannot_name_a_file_outside_the_experiment(tmp_path, path):
     for command, line in (("avdetect-audio", heard), ("avdetect-video", seen)):
         refused(run_forked(command, "-C", tmp_path, stdin=line), f"{command}: <stdin>:1: ", "must be")
         allowed = run_forked(command, "-C", tmp_path, "--allow-outside", stdin=line)
-        assert (allowed.status, "experiment directory" in allowed.err) == (1, False)
+        assert (allowed.returncode, "experiment directory" in allowed.stderr) == (1, False)
     inside = {"timestamp": 0.0, "frame": {"rgb": "video/../a.png", "depth": "./b..png"}}
     assert records.frame(inside).rgb == "video/../a.png"
 
@@ -230,8 +229,8 @@ def test_a_gap_in_the_sound_is_bounded(tmp_path):
     audio = {"path": "a.wav", "start_sample": 0, "num_samples": 4410, "sample_rate_hz": 44100, "num_channels": 8}
     lines = [{"timestamp": 0.0, "audio": {**audio, "start_sample": start}} for start in (0, 44100 * 10**8)]
     ended = run_forked("avdetect-audio", "-C", tmp_path, stdin=b"".join(map(records.encode, lines)))
-    assert (ended.status, ended.out.count(b"\n")) == (0, 0), "the reverberation time hides all of 0.1 s"
-    assert "a.wav: 100000000 s before it are missing; the recording starts anew there" in ended.err
+    assert (ended.returncode, ended.stdout.count(b"\n")) == (0, 0), "the reverberation time hides all of 0.1 s"
+    assert "a.wav: 100000000 s before it are missing; the recording starts anew there" in ended.stderr
 
 
 # --- what is written --------------------------------------------------------------------------------------------------
@@ -322,19 +321,19 @@ def test_two_outputs_of_one_name_are_refused(tmp_path):
 
 
 def copied(*options, stdin):
-    return run_forked(copy_records.main, *options, stdin=stdin)
+    return run_forked("copy_records", *options, stdin=stdin)
 
 
 def test_an_end_mark_is_announced_written_and_not_passed_on(monkeypatch):
-    plain = copied(stdin=DETECTION * 3).out
-    marked = copied("--mark-end", stdin=DETECTION * 3).out
+    plain = copied(stdin=DETECTION * 3).stdout
+    marked = copied("--mark-end", stdin=DETECTION * 3).stdout
     rows = [orjson.loads(line) for line in marked.splitlines()]
     assert [row.pop("end", None) for row in rows] == [False, None, None, True]
     assert rows[3] == {"timestamp": "0.1000000000", "records": 3}
     assert rows[:3] == [orjson.loads(line) for line in plain.splitlines()]
     monkeypatch.setenv("AVCLI_MARK_END", "1")
-    assert copied(stdin=DETECTION * 3).out == marked
-    assert copied(stdin=b"").out == b'{"timestamp":"0.0000000000","end":true,"records":0}\n'
+    assert copied(stdin=DETECTION * 3).stdout == marked
+    assert copied(stdin=b"").stdout == b'{"timestamp":"0.0000000000","end":true,"records":0}\n'
 
 
 def test_a_stream_is_judged_by_the_mark_that_it_announced():
@@ -354,20 +353,20 @@ def test_a_stream_is_judged_by_the_mark_that_it_announced():
         (b"", 0, ""),
     ]:
         ended = copied(stdin=stdin)
-        assert (ended.status, len(ended.out.splitlines()), ended.err) == (0, count, said)
+        assert (ended.returncode, len(ended.stdout.splitlines()), ended.stderr) == (0, count, said)
         ended = copied("--complete", stdin=stdin)
-        assert (ended.status, ended.err) == (int(bool(said)), said)
+        assert (ended.returncode, ended.stderr) == (int(bool(said)), said)
 
 
 def test_marks_are_left_out_where_a_file_is_loaded(tmp_path):
     path = tmp_path / "v.jsonl"
-    path.write_bytes(copied("--mark-end", stdin=DETECTION).out.replace(b'"count":1', b'"objects":[]'))
+    path.write_bytes(copied("--mark-end", stdin=DETECTION).stdout.replace(b'"count":1', b'"objects":[]'))
     assert len(records.load(path)) == 1
 
 
 def test_a_writer_that_fails_writes_no_mark():
     ended = copied("--mark-end", stdin=DETECTION + b"nonsense\n")
-    assert (ended.status, b'"end":true' in ended.out) == (1, False)
+    assert (ended.returncode, b'"end":true' in ended.stdout) == (1, False)
 
 
 # --- signals ----------------------------------------------------------------------------------------------------------

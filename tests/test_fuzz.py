@@ -144,21 +144,21 @@ def runs(command, directory, count):
 @pytest.mark.parametrize("command", FUZZED)
 def test_a_changed_input_ends_a_filter_as_it_should(command, experiment):
     ended = runs(command, experiment, FUZZED[command][2])
-    assert next(ended)[1].status == 0
+    assert next(ended)[1].returncode == 0
     for given, end in ended:
-        assert fault(command, end) is None, (fault(command, end), end.err[-500:], json.dumps(given))
+        assert fault(command, end) is None, (fault(command, end), end.stderr[-500:], json.dumps(given))
 
 
 def fault(command, end):
     """Say what is wrong with the way in which a run ended; None: nothing."""
-    said = end.err.splitlines()
-    if end.status not in (0, 1, 2):
-        return f"exit {end.status}"
+    said = end.stderr.splitlines()
+    if end.returncode not in (0, 1, 2):
+        return f"exit {end.returncode}"
     if not all(line.startswith(f"{command}: ") for line in said):
         return "a line that is none of ours"
-    if end.status and not said:
+    if end.returncode and not said:
         return "no word"
-    return "too much output" if len(end.out) > MOST_BYTES else None
+    return "too much output" if len(end.stdout) > MOST_BYTES else None
 
 
 if __name__ == "__main__":
@@ -168,7 +168,7 @@ if __name__ == "__main__":
         with tempfile.TemporaryDirectory() as folder:
             counts: Counter = Counter()
             for document, how in runs(name, made(Path(folder)), int(sys.argv[1]) // 2):
-                counts[how.status] += 1
+                counts[how.returncode] += 1
                 if wrong := fault(name, how):
-                    print(name, wrong, how.err[-300:], len(how.out), json.dumps(document), flush=True)
+                    print(name, wrong, how.stderr[-300:], len(how.stdout), json.dumps(document), flush=True)
             print(name, dict(counts), flush=True)
