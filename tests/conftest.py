@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent
 HANG_S = 1800
 """s; a process that takes longer hangs. A test measures no wall time: on a busy machine everything takes longer."""
-COMMANDS = ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval", "avcalib"]
+COMMANDS = ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval", "avcalib", "avview"]
 
 
 @pytest.fixture(scope="session")
