@@ -93,7 +93,7 @@ class Browser:
         content = self.send("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(content))
 
-    def complaints(self):
+    def complaints(self, own="file:"):
         """Errors of the page, and whatever it tried to load from elsewhere."""
         found = []
         for event in self.events:
@@ -106,7 +106,7 @@ class Browser:
                 found.append(details)
             elif method == "Network.requestWillBeSent":
                 url = details["request"]["url"]
-                if not url.startswith(("file:", "data:")):
+                if not url.startswith((own, "data:")):
                     found.append(url)
         return found
 

@@ -3,12 +3,17 @@
 import io
 import json
 import math
+import re
+import signal
+import subprocess
+import urllib.error
+import urllib.request
 
 import numpy as np
 import pytest
 import soundfile
 from browser import CHROMIUM, Browser
-from conftest import run
+from conftest import BIN, run
 from test_aveval import lines, walk
 from test_metrics_report import INKED, experiment
 
@@ -225,6 +230,42 @@ def test_an_hour_without_ground_truth(tmp_path):
         assert page.complaints() == []
     finally:
         page.close()
+
+
+def test_a_live_page_follows_the_run(made):
+    """The page has what was there when it was opened, gets the rest, and is for this machine alone."""
+    command = [BIN / "avview", "-C", "s3", "--serve", "--port", "0"]
+    process = subprocess.Popen(
+        command, cwd=made, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0
+    )
+    rows = (made / "s3/tracking/video_tracking.jsonl").read_bytes().splitlines(keepends=True)
+    page = None
+    try:
+        process.stdin.write(b"".join(rows[:10]))
+        url = re.search(rb"http://127\.0\.0\.1:\d+/", process.stderr.readline())[0].decode()
+        other = urllib.request.Request(url, headers={"Host": "example.org"})
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(other)
+        if CHROMIUM:
+            page = Browser(url)
+            page.wait("run.ticks.length === 10")
+        process.stdin.write(b"".join(rows[10:]))
+        frame = {"timestamp": 4.0, "frame": {"rgb": experiments.Layout.rgb(4.0)}}
+        process.stdin.write(json.dumps(frame).encode() + b"\n")
+        process.stdin.close()
+        assert process.stdout.read().startswith(b"".join(rows))  # and it ends, so that the next filter can
+        if CHROMIUM:
+            page.wait("run.ticks.length === 41 && now === 40")
+            page.wait("document.getElementById('frame').naturalWidth > 0")
+            page.wait("document.getElementById('about').textContent.includes('ended')")
+            assert page.complaints(url) == []
+    finally:
+        if page:
+            page.close()
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == -signal.SIGINT
+        process.stdout.close()
+        process.stderr.close()
 
 
 def test_nothing_to_show_still_stands(tmp_path):

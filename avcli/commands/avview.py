@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,6 +18,7 @@ from avcli.commands.filter import Filter, Session, common
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Config
+    from avcli.view.live import Live
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
 
@@ -72,28 +76,75 @@ class Run:
 )
 @click.option("--learnt", **_LYING, help="Show where people leave, from a file that avfuse --learn wrote.")
 @click.option("--scenario", metavar="NAME|FILE", help="Draw the furniture of this scenario on the map.")
+@click.option(
+    "--serve", is_flag=True, help="Serve a page on this machine that follows the run; Ctrl-C ends it. One run only."
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    metavar="N",
+    default=8008,
+    show_default=True,
+    help="Port of --serve; 0 is any that is free.",
+)
 @common(skip_invalid=True, media=True, output=False)
-def main(session: Session, paths: tuple[str, ...], html: str | None, largest_mb: float, **values: Any) -> None:
+def main(
+    session: Session,
+    paths: tuple[str, ...],
+    html: str | None,
+    largest_mb: float,
+    serve: bool,
+    port: int,
+    **values: Any,
+) -> None:
     """Look at a run: tracks, truth, detections and sound in the camera's picture and on a map, on one clock.
 
     FILE is any mixture of records: ground truth, detections, tracks, audio. DIR is an experiment directory, of which
     everything is shown. Records that come from standard input are passed on to standard output.
     """
     options = Options(**values)
-    if not html:
-        session.usage("nothing to do: give --html FILE")
-    if not Path(html).parent.is_dir():
-        session.usage(f"{html}: its directory does not exist")
+    if not (html or serve):
+        session.usage("nothing to do: give --html FILE or --serve")
+    for path in filter(None, (html,)):
+        if not Path(path).parent.is_dir():
+            session.usage(f"{path}: its directory does not exist")
     runs = list(_runs(session, paths, options))
-    shown = [_shown(session, run, options) for run in runs]
+    if serve and len(runs) > 1:
+        session.usage("--serve shows one run; --html shows several")
+    with contextlib.ExitStack() as stack:
+        watch = partial(_serve, session, stack, port) if serve else None
+        shown = [_shown(session, run, options, watch) for run in runs]
+        if html:
+            _write_page(session, Path(html), shown, largest_mb)
+        if serve:
+            sys.stdout.buffer.flush()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever reads our output can end
+            threading.Event().wait()
+
+
+def _serve(session: Session, stack: contextlib.ExitStack, port: int, shown: Shown) -> Live:
+    from avcli.view.live import Live
+    from avcli.view.page import Words
+
+    live = Live(shown, Words(shown.recording.name))
+    try:
+        stack.enter_context(live.serving(port))
+    except OSError as error:
+        session.usage(f"--port {port}: {(error.strerror or str(error)).lower()}")
+    session.warn(f"open {live.url}; Ctrl-C ends it")
+    return live
+
+
+def _write_page(session: Session, path: Path, shown: list[Shown], largest_mb: float) -> None:
     from avcli.metrics.hota import ALPHA
     from avcli.view import page
 
     with session.timing("page"):
-        words = page.Words(", ".join(run.name for run in runs), alpha=[round(alpha, 2) for alpha in ALPHA.tolist()])
-        folder = page.save(Path(html), shown, words, session.warn, largest_mb)
+        alpha = [round(alpha, 2) for alpha in ALPHA.tolist()]
+        words = page.Words(", ".join(one.recording.name for one in shown), alpha=alpha)
+        folder = page.save(path, shown, words, session.warn, largest_mb)
     if folder is not None:
-        session.warn(f"{html} needs the folder {folder} beside it: in one file it would be over {largest_mb:g} MB")
+        session.warn(f"{path} needs the folder {folder} beside it: in one file it would be over {largest_mb:g} MB")
 
 
 def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterator[Run]:
@@ -135,22 +186,36 @@ def _config(session: Session, run: Run) -> Config | None:
         return None
 
 
-def _shown(session: Session, run: Run, options: Options) -> Shown:
+def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown], Live] | None) -> Shown:
+    """Read a run, and show it while it is read where somebody watches."""
     from avcli.view import experiment
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
-    from avcli.view.surroundings import surroundings
 
-    stated = ("-" in run.files) or None  # a pipeline that ends here may write config.json after it has begun
-    config = None if stated else _config(session, run)
-    recording = Recording(run.name, config.sensors if config else None, outside=session.allow_outside)
-    _read(session, run, recording, options)
-    if stated:
-        config = _config(session, run)
-    around: Mapping[str, Any] = {}
-    if config is not None:
-        around = surroundings(config, _furniture(session, options.scenario), _learnt(session, options), session.warn)
-    shown = Shown(recording, around, rate_hz=_rate(config))
+    recording = Recording(run.name, outside=session.allow_outside)
+    shown = Shown(recording)
+    live: Live | None = None
+    begun = False
+
+    def take(source: str, stated: str | None, record: Mapping[str, Any], bad: Any) -> None:
+        nonlocal live, begun
+        if not begun:  # a pipeline that ends here writes config.json before its first record
+            begun = True
+            _surround(session, run, options, shown)
+            live = watch and watch(shown)
+        add = partial(recording.add, record, source, bad, stated)
+        if live is None:
+            add()
+            return
+        before = len(recording.frames)
+        live.tell(add)
+        live.tell(list, experiment.frames(run.root, recording.frames[before:], lying=False))
+
+    _read(session, run, options, take)
+    if not begun:
+        _surround(session, run, options, shown)
+    if live is not None:
+        live.end()
     with session.timing("pictures"):
         if options.film:
             shown.pictures, shown.picture_count = experiment.film(options.film, shown.rate_hz, options.start)
@@ -167,23 +232,33 @@ def _shown(session: Session, run: Run, options: Options) -> Shown:
     return shown
 
 
-def _read(session: Session, run: Run, recording: Recording, options: Options) -> None:
+def _surround(session: Session, run: Run, options: Options, shown: Shown) -> None:
+    """Add what config.json says of the room."""
+    from avcli.view.surroundings import surroundings
+
+    config = _config(session, run)
+    if config is None:
+        return
+    shown.recording.sensors = config.sensors
+    shown.rate_hz = config.frame_rate_hz
+    learnt = _learnt(session, options)
+    shown.surroundings = surroundings(config, _furniture(session, options.scenario), learnt, session.warn)
+
+
+def _read(session: Session, run: Run, options: Options, take: Callable[..., None]) -> None:
+    """Read all records; named files come first, standard input last."""
     from avcli.view.recording import TRUTH
 
     for path in sorted(run.files, key=lambda path: path == "-"):
         source = "tracks" if path == "-" else Path(path).stem.removesuffix("_tracking")
-        parse = partial(_add, recording, source, TRUTH if path in options.truth else None)
+        parse = partial(take, source, TRUTH if path in options.truth else None)
+        if path == "-":
+            records = session.stream_records(_Tee(session.open(path)), "<stdin>", parse)  # type: ignore[arg-type]
+        else:
+            records = session.records([path], parse)
         with session.timing("read"):
-            if path == "-":
-                for _ in session.stream_records(_Tee(session.open(path)), "<stdin>", parse):  # type: ignore[arg-type]
-                    pass
-            else:
-                for _ in session.records([path], parse):
-                    pass
-
-
-def _add(recording: Recording, source: str, stated: str | None, record: Mapping[str, Any], bad: Any) -> Any:
-    return recording.add(record, source, bad, stated)
+            for _ in records:
+                pass
 
 
 class _Tee:
@@ -198,10 +273,6 @@ class _Tee:
         sys.stdout.buffer.write(line)
         sys.stdout.buffer.flush()
         return line
-
-
-def _rate(config: Config | None) -> float:
-    return 10.0 if config is None else config.frame_rate_hz
 
 
 def _furniture(session: Session, scenario: str | None) -> list[dict[str, Any]]:

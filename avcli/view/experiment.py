@@ -14,9 +14,11 @@ _PICTURE = re.compile(r"RGB_frame_(-?\d+\.\d+)\.\w+")
 _SOUND = re.compile(r"multichannel_audio_(-?\d+\.\d+)\.\w+")
 
 
-def frames(root: Path, named: Sequence[tuple[float, str]]) -> list[Timed]:
-    """Return the pictures that records name; where they name none, those that lie in the experiment's directory."""
-    found = [(time, root / path) for time, path in named] or _timed(root / "video/rgb", _PICTURE)
+def frames(root: Path, named: Sequence[tuple[float, str]], *, lying: bool = True) -> list[Timed]:
+    """Return the pictures that records name; where they name none, those that are `lying` in the directory."""
+    found = [(time, root / path) for time, path in named]
+    if lying and not found:
+        found = _timed(root / "video/rgb", _PICTURE)
     return [(time, partial(media.read_rgb, path)) for time, path in sorted(found)]
 
 

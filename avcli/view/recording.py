@@ -44,6 +44,7 @@ class Recording:
         outside: whether frames and sounds may lie outside the experiment's directory.
 
     Attributes:
+        sensors: name -> kind of sensor.
         streams: in the order in which they appeared.
         frames: (time in s, path) of the camera's pictures.
         chunks: pieces of sound.
@@ -56,7 +57,7 @@ class Recording:
         self.frames: list[tuple[float, str]] = []
         self.chunks: list[records.AudioChunk] = []
         self.people: dict[tuple[str, str], list[records.Identified]] = {}
-        self._sensors = sensors or {}
+        self.sensors = sensors or {}
         self._outside = outside
         self._by_key: dict[tuple[str, str], int] = {}
         self._names: dict[str, records.Names] = {}
@@ -117,7 +118,7 @@ class Recording:
     def add_detections(self, found: records.Detections) -> tuple[int, Row]:
         """Add a record of detections that was read already; return its stream's number and its row."""
         name = found.sensor or "detections"
-        kind = sensor_kind(name, found.kind, self._sensors)[0]
+        kind = sensor_kind(name, found.kind, self.sensors)[0]
         number = self._stream(DETECTIONS, name, kind)
         row = [round(found.timestamp, 4), _found(found)]
         self.streams[number].rows.append(row)
