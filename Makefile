@@ -84,7 +84,7 @@ AUDIO_CODE := $(call code_of,acoustics)
 DETECT_AUDIO_CODE := $(call code_of,localization)
 DETECT_VIDEO_CODE := $(call code_of,detection)
 FUSE_CODE := $(call code_of,tracking)
-EVAL_CODE := $(call code_of,metrics)
+EVAL_CODE := $(call code_of,metrics) $(call code_of,view)
 
 export SCENE_OPTIONS = $(SCENARIO) --seed $(SEED) $(SCENE_FLAGS)
 export AUDIO_OPTIONS = --seed $(SEED) $(AUDIO_FLAGS)

@@ -11,6 +11,7 @@ COMMANDS = {
     "avfuse": "track people from the detections of several sensors",
     "aveval": "score tracks against ground truth",
     "avcalib": "calibrate a camera, and find the places of microphones",
+    "avview": "look at a run: picture, map, sound and lanes on one clock",
 }
 
 

@@ -28,7 +28,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores i
 
 ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent
-COMMANDS = ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval", "avcalib"]
+COMMANDS = ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval", "avcalib", "avview"]
 
 
 @pytest.fixture(scope="session")

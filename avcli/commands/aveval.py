@@ -18,10 +18,12 @@ from avcli.metrics.settings import MotSettings, Settings
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Config
-    from avcli.formats.records import Identified
+    from avcli.formats.records import Detections, Identified
     from avcli.metrics.inputs import Input
     from avcli.metrics.run import Run
     from avcli.metrics.sequence import Mismatch
+    from avcli.view.page import Shown
+    from avcli.view.recording import Recording
 
 Emit = Callable[[dict], None]
 Name = str | None
@@ -59,7 +61,7 @@ _DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "D
 @click.option(
     "--plot", **_FILE, help="Draw each sequence to FILE.png, .svg or .pdf; with several sequences, to FILE-NAME.png."
 )
-@click.option("--html", **_FILE, help="Write a report: one self-contained page with tables, plots and a player.")
+@click.option("--html", **_FILE, help="Write the page of avview with the scores: picture, map, sound, lanes, tables.")
 @click.option(
     "--mot", **_DIRECTORY, help="Write ground truth and tracks as MOTChallenge files and TrackEval's folders."
 )
@@ -112,8 +114,8 @@ def main(
             if kind == "jsonl":
                 write(record)
 
-        pictures = "html" if html else "plot" if plot else ""
-        runs = [_score(session, entry, settings, rate, emit, pictures) for entry in inputs]
+        shown: list[Shown] | None = [] if html else None
+        runs = [_score(session, entry, settings, rate, emit, bool(plot), shown) for entry in inputs]
         for text in dict.fromkeys(text for run in runs for text in run.guesses):
             session.warn(text)
         for record in combined(runs, session.warn):
@@ -121,7 +123,9 @@ def main(
         if kind != "jsonl":
             width = shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else None
             write(table.render(records, kind, compare_thesis, width))
-    _write_files(session, runs, records, plot, html, mot, compare_thesis)
+    _write_files(session, runs, plot, mot)
+    if html and shown is not None:
+        _write_page(session, Path(html), shown, records, compare_thesis)
     if missed := gates.missed_gates(least, records):
         raise GateNotMet("; ".join(missed))
 
@@ -139,23 +143,35 @@ def _inputs(session: Session, paths: tuple[str, ...], experiments: bool, detecti
     return found
 
 
-def _write_files(
-    session: Session, runs: list[Run], records: list[dict], plot: Name, html: Name, mot: Name, compare: bool
-) -> None:
+def _write_files(session: Session, runs: list[Run], plot: Name, mot: Name) -> None:
     if plot:
         from avcli.metrics.plots import save_plots
 
         with session.timing("plot"):
             save_plots(Path(plot), runs)
-    if html:
-        from avcli.metrics.report import save_report
-
-        with session.timing("report"):
-            save_report(Path(html), runs, records, compare)
     if mot:
         from avcli.metrics.mot import save_mot
 
         save_mot(Path(mot), {run.name: run.sequences for run in runs})
+
+
+def _write_page(session: Session, path: Path, shown: list[Shown], records: list[dict], compare: bool) -> None:
+    from avcli import __version__
+    from avcli.metrics import report
+    from avcli.metrics.hota import ALPHA
+    from avcli.view import page
+
+    with session.timing("report"):
+        words = page.Words(
+            title=", ".join(one.recording.name for one in shown),
+            subject="tracking report",
+            writer=f"aveval {__version__}",
+            scores=report.section(records, compare),
+            alpha=[round(alpha, 2) for alpha in ALPHA.tolist()],
+        )
+        folder = page.save(path, shown, words, session.warn)
+    if folder is not None:
+        session.warn(f"{path} needs the folder {folder} beside it: in one file it would be very large")
 
 
 @contextlib.contextmanager
@@ -197,11 +213,20 @@ def _config(session: Session, entry: Input) -> Config | None:
         return None
 
 
-def _score(session: Session, entry: Input, settings: Settings, rate: float, emit: Emit, pictures: str) -> Run:
-    """Score the tracks and detections of one sequence, and gather what its pictures ("html", "plot" or none) show."""
+def _score(
+    session: Session,
+    entry: Input,
+    settings: Settings,
+    rate: float,
+    emit: Emit,
+    plotted: bool,
+    shown: list[Shown] | None,
+) -> Run:
+    """Score the tracks and detections of one sequence, and gather what its plot and, in `shown`, the page show."""
     from avcli.formats import records
     from avcli.metrics.run import Run
     from avcli.metrics.scoring import score_sensors, score_tracks
+    from avcli.view.recording import TRACKS, TRUTH, Recording
 
     # A pipeline that ends here may still be writing the ground truth: it is whole when the tracks have ended.
     piped = {path: _identified(session, path, rate) for _, path in entry.tracks if path == "-"}
@@ -209,9 +234,14 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
     if not any(map(len, truth)):
         session.warn(f"{entry.name}: the ground truth has no objects, so all tracks are false")
     keep_first = session.skip_invalid
+    config = _config(session, entry) if plotted or shown is not None or entry.detections else None
+    kinds = config.sensors if config else None
+    recording = Recording(entry.name, kinds)
+    recording.add_all(TRUTH, "truth", truth)
     trackers = {}
     for name, path in entry.tracks:
         tracks = piped[path] if path in piped else _identified(session, path, rate)
+        recording.add_all(TRACKS, name, tracks)
         with session.timing("score"), _ending(session.fail, f"{entry.name} {name}"):
             tracked, mismatch = score_tracks(truth, tracks, settings, entry.name, name, keep_first=keep_first)
         if any(map(len, tracks)):
@@ -220,10 +250,8 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
             session.warn(f"{entry.name} {name}: there are no tracks, so all people are missed")
         emit(tracked.record)
         trackers[name] = tracked
-    config = _config(session, entry) if pictures or entry.detections else None
-    paths = (*entry.detections, *(entry.unscored if pictures else ()))
-    found = [(path, session.records([path], records.detections)) for path in paths]
-    kinds = config.sensors if config else None
+    paths = (*entry.detections, *(entry.unscored if plotted or shown is not None else ()))
+    found = [(path, _noted(recording, session.records([path], records.detections))) for path in paths]
     sensors = {}
     scored = score_sensors(truth, found, settings, entry.name, sensors=kinds, keep_first=keep_first)
     for path, name, detected, mismatch in scored:
@@ -232,12 +260,39 @@ def _score(session: Session, entry: Input, settings: Settings, rate: float, emit
             _warn(session, f"{entry.name} {name}", mismatch, settings, "detection")
             emit(detected.record)
     run = Run(entry.name, trackers, sensors)
-    if not pictures or config is None:
+    if shown is not None:
+        with session.timing("surroundings"):
+            shown.append(_shown(session, entry, recording, config, run))
+    if not plotted or config is None:
         return run
     from avcli.metrics.surroundings import with_surroundings
 
-    with session.timing("surroundings"):
-        return with_surroundings(run, config, entry.directory if pictures == "html" else None, session.warn)
+    return with_surroundings(run, config, session.warn)
+
+
+def _noted(recording: Recording, found: Iterator[Detections]) -> Iterator[Detections]:
+    """Show detections on the page while they are scored."""
+    for one in found:
+        recording.add_detections(one)
+        yield one
+
+
+def _shown(session: Session, entry: Input, recording: Recording, config: Config | None, run: Run) -> Shown:
+    from avcli.metrics.report import over_time
+    from avcli.view import experiment
+    from avcli.view.page import Shown
+    from avcli.view.surroundings import surroundings
+
+    pictures = experiment.frames(entry.directory, [])
+    return Shown(
+        recording,
+        {} if config is None else surroundings(config, say=session.warn),
+        pictures,
+        len(pictures),
+        10.0 if config is None else config.frame_rate_hz,
+        experiment.channel(entry.directory, [], 1),
+        {name: over_time(tracked) for name, tracked in run.trackers.items()},
+    )
 
 
 def _warn(session: Session, name: str, mismatch: Mismatch, settings: Settings, kind: str) -> None:

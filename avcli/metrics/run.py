@@ -37,7 +37,6 @@ class Detected:
     Attributes:
         case: ground truth, and the detections as tracks whose identities mean nothing.
         record: its metrics record.
-        boxes_px: (n, 4) x0, y0, x1, y1 of each detection in the camera's frame, NaN where it has none.
         kind: one of avcli.formats.sensors.KINDS.
         guessed: the kind was guessed from the sensor's name, and the scores depend on it.
         scored: its scores belong to the results; otherwise pictures alone show it.
@@ -45,7 +44,6 @@ class Detected:
 
     case: SensorCase
     record: dict
-    boxes_px: np.ndarray
     kind: str
     guessed: bool = False
     scored: bool = True
@@ -66,8 +64,6 @@ class Run:
         room: (2,) size of the room in x and y, m; None where it is not known.
         microphones: (m, 2) m.
         camera: (2,) m; None where it is not known.
-        frames: JPEG bytes of the camera's picture by time in s.
-        frame_size: px width and height in which boxes are given.
     """
 
     name: str
@@ -76,8 +72,6 @@ class Run:
     room: np.ndarray | None = None
     microphones: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     camera: np.ndarray | None = None
-    frames: Mapping[float, bytes] = field(default_factory=dict)
-    frame_size: tuple[int, int] | None = None
 
     @property
     def truth(self) -> Points:

@@ -143,8 +143,7 @@ def score_sensor(
     case = SensorCase(frames, covariance, "mouth" if mouths else "body", settings.d0 / 2)
     scores = registry.SENSOR_METRIC.score(case)
     record = {"sequence": sequence, "sensor": sensor, **_people(settings), "Detections": scores}
-    boxes = np.concatenate([each.boxes_px for each in found])[number]
-    return Detected(case, record, boxes, kind, guessed and known), mismatch
+    return Detected(case, record, kind, guessed and known), mismatch
 
 
 def score_sensors(

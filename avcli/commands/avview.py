@@ -1,0 +1,317 @@
+"""avview: look at a run, live or afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import click
+
+from avcli.commands.filter import Filter, Session, common
+
+if TYPE_CHECKING:
+    from avcli.formats.experiment import Config
+    from avcli.view.live import Live
+    from avcli.view.page import Shown
+    from avcli.view.recording import Recording
+
+_FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
+_LYING: dict[str, Any] = {"type": click.Path(exists=True, dir_okay=False), "metavar": "FILE"}
+
+
+@dataclass
+class Options:
+    """What the user asked for, beside what to show."""
+
+    truth: tuple[str, ...]
+    film: str | None
+    sound: str | None
+    microphone: int
+    start: float
+    learnt: str | None
+    scenario: str | None
+
+
+@dataclass
+class Run:
+    """One run and where its parts come from."""
+
+    name: str
+    root: Path
+    files: list[str] = field(default_factory=list)
+    config_path: Path | None = None
+
+
+@click.command("avview", cls=Filter, epilog="Example: avview out/s1 --html s1.html")
+@click.argument("paths", nargs=-1, metavar="[FILE|DIR]...")
+@click.option("--html", **_FILE, help="Write a page: picture, map, sound and lanes on one clock.")
+@click.option(
+    "--largest-mb",
+    type=click.FloatRange(0),
+    metavar="MB",
+    default=20.0,
+    show_default=True,
+    help="A page that would be larger gets a folder beside it, FILE.files, with film and sound.",
+)
+@click.option("--truth", multiple=True, metavar="FILE", help="This file is ground truth; by default its keys tell.")
+@click.option("--film", **_LYING, help="Show the pictures of this video; its first one was taken at --start.")
+@click.option("--sound", **_LYING, help="Play this sound file; its first sample was taken at --start.")
+@click.option(
+    "--microphone",
+    type=click.IntRange(1),
+    metavar="N",
+    default=1,
+    show_default=True,
+    help="Play and draw the sound of this microphone.",
+)
+@click.option(
+    "--start", type=float, metavar="S", default=0.0, show_default=True, help="Time of the start of film and sound, s."
+)
+@click.option("--learnt", **_LYING, help="Show where people leave, from a file that avfuse --learn wrote.")
+@click.option("--scenario", metavar="NAME|FILE", help="Draw the furniture of this scenario on the map.")
+@click.option(
+    "--serve", is_flag=True, help="Serve a page on this machine that follows the run; Ctrl-C ends it. One run only."
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    metavar="N",
+    default=8008,
+    show_default=True,
+    help="Port of --serve; 0 is any that is free.",
+)
+@common(skip_invalid=True, media=True, output=False)
+def main(
+    session: Session,
+    paths: tuple[str, ...],
+    html: str | None,
+    largest_mb: float,
+    serve: bool,
+    port: int,
+    **values: Any,
+) -> None:
+    """Look at a run: tracks, truth, detections and sound in the camera's picture and on a map, on one clock.
+
+    FILE is any mixture of records: ground truth, detections, tracks, audio. DIR is an experiment directory, of which
+    everything is shown. Records that come from standard input are passed on to standard output.
+    """
+    options = Options(**values)
+    if not (html or serve):
+        session.usage("nothing to do: give --html FILE or --serve")
+    for path in filter(None, (html,)):
+        if not Path(path).parent.is_dir():
+            session.usage(f"{path}: its directory does not exist")
+    runs = list(_runs(session, paths, options))
+    if serve and len(runs) > 1:
+        session.usage("--serve shows one run; --html shows several")
+    with contextlib.ExitStack() as stack:
+        watch = partial(_serve, session, stack, port) if serve else None
+        shown = [_shown(session, run, options, watch) for run in runs]
+        if html:
+            _write_page(session, Path(html), shown, largest_mb)
+        if serve:
+            sys.stdout.buffer.flush()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever reads our output can end
+            threading.Event().wait()
+
+
+def _serve(session: Session, stack: contextlib.ExitStack, port: int, shown: Shown) -> Live:
+    from avcli.view.live import Live
+    from avcli.view.page import Words
+
+    live = Live(shown, Words(shown.recording.name))
+    try:
+        stack.enter_context(live.serving(port))
+    except OSError as error:
+        session.usage(f"--port {port}: {(error.strerror or str(error)).lower()}")
+    session.warn(f"open {live.url}; Ctrl-C ends it")
+    return live
+
+
+def _write_page(session: Session, path: Path, shown: list[Shown], largest_mb: float) -> None:
+    from avcli.metrics.hota import ALPHA
+    from avcli.view import page
+
+    with session.timing("page"):
+        alpha = [round(alpha, 2) for alpha in ALPHA.tolist()]
+        words = page.Words(", ".join(one.recording.name for one in shown), alpha=alpha)
+        folder = page.save(path, shown, words, session.warn, largest_mb)
+    if folder is not None:
+        session.warn(f"{path} needs the folder {folder} beside it: in one file it would be over {largest_mb:g} MB")
+
+
+def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterator[Run]:
+    """Sort what the user named into runs: one for each directory, and one for all files."""
+    from avcli.formats.experiment import Layout
+
+    config = session.config_path if session.has_config else None
+    directories = [path for path in paths if path != "-" and Path(path).is_dir()]
+    for path in directories:
+        layout = Layout(Path(path))
+        lying = [layout.groundtruth, Path(path) / "audio.jsonl"]
+        lying = [file for file in lying if file.is_file()]
+        lying += sorted(layout.localization.glob("*.jsonl")) + sorted(layout.tracking.glob("*.jsonl"), key=_fused_last)
+        if not lying:
+            session.usage(f"{path}: no records lie in this directory")
+        name = Path(path).resolve().name
+        yield Run(name, Path(path), [str(file) for file in lying], config or layout.config)
+    named = [path for path in paths if path not in directories]
+    if named or not directories:
+        root = session.media_root
+        name = root.resolve().name if session.has_experiment else Path(named[0]).stem if named else "stdin"
+        yield Run(name, root, [*options.truth, *named] or ["-"], config)
+
+
+def _fused_last(path: Path) -> tuple[int, str]:
+    """Order tracks so that those of several sensors, whose names are the longest, stand last and are shown first."""
+    return len(path.name), path.name
+
+
+def _config(session: Session, run: Run) -> Config | None:
+    from avcli.formats.experiment import read_config
+
+    if run.config_path is None:
+        return None
+    try:
+        return session.config if session.has_config else read_config(run.config_path)
+    except FileNotFoundError:
+        session.warn(f"{run.config_path}: no such file; the page has no map of the room and no picture")
+        return None
+
+
+def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown], Live] | None) -> Shown:
+    """Read a run, and show it while it is read where somebody watches."""
+    from avcli.view import experiment
+    from avcli.view.page import Shown
+    from avcli.view.recording import Recording
+
+    recording = Recording(run.name, outside=session.allow_outside)
+    shown = Shown(recording)
+    live: Live | None = None
+    begun = False
+
+    def take(source: str, stated: str | None, record: Mapping[str, Any], bad: Any) -> None:
+        nonlocal live, begun
+        if not begun:  # a pipeline that ends here writes config.json before its first record
+            begun = True
+            _surround(session, run, options, shown)
+            live = watch and watch(shown)
+        add = partial(recording.add, record, source, bad, stated)
+        if live is None:
+            add()
+            return
+        before = len(recording.frames)
+        live.tell(add)
+        live.tell(list, experiment.frames(run.root, recording.frames[before:], lying=False))
+
+    _read(session, run, options, take)
+    if not begun:
+        _surround(session, run, options, shown)
+    if live is not None:
+        live.end()
+    with session.timing("pictures"):
+        if options.film:
+            shown.pictures, shown.picture_count = experiment.film(options.film, shown.rate_hz, options.start)
+        else:
+            found = experiment.frames(run.root, recording.frames)
+            shown.pictures, shown.picture_count = found, len(found)
+    with session.timing("sound"):
+        if options.sound:
+            shown.track = experiment.recording(options.sound, options.microphone, options.start)
+        else:
+            shown.track = experiment.channel(run.root, recording.chunks, options.microphone)
+    with session.timing("score"):
+        shown.scores = _scores(recording)
+    return shown
+
+
+def _surround(session: Session, run: Run, options: Options, shown: Shown) -> None:
+    """Add what config.json says of the room."""
+    from avcli.view.surroundings import surroundings
+
+    config = _config(session, run)
+    if config is None:
+        return
+    shown.recording.sensors = config.sensors
+    shown.rate_hz = config.frame_rate_hz
+    learnt = _learnt(session, options)
+    shown.surroundings = surroundings(config, _furniture(session, options.scenario), learnt, session.warn)
+
+
+def _read(session: Session, run: Run, options: Options, take: Callable[..., None]) -> None:
+    """Read all records; named files come first, standard input last."""
+    from avcli.view.recording import TRUTH
+
+    for path in sorted(run.files, key=lambda path: path == "-"):
+        source = "tracks" if path == "-" else Path(path).stem.removesuffix("_tracking")
+        parse = partial(take, source, TRUTH if path in options.truth else None)
+        if path == "-":
+            records = session.stream_records(_Tee(session.open(path)), "<stdin>", parse)  # type: ignore[arg-type]
+        else:
+            records = session.records([path], parse)
+        with session.timing("read"):
+            for _ in records:
+                pass
+
+
+class _Tee:
+    """Standard input, whose lines go on to standard output as they are read."""
+
+    def __init__(self, stream: BinaryIO):
+        self._stream = stream
+
+    def readline(self, size: int = -1) -> bytes:
+        """Read a line and pass it on."""
+        line = self._stream.readline(size)
+        sys.stdout.buffer.write(line)
+        sys.stdout.buffer.flush()
+        return line
+
+
+def _furniture(session: Session, scenario: str | None) -> list[dict[str, Any]]:
+    if scenario is None:
+        return []
+    from avcli.scene.load import load
+    from avcli.scene.outline import plan
+
+    try:
+        return plan(load(scenario))
+    except (ValueError, OSError) as error:
+        session.usage(f"--scenario {scenario}: {error}")
+
+
+def _learnt(session: Session, options: Options) -> Mapping[str, Any] | None:
+    if options.learnt is None:
+        return None
+    from avcli.tracking.learnt import read_learnt
+
+    try:
+        return read_learnt(options.learnt)
+    except OSError as error:
+        session.usage(f"{options.learnt}: {(error.strerror or str(error)).lower()}")
+    except ValueError as error:
+        session.fail(f"{options.learnt}: {error}")
+
+
+def _scores(recording: Recording) -> dict[str, Any] | None:
+    """Score each tracker where there is ground truth."""
+    from avcli.metrics import report, scoring
+    from avcli.metrics.settings import Settings
+    from avcli.view.recording import TRACKS, TRUTH
+
+    truth = recording.people.get((TRUTH, "truth"))
+    if not truth or not any(map(len, truth)):
+        return None
+    scores = {}
+    for (kind, name), tracks in recording.people.items():
+        if kind == TRACKS:
+            tracked, _ = scoring.score_tracks(truth, tracks, Settings(), recording.name, name, keep_first=True)
+            scores[name] = report.over_time(tracked)
+    return scores

@@ -1,0 +1,178 @@
+"""A page that shows runs: one file, or, for long runs, a file and a folder with film, sound and data beside it."""
+
+import html
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from avcli import __version__
+from avcli.formats.atomic import write_bytes
+from avcli.view import pictures, sound
+from avcli.view.pictures import Timed
+from avcli.view.recording import Recording
+
+LARGEST_PAGE_MB = 20
+"""A page that would be larger gets a folder beside it."""
+_PICTURE_BYTES, _SOUND_BYTES_S, _ROW_BYTES = 32_000, 6_000, 130  # about what they take inside a page
+_SCRIPTS = ("camera.js", "streams.js", "charts.js", "stage.js", "player.js")
+
+
+@dataclass
+class Shown:
+    """A run as a page shows it.
+
+    Attributes:
+        recording: what was recorded.
+        surroundings: as `avcli.view.surroundings.surroundings` describes them.
+        pictures: of the camera, in order of time, and how many they are.
+        rate_hz: of the camera.
+        track: sound, None where there is none.
+        scores: tracker -> "score" (fraction), "hota" (curves over alpha), "error" ("t" in s, "cm", "missed", "false").
+    """
+
+    recording: Recording
+    surroundings: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Iterable[Timed] = ()
+    picture_count: int = 0
+    rate_hz: float = 10.0
+    track: sound.Track | None = None
+    scores: Mapping[str, Any] | None = None
+
+    def bytes_inside(self) -> int:
+        """Reckon how much it takes inside a page."""
+        rows = sum(1 + len(row[1]) for stream in self.recording.streams for row in stream.rows)
+        heard = 0.0 if self.track is None else self.track.duration_s
+        return int(_ROW_BYTES * rows + _PICTURE_BYTES * self.picture_count + _SOUND_BYTES_S * heard)
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a page says about itself.
+
+    Attributes:
+        title: in its heading.
+        subject: what it is, in the browser's tab.
+        writer: command and version that wrote it.
+        scores: HTML that stands below the charts.
+        alpha: thresholds of the HOTA curves.
+    """
+
+    title: str
+    subject: str = "a run"
+    writer: str = f"avview {__version__}"
+    scores: str = ""
+    alpha: Sequence[float] = ()
+
+
+def save(
+    path: Path,
+    shown: Sequence[Shown],
+    words: Words,
+    say: Callable[[str], None] = lambda text: None,
+    largest_mb: float = LARGEST_PAGE_MB,
+) -> Path | None:
+    """Write a page; the same runs give the same bytes.
+
+    Args:
+        path: of the page.
+        shown: the runs, at least one.
+        words: what the page says about itself.
+        say: is called with a sentence if pictures are missing.
+        largest_mb: a page that would be larger than this many MB gets a folder beside it, PAGE.files, with film, sound
+            and data.
+
+    Returns:
+        The folder, None where the page is one file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if sum(one.bytes_inside() for one in shown) <= 1e6 * largest_mb:
+        write_bytes(path, page([_inside(one, say) for one in shown], words).encode())
+        return None
+    folder = path.with_name(path.name + ".files")
+    folder.mkdir(exist_ok=True)
+    runs = [_beside(one, folder, number, say) for number, one in enumerate(shown)]
+    content = f"window.RECORDED = {_json(runs, words, None)};\n"
+    write_bytes(folder / "data.js", content.encode())
+    write_bytes(path, page(runs, words, folder=folder.name).encode())
+    return folder
+
+
+def page(runs: Sequence[Mapping[str, Any]], words: Words, *, folder: str | None = None, live: int | None = None) -> str:
+    """Assemble a page.
+
+    Args:
+        runs: as `described` makes them.
+        words: what the page says about itself.
+        folder: holds the data, beside the page; None: the page holds it.
+        live: number of the event from which a live page goes on; None: it is finished.
+    """
+    own = files(__package__)
+    data, sources, scripts, needs = "", "data:", "", "This page is one file and loads nothing from the network."
+    if folder is not None:
+        address = html.escape(folder)
+        data, sources, scripts = f'<script src="{address}/data.js"></script>', "data: 'self' file:", "'self' file:"
+        needs = f"It needs the folder {address} beside it, and nothing from the network."
+    else:
+        data = f'<script type="application/json" id="data">{_json(runs, words, live)}</script>'
+    if live is not None:
+        sources, needs = "data: 'self'", "It follows a run on this machine."
+    content = {
+        "title": html.escape(words.title),
+        "subject": html.escape(words.subject),
+        "sources": sources,
+        "scripts": scripts,
+        "connect": "'none'" if live is None else "'self'",
+        "style": own.joinpath("page.css").read_text(),
+        "script": "\n".join(own.joinpath(name).read_text() for name in _SCRIPTS),
+        "scores": words.scores,
+        "writer": html.escape(words.writer),
+        "needs": needs,
+        "data": data,
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: content[mark[1]], own.joinpath("page.html").read_text())
+
+
+def described(one: Shown, film: Mapping[str, Any] | None = None, heard: Mapping[str, Any] | None = None) -> dict:
+    """Describe a run in JSON's types, with its film and its sound as they are given."""
+    streams = [
+        {"name": stream.name, "kind": stream.kind, "sensor": stream.sensor, "rows": stream.rows}
+        for stream in one.recording.streams
+    ]
+    return {
+        "name": one.recording.name,
+        "streams": streams,
+        **one.surroundings,
+        "film": film,
+        "sound": heard,
+        "scores": one.scores,
+    }
+
+
+def _inside(one: Shown, say: Callable[[str], None]) -> dict:
+    heard = None
+    if one.track is not None:
+        heard = {**sound.pictured(one.track), "src": sound.data_url(one.track)}
+    return described(one, pictures.inside(one.pictures, say), heard)
+
+
+def _beside(one: Shown, folder: Path, number: int, say: Callable[[str], None]) -> dict:
+    film, heard = None, None
+    if one.picture_count:
+        film = pictures.film(one.pictures, one.rate_hz, folder / f"film-{number}.webm", say)
+        film = film and {**film, "src": f"{folder.name}/{film['src']}"}
+    if one.track is not None:
+        write_bytes(folder / f"sound-{number}.mp3", sound.mp3(one.track))
+        heard = {**sound.pictured(one.track), "src": f"{folder.name}/sound-{number}.mp3"}
+    return described(one, film, heard)
+
+
+def _json(runs: Sequence[Mapping[str, Any]], words: Words, live: int | None) -> str:
+    data = {"runs": runs, "alpha": list(words.alpha), "live": live}
+    # No name in the data may end the script element that holds it, or begin another.
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

@@ -1,0 +1,104 @@
+"""The camera's pictures for a page: small JPEGs inside it, or a film beside it."""
+
+import base64
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from avcli.formats import atomic
+from avcli.formats.media import MediaError, quiet_decoders
+
+_WIDTH_PX = 720
+_FILM_WIDTH_PX = 960
+
+Read = Callable[[], np.ndarray]
+"""Reads one picture (h, w, 3) uint8 RGB; raises MediaError."""
+Timed = tuple[float, Read]
+"""A picture and its time in s."""
+
+
+def jpeg(image: np.ndarray, width: int = _WIDTH_PX) -> bytes:
+    """Make a small JPEG of a camera frame (h, w, 3) uint8 RGB, as a page shows it."""
+    import cv2
+
+    small = cv2.cvtColor(_reduced(image, width), cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 72])[1].tobytes()
+
+
+def inside(pictures: Iterable[Timed], say: Callable[[str], None]) -> dict[str, Any] | None:
+    """Return pictures as data URLs with their times; None where there are none.
+
+    Args:
+        pictures: in order of time.
+        say: is called with a sentence if some cannot be read.
+    """
+    shown = [(round(time, 4), data_url(image)) for time, image in _read(pictures, say)]
+    return {"t": [time for time, _ in shown], "jpegs": [url for _, url in shown]} if shown else None
+
+
+def data_url(image: np.ndarray) -> str:
+    """Return a small JPEG of a camera frame (h, w, 3) uint8 RGB as a data URL."""
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(image)).decode()
+
+
+def film(pictures: Iterable[Timed], rate_hz: float, path: Path, say: Callable[[str], None]) -> dict[str, Any] | None:
+    """Write pictures as a film beside a page (WebM, VP8, which browsers play and OpenCV writes without other programs).
+
+    Args:
+        pictures: in order of time.
+        rate_hz: pictures in a second; one that is missing is replaced by the one before it.
+        path: of the film.
+        say: is called with a sentence if some cannot be read.
+
+    Returns:
+        Its name, its "start" in s and its "rate" in Hz; None where there is no picture.
+    """
+    import cv2
+
+    writer, start, written, last = None, 0.0, 0, None
+    with atomic.replacing(path, path.suffix) as temporary:
+        for time, image in _read(pictures, say):
+            small = cv2.cvtColor(_reduced(image, _FILM_WIDTH_PX), cv2.COLOR_RGB2BGR)
+            if writer is None:
+                start = time
+                quiet_decoders()
+                codec = cv2.VideoWriter.fourcc(*"VP80")
+                writer = cv2.VideoWriter(str(temporary), codec, rate_hz, (small.shape[1], small.shape[0]))
+                if not writer.isOpened():
+                    raise MediaError(f"{path}: OpenCV writes no film of the kind WebM here")
+            while last is not None and written < round((time - start) * rate_hz):
+                writer.write(last)
+                written += 1
+            last = small
+        if writer is None or last is None:
+            temporary.touch()
+        else:
+            writer.write(last)
+            writer.release()
+    if writer is None:
+        path.unlink()
+        return None
+    return {"src": path.name, "start": start, "rate": rate_hz}
+
+
+def _reduced(image: np.ndarray, width: int) -> np.ndarray:
+    import cv2
+
+    h, w = image.shape[:2]
+    scale = min(1.0, width / w)
+    size = max(2, round(w * scale / 2) * 2), max(2, round(h * scale / 2) * 2)
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _read(pictures: Iterable[Timed], say: Callable[[str], None]) -> Iterator[tuple[float, np.ndarray]]:
+    count, lacking = 0, list[MediaError]()
+    for time, read in pictures:
+        count += 1
+        try:
+            yield time, read()
+        except MediaError as error:
+            lacking.append(error)
+    if lacking:
+        say(f"{len(lacking)} of {count} camera frames are missing; the first is {lacking[0]}")

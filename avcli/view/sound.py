@@ -1,0 +1,137 @@
+"""The sound of one microphone for a page: to be heard, and to be seen as a waveform and a spectrogram."""
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+_MOST_COLUMNS = 30_000  # a picture may be 65 535 px wide
+_SHORTEST_COLUMN_S = 0.01
+_BANDS, _LOW_HZ, _HIGH_HZ = 48, 80.0, 8000.0
+_WINDOW_S = 0.032
+_RANGE_DB = 60.0
+_MP3_RATES_HZ = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One channel of sound.
+
+    Attributes:
+        name: says what it is: "microphone 1".
+        start_s: time of its first sample on the run's clock, s.
+        rate_hz: sample rate, Hz.
+        samples: (n,) full scale at 1.
+    """
+
+    name: str
+    start_s: float
+    rate_hz: int
+    samples: np.ndarray
+
+    @property
+    def duration_s(self) -> float:
+        """Its length, s."""
+        return len(self.samples) / self.rate_hz
+
+
+def joined(pieces: Sequence[tuple[float, np.ndarray]], rate_hz: int, name: str) -> Track:
+    """Join pieces of one channel by their times; gaps are silent, and where pieces overlap they add up.
+
+    Args:
+        pieces: time in s of the first sample, and (n,) samples; at least one.
+        rate_hz: sample rate, Hz.
+        name: of the track.
+    """
+    start = min(time for time, _ in pieces)
+    places = [round((time - start) * rate_hz) for time, _ in pieces]
+    samples = np.zeros(max(place + len(piece) for place, (_, piece) in zip(places, pieces, strict=True)), np.float32)
+    for place, (_, piece) in zip(places, pieces, strict=True):
+        samples[place : place + len(piece)] += piece
+    return Track(name, start, rate_hz, samples)
+
+
+def mp3(track: Track) -> bytes:
+    """Encode a track as MP3 with its loudest sample at -1 dB; every browser plays it."""
+    import soundfile
+
+    content = io.BytesIO()
+    samples, rate = _playable(track)
+    loudest = float(np.abs(samples).max(initial=0.0))
+    gain = 0.89 / loudest if loudest > 0 else 1.0
+    how = {"format": "MP3", "subtype": "MPEG_LAYER_III", "bitrate_mode": "CONSTANT", "compression_level": 0.8}
+    with soundfile.SoundFile(content, "w", rate, 1, **how) as file:
+        for begin in range(0, len(samples), 1 << 20):
+            file.write(gain * samples[begin : begin + (1 << 20)])
+    return content.getvalue()
+
+
+def _playable(track: Track) -> tuple[np.ndarray, int]:
+    """The samples at a rate that MP3 has: their own, a part of it, or the highest one."""
+    whole = next((n for n in range(1, 9) if track.rate_hz % n == 0 and track.rate_hz // n in _MP3_RATES_HZ), None)
+    if whole is not None:  # the mean of a few samples: what lies above half the new rate is not worth a filter
+        count = len(track.samples) // whole * whole
+        return track.samples[:count].reshape(-1, whole).mean(axis=1, dtype=np.float32), track.rate_hz // whole
+    rate = max(_MP3_RATES_HZ)
+    times = np.arange(int(len(track.samples) * rate / track.rate_hz)) * (track.rate_hz / rate)
+    return np.interp(times, np.arange(len(track.samples)), track.samples).astype(np.float32), rate
+
+
+def data_url(track: Track) -> str:
+    """Return a track as a data URL of MP3."""
+    return "data:audio/mpeg;base64," + base64.b64encode(mp3(track)).decode()
+
+
+def pictured(track: Track) -> dict[str, Any]:
+    """Draw a track for a page.
+
+    Returns:
+        "start" and "step" in s of columns; "peak", base64 of one byte a column, the largest amplitude on a scale of 60
+        dB; "spectrogram", a PNG as a data URL with one column of pixels a column and the lowest band below; "low_hz"
+        and "high_hz" of its bands, whose scale is logarithmic.
+    """
+    import cv2
+
+    step = max(_SHORTEST_COLUMN_S, track.duration_s / _MOST_COLUMNS)
+    hop = max(1, round(step * track.rate_hz))
+    count = -(-len(track.samples) // hop)
+    padded = np.zeros(count * hop, np.float32)
+    padded[: len(track.samples)] = track.samples
+    peak = np.abs(padded.reshape(count, hop)).max(axis=1, initial=0.0)
+    level = _levels(padded, hop, count, track.rate_hz)
+    picture = cv2.imencode(".png", level[::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+    return {
+        "name": track.name,
+        "start": round(track.start_s, 4),
+        "step": hop / track.rate_hz,
+        "peak": base64.b64encode(_scaled(peak, float(peak.max(initial=0.0)))).decode(),
+        "spectrogram": "data:image/png;base64," + base64.b64encode(picture).decode(),
+        "low_hz": _LOW_HZ,
+        "high_hz": min(_HIGH_HZ, track.rate_hz / 2),
+    }
+
+
+def _levels(samples: np.ndarray, hop: int, count: int, rate_hz: int) -> np.ndarray:
+    """(bands, columns) uint8: the power of each band in each column, over a range of 60 dB below the loudest."""
+    window = 1 << (int(_WINDOW_S * rate_hz) - 1).bit_length()
+    edges = np.geomspace(_LOW_HZ, min(_HIGH_HZ, rate_hz / 2), _BANDS + 1) * window / rate_hz
+    low = np.minimum(np.floor(edges[:-1]).astype(int), window // 2)
+    high = np.minimum(np.maximum(np.ceil(edges[1:]).astype(int), low + 1), window // 2 + 1)
+    around = np.pad(samples, (window // 2, window))
+    shape = np.hanning(window).astype(np.float32)
+    power = np.empty((_BANDS, count), np.float32)
+    for begin in range(0, count, 512):
+        starts = hop * np.arange(begin, min(begin + 512, count)) + hop // 2
+        spectrum = np.fft.rfft(around[starts[:, None] + np.arange(window)] * shape, axis=1)
+        total = np.cumsum(np.pad(np.abs(spectrum) ** 2, ((0, 0), (1, 0))), axis=1)
+        power[:, begin : begin + len(starts)] = ((total[:, high] - total[:, low]) / (high - low)).T
+    amplitude = np.sqrt(power)
+    return np.frombuffer(_scaled(amplitude, float(amplitude.max(initial=0.0))), np.uint8).reshape(_BANDS, count)
+
+
+def _scaled(amplitude: np.ndarray, largest: float) -> bytes:
+    decibels = 20 * np.log10(np.maximum(amplitude, 1e-30) / max(largest, 1e-12))
+    return np.clip(255 * (1 + decibels / _RANGE_DB), 0, 255).astype(np.uint8).tobytes()

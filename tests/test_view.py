@@ -1,0 +1,282 @@
+"""avview: records sorted by kind, its page in a real browser, its files."""
+
+import io
+import json
+import math
+import re
+import signal
+import subprocess
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+import soundfile
+from browser import CHROMIUM, Browser
+from conftest import BIN, run
+from test_aveval import lines, walk
+from test_metrics_report import INKED, experiment
+
+from avcli.formats import experiment as experiments
+from avcli.formats import records
+from avcli.view import sound
+from avcli.view.recording import DETECTIONS, TRACKS, TRUTH, Recording
+
+
+def record(t, objects, **more):
+    return {"timestamp": t, "objects": objects, **more}
+
+
+def test_records_are_sorted_by_their_keys():
+    recording = Recording("x", {"ring": "microphones"})
+    person = {"object_id": 0, "position": [1, 2, 0]}
+    recording.add(record(0.0, []), "a")  # nothing says yet what this is
+    recording.add(record(0.1, [{**person, "existence": 0.9}]), "a")
+    recording.add(record(0.1, [{**person, "speaking": True}], frame={"rgb": "f.png"}), "scene")
+    recording.add(record(0.1, [{"position": [1, 2, 1.5]}], sensor="ring"), "b")
+    recording.add(record(0.2, [person]), "groundtruth")
+    recording.add(record(0.2, [person]), "plain")
+    kinds = [(stream.kind, stream.name, stream.sensor, len(stream.rows)) for stream in recording.streams]
+    assert kinds == [
+        (TRACKS, "a", None, 2),
+        (TRUTH, "truth", None, 2),
+        (DETECTIONS, "ring", "microphones", 1),
+        (TRACKS, "plain", None, 1),
+    ]
+    assert recording.frames == [(0.1, "f.png")]
+
+
+def test_people_named_by_text_keep_their_names():
+    recording = Recording("x")
+    recording.add(record(0.0, [{"object_id": "<b>", "position": [1, 2]}]), "t")
+    assert recording.streams[0].rows == [[0.0, [["<b>", 1.0, 2.0]]]]
+
+
+def test_sound_is_joined_encoded_and_drawn():
+    rate = 44100
+    tone = 0.1 * np.sin(2 * math.pi * 1000 * np.arange(rate) / rate)
+    track = sound.joined([(0.5, tone), (1.5, np.zeros(7))], rate, "m")
+    assert (track.start_s, len(track.samples)) == (0.5, rate + 7)
+    drawn = sound.pictured(track)
+    assert drawn["step"] == pytest.approx(0.01)
+    for new, expected in ((44100, 44100), (96000, 48000), (51200, 48000)):
+        content, played = soundfile.read(io.BytesIO(sound.mp3(sound.Track("m", 0.0, new, track.samples))))
+        assert played == expected
+        assert len(content) / played == pytest.approx(len(track.samples) / new, abs=0.1)
+        assert np.abs(content).max() == pytest.approx(0.89, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("view")
+    experiment(folder / "s3")
+    (folder / "s3/audio/wav").mkdir(parents=True)
+    tone = 0.3 * np.sin(2 * math.pi * 440 * np.arange(4 * 16000) / 16000)
+    soundfile.write(folder / "s3/audio/wav/multichannel_audio_0.0000000000.wav", np.stack([tone, tone], axis=1), 16000)
+    for name in ("a.html", "b.html"):
+        assert run("avview", "s3", "--html", name, cwd=folder).stderr == ""
+    assert (folder / "a.html").read_bytes() == (folder / "b.html").read_bytes()
+    return folder
+
+
+def test_standard_input_passes_through(made):
+    content = (made / "s3/tracking/video_tracking.jsonl").read_bytes() + b"\n"
+    result = run("avview", "-C", "s3", "--html", "pipe.html", stdin=content, cwd=made)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout == content
+    text = (made / "pipe.html").read_text()
+    assert '"kind":"tracks"' in text
+    assert '"scores":null' in text
+
+
+def test_bad_use_is_one_line(made):
+    for arguments in (
+        ["s3"],
+        ["s3", "--html", "no/such.html"],
+        ["s3", "--html", "x.html", "--microphone", "9"],
+        [".", "--html", "x.html"],
+        ["s3", "--html", "x.html", "--scenario", "none"],
+        ["s3", "--html", "x.html", "--learnt", "none"],
+        ["s3", "--html", "x.html", "--film", "none"],
+    ):
+        result = run("avview", *arguments, cwd=made)
+        assert result.returncode in (1, 2), arguments
+        assert result.stderr.count("\n") == 1, result.stderr
+        assert not (made / "x.html").exists()
+
+
+def test_a_large_page_has_a_folder(made):
+    result = run("avview", "s3", "--html", "large.html", "--largest-mb", "0", cwd=made)
+    assert result.returncode == 0
+    assert "large.html.files" in result.stderr
+    assert {path.name for path in (made / "large.html.files").iterdir()} == {"data.js", "film-0.webm", "sound-0.mp3"}
+    assert (made / "large.html").stat().st_size < 70_000
+    if not CHROMIUM:
+        pytest.skip("no Chromium here")
+    page = Browser((made / "large.html").as_uri())
+    try:
+        page.wait("document.getElementById('film').readyState > 1 && document.getElementById('speaker').readyState > 1")
+        page.run("show(20); cue()")
+        page.wait("Math.abs(document.getElementById('film').currentTime - 2.05) < 0.02")
+        assert page.complaints() == []
+    finally:
+        page.close()
+
+
+@pytest.fixture(scope="module")
+def browser(made):
+    if not CHROMIUM:
+        pytest.skip("no Chromium here")
+    browser = Browser((made / "a.html").as_uri() + "#t=1.50")
+    yield browser
+    browser.close()
+
+
+def test_it_opens_at_the_moment_of_the_address_and_keeps_it(browser):
+    assert browser.run("now") == 15
+    browser.key("ArrowRight")
+    assert browser.run("location.hash") == "#t=1.60"
+    assert browser.complaints() == []
+
+
+def test_the_page_projects_through_the_exact_lens(browser, made):
+    camera = experiments.read_config(made / "s3/config.json").camera
+    rng = np.random.default_rng(0)
+    points = rng.uniform([0.2, 0.2, 0], [4.4, 4.4, 1.9], (200, 3))
+    from avcli import pose
+
+    exact = camera.lens.project(pose.apply(pose.inverse(camera.T_room_camera), points))
+    page = browser.run(f"{json.dumps(points.tolist())}.map(p => project(run.camera, p))")
+    np.testing.assert_allclose(np.array(page, float), exact, atol=0.05)
+
+
+def test_keys_work_after_every_click(browser):
+    for button in ("#layers button", "#trackers button", "#closer", "#mute"):
+        x, y = browser.run(
+            f"(() => {{ const b = document.querySelector('{button}').getBoundingClientRect();"
+            "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        browser.key("Home")
+        assert browser.run("now") == 0, button
+        browser.key("ArrowRight")
+        assert browser.run("now") == 1, button
+        browser.key("End")
+        assert browser.run("now") == 40, button
+
+
+def test_a_click_on_the_error_goes_to_its_peak(browser):
+    browser.run("run.scores[tracker.name].error.cm[33] = 90; look(0, 4); drawError()")
+    x, y = browser.run(
+        "(() => { const n = document.getElementById('error'); n.scrollIntoView({block: 'center'});"
+        "const b = n.getBoundingClientRect(); return [b.x + n.at.x(3.3) + 4, b.y + 60]; })()"
+    )
+    browser.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", clickCount=1)
+    browser.send("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+    assert browser.run("now") == 33
+
+
+def test_all_trackers_stand_together(browser):
+    browser.run("show(20)")
+    browser.key("c", "KeyC")
+    assert browser.run("document.querySelectorAll('#room [data-other]').length") == 6
+    browser.key("c", "KeyC")
+    assert browser.run("document.querySelectorAll('#room [data-other]').length") == 0
+
+
+def test_lanes_and_sound_are_drawn_and_said(browser):
+    assert browser.run(INKED.format("sound")) > 1000
+    words = browser.run("document.getElementById('in-words').textContent")
+    assert "speaks" in words
+    assert "heard" in words
+
+
+@pytest.mark.parametrize("width", [1400, 800, 400])
+def test_it_fits(browser, width):
+    browser.size(width, 800, mobile=width < 500)
+    assert browser.run("document.documentElement.scrollWidth") <= width
+    browser.wait(f"Math.abs(document.getElementById('timeline').clientWidth - {width}) < 80")
+    picture, room = browser.run(
+        "['picture', 'room'].map(id => document.getElementById(id).getBoundingClientRect().width)"
+    )
+    assert picture > 0.4 * width
+    assert room > 0.25 * width
+
+
+def test_an_hour_without_ground_truth(tmp_path):
+    t = np.arange(36_000) / 10
+    x = 2 + 1.5 * np.sin(t / 7)
+    rows = [
+        records.encode(
+            record(float(s), [{"object_id": k, "position": [float(v), 1.0 + k], "existence": 1.0} for k in (0, 1)])
+        )
+        for s, v in zip(t, x, strict=True)
+    ]
+    result = run("avview", "--html", "hour.html", stdin=b"".join(rows), cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert (tmp_path / "hour.html").stat().st_size < 4_000_000
+    if not CHROMIUM:
+        pytest.skip("no Chromium here")
+    page = Browser((tmp_path / "hour.html").as_uri() + "#t=3599.9")
+    try:
+        assert page.run("now") == 35_999
+        assert page.run("document.getElementById('clock').textContent") == "59:59.90"
+        page.key("PageUp")
+        assert page.run("run.ticks[now]") == pytest.approx(3589.9)
+        for _ in range(6):
+            page.key("+", "Equal")
+        assert page.run("view[1] - view[0]") < 60
+        assert page.complaints() == []
+    finally:
+        page.close()
+
+
+def test_a_live_page_follows_the_run(made):
+    """The page has what was there when it was opened, gets the rest, and is for this machine alone."""
+    command = [BIN / "avview", "-C", "s3", "--serve", "--port", "0"]
+    process = subprocess.Popen(
+        command, cwd=made, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0
+    )
+    rows = (made / "s3/tracking/video_tracking.jsonl").read_bytes().splitlines(keepends=True)
+    page = None
+    try:
+        process.stdin.write(b"".join(rows[:10]))
+        url = re.search(rb"http://127\.0\.0\.1:\d+/", process.stderr.readline())[0].decode()
+        other = urllib.request.Request(url, headers={"Host": "example.org"})
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(other)
+        if CHROMIUM:
+            page = Browser(url)
+            page.wait("run.ticks.length === 10")
+        process.stdin.write(b"".join(rows[10:]))
+        frame = {"timestamp": 4.0, "frame": {"rgb": experiments.Layout.rgb(4.0)}}
+        process.stdin.write(json.dumps(frame).encode() + b"\n")
+        process.stdin.close()
+        assert process.stdout.read().startswith(b"".join(rows))  # and it ends, so that the next filter can
+        if CHROMIUM:
+            page.wait("run.ticks.length === 41 && now === 40")
+            page.wait("document.getElementById('frame').naturalWidth > 0")
+            page.wait("document.getElementById('about').textContent.includes('ended')")
+            assert page.complaints(url) == []
+    finally:
+        if page:
+            page.close()
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == -signal.SIGINT
+        process.stdout.close()
+        process.stderr.close()
+
+
+def test_nothing_to_show_still_stands(tmp_path):
+    assert run("avview", "--html", "e.html", cwd=tmp_path).returncode == 0
+    (tmp_path / "truth.jsonl").write_text(lines(walk()))
+    assert run("avview", "truth.jsonl", "--html", "t.html", cwd=tmp_path).returncode == 0
+    if not CHROMIUM:
+        pytest.skip("no Chromium here")
+    for name in ("e.html", "t.html"):
+        browser = Browser((tmp_path / name).as_uri())
+        try:
+            assert browser.complaints() == []
+        finally:
+            browser.close()
