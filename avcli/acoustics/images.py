@@ -41,7 +41,8 @@ class Images:
         return len(self.gains)
 
     def __getitem__(self, chosen: np.ndarray) -> "Images":
-        return Images(self.positions[:, chosen], self.gains[chosen], self.mirrored[:, chosen])
+        # Not positions[:, chosen], of which the rows are not contiguous, and slow ever after.
+        return Images(*(whole.compress(chosen, axis=-1) for whole in (self.positions, self.gains, self.mirrored)))
 
     def distances(self, source_m: np.ndarray) -> np.ndarray:
         """Return the distances from a source, (n,) m."""
@@ -141,9 +142,17 @@ def image_microphones(
         room_dimensions_m, microphone_m, reflection, source_m, reach_m
     )
     iy, iz = np.divmod(order, len(z))
-    rows = np.concatenate([np.arange(count) for count in counts])
-    ix, iy, iz = np.repeat(np.arange(len(x)), counts), iy[rows], iz[rows]
-    return Images(np.stack([x[ix], y[iy], z[iz]]), gx[ix] * gy[iy] * gz[iz], np.stack([mx[ix], my[iy], mz[iz]]))
+
+    def of_images(of_x: np.ndarray, of_y: np.ndarray, of_z: np.ndarray) -> np.ndarray:
+        """Values of the axes for each image, (3, n): slices are copied, which is faster than a look-up."""
+        values = np.empty((3, counts.sum()), of_x.dtype)
+        values[0] = np.repeat(of_x, counts)
+        for row, by_order in ((1, of_y[iy]), (2, of_z[iz])):
+            np.concatenate([by_order[:count] for count in counts], out=values[row])
+        return values
+
+    gains = of_images(gx, gy, gz)
+    return Images(of_images(x, y, z), gains[0] * gains[1] * gains[2], of_images(mx, my, mz))
 
 
 def arrivals(
@@ -267,7 +276,9 @@ class DelaySpectrum:
             return np.exp(beta * (np.sqrt(np.maximum(0.0, 1 - (2 * cells / width) ** 2)) - 1))
 
         fractions = (np.arange(self.ROWS) + 0.5) / self.ROWS
-        self._taps = [kernel(1 + k - width / 2 - fractions) for k in range(width)]
+        taps = [kernel(1 + k - width / 2 - fractions) for k in range(width)] + [np.zeros(self.ROWS)] * (width % 2)
+        # Two taps that are neighbours are spread at once, as the parts of a complex number.
+        self._taps = [first + 1j * second for first, second in zip(taps[::2], taps[1::2], strict=True)]
         nodes, weights = np.polynomial.legendre.leggauss(32 + 4 * width)
         cells = nodes * width / 2
         weights = weights * width / 2 * kernel(cells)
@@ -299,10 +310,14 @@ class DelaySpectrum:
         places -= first
         places *= self.ROWS
         rows = places.astype(np.intp)
+        spread = np.empty(len(rows), complex)
+        sums = np.zeros(len(grid) - 2, complex)
         for k, taps in enumerate(self._taps):
-            spread = taps.take(rows, mode="clip", out=places)
+            taps.take(rows, mode="clip", out=spread)
             spread *= amplitudes
-            np.add.at(grid[k + 1 :], first, spread)
+            np.add.at(sums[2 * k :], first, spread)
+        grid[1:-1] = sums.real
+        grid[2:] += sums.imag
 
 
 def _audible_end(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> int:

@@ -14,6 +14,7 @@ half-written file renamed over a good one. This module replaces them, and no oth
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import functools
 import os
@@ -156,6 +157,20 @@ def _reason(error: OSError) -> str:
     return f"{error.filename}: {text}" if error.filename else text
 
 
+def _keep_freed_memory() -> None:
+    """Keep what large arrays leave for the next ones: to give pages back and ask for them anew takes longer than most
+    of the work on them. Where the C library has no such setting (mallopt of glibc), nothing happens.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(_M_MMAP_THRESHOLD, _LARGEST_MMAP_THRESHOLD)
+        mallopt(_M_TRIM_THRESHOLD, _MOST_KEPT)
+
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+_LARGEST_MMAP_THRESHOLD, _MOST_KEPT = 1 << 25, 1 << 30  # bytes; glibc refuses a larger threshold
+
+
 def _say(name: str | None, text: str) -> None:
     with contextlib.suppress(OSError):
         print(f"{name}: {' '.join(text.split())}", file=sys.stderr, flush=True)
@@ -171,6 +186,7 @@ class Session:
     """One run of one command: its streams, its experiment, and its messages on stderr."""
 
     def __init__(self, name: str, options: Mapping[str, Any]):
+        _keep_freed_memory()
         self.name = name
         self.seed: int = options.get("seed") or 0
         self.quiet: bool = options["quiet"]

@@ -58,7 +58,7 @@ class Interior:
         self.uniforms: dict[str, Any] = {
             "lamps": _padded(middles), "lamp_u": _padded(us), "lamp_v": _padded(vs), "lamp_light": _padded(lights),
             "lamp_count": len(middles), "first_window": len(lamps),
-            "lamp_rays": int(np.clip(_RAYS // len(middles), 1, 4)), "glints": min(len(middles), _GLINTS),
+            "glints": min(len(middles), _GLINTS),
             "ambient": tuple(ambient), "outside": room.fittings.daylight, "cells": tuple(self.cells),
             "sun_way": (flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)),
             "sun_light": tuple(_SUN * room.fittings.daylight * np.array([1.0, 0.93, 0.80])),
@@ -74,7 +74,7 @@ class Interior:
         used |= {material.name for material, stated in faces if stated}
         sun = fitted.sun_deg is not None and fitted.sun_deg[1] > 0 and bool(fitted.windows) and fitted.daylight > 0
         patterns = {materials.table()[name].look.pattern for name in used}
-        return Shaders(patterns, sun=sun)
+        return Shaders(patterns, int(np.clip(_RAYS // self.uniforms["lamp_count"], 1, 4)), sun=sun)
 
     def _exposure(
         self, middles: np.ndarray, us: np.ndarray, vs: np.ndarray, lights: np.ndarray, ambient: np.ndarray

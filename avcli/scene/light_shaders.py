@@ -13,7 +13,7 @@ _LIGHTS = """
 // Of a branch llvmpipe runs both sides, of a loop only the turns that some pixel of a few neighbours needs.
 #define ONLY(condition) for (int turn_ = 0; turn_ < int(condition); ++turn_)
 uniform vec3 lamps[MOST], lamp_u[MOST], lamp_v[MOST], lamp_light[MOST];
-uniform int lamp_count, first_window, lamp_rays, glints;   // glints: lamps that shine on skin and cloth
+uniform int lamp_count, first_window, glints;   // glints: lamps that shine on skin and cloth
 uniform vec3 ambient, sun_way, sun_light;
 uniform float exposure, outside;
 
@@ -71,21 +71,33 @@ void main() {
         vec3 whole = arriving(p, n, k, lamps[k]);
         bool counts = luma(whole) > least;
         sum += counts ? vec3(0.0) : whole;
-        for (int s = 0; s < (counts ? lamp_rays : 0); ++s) {
-            float f = float(s) + hash(vec3(gl_FragCoord.xy, 3.0 + float(s + 5 * k)));
-            vec2 at = 2.0 * vec2(f / float(lamp_rays), fract(f * 1.618 + ring)) - 1.0;
-            vec3 q = lamps[k] + at.x * lamp_u[k] + at.y * lamp_v[k], way = q - p;
-            float far = length(way);
-            sum += blocked(p, way / far, far - 0.02) ? vec3(0.0) : arriving(p, n, k, q) / float(lamp_rays);
+        ONLY(counts) {
+            vec3 to[RAYS], ways[RAYS];
+            float far[RAYS], open[RAYS];
+            for (int s = 0; s < RAYS; ++s) {
+                float f = float(s) + hash(vec3(gl_FragCoord.xy, 3.0 + float(s + 5 * k)));
+                vec2 at = 2.0 * vec2(f / float(RAYS), fract(f * 1.618 + ring)) - 1.0;
+                to[s] = lamps[k] + at.x * lamp_u[k] + at.y * lamp_v[k];
+                far[s] = length(to[s] - p);
+                ways[s] = (to[s] - p) / far[s];
+                far[s] -= 0.02;
+                open[s] = 1.0;
+            }
+            block_RAYS(p, ways, far, open);
+            for (int s = 0; s < RAYS; ++s) sum += open[s] * arriving(p, n, k, to[s]) / float(RAYS);
         }
     }
-    vec3 u = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0, 0, 1) : vec3(1, 0, 0))), v = cross(n, u);
-    float open = 0.0;
+    vec3 u = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0, 0, 1) : vec3(1, 0, 0))), v = cross(n, u), ways[5];
+    float far[5], open[5];
     for (int s = 0; s < 5; ++s) {
         float r = sqrt((float(s) + ring) / 5.0), a = turn + 2.39996 * float(s);
-        open += blocked(p, r * cos(a) * u + r * sin(a) * v + sqrt(1.0 - r * r) * n, 0.9) ? 0.0 : 0.2;
+        ways[s] = r * cos(a) * u + r * sin(a) * v + sqrt(1.0 - r * r) * n;
+        far[s] = 0.9;
+        open[s] = 0.2;
     }
-    light = luma(sum + open * cornered(p, n) * ambient * sky(n));
+    block_5(p, ways, far, open);
+    float sky_seen = open[0] + open[1] + open[2] + open[3] + open[4];
+    light = luma(sum + sky_seen * cornered(p, n) * ambient * sky(n));
 }
 """
 
@@ -186,25 +198,39 @@ vec3 shade(vec2 px, vec3 d, float t, int id, vec3 n) {
 
 _SUN = """
     float far, sun = sun_open(p, 0.5 * blur, far) * max(dot(bent, sun_way), 0.0);
-    ONLY(sun > 1e-3) light += blocked(p + 3e-3 * n, sun_way, far - 0.08) ? vec3(0.0) : sun * sun_light;
+    ONLY(sun > 1e-3) {
+        float open[1] = float[1](sun);
+        block_1(p + 3e-3 * n, vec3[1](sun_way), float[1](far - 0.08), open);
+        light += open[0] * sun_light;
+    }
 """
 
 # Light in the room's air, where people are: from six directions in each cell of a grid (J. McTaggart, 2004).
 _PROBE_MAIN = """
 uniform vec3 cells;
-out vec4 light;
+layout(location = 0) out vec4 light[6];
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), count = ivec2(cells.xy);
-    int side = at.x / count.x;
-    vec3 p = (vec3(at.x % count.x, at.y % count.y, at.y / count.y) + 0.5) / cells * room;
-    vec3 n = vec3(0.0), sum = vec3(0.0);
-    n[side / 2] = (side & 1) == 0 ? 1.0 : -1.0;
-    for (int k = 0; k < lamp_count; ++k) for (int s = 0; s < 4; ++s) {
-        vec3 q = lamps[k] + (float(s & 1) - 0.5) * lamp_u[k] + (float(s >> 1) - 0.5) * lamp_v[k], way = q - p;
-        float far = length(way);
-        sum += blocked(p, way / far, far - 0.02) ? vec3(0.0) : 0.25 * arriving(p, n, k, q);
+    vec3 p = (vec3(at.x, at.y % count.y, at.y / count.y) + 0.5) / cells * room, sums[6];
+    for (int side = 0; side < 6; ++side) sums[side] = vec3(0.0);
+    for (int k = 0; k < lamp_count; ++k) {
+        vec3 to[4], ways[4];
+        float far[4], open[4];
+        for (int s = 0; s < 4; ++s) {
+            to[s] = lamps[k] + (float(s & 1) - 0.5) * lamp_u[k] + (float(s >> 1) - 0.5) * lamp_v[k];
+            far[s] = length(to[s] - p);
+            ways[s] = (to[s] - p) / far[s];
+            far[s] -= 0.02;
+            open[s] = 0.25;
+        }
+        block_4(p, ways, far, open);
+        for (int s = 0; s < 4; ++s) for (int side = 0; side < 6; ++side) {
+            vec3 n = vec3(0.0);
+            n[side / 2] = (side & 1) == 0 ? 1.0 : -1.0;
+            sums[side] += open[s] * arriving(p, n, k, to[s]);
+        }
     }
-    light = vec4(sum, 1.0);
+    for (int side = 0; side < 6; ++side) light[side] = vec4(sums[side], 1.0);
 }
 """
 
@@ -283,17 +309,28 @@ class Shaders:
 
     Args:
         patterns: that its surfaces and furniture have.
+        lamp_rays: to each lamp or window from one place.
         sun: whether the sun shines.
     """
 
-    def __init__(self, patterns: Iterable[str], *, sun: bool) -> None:
+    def __init__(self, patterns: Iterable[str], lamp_rays: int, *, sun: bool) -> None:
         lights = f"#define MOST {MOST_LIGHTS}\n" + shaders.NOISE + _LIGHTS
-        solid, blocked = room_shaders.SOLID, room_shaders.BLOCKED
+        solid, blocked = room_shaders.SOLID, room_shaders.blocked
         shade = _SHADE.replace("SUNSHINE", _SUN if sun else "")
-        paint = LENS + solid + lights + _CORNERS + blocked + room_shaders.PAINT + look_shaders.paint(patterns) + shade
-        self.room_light = LENS + solid + lights + _CORNERS + blocked + _ROOM_LIGHT_MAIN
+        paint = (
+            LENS
+            + solid
+            + lights
+            + _CORNERS
+            + (blocked(1) if sun else "")
+            + room_shaders.PAINT
+            + look_shaders.paint(patterns)
+            + shade
+        )
+        light = _ROOM_LIGHT_MAIN.replace("RAYS", str(lamp_rays))
+        self.room_light = LENS + solid + lights + _CORNERS + blocked(*{5, lamp_rays}) + light
         self.room_shade = paint + room_shaders.SHADE_MAIN
         self.room_smooth = paint + room_shaders.SMOOTH_MAIN
-        self.probe = "#version 330\n" + solid + lights + blocked + _PROBE_MAIN
+        self.probe = "#version 330\n" + solid + lights + blocked(4) + _PROBE_MAIN
         self.shadow = LENS + lights + _SHADOW_MAIN
         self.people = LENS + shaders.CONE + lights + _LIT + shaders.PAINT + shaders.SHADE_MAIN

@@ -47,7 +47,7 @@ def draw_room(
     """
     ctx, uniforms = canvas.ctx, canvas.surroundings
     blockers = furniture.blockers(solids)
-    table = canvas.table(np.concatenate([_solid_rows(solids), _solid_rows(blockers)]))
+    table = canvas.table(np.concatenate([_solid_rows(solids), _blocker_rows(blockers)]))
     found = _surfaces(canvas, solids, table)
     picture = ctx.texture(canvas.size, 4)
     probes = None if dressed is None else _probes(canvas, blockers, dressed)
@@ -102,7 +102,7 @@ def _light(
     grid = -(-size[0] // COARSE), -(-size[1] // COARSE)
     raw, smooth = ctx.texture(grid, 1, dtype="f2"), ctx.texture(grid, 4, dtype="f4")
     light = canvas.program(shaders.FLAT_VERTEX, shader, **canvas.surroundings, blockers=len(blockers))
-    canvas.fill(light, ctx.framebuffer([raw]), {**found, "solids": canvas.table(_solid_rows(blockers))})
+    canvas.fill(light, ctx.framebuffer([raw]), {**found, "solids": canvas.table(_blocker_rows(blockers))})
     blur = canvas.program(shaders.FLAT_VERTEX, room_shaders.ROOM_BLUR, coarse=COARSE)
     canvas.fill(blur, ctx.framebuffer([smooth]), {**found, "light": raw})
     return smooth
@@ -112,10 +112,10 @@ def _probes(canvas: Canvas, blockers: furniture.Solids, dressed: Interior) -> mo
     """Light in the room's air past the furniture, a cell a texel: six directions, one after another along z."""
     ctx = canvas.ctx
     nx, ny, nz = (int(n) for n in dressed.cells)
-    flat = ctx.texture((6 * nx, ny * nz), 4, dtype="f4")
+    sides = [ctx.texture((nx, ny * nz), 4, dtype="f4") for _ in range(6)]
     program = canvas.program(shaders.FLAT_VERTEX, dressed.shaders.probe, **canvas.surroundings, blockers=len(blockers))
-    canvas.fill(program, ctx.framebuffer([flat]), {"solids": canvas.table(_solid_rows(blockers))})
-    cells = np.frombuffer(flat.read(), np.float32).reshape(nz, ny, 6, nx, 4).transpose(2, 0, 1, 3, 4)
+    canvas.fill(program, ctx.framebuffer(sides), {"solids": canvas.table(_blocker_rows(blockers))})
+    cells = np.stack([np.frombuffer(side.read(), np.float32).reshape(nz, ny, nx, 4) for side in sides])
     return ctx.texture3d((nx, ny, 6 * nz), 4, np.ascontiguousarray(cells).tobytes(), dtype="f4")
 
 
@@ -147,4 +147,12 @@ def _solid_rows(solids: furniture.Solids) -> np.ndarray:
         rows[:, 0, :3], rows[:, 0, 3] = solids.centre, solids.kind
         rows[:, 1:4, :3], rows[:, 1:4, 3] = solids.axes, solids.half
         rows[:, 4, :3], rows[:, 4, 3] = linear(solids.colour), solids.material
+    return rows
+
+
+def _blocker_rows(blockers: furniture.Solids) -> np.ndarray:
+    """As `_solid_rows`, for what stands before the light: the last number is the radius of a ball around it."""
+    rows = _solid_rows(blockers)
+    if len(blockers):
+        rows[:, 4, 3] = 1.001 * np.linalg.norm(blockers.half, axis=1)
     return rows

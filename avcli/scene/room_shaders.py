@@ -117,40 +117,53 @@ void main() {
 """
 )
 
-# Whether furniture stands between two places.
-BLOCKED = """
-uniform int blockers, blockers_from;   // rows of the table of solids
-
-bool blocked(vec3 o, vec3 d, float far) {
+_BLOCKED = """
+// Which of COUNT rays from o furniture stands before, until they have gone as far as `far`: `open` of these becomes 0.
+// Each thing is read once for all rays, and examined where a ball around it comes near one of them.
+void block_COUNT(vec3 o, vec3 d[COUNT], float far[COUNT], inout float open[COUNT]) {
     for (int k = blockers_from; k < blockers_from + blockers; ++k) {
-        vec4 c = solid_texel(k, 0), x = solid_texel(k, 1), y = solid_texel(k, 2), z = solid_texel(k, 3);
-        vec3 reach = vec3(x.w, y.w, z.w), lo = o - c.xyz;
-        // A ball around it is asked first.
-        float along = dot(lo, d);
-        if (dot(lo, lo) - along * along > dot(reach, reach)) continue;
-        mat3 axes = mat3(x.xyz, y.xyz, z.xyz);
-        lo = lo * axes;
-        vec3 ld = d * axes;
-        if (c.w > 1.5) {
-            float h = along * along - dot(lo, lo) + reach.x * reach.x;
-            if (h > 0.0 && -along - sqrt(h) > 1e-3 && -along - sqrt(h) < far) return true;
-            continue;
+        vec4 c = solid_texel(k, 0);
+        float radius = solid_texel(k, 4).w, near = 0.0;
+        vec3 from = o - c.xyz;
+        float square = dot(from, from) - radius * radius;
+        for (int s = 0; s < COUNT; ++s) {
+            float along = dot(from, d[s]);
+            near += square < along * along && -along - radius < far[s] && along < radius ? open[s] : 0.0;
         }
-        ld = mix(ld, vec3(1e-20), lessThan(abs(ld), vec3(1e-20)));
-        vec3 near3 = -lo / ld - abs(reach / ld), far3 = -lo / ld + abs(reach / ld);
-        float enter = max(near3.x, max(near3.y, near3.z)), leave = min(far3.x, min(far3.y, far3.z));
-        if (enter < leave && enter > 1e-3 && enter < far) return true;
+        for (int turn = 0; turn < int(near > 0.0); ++turn) {   // a loop: llvmpipe runs both sides of a branch
+            vec4 x = solid_texel(k, 1), y = solid_texel(k, 2), z = solid_texel(k, 3);
+            vec3 reach = vec3(x.w, y.w, z.w);
+            mat3 axes = mat3(x.xyz, y.xyz, z.xyz);
+            vec3 lo = from * axes;
+            for (int s = 0; s < COUNT; ++s) {
+                vec3 ld = d[s] * axes;
+                float along = dot(from, d[s]), h = along * along - dot(lo, lo) + reach.x * reach.x;
+                float ball = -along - sqrt(max(h, 0.0));
+                bool in_ball = h > 0.0 && ball > 1e-3 && ball < far[s];
+                ld = mix(ld, vec3(1e-20), lessThan(abs(ld), vec3(1e-20)));
+                vec3 near3 = -lo / ld - abs(reach / ld), far3 = -lo / ld + abs(reach / ld);
+                float enter = max(near3.x, max(near3.y, near3.z)), leave = min(far3.x, min(far3.y, far3.z));
+                bool in_box = enter < leave && enter > 1e-3 && enter < far[s];
+                if (c.w > 1.5 ? in_ball : in_box) open[s] = 0.0;
+            }
+        }
     }
-    return false;
 }
 """
+
+
+def blocked(*counts: int) -> str:
+    """The GLSL of `block_N`, which tells what furniture stands before N rays from one place, for each N of `counts`."""
+    head = "uniform int blockers, blockers_from;   // rows of the table of solids\n"
+    return head + "".join(_BLOCKED.replace("COUNT", str(count)) for count in counts)
+
 
 # How much light reaches the room's surfaces, on a coarse grid: lamps behind furniture, and the open sky above.
 ROOM_LIGHT = (
     LENS
     + SOLID
     + LIGHT
-    + BLOCKED
+    + blocked(11)
     + """
 uniform sampler2D seen, surface;
 uniform int coarse;
@@ -164,27 +177,29 @@ void main() {
     vec3 n = texelFetch(surface, at, 0).xyz;
     vec3 p = eye + hit.x * (to_room * ray_of(at)) + 2e-3 * n;
     float turn = 6.2832 * hash(vec3(gl_FragCoord.xy, 1.0)), ring = hash(vec3(gl_FragCoord.yx, 2.0));
-    for (int k = 0; k < 2; ++k) {
-        float open = 0.0;
-        for (int s = 0; s < 3; ++s) {
-            float r = LAMP_RADIUS * sqrt((float(s) + ring) / 3.0), a = turn + 2.39996 * float(s);
-            vec3 way = lamps[k] + r * vec3(cos(a), sin(a), 0.0) - p;
-            float far = length(way);
-            open += blocked(p, way / far, far) ? 0.0 : 1.0 / 3.0;
-        }
-        light += open * lamp(p, n, k);
+    // Three rays to each lamp, and five to the sky.
+    vec3 ways[11];
+    float far[11], open[11];
+    for (int s = 0; s < 6; ++s) {
+        float r = LAMP_RADIUS * sqrt((float(s % 3) + ring) / 3.0), a = turn + 2.39996 * float(s % 3);
+        ways[s] = lamps[s / 3] + r * vec3(cos(a), sin(a), 0.0) - p;
+        far[s] = length(ways[s]);
+        ways[s] /= far[s];
+        open[s] = 1.0 / 3.0;
     }
     vec3 u = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0, 0, 1) : vec3(1, 0, 0))), v = cross(n, u);
-    float open = 0.0;
     for (int s = 0; s < 5; ++s) {
         float r = sqrt((float(s) + ring) / 5.0), a = turn + 2.39996 * float(s);
-        vec3 d = r * cos(a) * u + r * sin(a) * v + sqrt(1.0 - r * r) * n;
-        open += blocked(p, d, 0.9) ? 0.0 : 0.2;
+        ways[s + 6] = r * cos(a) * u + r * sin(a) * v + sqrt(1.0 - r * r) * n;
+        far[s + 6] = 0.9;
+        open[s + 6] = 0.2;
     }
+    block_11(p, ways, far, open);
+    for (int k = 0; k < 2; ++k) light += (open[3 * k] + open[3 * k + 1] + open[3 * k + 2]) * lamp(p, n, k);
     // Corners of the room see less of it.
     vec3 gap = min(p, room - p) + abs(n) * 9.0;
     float corner = 1.0 - 0.45 * exp(-3.0 * min(gap.x, min(gap.y, gap.z)));
-    light += open * corner * sky(n);
+    light += (open[6] + open[7] + open[8] + open[9] + open[10]) * corner * sky(n);
 }
 """
 )
