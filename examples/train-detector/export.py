@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=900_000, help="of those pictures")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    state = torch.load(options.checkpoint)
+    state = torch.load(options.checkpoint, map_location="cpu")
     detector = Detector().eval()
     detector.load_state_dict(state["average"])
     if options.weights:
