@@ -427,3 +427,11 @@ def test_windows_give_turned_boxes_and_say_what_they_skipped(folder, network):
     for line in result.stdout.splitlines():
         for one in json.loads(line)["objects"]:
             assert len(one["turned_px"]) == 5
+
+
+def test_records_without_frames_are_not_passed_over_in_silence(tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    result = run("avdetect-video", "-C", tmp_path, stdin='{"timestamp":0}\n{"timestamp":1,"audio":null}\n')
+    assert (result.returncode, result.stdout) == (0, b"")
+    assert "none of the 2 records is a frame" in result.stderr
+    assert run("avdetect-video", "-C", tmp_path).stderr == ""  # an empty stream is no mistake

@@ -13,7 +13,7 @@ import click
 
 import avcli.calibration.settings as settings
 from avcli import __version__
-from avcli.commands import avcalib_convert, avcalib_live, avcalib_room
+from avcli.commands import avcalib_convert, avcalib_detector, avcalib_live, avcalib_room
 from avcli.commands.avcalib_pictures import (
     check_sources,
     collect,
@@ -53,6 +53,7 @@ for _command in (
     avcalib_room.pose_command,
     avcalib_room.microphones_command,
     avcalib_room.background_command,
+    avcalib_detector.detector_command,
     avcalib_convert.convert_command,
 ):
     main.add_command(_command)

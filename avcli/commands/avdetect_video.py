@@ -266,15 +266,18 @@ def _frame(outside: bool, record: Any, _bad: object) -> records.Frame | None:
 
 
 def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> Iterator[footage.UnreadShot]:
-    """Yield the time steps of frame records; the other records are passed over."""
+    """Yield the time steps of frame records; the other records are passed over. Says so if there are no frames."""
     from avcli.formats import footage, media
 
-    root = session.media_root
+    root, others, any_frame = session.media_root, 0, False
     for frame in frames:
+        others, any_frame = others + (frame is None), any_frame or frame is not None
         if frame is not None:
             colour = partial(media.read_rgb, root / frame.rgb) if frame.rgb else None
             distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
             yield footage.UnreadShot(frame.timestamp, colour, distance)
+    if others and not any_frame:
+        session.warn(f"none of the {others} records is a frame with a picture, so nobody was looked for")
 
 
 def _picture_shots(

@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
 from avcli.detection.monocular import locate_boxes
-from avcli.detection.network import PAD, Boxes, ModelError, Network
+from avcli.detection.network import PAD, Boxes, ModelError, Network, own_model
 from avcli.detection.settings import Settings
 from avcli.detection.view import View
 from avcli.detection.windows import WindowedNetwork
@@ -227,7 +226,7 @@ class Detector:
             self._room_colours.see(picture)
         if len(regions):
             with self._timing("network"):
-                found = self._lit((self.windows or self.network).detect(self._darkened(picture), regions))
+                found = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
             found = self._moving(found)
             with self._timing("depth and positions"):
                 placed = self._place(found, depth)
@@ -318,17 +317,6 @@ class Detector:
         centre = np.array(self._size) / 2 if below is None else below + 0.5
         return WindowedNetwork(network, self._size, centre, self.settings.windows or 1, self.view.circle)
 
-    def _darkened(self, picture: np.ndarray) -> np.ndarray:
-        """The picture with grey in place of what the lens does not light, where that is known."""
-        if self.view.circle is None:
-            return picture
-        return np.where(self._light[..., None], picture, np.uint8(PAD))
-
-    @cached_property
-    def _light(self) -> np.ndarray:
-        columns, rows = np.meshgrid(np.arange(self._size[0]), np.arange(self._size[1]))
-        return self.view.inside(np.column_stack([columns.ravel(), rows.ravel()]).astype(float)).reshape(rows.shape)
-
     def _lit(self, found: Boxes) -> Boxes:
         """The boxes whose middle is where the lens lights the picture."""
         if self.view.circle is None or not len(found):
@@ -338,8 +326,7 @@ class Detector:
         return found.take(np.hypot(middles[:, 0] - x, middles[:, 1] - y) <= radius)
 
     def _network(self, model: str | os.PathLike | None) -> Network:
-        own = resources.files("avcli.detection") / "people.onnx"
-        content = own.read_bytes() if model is None else read_bytes(model)
+        content = own_model() if model is None else read_bytes(model)
         chosen = self.settings
         try:
             shape = (1, 1) if chosen.windows else self._size

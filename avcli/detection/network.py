@@ -2,6 +2,7 @@
 
 import ast
 from dataclasses import dataclass
+from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -159,6 +160,8 @@ class Network:
         else:
             outputs = self._run(fit.apply(picture), bgr=yolox)
         boxes, scores, parts = decode(outputs, self.head, self.size, self.confidence)
+        if self.metadata.get("parts") == "unknown":  # it learnt boxes alone
+            parts = None
         if self.head.kind != "end2end":
             keep = suppress(boxes, scores, self.iou)
             boxes, scores, parts = boxes[keep], scores[keep], None if parts is None else parts[keep]
@@ -217,6 +220,11 @@ class Network:
         except (KeyError, ValueError, SyntaxError, TypeError, IndexError):
             return 640
         return longest if 0 < longest <= 4096 else 640
+
+
+def own_model() -> bytes:
+    """The content of the package's own ONNX file."""
+    return (resources.files("avcli.detection") / "people.onnx").read_bytes()
 
 
 def _cells(regions: np.ndarray, size: tuple[int, int]) -> list[list[int]]:

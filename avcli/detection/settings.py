@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from avcli.settings import check, setting
 
+FEWEST = 30
+"""Pictures that a film must have to learn from it."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -82,6 +85,31 @@ class Settings:
         "Say what each person wears, from the colour picture, so that avfuse can tell people apart.",
         flag="--features/--no-features",
         default_text="features with --detector net",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class TeachingSettings:
+    """How a small network learns one camera and room from a teacher."""
+
+    windows: int = setting(
+        8,
+        "The teacher looks at N windows that are turned so that people stand upright in them; 0: at the whole picture.",
+        unit="N",
+        least=0,
+        most=64,
+    )
+    confidence: float = setting(
+        0.3, "Least score of the teacher that counts as a person.", unit="P", least=0.1, most=1.0
+    )
+    pictures: int = setting(
+        300, "Learn from at most N pictures, at equal steps through the film.", unit="N", least=FEWEST, most=5000
+    )
+    steps: int = setting(
+        400, "Learn for N steps of eight pictures; 400 take some four minutes.", unit="N", least=1, most=100_000
     )
 
     def __post_init__(self) -> None:

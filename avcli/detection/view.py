@@ -126,6 +126,18 @@ class View:
         return rays.reshape(*u.shape, 3).astype(np.float32)
 
     @cached_property
+    def light(self) -> np.ndarray | None:
+        """Which pixels (height, width) bool the lens lights; None: all."""
+        if self.circle is None:
+            return None
+        columns, rows = np.meshgrid(np.arange(self.size[0]), np.arange(self.size[1]))
+        return self.inside(np.column_stack([columns.ravel(), rows.ravel()]).astype(float)).reshape(rows.shape)
+
+    def lit(self, picture: np.ndarray, grey: int) -> np.ndarray:
+        """A picture (height, width, 3) uint8 with a level of grey in place of what the lens does not light."""
+        return picture if self.light is None else np.where(self.light[..., None], picture, np.uint8(grey))
+
+    @cached_property
     def cosines(self) -> np.ndarray:
         """Cosine (h, w) float32 of each sample's angle from the optical axis: depth along it over radial depth."""
         return self.rays @ self.rotation[:, 2].astype(np.float32)

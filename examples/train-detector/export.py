@@ -15,6 +15,8 @@ from judge import average_precision, judge, pictures_to_judge
 from model import Detector, Exported
 from onnx import TensorProto, helper, numpy_helper
 
+from avcli.detection.agreement import platt
+
 
 def folded(conv, norm) -> tuple:
     """Weight and bias of a convolution with its batch norm folded in."""
@@ -104,7 +106,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=900_000, help="of those pictures")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    state = torch.load(options.checkpoint)
+    state = torch.load(options.checkpoint, map_location="cpu")
     detector = Detector().eval()
     detector.load_state_dict(state["average"])
     if options.weights:
@@ -114,7 +116,7 @@ def main() -> None:
                 "imgsz": "[368, 640]"}  # fmt: skip
     samples = pictures_to_judge(options.seed, options.judge)
     raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
-    slope, shift = platt(raw.scores, raw.right)
+    slope, shift = platt(raw.scores, raw.right > 0)
     content = to_onnx(detector, slope, shift, metadata | {"steps": str(state["step"])})
     options.out.write_bytes(content)
     with torch.no_grad():
@@ -125,20 +127,6 @@ def main() -> None:
     got = onnxruntime.InferenceSession(content).run(None, {"images": picture.numpy()})[0]
     print(f"step {state['step']}, {len(content)} bytes, torch and ONNX differ by {np.abs(wanted - got).max():.2g}")
     print(f"score: slope {slope:.3f}, shift {shift:.3f}; AP50 there {average_precision(raw):.3f}")
-
-
-def platt(scores: np.ndarray, right: np.ndarray) -> tuple[float, float]:
-    """Slope and shift of the logit that make the score the probability of being right (Platt, 1999)."""
-    x = np.log(scores / (1 - scores))
-    slope, shift = 1.0, 0.0
-    for _ in range(50):
-        p = 1 / (1 + np.exp(-(slope * x + shift)))
-        w = np.maximum(p * (1 - p), 1e-9)
-        gradient = np.array([((right - p) * x).sum(), (right - p).sum()])
-        hessian = np.array([[(w * x * x).sum(), (w * x).sum()], [(w * x).sum(), w.sum()]]) + 1e-6 * np.eye(2)
-        step = np.linalg.solve(hessian, gradient)
-        slope, shift = slope + step[0], shift + step[1]
-    return float(slope), float(shift)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from generate import HEIGHT, PAD, WIDTH, Sample, _camera_effects, _colour, _flip
 from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
 from avcli.scene import render, scenario
-from avcli.scene.people import pose
+from avcli.scene.people import Bodies, pose
 
 SHAPES = [(640, 360), (640, 360), (640, 360), (640, 384), (512, 384), (384, 384)]
 
@@ -107,6 +107,29 @@ class Shot:
     anchors: np.ndarray
 
 
+def seen_people(frame: render.Frame, bodies: Bodies, k: int, view: View, stands: np.ndarray) -> list[tuple]:
+    """Place, top, visible part, box, parts, anchor and number (`Shot`) of each person in the k-th frame."""
+    rows = []
+    for index in range(len(stands)):
+        v, u = np.nonzero(frame.ids == index + 1)
+        if len(v) < 8:
+            continue
+        own = bodies.person == index
+        top = float(np.maximum(bodies.a[k, own, 2] + bodies.ra[own], bodies.b[k, own, 2] + bodies.rb[own]).max())
+        middle = (bodies.a[k, own] + bodies.b[k, own]) / 2
+        size = bodies.ra[own] * (bodies.ra[own] + np.linalg.norm(bodies.a[k, own] - bodies.b[k, own], axis=1))
+        within = size[view.inside(view.project(middle))].sum() / size.sum()
+        axis = np.column_stack([np.tile(stands[index], (3, 1)), PART_HEIGHTS * top])
+        box = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], float)
+        parts = view.project(axis) + 0.5
+        if not np.isfinite(parts).all():
+            parts = np.tile((box[:2] + box[2:]) / 2, (3, 1))
+        whole = frame.shapes[index][0].sum() * render.Frame.pitch**2
+        seen = min(len(v) / max(whole, 1), within)
+        rows.append((stands[index], top, seen, box, parts, anchor(v, u, parts[0]), index))
+    return rows
+
+
 def shots(
     rng: np.random.Generator,
     width: int,
@@ -136,26 +159,7 @@ def shots(
         if (apart < 0.42).any():
             continue  # walks are random: bodies would pass through each other
         frame = artist.draw(drawn, k)
-        rows = []
-        for index in range(len(actors)):
-            mask = frame.ids == index + 1
-            v, u = np.nonzero(mask)
-            if len(v) < 8:
-                continue
-            own = bodies.person == index
-            top = float(np.maximum(bodies.a[k, own, 2] + bodies.ra[own], bodies.b[k, own, 2] + bodies.rb[own]).max())
-            place = stands[index]
-            middle = (bodies.a[k, own] + bodies.b[k, own]) / 2
-            size = bodies.ra[own] * (bodies.ra[own] + np.linalg.norm(bodies.a[k, own] - bodies.b[k, own], axis=1))
-            within = size[view.inside(view.project(middle))].sum() / size.sum()
-            axis = np.column_stack([np.tile(place, (3, 1)), PART_HEIGHTS * top])
-            box = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], float)
-            parts = view.project(axis) + 0.5
-            if not np.isfinite(parts).all():
-                parts = np.tile((box[:2] + box[2:]) / 2, (3, 1))
-            whole = frame.shapes[index][0].sum() * render.Frame.pitch**2
-            seen = min(len(v) / max(whole, 1), within)
-            rows.append((place, top, seen, box, parts, anchor(v, u, parts[0]), index))
+        rows = seen_people(frame, bodies, k, view, stands)
         yield Shot(
             frame.rgb.copy(), frame.depth * np.float32(artist.depth_step), background, view, float(t),
             np.array([row[6] for row in rows], int),

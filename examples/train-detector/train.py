@@ -1,8 +1,8 @@
-"""Train the embedded detector: python train.py --out DIR [--steps N] [--resume] [--renders SHARE]
+"""Train the embedded detector: python train.py --out DIR [--steps N] [--resume] [--renders SHARE] [--worlds DIR]
 
 Needs torch and the package itself. Checkpoints every two minutes; --resume goes on from the last one, with another
---steps if need be. One process draws pictures, one learns from them; each uses one thread, and the same seed gives the
-same pictures in the same order.
+--steps if need be. One process draws pictures, one learns from them, each with one thread, and the same seed gives the
+same pictures in the same order. A graphics card is used where torch sees one; then let --workers draw.
 """
 
 import argparse
@@ -19,10 +19,20 @@ import torch
 from model import Detector, loss, targets
 
 
-def pictures(queue, seed: int, batch: int, renders: float) -> None:
+def of_worlds(folder: Path, rng: np.random.Generator):
+    """Yield the pictures of the random worlds in a folder (worlds.py), in random order, for ever."""
+    from worlds import read
+
+    while files := sorted(folder.glob("[0-9]*[0-9].npz")):
+        for index in rng.permutation(len(files)):
+            yield from read(files[index])
+    raise FileNotFoundError(f"{folder}: no worlds; draw some with worlds.py")
+
+
+def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, share: float) -> None:
     """Put batches of pictures and targets into the queue for ever."""
     import cv2
-    from generate import HEIGHT, WIDTH, Generator
+    from generate import HEIGHT, WIDTH, Generator, _flipped
 
     os.nice(6)
     cv2.setNumThreads(1)
@@ -33,8 +43,15 @@ def pictures(queue, seed: int, batch: int, renders: float) -> None:
         from renders import Library
 
         library = Library(seed)
+    drawn = of_worlds(worlds, generator.rng) if worlds else None
+
+    def sample():
+        if drawn and generator.rng.random() < share:
+            return _flipped(generator.rng, next(drawn))
+        return library() if library and generator.rng.random() < renders else generator()
+
     while True:
-        samples = [library() if library and generator.rng.random() < renders else generator() for _ in range(batch)]
+        samples = [sample() for _ in range(batch)]
         maps = [targets(s.boxes, s.parts, s.anchors, s.visible, HEIGHT, WIDTH) for s in samples]
         images = np.stack([s.picture for s in samples])
         queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
@@ -87,6 +104,9 @@ def main() -> None:
     parser.add_argument(
         "--hard", type=int, default=0, help="of a batch, how many are empty rooms in which --start sees somebody"
     )
+    parser.add_argument("--worlds", type=Path, help="folder of random worlds that worlds.py drew")
+    parser.add_argument("--share", type=float, default=0.5, help="of the pictures that come from --worlds")
+    parser.add_argument("--workers", type=int, default=1, help="processes that draw")
     parser.add_argument("--echo", type=int, default=6, help="how often a picture is learnt from")
     parser.add_argument("--memory", type=int, default=2400, help="pictures that are kept for it")
     options = parser.parse_args()
@@ -95,26 +115,27 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     torch.manual_seed(options.seed)
-    model = Detector().to(memory_format=torch.channels_last)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    model = Detector().to(device, memory_format=torch.channels_last)
     average = copy.deepcopy(model)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.rate, weight_decay=0.02)
     step, spent = 0, 0.0
     if options.start:
-        weights = torch.load(options.start)
+        weights = torch.load(options.start, map_location=device)
         for network in (model, average):
             network.load_state_dict({name: value.float() for name, value in weights.items()})
     checkpoint = options.out / "checkpoint.pt"
     if options.resume:
-        state = torch.load(checkpoint)
+        state = torch.load(checkpoint, map_location=device)
         model.load_state_dict(state["model"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
         step, spent = state["step"], state["spent"]
     queue = multiprocessing.Queue(4)
-    worker = multiprocessing.Process(
-        target=pictures, args=(queue, options.seed * 1000 + step, options.batch, options.renders), daemon=True
-    )
-    worker.start()
+    for number in range(options.workers):
+        seed = (options.seed * 1000 + step) * options.workers + number
+        drawing = queue, seed, options.batch, options.renders, options.worlds, options.share
+        multiprocessing.Process(target=pictures, args=drawing, daemon=True).start()
     if options.hard:
         rooms = multiprocessing.Queue(64)
         mining = (rooms, options.seed * 1000 + step, options.start)
@@ -144,11 +165,11 @@ def main() -> None:
         chosen = [mirrored(chance, *item) for item in chosen]
         images = np.stack([image for image, _ in chosen])
         maps = [np.stack(item) for item in zip(*(item for _, item in chosen), strict=True)]
-        batch = torch.from_numpy(images).permute(0, 3, 1, 2).float().div_(255)
+        batch = torch.from_numpy(images).to(device).permute(0, 3, 1, 2).float().div_(255)
         batch = batch.contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16):
+        with torch.autocast(device.type, torch.bfloat16):
             guess = model(batch)
-        parts = loss(guess.float(), *(torch.from_numpy(item) for item in maps))
+        parts = loss(guess.float(), *(torch.from_numpy(item).to(device) for item in maps))
         for k, score in zip(drawn, parts[0].tolist(), strict=False):  # the last are the deceptive rooms
             badly[k] = score + 0.02
         parts = parts[0].sum(), *parts[1:]

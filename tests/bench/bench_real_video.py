@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 from bench_detection import table
 
+from avcli.detection.agreement import Found, average_precision, judged
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes, Network
 from avcli.detection.view import View
@@ -37,48 +38,12 @@ from avcli.pose import camera_pose
 LEAST = 0.05
 """Score from which boxes count for the average precision."""
 
-Found = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of a picture: boxes (n, 4), scores (n,), and labels (m, 4)."""
-
 
 def labelled(picture: Path) -> np.ndarray:
     """Return the labels (m, 4) [x0, y0, x1, y1] of a picture, in parts of it."""
     lines = Path(str(picture.with_suffix(".txt")).replace("/images/", "/labels/")).read_text().splitlines()
     rows = np.array([line.split()[1:5] for line in lines if line.strip()], float).reshape(-1, 4)
     return np.concatenate([rows[:, :2] - rows[:, 2:] / 2, rows[:, :2] + rows[:, 2:] / 2], axis=1)
-
-
-def overlaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Intersection over union (n, m) of boxes (n, 4) and (m, 4)."""
-    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    shared = np.maximum(high - low, 0).prod(axis=2)
-    areas = [(item[:, 2:] - item[:, :2]).prod(axis=1) for item in (boxes, others)]
-    return shared / np.maximum(areas[0][:, None] + areas[1][None] - shared, 1e-9)
-
-
-def judged(found: list[Found], least: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Scores (k,), falling, and whether each box is right (k,), of all pictures; and the number of labels."""
-    scores, right = [], []
-    for boxes, score, labels in found:
-        overlap = overlaps(boxes, labels)
-        for index in np.argsort(-score, kind="stable"):
-            best = int(overlap[index].argmax()) if len(labels) else -1
-            hit = best >= 0 and overlap[index, best] >= least
-            if hit:
-                overlap[:, best] = 0.0
-            scores.append(score[index])
-            right.append(hit)
-    order = np.argsort(-np.array(scores), kind="stable")
-    return np.array(scores)[order], np.array(right, bool)[order], sum(len(labels) for _, _, labels in found)
-
-
-def average_precision(found: list[Found], least: float) -> float:
-    """Area under the curve of precision over recall, all points (Everingham et al., 2010)."""
-    _, right, count = judged(found, least)
-    hits = np.cumsum(right)
-    precision = np.maximum.accumulate((hits / np.arange(1, len(hits) + 1))[::-1])[::-1]
-    return float(np.sum(np.diff(hits, prepend=0) * precision) / max(count, 1))
 
 
 def row(name: str, found: list[Found], confidence: float, ms: float) -> dict[str, Any]:

@@ -1,0 +1,158 @@
+"""Draw random worlds with labels into a folder: python worlds.py --out DIR [--count N] [--seed N]
+
+The worlds are those of `avsim-scene random`: six kinds of rooms, materials, clutter, lenses in square and wide
+pictures, postures, and the picture of a webcam or an IP camera with its noise and time stamp. Each becomes one file
+NAME.npz, which `train.py --worlds DIR` reads; a file that is there already is not drawn again. Run several at once,
+with other seeds, where there are several processors.
+"""
+
+import argparse
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from generate import HEIGHT, PAD, WIDTH, Sample
+from renders import seen_people
+
+from avcli.detection.view import View
+from avcli.scene import interior, load, render, scenario, sensor
+from avcli.scene.people import pose
+from avcli.scene.settings import Drawing, Effects, with_sensor
+from avcli.scene.worlds import Wishes
+
+LONGEST = 640
+"""px, of the longer side of the pictures: the scale at which the network looks."""
+
+
+def scaled(raw: dict) -> dict:
+    """A scenario with its picture at the network's scale."""
+    camera = dict(raw["camera_config"])
+    scale = LONGEST / max(camera["image_width_px"], camera["image_height_px"])
+    for key in ("image_width_px", "image_height_px"):
+        camera[key] = round(camera[key] * scale)
+    for key in ("fx_px", "fy_px"):
+        camera[key] *= scale
+    for key in ("cx_px", "cy_px"):
+        camera[key] = (camera[key] + 0.5) * scale - 0.5
+    if "image_circle_px" in camera:
+        x, y, radius = camera["image_circle_px"]
+        camera["image_circle_px"] = [(x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5, radius * scale]
+    return raw | {"camera_config": camera}
+
+
+def world(seed: int, people: int, count: int, context) -> Iterator[Sample]:
+    """Yield `count` pictures of a random world; square ones are turned and cut to the network's shape."""
+    rng = np.random.default_rng([seed, 17])
+    raw = scaled(load.named("random", seed, Wishes(people=people), 10.0))
+    scene = scenario.parse(raw)
+    camera = scene.config.camera
+    _, effects = with_sensor(scene.sensor, Drawing(samples=2), Effects())
+    effects = fainter(effects, rng)
+    dressed = interior.interior(scene.config.room, scene.solids)
+    artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, None, 2, context, dressed)
+    size = camera.width_px, camera.height_px
+    view = View(camera.lens, camera.T_room_camera, size, camera.theta_max, 1)
+    times = np.sort(rng.uniform(0, 10, count))
+    bodies = pose(scene.people, times)
+    drawn = artist.prepare(bodies)
+    for k, t in enumerate(times.tolist()):
+        frame = artist.draw(drawn, k)
+        stands = np.array([one.motion.position(np.array([t]))[0] for one in scene.people]).reshape(-1, 2)
+        rows = seen_people(frame, bodies, k, view, stands)
+        picture = sensor.expose(frame.rgb, effects, (camera.lens.cx, camera.lens.cy), rng, t)
+        yield cut(
+            rng, picture, np.array([row[3] for row in rows]).reshape(-1, 4),
+            np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),
+            np.array([row[2] for row in rows]),
+        )  # fmt: skip
+
+
+def fainter(effects: Effects, rng: np.random.Generator) -> Effects:
+    """A sensor's effects in another light, and in part: they are those of a picture three times as large."""
+    import dataclasses
+
+    return dataclasses.replace(
+        effects,
+        exposure_ev=effects.exposure_ev + float(rng.normal(0, 0.5)),
+        blur_px=effects.blur_px * float(rng.uniform(0.3, 1.0)),
+        sharpening=effects.sharpening * float(rng.uniform(0, 1)),
+        full_well_e=effects.full_well_e * float(2 ** rng.uniform(-2, 2)),
+        jpeg_quality=int(rng.integers(50, 96)),
+    )
+
+
+def cut(rng, picture, boxes, parts, anchors, visible) -> Sample:
+    """Turn a picture by a right angle where its shape allows, and take HEIGHT rows of it at random."""
+    height, width = picture.shape[:2]
+    if height == width:
+        for _ in range(int(rng.integers(4))):
+            picture = np.rot90(picture)  # (x, y) goes to (y, width - x)
+            boxes = np.column_stack([boxes[:, 1], width - boxes[:, 2], boxes[:, 3], width - boxes[:, 0]])
+            parts, anchors = (np.stack([p[..., 1], width - p[..., 0]], axis=-1) for p in (parts, anchors))
+    spare = HEIGHT - picture.shape[0]
+    shift = np.array([(WIDTH - picture.shape[1]) // 2, int(rng.integers(min(spare, 0), max(spare, 0) + 1))])
+    out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
+    top, left = max(shift[1], 0), shift[0]
+    part = picture[max(-shift[1], 0) :][:HEIGHT]
+    out[top : top + len(part), left : left + part.shape[1]] = part
+    boxes, parts, anchors = boxes + np.tile(shift, 2), parts + shift, anchors + shift
+    clipped = np.clip(boxes, 0, [WIDTH, HEIGHT, WIDTH, HEIGHT])
+    share = (clipped[:, 2:] - clipped[:, :2]).prod(axis=1) / np.maximum((boxes[:, 2:] - boxes[:, :2]).prod(axis=1), 1)
+    kept = share > 0.05
+    inside = np.clip(anchors, clipped[:, :2] + 0.5, clipped[:, 2:] - 0.5)
+    return Sample(out, clipped[kept], parts[kept], inside[kept], (visible * share)[kept])
+
+
+def write(samples: list[Sample], path: Path) -> None:
+    """Write pictures as PNG and their labels into one file, which is whole or not there."""
+    content = {"count": np.array(len(samples))}
+    for k, one in enumerate(samples):
+        coded = cv2.imencode(".png", one.picture[..., ::-1])[1]
+        content |= {f"picture{k}": coded, f"boxes{k}": one.boxes, f"parts{k}": one.parts, f"anchors{k}": one.anchors}
+        content[f"visible{k}"] = one.visible
+    new = path.with_suffix(".new.npz")
+    np.savez(new, **content)
+    os.replace(new, path)
+
+
+def read(path: Path) -> list[Sample]:
+    """Read what `write` wrote."""
+    with np.load(path) as data:
+        return [
+            Sample(
+                np.ascontiguousarray(cv2.imdecode(data[f"picture{k}"], cv2.IMREAD_COLOR)[..., ::-1]),
+                data[f"boxes{k}"], data[f"parts{k}"], data[f"anchors{k}"], data[f"visible{k}"],
+            )
+            for k in range(int(data["count"]))
+        ]  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=2000, help="worlds")
+    parser.add_argument("--seed", type=int, default=1_000_000, help="of the first world")
+    parser.add_argument("--each", type=int, default=6, help="pictures of a world with people; one of an empty world")
+    parser.add_argument("--empty", type=float, default=0.4, help="share of worlds without people")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    cv2.setNumThreads(1)
+    context = render.open_context()
+    context.gc_mode = "auto"
+    for seed in range(options.seed, options.seed + options.count):
+        path = options.out / f"{seed}.npz"
+        if path.exists():
+            continue
+        rng = np.random.default_rng([seed, 23])
+        people = 0 if rng.random() < options.empty else int(rng.integers(1, 9))
+        try:
+            samples = list(world(seed, people, options.each if people else 1, context))
+        except scenario.ScenarioError:
+            continue
+        write(samples, path)
+
+
+if __name__ == "__main__":
+    main()
