@@ -98,7 +98,8 @@ def _serve(requests: socket.socket) -> None:
     avcli = importlib.import_module("avcli")
     names = [module.name for module in pkgutil.walk_packages(avcli.__path__, "avcli.")]
     for name in [name for name in names if not name.endswith("__main__")]:
-        importlib.import_module(name)
+        with contextlib.suppress(ModuleNotFoundError):  # what an extra is needed for
+            importlib.import_module(name)
     importlib.import_module("avcli.formats.media").quiet_decoders()  # OpenCV asks once, when it is loaded
     for name in _LOADED_LATE:
         importlib.import_module(name)
