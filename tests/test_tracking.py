@@ -80,7 +80,7 @@ def test_one_track_and_one_sensor_are_the_textbook_filter():
         gain = p @ h.T @ np.linalg.inv(s)
         x, p = x + gain @ (z - h @ x), (np.eye(4) - gain @ h) @ p
         mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, CV, 0.1)
-        log, _ = gaussian.loglikelihood(mean, cov, z[None], r[None])
+        log, _ = gaussian.loglikelihood(gaussian.innovation(mean, cov), z[None], r[None])
         d = z - mean[0, 0, :2]
         expected = -0.5 * (d @ np.linalg.inv(s) @ d + np.log(np.linalg.det(2 * np.pi * s)))
         assert log[0, 0, 0] == pytest.approx(expected, abs=1e-10)
@@ -198,7 +198,8 @@ def test_innovations_are_as_large_as_the_filter_says():
             x = f @ x + rng.multivariate_normal(np.zeros(4), q)
             z = x[:2] + rng.normal(0, 0.12, 2)
             mean, cov, mode, *_ = gaussian.predict(mean, cov, mode, CV, 0.1)
-            squares.append(gaussian.loglikelihood(mean, cov, z[None], 0.12**2 * np.eye(2)[None])[1][0, 0, 0])
+            expected = gaussian.innovation(mean, cov)
+            squares.append(gaussian.loglikelihood(expected, z[None], 0.12**2 * np.eye(2)[None])[1][0, 0, 0])
             mean, cov, mode = gaussian.update(mean, cov, mode, z[None], 0.12**2 * np.eye(2)[None])
     assert np.mean(squares) == pytest.approx(2.0, abs=4 * 2 / math.sqrt(len(squares)))
 

@@ -37,8 +37,9 @@ def test_only_pairs_that_are_near_are_computed_with_the_same_result(seed, ahead,
     z, deviation = rng.uniform(0, 10 * size, (40, 2)), rng.uniform(0.05, 0.5, 40)
     noise, unshared = np.square(deviation)[:, None, None] * np.array([[1.0, 0.4], [0.4, 0.5]]), np.full(30, 0.01)
     assert len(people) * len(z) > scan.DENSE
-    gain, by_model = scan.likelihoods(people, z, noise, ahead, unshared)
-    log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, ahead, unshared)
+    expected = gaussian.innovation(people.mean, people.cov, ahead, unshared)
+    gain, by_model = scan.likelihoods(people.mode, expected, z, noise)
+    log, distance = gaussian.loglikelihood(expected, z, noise)
     every = np.where(distance < scan.GATE, np.exp(log), 0.0)
     np.testing.assert_allclose(by_model, every, rtol=1e-12)
     np.testing.assert_allclose(gain, (people.mode[:, None] @ every)[:, 0], rtol=1e-12)
@@ -53,7 +54,8 @@ def test_likelihoods_cost_what_is_near(monkeypatch):
     monkeypatch.setattr(gaussian, "log_normal", lambda dx, *rest: counted.append(dx.size) or log_normal(dx, *rest))
     for n in (100, 400):
         z = np.column_stack([3.0 * np.arange(n), np.zeros(n)])
-        scan.likelihoods(people_at(z, 0.1), z, np.tile(0.01 * np.eye(2), (n, 1, 1)), 0.0, np.zeros(n))
+        people, noise = people_at(z, 0.1), np.tile(0.01 * np.eye(2), (n, 1, 1))
+        scan.likelihoods(people.mode, gaussian.innovation(people.mean, people.cov), z, noise)
     assert counted == [2 * 100, 2 * 400]
 
 

@@ -11,6 +11,9 @@ from avcli.tracking.motion import Motion
 
 EYE2 = np.eye(2)
 COFACTOR = np.array([[1.0, -1.0], [-1.0, 1.0]])
+UPPER = np.array([0, 1, 3])  # of a 2 x 2 matrix: along x, across, along y
+POSITION = np.array([0, 1, 5])  # the same of a 4 x 4 matrix
+ADJUGATE, SIGNS = np.array([2, 1, 1, 0]), np.array([1.0, -1.0, -1.0, 1.0])  # of the inverse, from these three
 LOG_2_PI = 1.8378770664093453
 LEAST_SHARED = -0.5  # of a variance: a detection never pushes a position away
 
@@ -108,50 +111,47 @@ def expected_detection(mean: np.ndarray, cov: np.ndarray, mouth_offset: float) -
     return mean[..., :2] + ahead, mouth_offset * mouth_offset / 2 * unknown / energy
 
 
-def loglikelihood(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    z: np.ndarray,
-    noise: np.ndarray,
-    mouth_offset: float = 0.0,
-    unshared: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+def loglikelihood(expected: np.ndarray, z: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the log likelihood of each detection under each model of each density.
+
+    Args:
+        expected: (n, M, 6), see `innovation`.
+        z: (J, 2) m.
+        noise: (J, 2, 2) m².
+
+    Returns:
+        The log likelihoods (n, M, J), and the squared Mahalanobis distances (n, M, J).
+    """
+    xy = z.T - expected[..., :2, None]  # (n, M, 2, J)
+    spread = expected[..., 2:5, None] + noise.reshape(-1, 4).T.take(UPPER, 0)
+    return log_normal(xy[..., 0, :], xy[..., 1, :], spread[..., 0, :], spread[..., 1, :], spread[..., 2, :])
+
+
+def innovation(
+    mean: np.ndarray, cov: np.ndarray, mouth_offset: float = 0.0, unshared: np.ndarray | None = None
+) -> np.ndarray:
+    """Predict what a sensor should detect.
 
     Args:
         mean: (n, M, 4).
         cov: (n, M, 4, 4).
-        z: (J, 2) m.
-        noise: (J, 2, 2) m².
         mouth_offset: m, see `expected_detection`.
         unshared: (n,) m², variance per axis of what the detections' errors have in common with each other and not
             with the density.
 
     Returns:
-        The log likelihoods (n, M, J), and the squared Mahalanobis distances (n, M, J).
+        (n, M, 6): position x and y in m; variance along x, covariance, and variance along y in m², without the noise;
+        that part of the variances in m² which comes from where the mouth is.
     """
-    position, xx, xy, yy = innovation(mean, cov, mouth_offset, unshared)
-    dx, dy = z[:, 0] - position[..., 0, None], z[:, 1] - position[..., 1, None]
-    spread = xx[..., None] + noise[:, 0, 0], xy[..., None] + noise[:, 0, 1], yy[..., None] + noise[:, 1, 1]
-    return log_normal(dx, dy, *spread)
-
-
-def innovation(
-    mean: np.ndarray, cov: np.ndarray, mouth_offset: float, unshared: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Predict what a sensor should detect: `loglikelihood` has the arguments.
-
-    Returns:
-        Positions (n, M, 2) m, and the variance along x, the covariance, and the variance along y, (n, M) m² each,
-        without the noise.
-    """
-    position, xx, xy, yy = mean[..., :2], cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
+    expected = np.zeros((*mean.shape[:2], 6))
+    expected[..., :2] = mean[..., :2]
+    expected[..., 2:5] = cov.reshape(*cov.shape[:2], 16).take(POSITION, 2)
     if mouth_offset:
-        position, unknown = expected_detection(mean, cov, mouth_offset)
-        xx, yy = xx + unknown, yy + unknown
+        expected[..., :2], expected[..., 5] = expected_detection(mean, cov, mouth_offset)
+        expected[..., 2:5:2] += expected[..., 5:]
     if unshared is not None:
-        xx, yy = xx + unshared[:, None], yy + unshared[:, None]
-    return position, xx, xy, yy
+        expected[..., 2:5:2] += unshared[:, None, None]
+    return expected
 
 
 def log_normal(
@@ -172,9 +172,8 @@ def update(
     mode: np.ndarray,
     z: np.ndarray,
     noise: np.ndarray,
-    mouth_offset: float = 0.0,
+    expected: np.ndarray | None = None,
     likelihood: np.ndarray | None = None,
-    unshared: np.ndarray | None = None,
     shared: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Update density k by detection k: K = P Hᵀ S⁻¹, and P⁺ = (I - K H) P (I - K H)ᵀ + K R Kᵀ in each model.
@@ -187,30 +186,24 @@ def update(
         mode: (n, M).
         z: (n, 2) m.
         noise: (n, 2, 2) m².
-        mouth_offset: m, see `expected_detection`.
+        expected: (n, M, 6) of the densities, see `innovation`; None: the sensor detects the body's axis.
         likelihood: (n, M) of the detections in each model, if that is known already.
-        unshared, shared: (n,) m² per axis, of errors that last: the variance that they add to the innovation, and
-            their covariance with it, see `errors.Between`.
+        shared: (n,) m² per axis, of errors that last: the covariance of the density with the innovation that they add,
+            see `errors.Between`.
 
     Returns:
         mean, cov and mode after the update.
     """
-    position, spread = mean[..., :2], noise
-    if unshared is not None:
-        spread = spread + unshared[:, None, None] * EYE2
-    noise, spread = noise[:, None], spread[:, None]
-    if mouth_offset:
-        position, unknown = expected_detection(mean, cov, mouth_offset)
-        blur = unknown[..., None, None] * EYE2
-        noise, spread = noise + blur, spread + blur
-    s = cov[..., :2, :2] + spread
-    xx, xy, yy = s[..., 0, 0], s[..., 0, 1], s[..., 1, 1]
+    if expected is None:
+        expected = innovation(mean, cov)
+    spread = expected[..., 2:5] + noise.reshape(-1, 1, 4).take(UPPER, 2)
+    xx, xy, yy = spread[..., 0], spread[..., 1], spread[..., 2]
     det = xx * yy - xy * xy
-    inverse = s[..., ::-1, ::-1] * (COFACTOR / det[..., None, None])
+    inverse = (spread.take(ADJUGATE, 2) * (SIGNS / det[..., None])).reshape(*det.shape, 2, 2)
     gain = cov[..., :2] @ inverse  # (n, M, 4, 2)
     if shared is not None:
         gain[..., :2, :] += np.maximum(shared[:, None], LEAST_SHARED * cov[..., 0, 0])[..., None, None] * inverse
-    d = (z[:, None] - position)[..., None]
+    d = (z[:, None] - expected[..., :2])[..., None]
     if mode.shape[1] > 1:
         if likelihood is None:
             log = -0.5 * ((d.swapaxes(-1, -2) @ inverse @ d)[..., 0, 0] + np.log(det))
@@ -219,6 +212,7 @@ def update(
         mode = mode / np.add.reduce(mode, 1, keepdims=True) + 1e-12
     mean = mean + (gain @ d)[..., 0]
     keep = cov - gain @ cov[..., :2, :]
+    noise = noise[:, None] + expected[..., 5, None, None] * EYE2
     return mean, symmetric(keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2).copy()), mode
 
 

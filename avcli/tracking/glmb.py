@@ -309,7 +309,8 @@ class GLMB:
         sensor, rates = self.sensors[column], self.rates[column]
         z, noise, floor = self.errors.corrected(column, z, noise)
         ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
-        gain, gain_by_model = likelihoods(people, z, noise, ahead, between.unshared)
+        expected = gaussian.innovation(people.mean, people.cov, ahead, between.unshared)
+        gain, gain_by_model = likelihoods(people.mode, expected, z, noise)
         seen = None
         if shown is not None:
             seen = self._view(column, shown, cells)
@@ -350,6 +351,7 @@ class GLMB:
             ahead,
             between,
             odds,
+            expected,
             gain,
             gain_by_model,
             likely,
@@ -561,7 +563,7 @@ class GLMB:
         people, self.clusters = self.people, []
         self.lost = self._lost(groups, row_of)
         for group in groups:
-            joint = [tuple([row_of[pair] for pair in h.pairs]) for h in group.hypotheses]
+            joint = [tuple(map(row_of.__getitem__, h.pairs)) for h in group.hypotheses]
             cluster = Cluster(group.labels, joint, [h.weight for h in group.hypotheses])
             if len(joint) > 1:
                 cluster = cluster.condensed(people, self.features)
@@ -575,20 +577,21 @@ class GLMB:
 
     def _settle(self, cluster: Cluster) -> None:
         """Keep a cluster: without the labels that hardly exist, and in parts that are independent of each other."""
-        at = 0
-        while at < len(cluster.labels):
-            shares, existence = cluster.marginals(at, self.people.existence)
-            lost = cluster.hypotheses[0][at] in self.lost
+        likely, kept = cluster.hypotheses[0], []
+        for at, existence in enumerate(cluster.existences(self.people.existence)):
+            lost = likely[at] in self.lost
             if existence < RECYCLE or lost:
+                shares, existence = cluster.marginals(at, self.people.existence)
                 self._recycle(cluster.labels[at], shares, existence, lost)
-                cluster = cluster.only([k for k in range(len(cluster.labels)) if k != at])
             else:
-                at += 1
-        if len(cluster.labels) < 2:
-            self.clusters += [cluster] * len(cluster.labels)
+                kept.append(at)
+        if len(kept) < len(cluster.labels):
+            cluster = cluster.only(kept)
+        if len(kept) < 2:
+            self.clusters += [cluster] * len(kept)
             return
         parts = [[at] for at in range(len(cluster.labels))] if self.factorise else cluster.parts()
-        self.clusters += [cluster.only(part) for part in parts] if len(parts) > 1 else [cluster]
+        self.clusters += cluster.split(parts) if len(parts) > 1 else [cluster]
 
     def _lost(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> set[int]:
         """Return the rows of people whom nobody could tell from others any more, where nobody looks everywhere."""

@@ -81,8 +81,9 @@ class GNN:
         pairs = self._assign(z, noise, sensor.mouth_offset)
         if pairs:
             rows, js = map(list, zip(*pairs, strict=True))
+            expected = gaussian.innovation(self.mean[rows], self.cov[rows], sensor.mouth_offset)
             self.mean[rows], self.cov[rows], self.mode[rows] = gaussian.update(
-                self.mean[rows], self.cov[rows], self.mode[rows], z[js], noise[js], sensor.mouth_offset
+                self.mean[rows], self.cov[rows], self.mode[rows], z[js], noise[js], expected
             )
         detected = {row for row, _ in pairs}
         for row, life in enumerate(self.lives):
@@ -100,7 +101,7 @@ class GNN:
         """Pairs (track, detection) of the cheapest assignment within the gate, confirmed tracks first."""
         if not len(z) or not self.lives:
             return []
-        log, distance = gaussian.loglikelihood(self.mean, self.cov, z, noise, mouth_offset)
+        log, distance = gaussian.loglikelihood(gaussian.innovation(self.mean, self.cov, mouth_offset), z, noise)
         log = np.log((self.mode[:, None] @ np.exp(log))[:, 0] + 1e-300)
         inside = distance.min(1) < GATE
         pairs: list[tuple[int, int]] = []

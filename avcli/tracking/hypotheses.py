@@ -6,7 +6,7 @@ A row is a row of `Densities`, one single-target hypothesis. A joint hypothesis 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -56,6 +56,13 @@ class Cluster:
             shares[row] = shares.get(row, 0.0) + share
         return shares, math.fsum(share * existence[row] for row, share in shares.items() if row >= 0)
 
+    def existences(self, existence: np.ndarray) -> list[float]:
+        """Return the probability that each label exists, given that of each row."""
+        if len(self.hypotheses) == 1:
+            return [existence.item(row) if row >= 0 else 0.0 for row in self.hypotheses[0]]
+        rows = np.array(self.hypotheses)
+        return (np.array(self.shares) @ np.where(rows >= 0, existence.take(rows), 0.0)).tolist()
+
     def replaced(self, labels: list[int], hypotheses: Sequence[Joint]) -> Cluster:
         """Return the cluster of other hypotheses, one for each of this one's; equal ones become one."""
         shares: dict[Joint, float] = {}
@@ -65,8 +72,17 @@ class Cluster:
 
     def only(self, indices: Sequence[int]) -> Cluster:
         """Return the cluster of some of the labels, by their indices in `labels`."""
-        hypotheses = [tuple([hypothesis[at] for at in indices]) for hypothesis in self.hypotheses]
-        return self.replaced([self.labels[at] for at in indices], hypotheses)
+        if not indices:
+            return Cluster([], [()], [0.0])
+        return self.split([indices])[0]
+
+    def split(self, parts: Iterable[Sequence[int]]) -> list[Cluster]:
+        """Return a cluster of each part of the labels, by their indices in `labels`."""
+        columns = list(zip(*self.hypotheses, strict=True))
+        return [
+            self.replaced([self.labels[at] for at in part], list(zip(*[columns[at] for at in part], strict=True)))
+            for part in parts
+        ]
 
     def parts(self) -> list[list[int]]:
         """Return the indices of the labels in parts that are independent of each other, but for INDEPENDENT."""
@@ -97,23 +113,21 @@ class Cluster:
 
     def condensed(self, people: Densities, features: Features | None = None) -> Cluster:
         """Return the cluster with each label's rows that are ALIKE merged, in `people`, and so equal hypotheses."""
-        shares: dict[int, float] = {}
-        for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
-            for row in hypothesis:
-                if row >= 0:
-                    shares[row] = shares.get(row, 0.0) + share
-        rows = sorted(shares, key=lambda row: (people.label[row], -shares[row], row))
+        places = np.array(self.hypotheses) + 1  # of ABSENT: 0
+        shares = np.bincount(places.ravel(), np.repeat(self.shares, places.shape[1]))[1:].tolist()
+        there, label = [row for row, share in enumerate(shares) if share], people.label
+        rows = sorted(there, key=lambda row: (label[row], -shares[row], row))
         if len(rows) <= len(self.labels):
             return self
         groups = _alike(rows, people, features)
         if len(groups) == len(rows):
             return self
-        same = {ABSENT: ABSENT}
+        same = {ABSENT: ABSENT}  # row -> the row that it becomes
         for group in groups:
             same.update(dict.fromkeys(group, group[0]))
         several = [group for group in groups if len(group) > 1]
         people.merge(several, [[shares[row] for row in group] for group in several])
-        return self.replaced(self.labels, [tuple([same[row] for row in joint]) for joint in self.hypotheses])
+        return self.replaced(self.labels, [tuple(map(same.__getitem__, joint)) for joint in self.hypotheses])
 
     def decided(self, people: Densities, features: Features | None = None) -> Cluster:
         """Return the cluster without hypotheses that differ from a likelier one only in which person has which label.

@@ -103,9 +103,9 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
             new.mode[old:],
             scan.z.take(js, 0),
             noise,
-            scan.ahead,
+            scan.expected.take(rows, 0),
             scan.gain_by_model[rows, :, js],
-            *between,
+            between.shared,
         )
         new.lean[old:] = leaning(new.lean[old:], column, variance, new.mode[old:], noise, between)
         if before is not None and scan.view is not None:

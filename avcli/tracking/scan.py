@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from avcli.tracking import gaussian
-from avcli.tracking.densities import Densities
 from avcli.tracking.errors import Between
 from avcli.tracking.features import Evidence
 from avcli.tracking.settings import Sensor
@@ -41,6 +40,7 @@ class Scan:
         ahead: m, how far in front of the body's axis the sensor localizes people.
         between: what its lasting errors have to do with those of the densities.
         odds: J log odds of the scores, NaN: unknown.
+        expected: (n, M, 6) of what it should detect of the densities, see `gaussian.innovation`.
         gain: (n, J) likelihood of each detection under each density, per m²; 0 outside the gate.
         gain_by_model: (n, M, J) the same under each model of each density.
         likelihoods: n lists of the detections that `gain` is not 0 for, and its values.
@@ -67,6 +67,7 @@ class Scan:
     ahead: float
     between: Between
     odds: list[float]
+    expected: np.ndarray
     gain: np.ndarray
     gain_by_model: np.ndarray
     likelihoods: Likelihoods
@@ -86,32 +87,32 @@ class Scan:
 
 
 def likelihoods(
-    people: Densities, z: np.ndarray, noise: np.ndarray, ahead: float, unshared: np.ndarray
+    mode: np.ndarray, expected: np.ndarray, z: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the likelihood of each detection under each density, 0 outside the gate: (n, J), and (n, M, J) by model.
 
     Args:
-        people: n densities.
+        mode: (n, M) probabilities of the models of n densities.
+        expected: (n, M, 6), see `gaussian.innovation`.
         z: (J, 2) m.
         noise: (J, 2, 2) m².
-        ahead: m, the mouth offset of `gaussian.expected_detection`.
-        unshared: (n,) m², see `gaussian.loglikelihood`.
     """
-    if not len(z):
-        return np.zeros((len(people), 0)), np.zeros((*people.mode.shape, 0))
-    if len(people) * len(z) <= DENSE:
-        log, distance = gaussian.loglikelihood(people.mean, people.cov, z, noise, ahead, unshared)
+    n, count = len(mode), len(z)
+    if not count:
+        return np.zeros((n, 0)), np.zeros((*mode.shape, 0))
+    if n * count <= DENSE:
+        log, distance = gaussian.loglikelihood(expected, z, noise)
         gain = np.where(distance < GATE, np.exp(log), 0.0)
-        return (people.mode[:, None] @ gain)[:, 0], gain
-    gain, gain_by_model = np.zeros((len(people), len(z))), np.zeros((*people.mode.shape, len(z)))
-    position, xx, xy, yy = gaussian.innovation(people.mean, people.cov, ahead, unshared)
-    row, j = _overlapping(position, np.stack([xx, yy], -1), z, noise)
+        return (mode[:, None] @ gain)[:, 0], gain
+    gain, gain_by_model = np.zeros((n, count)), np.zeros((*mode.shape, count))
+    row, j = _overlapping(expected[..., :2], expected[..., 2:5:2], z, noise)
     if len(row):
-        dx, dy = (z.take(j, 0)[:, None] - position.take(row, 0)).transpose(2, 0, 1)
-        rxx, rxy, _, ryy = noise.reshape(-1, 4).take(j, 0).T[..., None]
-        log, distance = gaussian.log_normal(dx, dy, xx[row] + rxx, xy[row] + rxy, yy[row] + ryy)
+        near = expected.take(row, 0)[..., :5].transpose(2, 0, 1)
+        dx, dy = z.take(j, 0).T[..., None] - near[:2]
+        spread = near[2:] + noise.reshape(-1, 4).take(j, 0).T.take(gaussian.UPPER, 0)[..., None]
+        log, distance = gaussian.log_normal(dx, dy, *spread)
         close = np.where(distance < GATE, np.exp(log), 0.0)
-        gain[row, j], gain_by_model[row, :, j] = (people.mode[row] * close).sum(1), close
+        gain[row, j], gain_by_model[row, :, j] = (mode.take(row, 0) * close).sum(1), close
     return gain, gain_by_model
 
 

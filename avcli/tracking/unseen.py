@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from avcli.tracking import gaussian
 from avcli.tracking.coverage import covered
 from avcli.tracking.densities import Densities
 from avcli.tracking.learning import Habits
@@ -152,7 +153,9 @@ class UnseenMap:
         some = people.take(unseen)
         centres = some.centres(range(len(some)))[:, :2]
         blur = np.tile(BLUR**2 * np.eye(2), (len(some), 1, 1))
-        gain = likelihoods(some, centres, blur, 0.0, np.zeros(len(some)))[0] * some.existence[:, None]
+        gain = (
+            likelihoods(some.mode, gaussian.innovation(some.mean, some.cov), centres, blur)[0] * some.existence[:, None]
+        )
         own = gain.diagonal()
         others = gain.sum(0) - own + self.density(centres)
         return [row for row, gone in zip(unseen, own < others, strict=True) if gone]

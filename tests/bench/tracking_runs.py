@@ -124,7 +124,12 @@ def ceiling(scene: Scene) -> list[Frame]:
                 if owner in states:
                     last, mean, cov, mode = moved(states[owner], t)
                     offset = sensor(name, KIND[name]).mouth_offset
-                    states[owner] = (last, *gaussian.update(mean, cov, mode, position[None], noise, offset))
+                    states[owner] = (
+                        last,
+                        *gaussian.update(
+                            mean, cov, mode, position[None], noise, gaussian.innovation(mean, cov, offset)
+                        ),
+                    )
                 elif owner >= 0:
                     states[owner] = (t, *gaussian.begin(position[None], noise, WALKING))
         known = [i for i in present.tolist() if i in states]
