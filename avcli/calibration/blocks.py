@@ -143,7 +143,7 @@ class Blocks(NamedTuple):
             square = flat.T @ (self.place @ gain).reshape(count, len(flat), k)
             A = A - both[:, :k] - both[:, :k].transpose(0, 2, 1) + square
             B, g = B - both[:, k:-1], g - both[:, -1]
-        fold = np.linalg.solve(damped(C, 0.0), B)
+        fold = np.linalg.inv(damped(C, 0.0)) @ B
         score = g - (fold.transpose(0, 2, 1) @ h)[..., 0]
         if self.place.shape[1]:
             score = score - score.mean(0)  # what pulls the errors to zero is not of a view
@@ -170,7 +170,7 @@ class Blocks(NamedTuple):
 
 
 def _eliminate(first: np.ndarray, border: np.ndarray, dense: np.ndarray, *, by_corner: bool, q: int) -> _Reduced:
-    fold = np.linalg.solve(first, border)
+    fold = np.linalg.inv(first) @ border
     size = border.shape[-1]
     left = dense - border.reshape(-1, size).T @ fold.reshape(-1, size)
     return _Reduced(left, fold, first, by_corner, q)

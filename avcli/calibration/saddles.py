@@ -6,6 +6,7 @@ board, no threshold on the picture and no search over sizes, so that a picture w
 with one (compare Geiger et al. 2012, who grow boards from corner prototypes, and ROCHADE, Placht et al. 2014).
 """
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -99,17 +100,37 @@ class _Corners:
     arms: np.ndarray
 
 
+class _Room(threading.local):
+    """Arrays that a thread uses again for each picture: new ones would cost more than what is computed in them."""
+
+    def __init__(self) -> None:
+        self.planes: np.ndarray = np.empty((0, 0, 0), np.float32)
+
+    def of(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Six planes of this shape (height, width) float32."""
+        if self.planes.shape[1:] != shape:
+            self.planes = np.empty((6, *shape), np.float32)
+        return self.planes
+
+
+_ROOM = _Room()
+
+
 class _Relief:
-    """A smoothed picture, its derivatives and how much of a saddle each pixel is."""
+    """A smoothed picture, its derivatives and how much of a saddle each pixel is; valid until the thread's next one."""
 
     def __init__(self, grey: np.ndarray, blur: float):
         import cv2
 
-        self.grey = cv2.GaussianBlur(grey.astype(np.float32), (7, 7), blur)
-        self.xx = cv2.Sobel(self.grey, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)
-        self.yy = cv2.Sobel(self.grey, cv2.CV_32F, 0, 2, ksize=3, scale=0.25)
-        self.xy = cv2.Sobel(self.grey, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
-        self.saddle = self.xy * self.xy - self.xx * self.yy
+        self.grey, self.xx, self.yy, self.xy, self.saddle, self._spare = _ROOM.of(grey.shape)
+        self._spare[:] = grey
+        cv2.GaussianBlur(self._spare, (7, 7), blur, dst=self.grey)
+        cv2.Sobel(self.grey, cv2.CV_32F, 2, 0, dst=self.xx, ksize=3, scale=0.25)
+        cv2.Sobel(self.grey, cv2.CV_32F, 0, 2, dst=self.yy, ksize=3, scale=0.25)
+        cv2.Sobel(self.grey, cv2.CV_32F, 1, 1, dst=self.xy, ksize=3, scale=0.25)
+        np.multiply(self.xx, self.yy, out=self._spare)
+        np.multiply(self.xy, self.xy, out=self.saddle)
+        self.saddle -= self._spare
 
     def sample(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Brightness at places (n, m) px."""
@@ -123,9 +144,9 @@ class _Relief:
         """Local maxima of the saddle, the strongest first: (n, 2) whole px."""
         import cv2
 
-        top = cv2.dilate(self.saddle, np.ones((5, 5), np.uint8))
+        top = cv2.dilate(self.saddle, np.ones((5, 5), np.uint8), dst=self._spare)
         floor = (_LEAST_CONTRAST / 6) ** 2  # an ideal corner of this contrast, blurred by about 1.4 px
-        y, x = np.nonzero((self.saddle >= top) & (self.saddle > floor))
+        y, x = np.divmod(np.flatnonzero((self.saddle >= top) & (self.saddle > floor)), self.grey.shape[1])
         inside = (x > 3) & (y > 3) & (x < self.grey.shape[1] - 4) & (y < self.grey.shape[0] - 4)
         x, y = x[inside], y[inside]
         order = np.argsort(-self.saddle[y, x], kind="stable")[:_MOST]
