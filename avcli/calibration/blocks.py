@@ -95,6 +95,19 @@ class Blocks(NamedTuple):
             return Step(common, other.reshape(-1, POSE), first)
         return Step(common, first, other.reshape(-1, 3))
 
+    def after(self, step: Step) -> np.ndarray:
+        """The cost of each view (views,) after a step of the common unknowns and the places, its own pose following."""
+        k = self._k
+        along = self.gram[:, :, :k] @ step.common  # products of the columns with what the step predicts
+        explained = along[:, :k] @ step.common
+        if self.place.shape[1]:
+            along = along + np.einsum("vcij,ci->vj", self.cross, step.errors)
+            moved = self.cross[..., :k] @ step.common + np.einsum("vcij,cj->vci", self.place, step.errors)
+            explained = along[:, :k] @ step.common + np.einsum("vci,ci->v", moved, step.errors)
+        rest = self.gram[:, k:-1, -1] - along[:, k:-1]
+        followed = np.linalg.solve(damped(self.gram[:, k:-1, k:-1], 0.0), rest[..., None])[..., 0]
+        return self.gram[:, -1, -1] - 2 * along[:, -1] + explained - (rest * followed).sum(1)
+
     def _eliminated(self, damping: float = 0.0) -> _Reduced:
         """Eliminate the kind of unknowns that leaves fewer of the other."""
         k, (views, corners) = self._k, self.place.shape[:2]
