@@ -7,8 +7,8 @@ def reduced(grey: np.ndarray, longest: int) -> tuple[np.ndarray, float]:
     """A picture whose longer side is at most so many px, and the factor back to the full one.
 
     It is halved as often as can be, which is several times quicker than one reduction by a fraction; a last odd row or
-    column is lost. What is left is less than a half, where the mean of two pixels is nearly that of the area. Pixel x of
-    the full picture is at (x + 0.5) / factor - 0.5.
+    column is lost. What is left to reduce is less than a half, for which two pixels along each axis are enough. Pixel x
+    of the full picture is at (x + 0.5) / factor - 0.5.
 
     Args:
         grey: (height, width) uint8.

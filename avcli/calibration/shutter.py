@@ -91,7 +91,7 @@ def measure(observations: Observations, solution: Solution, height: int) -> Shut
 
 
 def _places(observations: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Place of each corner (n,) across and down from the middle of its view, over `reach` (views,) px, the larger sd."""
+    """Places of the corners (n,) across and down, from the middle of the view and over its larger sd (views,) px."""
     count = np.bincount(observations.view)[:, None]
     off = observations.pixels - (observations.per_view(observations.pixels) / count)[observations.view]
     reach = np.sqrt((observations.per_view(off**2) / count).max(1))

@@ -52,7 +52,7 @@ def noise(views: Views) -> np.ndarray:
 
 
 def covariance(views: Views) -> np.ndarray:
-    """Covariance (..., p, p) of the common unknowns, each view a draw by itself, and at least that of independent corners.
+    """Covariance (..., p, p) of the common unknowns, each view a draw by itself; at least that of independent corners.
 
     Each view's score is set right for the part that the view itself took of the solution, so that the result is
     unbiased where the errors are independent (Bell and McCaffrey 2002, the estimator CR2). It is then multiplied by the
