@@ -95,6 +95,19 @@ class Blocks(NamedTuple):
             return Step(common, other.reshape(-1, POSE), first)
         return Step(common, first, other.reshape(-1, 3))
 
+    def after(self, step: Step) -> np.ndarray:
+        """The cost of each view (views,) after a step of the common unknowns and the places, its own pose following."""
+        k = self._k
+        along = self.gram[:, :, :k] @ step.common  # products of the columns with what the step predicts
+        explained = along[:, :k] @ step.common
+        if self.place.shape[1]:
+            along = along + np.einsum("vcij,ci->vj", self.cross, step.errors)
+            moved = self.cross[..., :k] @ step.common + np.einsum("vcij,cj->vci", self.place, step.errors)
+            explained = along[:, :k] @ step.common + np.einsum("vci,ci->v", moved, step.errors)
+        rest = self.gram[:, k:-1, -1] - along[:, k:-1]
+        followed = np.linalg.solve(damped(self.gram[:, k:-1, k:-1], 0.0), rest[..., None])[..., 0]
+        return self.gram[:, -1, -1] - 2 * along[:, -1] + explained - (rest * followed).sum(1)
+
     def _eliminated(self, damping: float = 0.0) -> _Reduced:
         """Eliminate the kind of unknowns that leaves fewer of the other."""
         k, (views, corners) = self._k, self.place.shape[:2]
@@ -143,7 +156,7 @@ class Blocks(NamedTuple):
             square = flat.T @ (self.place @ gain).reshape(count, len(flat), k)
             A = A - both[:, :k] - both[:, :k].transpose(0, 2, 1) + square
             B, g = B - both[:, k:-1], g - both[:, -1]
-        fold = np.linalg.solve(damped(C, 0.0), B)
+        fold = np.linalg.inv(damped(C, 0.0)) @ B
         score = g - (fold.transpose(0, 2, 1) @ h)[..., 0]
         if self.place.shape[1]:
             score = score - score.mean(0)  # what pulls the errors to zero is not of a view
@@ -170,7 +183,7 @@ class Blocks(NamedTuple):
 
 
 def _eliminate(first: np.ndarray, border: np.ndarray, dense: np.ndarray, *, by_corner: bool, q: int) -> _Reduced:
-    fold = np.linalg.solve(first, border)
+    fold = np.linalg.inv(first) @ border
     size = border.shape[-1]
     left = dense - border.reshape(-1, size).T @ fold.reshape(-1, size)
     return _Reduced(left, fold, first, by_corner, q)

@@ -220,15 +220,16 @@ def polish(
     n = len(pixels)
     out, sd = pixels.copy(), np.full(n, np.inf)
     for begin in range(0, n, _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
+        part: slice | np.ndarray = slice(begin, begin + _AT_ONCE)
         out[part], sd[part] = _polish_some(
             patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.02
         )
-        slow = begin + np.flatnonzero(~np.isfinite(sd[part]))
-        if len(slow):
-            out[slow], sd[slow] = _polish_some(
-                patches[slow], pixels[slow], origins[slow], to_board[slow], reach, clear, (PATCH,) * 5, 0.05
-            )
+    slow = np.flatnonzero(~np.isfinite(sd))
+    for begin in range(0, len(slow), _AT_ONCE):
+        part = slow[begin : begin + _AT_ONCE]
+        out[part], sd[part] = _polish_some(
+            patches[part], pixels[part], origins[part], to_board[part], reach, clear, (PATCH,) * 5, 0.05
+        )
     return out, sd
 
 

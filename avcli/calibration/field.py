@@ -7,6 +7,7 @@ import numpy as np
 from avcli.calibration import fit, uncertainty
 from avcli.calibration.blocks import Blocks
 from avcli.calibration.circle import Circle
+from avcli.calibration.uncertainty import Views
 from avcli.lens import Lens
 
 _ANCHORS = 1000
@@ -215,25 +216,36 @@ def split_halves(
     moved = moved[:, :, np.flatnonzero(solution.free)[lens_of_free]].reshape(-1, lens_of_free.sum())
     square = moved.T @ moved / len(rays)
     known = known or fit.by_view(observations, solution)
+    every = known.views
 
-    def half(keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = known.of(keep)
-        if refit:
-            some, found = observations.of_views(keep), solution.of_views(keep)
-            if known.held:
-                some, found = fit.refine_with_errors(some, found, 25, 1e-8)
-            else:
-                found = fit.refine(some, found, solution.free, solution.delta_px, 25)
-            step, own = (found.parameters - solution.parameters)[solution.free], fit.by_view(some, found)
+    def refitted(keep: np.ndarray) -> tuple[np.ndarray, Views]:
+        some, found = observations.of_views(keep), solution.of_views(keep)
+        if known.held:
+            some, found = fit.refine_with_errors(some, found, 25, 1e-8)
         else:
-            step = own.step().common
-        return step[lens_of_free], uncertainty.covariance(own.views)[np.ix_(lens_of_free, lens_of_free)]
+            found = fit.refine(some, found, solution.free, solution.delta_px, 25)
+        return (found.parameters - solution.parameters)[solution.free], fit.by_view(some, found).views
 
-    actual, stated = np.zeros(splits), np.zeros(splits)
-    for index, (one, other) in enumerate(uncertainty.halves(observations.views, splits, seed)):
-        (a, spread_a), (b, spread_b) = half(one), half(other)
-        actual[index] = (a - b) @ square @ (a - b)
-        stated[index] = np.sum(square * (spread_a + spread_b))
+    def stepped(keep: np.ndarray) -> tuple[np.ndarray, Views]:
+        own = known.of(keep)
+        return own.step().common, own.views
+
+    steps, spreads = [], []
+    for half in map(np.array, zip(*uncertainty.halves(observations.views, splits, seed), strict=True)):
+        if refit or known.held:
+            found = [refitted(keep) if refit else stepped(keep) for keep in half]
+            step, views = (
+                np.array([s for s, _ in found]),
+                Views(*map(np.array, zip(*(v for _, v in found), strict=True))),
+            )
+        else:  # what a view says of the lens does not depend on the others
+            views = every.of(half)
+            step = views.step
+        steps.append(step[:, lens_of_free])
+        spreads.append(uncertainty.covariance(views)[:, lens_of_free][:, :, lens_of_free])
+    difference = steps[0] - steps[1]
+    actual = np.einsum("sa,ab,sb->s", difference, square, difference)
+    stated = np.einsum("ab,sab->s", square, spreads[0] + spreads[1])
     good = np.isfinite(actual) & np.isfinite(stated) & (stated > 0)
     if not good.any():
         return Halves()

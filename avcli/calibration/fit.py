@@ -123,7 +123,7 @@ class Solution:
     delta_px: float = np.inf
     like: Lens = field(default_factory=lambda: KannalaBrandt(1.0, 1.0, 0.0, 0.0))
 
-    @property
+    @cached_property
     def lens(self) -> Lens:
         """The lens."""
         return replace(self.like, **dict(zip(self.like.names(), self.parameters.tolist(), strict=False)))
@@ -339,7 +339,7 @@ def gauss_newton(observations: Observations, solution: Solution, held: float = 0
 def _refined(
     observations: Observations, solution: Solution, held: float, iterations: int, gain: float
 ) -> tuple[Observations, Solution]:
-    now, damping = blocks(observations, solution, held=held), 1e-3
+    now, damping = blocks(observations, solution, held=held), 1e-5
     for _ in range(iterations):
         while True:
             step = now.step(damping)
@@ -388,6 +388,7 @@ def refine_poses(
     cost, C, h = normal(solution)
     for _ in range(iterations):
         step = np.linalg.solve(damped(C, damping), h[..., None])[..., 0]
+        hoped = (step * h).sum(1)  # the drop of the cost that the step promises, or a little more
         trial = stepped(solution, np.zeros(0), step)
         found = normal(trial)
         better = found[0] < cost
@@ -398,7 +399,7 @@ def refine_poses(
             translations=np.where(pick, trial.translations, solution.translations),
         )
         moved = better & (cost - found[0] > gain * cost)
-        waiting = ~better & (damping <= 1e3)
+        waiting = ~better & (damping <= 1e3) & (hoped > gain * cost)
         cost, h = np.where(better, found[0], cost), np.where(pick, found[2], h)
         C = np.where(pick[..., None], found[1], C)
         damping = np.where(better, damping / 6, damping * 6)

@@ -6,6 +6,8 @@ board, no threshold on the picture and no search over sizes, so that a picture w
 with one (compare Geiger et al. 2012, who grow boards from corner prototypes, and ROCHADE, Placht et al. 2014).
 """
 
+import itertools
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -78,7 +80,7 @@ class Grid:
             # Squares between corners: the one at the first corner, seen from there.
             square = min(first[0], columns - 1), min(first[1], rows - 1)
             dark = self.dark == (sum(square) % 2 == 0)
-            along = np.polyfit(x, self.pixels[:, 0], 1)[0] if np.ptp(x) else 0.0
+            along = float((x - x.mean()) @ self.pixels[:, 0])  # the sign of the slope
             choices.append((dark, along, x, y))
         _, _, x, y = max(choices, key=lambda choice: choice[:2])
         ids = y * inner[0] + x
@@ -99,17 +101,37 @@ class _Corners:
     arms: np.ndarray
 
 
+class _Room(threading.local):
+    """Arrays that a thread uses again for each picture: new ones would cost more than what is computed in them."""
+
+    def __init__(self) -> None:
+        self.planes: np.ndarray = np.empty((0, 0, 0), np.float32)
+
+    def of(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Six planes of this shape (height, width) float32."""
+        if self.planes.shape[1:] != shape:
+            self.planes = np.empty((6, *shape), np.float32)
+        return self.planes
+
+
+_ROOM = _Room()
+
+
 class _Relief:
-    """A smoothed picture, its derivatives and how much of a saddle each pixel is."""
+    """A smoothed picture, its derivatives and how much of a saddle each pixel is; valid until the thread's next one."""
 
     def __init__(self, grey: np.ndarray, blur: float):
         import cv2
 
-        self.grey = cv2.GaussianBlur(grey.astype(np.float32), (7, 7), blur)
-        self.xx = cv2.Sobel(self.grey, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)
-        self.yy = cv2.Sobel(self.grey, cv2.CV_32F, 0, 2, ksize=3, scale=0.25)
-        self.xy = cv2.Sobel(self.grey, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
-        self.saddle = self.xy * self.xy - self.xx * self.yy
+        self.grey, self.xx, self.yy, self.xy, self.saddle, self._spare = _ROOM.of(grey.shape)
+        self._spare[:] = grey
+        cv2.GaussianBlur(self._spare, (7, 7), blur, dst=self.grey)
+        cv2.Sobel(self.grey, cv2.CV_32F, 2, 0, dst=self.xx, ksize=3, scale=0.25)
+        cv2.Sobel(self.grey, cv2.CV_32F, 0, 2, dst=self.yy, ksize=3, scale=0.25)
+        cv2.Sobel(self.grey, cv2.CV_32F, 1, 1, dst=self.xy, ksize=3, scale=0.25)
+        np.multiply(self.xx, self.yy, out=self._spare)
+        np.multiply(self.xy, self.xy, out=self.saddle)
+        self.saddle -= self._spare
 
     def sample(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Brightness at places (n, m) px."""
@@ -123,9 +145,9 @@ class _Relief:
         """Local maxima of the saddle, the strongest first: (n, 2) whole px."""
         import cv2
 
-        top = cv2.dilate(self.saddle, np.ones((5, 5), np.uint8))
+        top = cv2.dilate(self.saddle, np.ones((5, 5), np.uint8), dst=self._spare)
         floor = (_LEAST_CONTRAST / 6) ** 2  # an ideal corner of this contrast, blurred by about 1.4 px
-        y, x = np.nonzero((self.saddle >= top) & (self.saddle > floor))
+        y, x = np.divmod(np.flatnonzero((self.saddle >= top) & (self.saddle > floor)), self.grey.shape[1])
         inside = (x > 3) & (y > 3) & (x < self.grey.shape[1] - 4) & (y < self.grey.shape[0] - 4)
         x, y = x[inside], y[inside]
         order = np.argsort(-self.saddle[y, x], kind="stable")[:_MOST]
@@ -142,8 +164,11 @@ class _Relief:
         return peaks + np.clip(step, -1.5, 1.5)
 
 
-def _verified(relief: _Relief, pixels: np.ndarray, radius: float) -> tuple[_Corners, np.ndarray]:
-    """Keep the places around which dark and bright take turns twice on a circle; also which they are, (n,) bool."""
+def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -> tuple[_Corners, np.ndarray]:
+    """Keep the places around which dark and bright take turns twice on a circle; also which they are, (n,) bool.
+
+    The radius is in px, one for all or (n, 1).
+    """
     turn = 2 * np.pi * np.arange(_RING) / _RING
     ring = relief.sample(pixels[:, :1] + radius * np.cos(turn), pixels[:, 1:] + radius * np.sin(turn))
     # Opposite samples agree around a saddle; their mean is free of a slope of the light.
@@ -195,16 +220,17 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     # (n, other, arm): an odd arm of one is an even arm of the next, since dark and bright change sides.
     mine = np.abs(_turned(corners.arms[:, None, :] - heading[..., None]))
     theirs = np.abs(_turned(corners.arms[other] - heading[..., None] - np.pi))
-    for arm in range(4):
-        swapped = [k for k in range(4) if (k - arm) % 2]
-        nearest = np.array(swapped)[np.argmin(theirs[:, :, swapped], 2)]
-        off = np.take_along_axis(theirs, nearest[..., None], 2)[..., 0]
-        fits = (mine[:, :, arm] < 0.35) & (off < 0.35) & (distance > 3)
-        cost = np.where(fits, distance * (1 + 2 * (mine[:, :, arm] + off)), np.inf)
+    rows = np.arange(n)[:, None]
+    for kind in (0, 1):
+        first, second = theirs[:, :, 1 - kind], theirs[:, :, 3 - kind]
+        nearest, off = np.where(second < first, 3 - kind, 1 - kind), np.minimum(first, second)
+        ahead = mine[:, :, kind::2]
+        fits = (ahead < 0.35) & ((off < 0.35) & (distance > 3))[..., None]
+        cost = np.where(fits, distance[..., None] * (1 + 2 * (ahead + off[..., None])), np.inf)
         best = np.argmin(cost, 1)
-        found = np.isfinite(cost[np.arange(n), best])
-        to[found, arm] = other[found, best[found]]
-        back[found, arm] = nearest[found, best[found]]
+        found = np.isfinite(np.take_along_axis(cost, best[:, None], 1)[:, 0])
+        to[:, kind::2] = np.where(found, other[rows, best], -1)
+        back[:, kind::2] = np.where(found, nearest[rows, best], -1)
     rows, arms = np.nonzero(to >= 0)
     mutual = (to[to[rows, arms], back[rows, arms]] == rows) & (back[to[rows, arms], back[rows, arms]] == arms)
     to[rows[~mutual], arms[~mutual]] = -1
@@ -261,60 +287,60 @@ def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], in
 def _grown(relief: _Relief, cells: dict[tuple[int, int], np.ndarray], radius: float) -> None:
     """Look for further corners where the grid says that they must be, until there are none."""
     for _ in range(12):
-        guesses: dict[tuple[int, int], tuple[np.ndarray, float]] = {}
-        for (u, v), here in cells.items():
-            for du, dv in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-                cell, before, further = (u + du, v + dv), (u - du, v - dv), (u - 2 * du, v - 2 * dv)
-                if cell in cells or before not in cells:
-                    continue
-                guess = 2 * here - cells[before]
-                if further in cells:
-                    guess = 2.5 * here - 2 * cells[before] + 0.5 * cells[further]
-                step = float(np.linalg.norm(guess - here))
-                if cell not in guesses or step < guesses[cell][1]:
-                    guesses[cell] = guess, step
-        if not guesses:
-            return
-        added = _confirmed(relief, guesses, radius)
-        added = {
-            cell: at
-            for cell, at in added.items()
-            if all(
-                np.linalg.norm(at - cells[near]) > 0.4 * guesses[cell][1]
-                for near in ((cell[0] + i, cell[1] + j) for i in (-1, 0, 1) for j in (-1, 0, 1))
-                if near in cells
-            )
-        }
+        names, guesses, steps = _guessed(cells)
+        which, places = _confirmed(relief, guesses, steps, radius)
+        added = {}
+        for index, at in zip(which, places, strict=True):
+            u, v = names[index]
+            around = [cells[near] for near in itertools.product((u - 1, u, u + 1), (v - 1, v, v + 1)) if near in cells]
+            if (np.linalg.norm(np.array(around) - at, axis=1) > 0.4 * steps[index]).all():
+                added[u, v] = at
         if not added:
             return
         cells.update(added)
 
 
-def _confirmed(
-    relief: _Relief, guesses: dict[tuple[int, int], tuple[np.ndarray, float]], radius: float
-) -> dict[tuple[int, int], np.ndarray]:
-    """Those of the guessed cells near whose place there is a corner."""
+def _guessed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[list[tuple[int, int]], np.ndarray, np.ndarray]:
+    """The free cells beside a grid, where they must be (n, 2) px, and how far that is from their neighbour (n,) px."""
+    names = np.array(list(cells))
+    low = names.min(0) - 3  # as far as is looked back
+    grid = np.full((*(names.max(0) - low + 4), 2), np.nan)
+    grid[tuple((names - low).T)] = list(cells.values())
+    free = np.isnan(grid[..., 0])
+    nearest, guesses = np.full(free.shape, np.inf), grid
+    for axis, way in ((0, 1), (1, 1), (0, -1), (1, -1)):
+        here, before, further = (np.roll(grid, way * count, axis) for count in (1, 2, 3))
+        guess = np.where(np.isnan(further), 2 * here - before, 2.5 * here - 2 * before + 0.5 * further)
+        step = np.hypot(*np.moveaxis(guess - here, -1, 0))
+        nearer = free & (step < nearest)
+        nearest, guesses = np.where(nearer, step, nearest), np.where(nearer[..., None], guess, guesses)
+    found = np.argwhere(np.isfinite(nearest))
+    at = tuple(found.T)
+    return [(u, v) for u, v in (found + low).tolist()], guesses[at], nearest[at]
+
+
+def _confirmed(relief: _Relief, guesses: np.ndarray, steps: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the guessed places (n, 2) px, each `steps` (n,) px from a neighbour, have a corner near, and where."""
     height, width = relief.grey.shape
-    names, places, steps = [], [], []
-    for cell, (guess, step) in guesses.items():
-        reach = max(2, round(0.25 * step))
-        x, y = round(float(guess[0])), round(float(guess[1]))
-        x0, y0, x1, y1 = max(x - reach, 4), max(y - reach, 4), min(x + reach, width - 5), min(y + reach, height - 5)
+    reach = np.maximum(2, np.rint(0.25 * steps))[:, None]
+    middle = np.rint(guesses)
+    low = np.maximum(middle - reach, 4).astype(int)
+    high = np.minimum(middle + reach, [width - 5, height - 5]).astype(int)
+    which, places = [], []
+    for index, ((x0, y0), (x1, y1)) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
         if x0 > x1 or y0 > y1:
             continue
         part = relief.saddle[y0 : y1 + 1, x0 : x1 + 1]
         row, column = divmod(int(part.argmax()), part.shape[1])
         if part[row, column] > 0:
-            names.append(cell)
+            which.append(index)
             places.append((x0 + column, y0 + row))
-            steps.append(step)
-    if not names:
-        return {}
+    if not which:
+        return np.zeros(0, int), np.zeros((0, 2))
     settled = relief.settled(np.array(places))
-    good = np.zeros(len(names), bool)
-    for size in (radius, 0.6 * radius):
-        good |= _verified(relief, settled, size)[1]
-    return {name: at for name, at, fine in zip(names, settled, good, strict=True) if fine}
+    twice = np.repeat([radius, 0.6 * radius], len(which))[:, None]
+    good = _verified(relief, np.tile(settled, (2, 1)), twice)[1].reshape(2, -1).any(0)
+    return np.array(which)[good], settled[good]
 
 
 def _trimmed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[dict[tuple[int, int], np.ndarray], bool]:

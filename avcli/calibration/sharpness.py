@@ -69,10 +69,11 @@ def blur(grey: np.ndarray, cells: np.ndarray, pixels: np.ndarray, clear: float =
     n, squared = normal[good], width[good] ** 2
     design = np.stack([n[:, 0] ** 2, 2 * n[:, 0] * n[:, 1], n[:, 1] ** 2], -1)
     weight = np.ones(len(n))
+    floor = 0.05 * np.median(squared)
     for _ in range(5):  # least absolute deviations: glare and shadows cross some edges
-        S = np.linalg.lstsq(design * weight[:, None], squared * weight, rcond=None)[0]
-        off = np.abs(squared - design @ S)
-        weight = 1 / np.sqrt(np.maximum(off, 0.05 * np.median(squared)))
+        weighted = design * weight[:, None]
+        S = np.linalg.solve(weighted.T @ design + 1e-12 * np.eye(3), weighted.T @ squared)
+        weight = 1 / np.maximum(np.abs(squared - design @ S), floor)
     values, vectors = np.linalg.eigh(np.array([[S[0], S[1]], [S[1], S[2]]]))
     least, most = np.sqrt(np.maximum(values, 0.0))
     return Blur(float(most), float(least), float(np.arctan2(vectors[1, 1], vectors[0, 1])))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.calibration import fit
+from avcli.calibration.blocks import POSE, damped
 from avcli.calibration.fit import Observations, Solution
 
 CERTAIN = 1.7
@@ -63,27 +64,39 @@ def measure(observations: Observations, solution: Solution, height: int) -> Shut
     residual, by_pose = fit.by_pose(observations, solution)
     length = np.linalg.norm(residual, axis=1) / observations.sigma
     root = np.sqrt(np.minimum(1.0, solution.delta_px / np.maximum(length, 1e-12))) / observations.sigma
+    u, v, reach = _places(observations)
+    shapes = np.stack([v, u * u, u * v, v * v], -1)
+    columns = np.concatenate(
+        [by_pose, np.einsum("ns,ab->nasb", shapes, np.eye(2)).reshape(-1, 2, 8), residual[..., None]], 2
+    )
+    gram = observations.gram(columns * root[:, None, None])
+    length_squared = np.einsum("vii->vi", gram)[:, POSE:-1].copy()
+    gram = (
+        gram[:, POSE:, POSE:]
+        - gram[:, POSE:, :POSE] @ np.linalg.inv(damped(gram[:, :POSE, :POSE], 0.0)) @ gram[:, :POSE, POSE:]
+    )
+    enough = np.bincount(observations.view) >= _LEAST_CORNERS
     explained = np.zeros((observations.views, 2))
-    motion = np.full(observations.views, np.nan)
-    for view, rows in enumerate(np.split(np.arange(len(length)), observations.starts[1:])):
-        if len(rows) < _LEAST_CORNERS:
-            continue
-        weight = np.repeat(root[rows], 2)
-        own = np.linalg.qr(by_pose[rows].reshape(-1, 6) * weight[:, None])[0]
-        left = residual[rows].ravel() * weight
-        left = left - own @ (own.T @ left)
-        place = observations.pixels[rows]
-        u, v = ((place - place.mean(0)) / place.std(0).max()).T
-        for which, shapes in enumerate(((v,), (u * u, u * v, v * v))):
-            design = np.concatenate([np.kron(shape[:, None], np.eye(2)) for shape in shapes], 1) * weight[:, None]
-            free = design - own @ (own.T @ design)
-            fitted, size, _ = np.linalg.svd(free, full_matrices=False)
-            fitted = fitted[:, size > 0.05 * np.linalg.norm(design, axis=0).max()]
-            explained[view, which] = np.sum((fitted.T @ left) ** 2) / max(fitted.shape[1], 1)
-            if which == 0:
-                change = np.linalg.lstsq(free, left, rcond=0.05)[0]
-                motion[view] = np.linalg.norm(change) * height / place.std(0).max()
+    for which, part in enumerate((slice(0, 2), slice(2, 8))):
+        size, axes = np.linalg.eigh(gram[:, part, part])
+        along = (axes.transpose(0, 2, 1) @ gram[:, part, -1:])[..., 0]
+        told = size > 0.05**2 * length_squared[:, part].max(1, keepdims=True)
+        gained = np.where(told, along**2 / np.where(told, size, 1.0), 0.0).sum(1)
+        explained[:, which] = np.where(enough, gained / np.maximum(told.sum(1), 1), 0.0)
+        if which == 0:
+            told = size > 0.05**2 * size[:, -1:]
+            change = (axes @ np.where(told, along / np.where(told, size, 1.0), 0.0)[..., None])[..., 0]
+            motion = np.where(enough, np.linalg.norm(change, axis=1) * height / reach, np.nan)
     return Shutter(*_ratio(explained), motion)
+
+
+def _places(observations: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of the corners (n,) across and down, from the middle of the view and over its larger sd (views,) px."""
+    count = np.bincount(observations.view)[:, None]
+    off = observations.pixels - (observations.per_view(observations.pixels) / count)[observations.view]
+    reach = np.sqrt((observations.per_view(off**2) / count).max(1))
+    u, v = (off / np.maximum(reach, 1e-9)[observations.view, None]).T
+    return u, v, reach
 
 
 def _ratio(explained: np.ndarray) -> tuple[float, float]:

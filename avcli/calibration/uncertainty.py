@@ -14,13 +14,13 @@ _LEAST_LEFT = 1e-3
 
 
 class Views(NamedTuple):
-    """What each view says about the common unknowns, its own pose eliminated (Schur).
+    """What each view says about the common unknowns, its own pose eliminated (Schur); or many such sets of views.
 
     Attributes:
-        information: (views, p, p).
-        score: (views, p), the gradient, at the solution of all views or near it.
-        cost: (views,) sum of the whitened squared residuals, robust.
-        freedom: (views,) residuals of the view minus the unknowns of its pose.
+        information: (..., views, p, p).
+        score: (..., views, p), the gradient, at the solution of all views or near it.
+        cost: (..., views) sum of the whitened squared residuals, robust.
+        freedom: (..., views) residuals of the view minus the unknowns of its pose.
     """
 
     information: np.ndarray
@@ -29,30 +29,30 @@ class Views(NamedTuple):
     freedom: np.ndarray
 
     def of(self, keep: np.ndarray) -> "Views":
-        """Some views only: `keep` (views,) bool, or indices."""
+        """Some views only: `keep` (views,) bool, or indices; of indices (sets, n) so many sets of n views."""
         return Views(*(part[keep] for part in self))
 
     @property
     def step(self) -> np.ndarray:
-        """How far the solution of these views lies from where they were linearised, (p,)."""
-        scale, roots = _whitening(self.information.sum(0))
-        return scale * (roots @ (roots.T @ (scale * self.score.sum(0))))
+        """How far the solution of these views lies from where they were linearised, (..., p)."""
+        scale, roots = _whitening(self.information.sum(-3))
+        return scale * _times(roots, _times(_turned(roots), scale * self.score.sum(-2)))
 
     @property
-    def variance(self) -> float:
-        """Variance of a whitened residual along one axis; infinite without residuals to spare."""
-        left = float(self.freedom.sum()) - self.score.shape[1]
-        return float(self.cost.sum()) / left if left > 0 else np.inf
+    def variance(self) -> np.ndarray:
+        """Variance of a whitened residual along one axis (...); infinite without residuals to spare."""
+        left = self.freedom.sum(-1) - self.score.shape[-1]
+        return np.where(left > 0, self.cost.sum(-1) / np.where(left > 0, left, 1.0), np.inf)
 
 
 def noise(views: Views) -> np.ndarray:
-    """Covariance (p, p) of the common unknowns if the error of each corner were its own."""
-    scale, roots = _whitening(views.information.sum(0))
-    return views.variance * (roots @ roots.T) * np.outer(scale, scale)
+    """Covariance (..., p, p) of the common unknowns if the error of each corner were its own."""
+    to_unit = _to_unit(views)
+    return views.variance[..., None, None] * (to_unit @ _turned(to_unit))
 
 
 def covariance(views: Views) -> np.ndarray:
-    """Covariance (p, p) of the common unknowns, each view a draw by itself, and at least that of independent corners.
+    """Covariance (..., p, p) of the common unknowns, each view a draw by itself; at least that of independent corners.
 
     Each view's score is set right for the part that the view itself took of the solution, so that the result is
     unbiased where the errors are independent (Bell and McCaffrey 2002, the estimator CR2). It is then multiplied by the
@@ -62,20 +62,20 @@ def covariance(views: Views) -> np.ndarray:
     Returns:
         infinite where there are no residuals to spare.
     """
-    count, p = views.score.shape
-    variance = views.variance
-    if not p or not np.isfinite(variance):
-        return np.full((p, p), np.inf)
-    scale, roots = _whitening(views.information.sum(0))
-    to_unit = scale[:, None] * roots
-    left = views.score - views.information @ views.step
-    share, axes = np.linalg.eigh(_symmetric(to_unit.T @ views.information @ to_unit))
-    along = np.einsum("vab,va->vb", axes, left @ to_unit) / np.sqrt(np.maximum(1 - share, _LEAST_LEFT))
-    drawn = np.einsum("vab,vb->va", axes, along)
-    spread = drawn.T @ drawn * student(count - 1)
+    count = views.score.shape[-2]
+    known = np.isfinite(views.variance)
+    variance = np.where(known, views.variance, 0.0)
+    to_unit = _to_unit(views)
+    left = views.score - _times(views.information, views.step[..., None, :])
+    share, axes = np.linalg.eigh(
+        _symmetric(_turned(to_unit)[..., None, :, :] @ views.information @ to_unit[..., None, :, :])
+    )
+    along = _times(_turned(axes), left @ to_unit) / np.sqrt(np.maximum(1 - share, _LEAST_LEFT))
+    drawn = _times(axes, along)
+    spread = _turned(drawn) @ drawn * student(count - 1)
     size, direction = np.linalg.eigh(spread)
-    spread = (direction * np.maximum(size, variance)) @ direction.T
-    return _symmetric(to_unit @ spread @ to_unit.T)
+    spread = direction * np.maximum(size, variance[..., None])[..., None, :] @ _turned(direction)
+    return np.where(known[..., None, None], _symmetric(to_unit @ spread @ _turned(to_unit)), np.inf)
 
 
 def inflation(spread: np.ndarray, independent: np.ndarray) -> float:
@@ -100,12 +100,26 @@ def halves(count: int, splits: int, seed: int = 0) -> list[tuple[np.ndarray, np.
     return [(np.sort(order[: count // 2]), np.sort(order[count // 2 :])) for order in orders]
 
 
+def _to_unit(views: Views) -> np.ndarray:
+    """(..., p, p), which takes errors of unit variance to those of the common unknowns."""
+    scale, roots = _whitening(views.information.sum(-3))
+    return scale[..., None] * roots
+
+
 def _whitening(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`scale` (p,) and `roots` (p, p), with which scale roots roots' scale is the inverse, however ill-conditioned."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-200))
-    value, vector = np.linalg.eigh(_symmetric(information * np.outer(scale, scale)))
-    return scale, vector / np.sqrt(np.maximum(value, 1e-16))
+    """`scale` (..., p) and `roots` (..., p, p): scale roots roots' scale is the inverse, however ill-conditioned."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("...ii->...i", information), 1e-200))
+    value, vector = np.linalg.eigh(_symmetric(information * scale[..., None] * scale[..., None, :]))
+    return scale, vector / np.sqrt(np.maximum(value, 1e-16))[..., None, :]
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
-    return (matrix + np.swapaxes(matrix, -1, -2)) / 2
+    return (matrix + _turned(matrix)) / 2
+
+
+def _turned(matrix: np.ndarray) -> np.ndarray:
+    return np.swapaxes(matrix, -1, -2)
+
+
+def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix @ vector[..., None])[..., 0]

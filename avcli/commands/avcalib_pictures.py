@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from avcli.calibration.settings import BoardSettings
 from avcli.commands.filter import GateNotMet, Session
-from avcli.commands.options import refuse_without_effect, settings_from, was_given
+from avcli.commands.options import is_default, refuse_without_effect, settings_from, was_given
 
 if TYPE_CHECKING:
     from avcli.calibration.camera import KnownCamera
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 _FEW = 100
 """Up to this number of pictures each is searched thoroughly; a film has boards enough."""
+_OF_A_FILM = 150
+"""Pictures of a long film that are looked at first."""
+_ENOUGH = 40
+"""Views of the board in them with which the others are not looked at."""
 
 
 @contextlib.contextmanager
@@ -99,27 +103,42 @@ def collect(
     if not any(source.kind == "camera" for source in sources):
         refuse_without_effect(["size"], "without a camera")
     live = any(source.is_live for source in sources)
-    total = None if live else footage.count_pictures(names, rate_hz)
+    every = None if live else footage.count_pictures(names, rate_hz)
     stream = session.open("-") if "-" in names else None
-    pictures = footage.pictures(
-        names,
-        rate_hz,
-        stream=stream,
-        stream_rate_hz=rate_hz if was_given("rate_hz") else None,
-        size=values.get("size"),
-        skip=lambda words: session.warn(f"left out: {words}"),
-        grey=True,
-    )
-    with ending_on_interrupt(live) as caught, session.timing("look for boards"):
-        return gather.collect(
-            session.progress(pictures, total, "looking for boards"),
-            board,
-            thorough=total is not None and total <= _FEW,
-            eager=live,
-            size=camera_size,
-            say=session.warn,
-            after=lambda *_: bool(caught),
+
+    def look(most: int | None) -> Seen:
+        total = None if live else footage.count_pictures(names, rate_hz, most)
+        pictures = footage.pictures(
+            names,
+            rate_hz,
+            stream=stream,
+            stream_rate_hz=rate_hz if was_given("rate_hz") else None,
+            size=values.get("size"),
+            skip=lambda words: session.warn(f"left out: {words}"),
+            grey=True,
+            most=most,
         )
+        with ending_on_interrupt(live) as caught, session.timing("look for boards"):
+            return gather.collect(
+                session.progress(pictures, total, "looking for boards"),
+                board,
+                thorough=total is not None and total <= _FEW,
+                eager=live,
+                size=camera_size,
+                say=session.warn,
+                after=lambda *_: bool(caught),
+            )
+
+    some = footage.count_pictures(names, rate_hz, _OF_A_FILM) if every and is_default("rate_hz") else every
+    if some == every:
+        return look(None)
+    seen = look(_OF_A_FILM)
+    shown = len(seen) - seen.count("no board")
+    if shown < _ENOUGH:
+        session.warn(f"{shown} of {len(seen)} pictures of the film show a board; now {every} pictures are looked at")
+        return look(None)
+    session.warn(f"{len(seen)} pictures of the film were looked at, which is enough; --rate {rate_hz:g} takes {every}")
+    return seen
 
 
 def views_for(session: Session, names: list[str], values: Mapping[str, Any], camera: KnownCamera) -> Seen:

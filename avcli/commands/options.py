@@ -67,6 +67,11 @@ def was_given(name: str) -> bool:
     return source in (click.core.ParameterSource.COMMANDLINE, click.core.ParameterSource.ENVIRONMENT)
 
 
+def is_default(name: str) -> bool:
+    """Tell whether an option has its default value because nobody and no preset said another one."""
+    return click.get_current_context().get_parameter_source(name) is click.core.ParameterSource.DEFAULT
+
+
 class Size(click.ParamType):
     """A width and a height in px, such as 1920x1080, each from `least` to `most`."""
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 
 import numpy as np
 
+from avcli.formats import film
 from avcli.formats.atomic import replacing, write_bytes
 from avcli.formats.camera import Camera
 from avcli.formats.media import (
@@ -232,6 +233,7 @@ def pictures(
     size: tuple[int, int] | None = None,
     skip: Callable[[str], None] | None = None,
     grey: bool = False,
+    most: int | None = None,
 ) -> Iterator[Picture]:
     """Yield the pictures of the sources with these names one after another.
 
@@ -245,6 +247,7 @@ def pictures(
         size: width and height in px to ask of a camera.
         skip: gets a sentence for each file that cannot be read, which is then left out.
         grey: the brightness of JPEG files and videos is enough, which is quicker.
+        most: about how many pictures to take from a long video, over all its length: those that are quick to reach.
 
     Raises:
         MediaError: a source cannot be opened, or a picture file is broken; with `skip`, none of them gives a picture.
@@ -264,7 +267,7 @@ def pictures(
             elif member.kind == "url":
                 found = _live_pictures(member.name, rate_hz)
             else:
-                found = _video_pictures(member.name, rate_hz, grey=grey)
+                found = _video_pictures(member.name, rate_hz, grey=grey, most=most)
             for picture in found:
                 while held and skip:
                     skip(held.pop(0))
@@ -290,8 +293,8 @@ def _members(names: list[str], *, foreign: bool) -> Iterator[Source | str]:
             yield f"{one.name}: no pictures in this folder"
 
 
-def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None:
-    """Count the pictures that `pictures` will yield; None if the sources do not say."""
+def count_pictures(names: list[str], rate_hz: float | None = None, most: int | None = None) -> int | None:
+    """Count the pictures that `pictures` will yield, about; None if the sources do not say."""
     total = 0
     for member in (member for name in names for member in source(name).members()):
         if member.is_live:
@@ -305,7 +308,8 @@ def count_pictures(names: list[str], rate_hz: float | None = None) -> int | None
             return None
         if not frames > 0:
             return None
-        total += int(frames if not rate_hz or not fps > rate_hz else np.ceil(frames / fps * rate_hz))
+        count = int(frames if not rate_hz or not fps > rate_hz else np.ceil(frames / fps * rate_hz))
+        total += count if most is None else min(count, most)
     return total
 
 
@@ -390,21 +394,25 @@ def depths(name: str) -> Iterator[np.ndarray]:
         yield from (picture.image for picture in depth_pictures(name))
 
 
-def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False, grey: bool = False) -> Iterator[Picture]:
+def _video_pictures(
+    source: str, rate_hz: float | None, *, deep: bool = False, grey: bool = False, most: int | None = None
+) -> Iterator[Picture]:
     import cv2
 
     capture = _open_video(source, deep=deep)
-    fps = capture.get(cv2.CAP_PROP_FPS)
+    fps, frames = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
     fps = fps if 0 < fps < 1000 else _USUAL_RATE
-    frame, due, last = 0, 0.0, -1.0
+    jumps: list[int] | None = None
+    if most and rate_hz and frames / fps * rate_hz > most:
+        rate_hz = most * fps / frames
+        jumps = film.quick_frames(source, fps / rate_hz)
+    number, due, last = 0, 0.0, -1.0
     try:
-        while capture.grab():
-            stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-            now = stated if stated > last else max(last, 0.0) + 1 / fps
-            now = 0.0 if frame == 0 and now <= 1 / fps + 1e-9 else now
-            frame, last = frame + 1, now
-            if rate_hz and now < due - 0.5 / fps:
+        for now in _jumping(capture, jumps) if jumps else _playing(capture, fps):
+            number += 1
+            if now <= last or (rate_hz and not jumps and now < due - 0.5 / fps):
                 continue
+            last = now
             good, image = capture.retrieve()
             if good:
                 if image.ndim == 3 and not deep:
@@ -414,8 +422,30 @@ def _video_pictures(source: str, rate_hz: float | None, *, deep: bool = False, g
                 due = max(due + 1 / rate_hz, now + 0.5 / rate_hz)
     finally:
         capture.release()
-    if frame == 0:
+    if number == 0:
         raise MediaError(f"{source}: the video has no picture that can be read")
+
+
+def _playing(capture: "cv2.VideoCapture", fps: float) -> Iterator[float]:
+    """Grab one frame of a video after another; yields the time of each, s, which rises."""
+    import cv2
+
+    last, first = -1.0, True
+    while capture.grab():
+        stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        now = stated if stated > last else max(last, 0.0) + 1 / fps
+        now = 0.0 if first and now <= 1 / fps + 1e-9 else now
+        first, last = False, now
+        yield now
+
+
+def _jumping(capture: "cv2.VideoCapture", frames: list[int]) -> Iterator[float]:
+    """Grab some frames of a video; yields the time of each, s."""
+    import cv2
+
+    for frame in frames:
+        if capture.set(cv2.CAP_PROP_POS_FRAMES, frame) and capture.grab():
+            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
 
 
 def camera_pictures(camera: Camera) -> Iterator[Picture]:

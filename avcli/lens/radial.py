@@ -5,7 +5,7 @@ The function is inverted once per lens into a table that one Newton step makes e
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -143,6 +143,7 @@ def odd_powers(s: np.ndarray) -> list[np.ndarray]:
     return powers
 
 
+@lru_cache(64)
 def fold_of_odd_polynomial(k1: float, k2: float, k3: float, k4: float) -> float:
     """The smallest s > 0 at which `odd_polynomial` stops growing; infinity where it never does."""
     return math.sqrt(first_sign_change([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))

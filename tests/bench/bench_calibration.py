@@ -223,7 +223,7 @@ def speed_rows(quick: bool) -> Iterator[Row]:
         _write_film(path, 20 if quick else 300)
         begin = time.process_time()
         board = target.Board(BOARD.columns, BOARD.rows, BOARD.square_m)
-        seen = gather.collect(footage.pictures([str(path)], 2.0), board, thorough=False)
+        seen = gather.collect(footage.pictures([str(path)], 2.0, grey=True, most=150), board, thorough=False)
         searched = time.process_time()
         calibrate.calibrate_views(seen.board, seen.views)
         yield {
