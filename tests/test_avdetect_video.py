@@ -435,3 +435,28 @@ def test_records_without_frames_are_not_passed_over_in_silence(tmp_path):
     assert (result.returncode, result.stdout) == (0, b"")
     assert "none of the 2 records is a frame" in result.stderr
     assert run("avdetect-video", "-C", tmp_path).stderr == ""  # an empty stream is no mistake
+
+
+def test_a_named_camera_of_several_is_used(tmp_path):
+    lens = {"lens_model": "kannala_brandt", "fx_px": 60, "fy_px": 60, "cx_px": 79.5, "cy_px": 59.5}
+    camera = lens | {"image_width_px": 160, "image_height_px": 120, "camera_rotation_deg": [90, 0, 0]}
+    camera |= {"depth_step_m": 0.001, "background_depth": "empty.png"}
+    cameras = {name: camera | {"camera_position_m": [x, 2, 2.5]} for name, x in (("left", 2), ("right", 5))}
+    sensors = {name: {"kind": "camera", "camera_config": one} for name, one in cameras.items()}
+    sensors["ring"] = {"kind": "microphones"}
+    (tmp_path / "config.json").write_text(json.dumps({"sensors": sensors}))
+    empty = np.full((120, 160), 2500, np.uint16)
+    media.write_png(tmp_path / "empty.png", empty)
+    depth = empty.copy()
+    depth[50:66, 90:106] = 1100
+    media.write_png(tmp_path / "seen.png", depth)
+    found = {}
+    for name in cameras:
+        result = run("avdetect-video", "-C", tmp_path, "--detector", "depth", "--sensor", name, tmp_path / "seen.png")
+        assert result.returncode == 0, result.stderr
+        record = json.loads(result.stdout)
+        found[name] = record["objects"][0]["position"]
+        assert record["sensor"] == name
+    assert found["right"][0] - found["left"][0] == pytest.approx(3)
+    wrong = run("avdetect-video", "-C", tmp_path, "--detector", "depth", "--sensor", "ring", tmp_path / "seen.png")
+    assert (wrong.returncode, "these are microphones" in wrong.stderr) == (2, True)

@@ -70,8 +70,8 @@ def detector_command(
     kept.unlink(missing_ok=True)
     if not taught.is_better:
         raise GateNotMet(
-            f"{session.output_path} was not written: the network that began agrees with the teacher as well "
-            f"(AP {taught.before.ap:.2f}; after learning {taught.after.ap:.2f})"
+            f"{session.output_path} was not written: the network that began agrees with the teacher as well, "
+            f"or nearly: the new one is better in {taught.surer:.0%} of resampled sets of the pictures held back"
         )
     with session.output() as write:
         write(taught.model)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from avcli.detection.detector import Detector
     from avcli.detection.view import View
     from avcli.formats import footage, records
+    from avcli.formats.experiment import Camera
 
 
 PRESET = {"position": "centre", "iou": 0.7, "features": False}
@@ -75,7 +76,7 @@ def main(
     network = settings.detector == "net"
     detector: Detector | None = None
     with session.output() as write, contextlib.ExitStack() as stack:
-        shots = _shots(session, stack, files, rate, live=live, depth=not network)
+        shots = _shots(session, stack, files, rate, settings.sensor, live=live, depth=not network)
         if files and all(Path(file).is_file() or Path(file).is_dir() for file in files):
             colour = network or bool(overlay) or bool(settings.features)
             ahead = footage.decoded_ahead(shots, rgb=colour, depth=not network)
@@ -88,7 +89,7 @@ def main(
             people = _people(session, detector, shot)
             if people is None:
                 continue
-            write(records.as_record(detections(shot.timestamp, people)))
+            write(records.as_record(detections(shot.timestamp, people, settings.sensor)))
             if drawing:
                 _draw(session, drawing, shot, people, detector.view)
         if detector is not None:
@@ -107,7 +108,8 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
     from avcli.detection.detector import Detector
     from avcli.formats import media
 
-    path = session.config.camera.background_depth
+    camera = _camera(session, settings.sensor)
+    path = camera.background_depth
     if path is None and settings.detector == "depth":
         session.fail(
             f'{session.config.name}: camera_config has no "background_depth", the depth picture of the empty room, '
@@ -116,7 +118,7 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
 
     empty = partial(media.read_depth, session.media_root / path) if path else None
     try:
-        colour = session.config.camera.background_rgb if settings.learn_background else None
+        colour = camera.background_rgb if settings.learn_background else None
         detector = Detector(
             session.config,
             background=empty,
@@ -133,6 +135,15 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
     if network and network.head.kind == "end2end":
         refuse_without_effect(["iou"], "with this model: it removes overlapping boxes itself")
     return detector
+
+
+def _camera(session: filter.Session, sensor: str) -> Camera:
+    """The camera of this name that config.json has, else its only one."""
+    from avcli.formats.sensors import MICROPHONES
+
+    if session.config.sensors.get(sensor) == MICROPHONES:
+        session.usage(f"--sensor {sensor}: {session.config.name} says that these are microphones")
+    return session.config.camera_of(sensor) or session.config.camera
 
 
 def _people(session: filter.Session, detector: Detector, shot: footage.UnreadShot) -> list[Person] | None:
@@ -211,6 +222,7 @@ def _shots(
     stack: contextlib.ExitStack,
     files: tuple[str, ...],
     rate: float | None,
+    sensor: str,
     *,
     live: bool,
     depth: bool,
@@ -231,7 +243,7 @@ def _shots(
     if still or (moving and not moving[0].is_live):
         refuse_without_effect(["live"], "on files; it is for a camera, or for frame records from a pipe")
     if still:
-        return _picture_shots(session, still, rate, depth=depth)
+        return _picture_shots(session, still, rate, sensor, depth=depth)
     if moving and depth:
         pictures = footage.depth_pictures(moving[0].name, rate)
         return (footage.UnreadShot(picture.timestamp, None, picture.image.view) for picture in pictures)
@@ -281,13 +293,13 @@ def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> 
 
 
 def _picture_shots(
-    session: filter.Session, sources: list[footage.Source], rate: float | None, *, depth: bool
+    session: filter.Session, sources: list[footage.Source], rate: float | None, sensor: str, *, depth: bool
 ) -> Iterator[footage.UnreadShot]:
     """Pictures in the order given; the empty room's depth picture, which lies beside the frames, is left out."""
     from avcli.formats import media
     from avcli.formats.footage import UnreadShot, stamped
 
-    background = session.config.camera.background_depth
+    background = _camera(session, sensor).background_depth
     empty = (session.media_root / background).resolve() if background else None
     paths: list[Path] = []
     for source in sources:

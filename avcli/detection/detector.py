@@ -24,9 +24,6 @@ from avcli.formats.media import MediaError, Shot, read_bytes
 from avcli.formats.records import Detections
 from avcli.formats.sensors import CAMERA
 
-SENSOR = "video"
-"""The sensor's name in records."""
-
 WALL_M = 0.3
 """m; a person found farther than this behind a wall is a reflection, or a wrong box."""
 
@@ -85,17 +82,17 @@ def detect(
     """
     detector = Detector(config, background=background, model=model, settings=Settings(**settings))
     for shot in shots:
-        yield detections(shot.timestamp, detector.look(shot.rgb, shot.depth))
+        yield detections(shot.timestamp, detector.look(shot.rgb, shot.depth), detector.settings.sensor)
 
 
 _NONE = np.full(5, np.nan)
 
 
-def detections(timestamp: float, people: list[Person]) -> Detections:
-    """Collect the people found at one time, s, as detections of the sensor `SENSOR`."""
+def detections(timestamp: float, people: list[Person], sensor: str = Settings.sensor) -> Detections:
+    """Collect the people found at one time, s, as detections of a named sensor."""
     return Detections(
         timestamp=timestamp,
-        sensor=SENSOR,
+        sensor=sensor,
         positions=np.array([person.position for person in people]).reshape(-1, 3),
         covariances=np.array([person.covariance for person in people]).reshape(-1, 3, 3),
         scores=np.array([person.score for person in people]),
@@ -176,10 +173,10 @@ class Detector:
         timing: Timing = contextlib.nullcontext,
     ):
         self.settings = settings or Settings()
-        self._camera, self._name, self._timing = config.camera, config.name, timing
+        camera = config.camera_of(self.settings.sensor) or config.camera
+        self._camera, self._name, self._timing = camera, config.name, timing
         self._size = self._camera.width_px, self._camera.height_px
         self._background = background
-        camera = self._camera
         self.view = View(
             camera.lens,
             camera.T_room_camera,

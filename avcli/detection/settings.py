@@ -80,6 +80,11 @@ class Settings:
         only="net",
     )
 
+    sensor: str = setting(
+        "video",
+        "The camera's name in the records; if config.json's sensors has a camera_config under this name, that camera.",
+        unit="NAME",
+    )
     features: bool | None = setting(
         None,
         "Say what each person wears, from the colour picture, so that avfuse can tell people apart.",
@@ -89,6 +94,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         check(self)
+        if not self.sensor:
+            raise ValueError("sensor must be a name, not empty")
 
 
 @dataclass(frozen=True)
