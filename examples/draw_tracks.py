@@ -1,4 +1,4 @@
-"""Draw detections and tracks into the frame that the camera saw: the picture of the README.
+"""Draw detections and tracks into the frame that the camera saw: a picture with the library.
 
     .venv/bin/python examples/draw_tracks.py out/s3 2.5 s3.png
 

@@ -11,7 +11,11 @@ from conftest import HANG_S, ROOT
 
 import avcli
 
-PROGRAMS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+PROGRAMS = [
+    program
+    for page in ("README.md", "examples/README.md")
+    for program in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+]
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import re
+import shutil
 import signal
 import subprocess
 import urllib.error
@@ -230,6 +231,41 @@ def test_an_hour_without_ground_truth(tmp_path):
         assert page.complaints() == []
     finally:
         page.close()
+
+
+def test_a_film_with_sound(made):
+    rows = (made / "s3/tracking/video_tracking.jsonl").read_bytes().splitlines(keepends=True)[:6]
+    result = run("avview", "-C", "s3", "--mp4", "f.mp4", stdin=b"".join(rows), cwd=made)
+    assert (result.returncode, result.stderr) == (0, "")
+    import cv2
+
+    film = cv2.VideoCapture(str(made / "f.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 6
+    assert film.read()[1].shape == (630, 1500, 3)
+    film.release()
+    if not CHROMIUM or shutil.which("ffmpeg"):
+        pytest.skip("no Chromium here, or it may lack H.264")
+    (made / "film.html").write_text('<b id="clock">0</b><video id="v" src="f.mp4" muted></video>')
+    page = Browser((made / "film.html").as_uri())
+    try:
+        page.run("document.getElementById('v').play()")
+        page.wait("document.getElementById('v').webkitAudioDecodedByteCount > 0")
+        assert page.run("document.getElementById('v').duration") == pytest.approx(0.6, abs=0.1)
+    finally:
+        page.close()
+
+
+def test_rerun_is_an_extra(made):
+    result = run("avview", "s3", "--rrd", "f.rrd", cwd=made)
+    try:
+        import rerun  # noqa: F401
+    except ModuleNotFoundError:
+        assert result.returncode == 1
+        assert "avcli[rerun]" in result.stderr
+        assert not (made / "f.rrd").exists()
+    else:
+        assert (result.returncode, result.stderr) == (0, "")
+        assert (made / "f.rrd").stat().st_size > 10_000
 
 
 def test_a_live_page_follows_the_run(made):

@@ -17,7 +17,7 @@ import click
 from avcli.commands.filter import Filter, Session, common
 
 if TYPE_CHECKING:
-    from avcli.formats.experiment import Config
+    from avcli.formats.experiment import Camera, Config
     from avcli.view.live import Live
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
@@ -76,6 +76,8 @@ class Run:
 )
 @click.option("--learnt", **_LYING, help="Show where people leave, from a file that avfuse --learn wrote.")
 @click.option("--scenario", metavar="NAME|FILE", help="Draw the furniture of this scenario on the map.")
+@click.option("--mp4", **_FILE, help="Write a film with sound: the picture beside the map. One run only.")
+@click.option("--rrd", **_FILE, help="Write the run for the Rerun viewer; needs the extra avcli[rerun]. One run only.")
 @click.option(
     "--serve", is_flag=True, help="Serve a page on this machine that follows the run; Ctrl-C ends it. One run only."
 )
@@ -93,6 +95,8 @@ def main(
     paths: tuple[str, ...],
     html: str | None,
     largest_mb: float,
+    mp4: str | None,
+    rrd: str | None,
     serve: bool,
     port: int,
     **values: Any,
@@ -103,19 +107,31 @@ def main(
     everything is shown. Records that come from standard input are passed on to standard output.
     """
     options = Options(**values)
-    if not (html or serve):
-        session.usage("nothing to do: give --html FILE or --serve")
-    for path in filter(None, (html,)):
+    if not (html or mp4 or rrd or serve):
+        session.usage("nothing to do: give --html FILE, --mp4 FILE, --rrd FILE or --serve")
+    for path in filter(None, (html, mp4, rrd)):
         if not Path(path).parent.is_dir():
             session.usage(f"{path}: its directory does not exist")
     runs = list(_runs(session, paths, options))
-    if serve and len(runs) > 1:
-        session.usage("--serve shows one run; --html shows several")
+    if (serve or mp4 or rrd) and len(runs) > 1:
+        session.usage("--serve, --mp4 and --rrd show one run; --html shows several")
+    if options.film and sum(map(bool, (html, mp4, rrd))) > 1:
+        session.usage("a --film can be read once: give one of --html, --mp4 and --rrd")
     with contextlib.ExitStack() as stack:
         watch = partial(_serve, session, stack, port) if serve else None
         shown = [_shown(session, run, options, watch) for run in runs]
         if html:
             _write_page(session, Path(html), shown, largest_mb)
+        if mp4:
+            from avcli.view import film
+
+            with session.timing("film"):
+                film.save(Path(mp4), shown[0], _camera(session, runs[0]), session.warn)
+        if rrd:
+            from avcli.view import rerun
+
+            with session.timing("Rerun"):
+                rerun.save(Path(rrd), shown[0])
         if serve:
             sys.stdout.buffer.flush()
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever reads our output can end
@@ -184,6 +200,14 @@ def _config(session: Session, run: Run) -> Config | None:
     except FileNotFoundError:
         session.warn(f"{run.config_path}: no such file; the page has no map of the room and no picture")
         return None
+
+
+def _camera(session: Session, run: Run) -> Camera | None:
+    """The camera where its place is known."""
+    config = _config(session, run)
+    if config is None or not config.states("camera_config", "camera_position_m"):
+        return None
+    return config.camera
 
 
 def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown], Live] | None) -> Shown:

@@ -40,7 +40,6 @@ def scene(name, seconds, people=(), furniture=()):
     return {
         "name": name,
         "duration_s": seconds,
-        "sensor": "webcam",
         "camera_config": camera,
         "microphone_config": {"mic_positions_m": MICROPHONES},
         "room_config": {"room_dimensions_m": SIZE, "reverberation_time_s": 0.3},
@@ -68,15 +67,15 @@ def scenes(folder):
     board_scenes.main(folder / "boards", "16")
     around = [(0.9, 0.9), (4.7, 0.9), (4.7, 3.7), (0.9, 3.7), (0.9, 2.3), (4.7, 2.3)]
     meeting = [
-        person(0, "red", [(0.8, 1.0), (4.6, 1.0), (4.6, 3.4), (2.4, 3.6)], [[0.3, 4.0], [12.0, 14.5]]),
-        person(1, "white", [(4.8, 3.7), (1.2, 3.7), (1.0, 1.6), (3.2, 1.7)], [[4.3, 8.0]]),
-        person(2, "blue", [(2.8, 2.4), (0.8, 2.7), (1.4, 0.8), (4.4, 2.6)], [[8.3, 11.7]]),
+        person(0, "red", [(0.8, 1.0), (4.6, 1.0), (4.6, 3.4), (2.4, 3.6)], [[0.3, 2.9], [8.4, 10.0]]),
+        person(1, "white", [(4.8, 3.7), (1.2, 3.7), (1.0, 1.6), (3.2, 1.7)], [[3.2, 5.4]]),
+        person(2, "blue", [(2.8, 2.4), (0.8, 2.7), (1.4, 0.8), (4.4, 2.6)], [[5.7, 8.1]]),
     ]
     written = {
         "floor": scene("floor", 0.0, furniture=lying_board()),
-        "empty": scene("empty", 2.0),
-        "walk": scene("walk", 20.0, [person(0, "plaid", around, [[0.0, 20.0]])]),
-        "meeting": scene("meeting", 15.0, meeting),
+        "empty": scene("empty", 0.7),
+        "walk": scene("walk", 15.0, [person(0, "plaid", around, [[0.0, 15.0]])]),
+        "meeting": scene("meeting", 10.0, meeting),
     }
     for name, content in written.items():
         (folder / f"{name}.json").write_text(json.dumps(content))
