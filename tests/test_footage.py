@@ -120,6 +120,24 @@ def test_each_kind_of_video_can_be_written_and_read(tmp_path, suffix):
     assert np.abs(found[2].image.mean(axis=(0, 1)) - [200, 100, 40]).max() < 8
 
 
+def test_of_a_long_film_pictures_after_key_frames_are_taken(tmp_path):
+    path = tmp_path / "film.mp4"
+    with Sink(path, (64, 48), 10.0, single=True) as sink:
+        for k in range(600):
+            sink.write(Picture("", k / 10, picture()), np.full((48, 64, 3), k * 240 // 600, np.uint8))
+    found = list(footage.pictures([str(path)], 2.0, grey=True, most=40))
+    assert footage.count_pictures([str(path)], 2.0, most=40) == 40
+    times = np.array([one.timestamp for one in found])
+    assert 33 <= len(found) <= 40
+    assert times[0] < 3
+    assert times[-1] > 56
+    assert np.diff(times).min() > 1
+    for one in found:
+        assert abs(one.image.mean() - one.timestamp * 4) < 8
+    every = list(footage.pictures([str(path)], 2.0, grey=True, most=400))
+    assert len(every) == 120
+
+
 @pytest.mark.parametrize("whole", [True, False])
 def test_what_becomes_of_an_unfinished_video(tmp_path, whole):
     path = tmp_path / "film.avi"

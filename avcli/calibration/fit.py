@@ -500,7 +500,7 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
     """Fit the lens (and the board's shape) to all views, robustly, in stages of growing freedom.
 
     Raises:
-        NoFit: there are fewer equations than unknowns.
+        NoFit: there are fewer equations than unknowns, or no lens images the corners.
     """
     lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape)
     if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
@@ -536,4 +536,6 @@ def _reseeded(observations: Observations, solution: Solution) -> Solution:
 def _delta(observations: Observations, solution: Solution) -> float:
     """Three standard deviations of the residuals' bulk: their median length is 1.177 of it (Rayleigh)."""
     length = np.linalg.norm(residuals(observations, solution), axis=1) / observations.sigma
+    if not np.isfinite(length).any():
+        raise NoFit("no lens explains the corners that were found: the pictures may not show the board")
     return max(3 * float(np.nanmedian(length)) / 1.1774, 1e-9)

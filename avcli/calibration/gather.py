@@ -18,14 +18,17 @@ from avcli.formats.footage import Picture
 from avcli.formats.media import MediaError
 
 _THREADS = 4
-_MISSES = 8
+_MISSES = 4
 """Pictures without a board that are kept, to guess another board's size from."""
 _GUESS_AFTER = (4, 12)
 """Numbers of pictures after which another size of the board is tried. Fewer in all: after the last."""
 
-_SELDOM = 4
-"""Where the first pictures show no board that is known, one is looked for in every fourth of the others alone. Once it
-is recognised, it is searched in the pictures between them too."""
+_SELDOM = 8
+"""Where the first pictures show no board that is known, one is looked for in every eighth of the others alone. Once it
+is recognised, it is searched in the pictures between them too. Where a board is known and none was found, only every
+eighth picture is searched thoroughly. So a folder without a board costs no more than one with boards."""
+_THOROUGH = 2
+"""Pictures in which an unknown board is looked for at full size."""
 _NAMED = 5
 """Pictures that a message names before it counts the others."""
 
@@ -281,6 +284,7 @@ class _Search:
         rows: that they show together.
         passed: pictures that were not looked at while the board is unknown, the last ones.
         not_looked: how many there are.
+        guessed: how many of `seen.misses` another size was guessed from.
     """
 
     seen: Seen
@@ -294,6 +298,7 @@ class _Search:
     rows: int = 0
     passed: list[Picture] = field(default_factory=list)
     not_looked: int = 0
+    guessed: int = 0
 
     @staticmethod
     def _is_passed(number: int) -> bool:
@@ -388,8 +393,10 @@ class _Search:
     def try_another_size(self) -> None:
         """If hardly any of the first pictures shows the board, look in them for one of the size that they show."""
         given = self.seen.board
-        if not self.first or given.kind != "checkerboard" or not self.seen.few:
+        misses = len(self.seen.misses)
+        if not self.first or given.kind != "checkerboard" or not self.seen.few or misses == self.guessed:
             return
+        self.guessed = misses
         other = corners.guess_board(self.seen.misses, given)
         if other is None:
             return
@@ -408,10 +415,11 @@ class _Search:
         grey = corners.to_grey(picture.image)
         return grey, corners.find(grey, board or self.seen.board, thorough=self.thorough)
 
-    @property
-    def is_thorough(self) -> bool:
-        """Whether to look thoroughly: not where none of many pictures showed a board."""
-        return self.thorough and (bool(self.seen.views) or len(self.seen) < _GUESS_AFTER[-1])
+    def is_thorough(self, number: int) -> bool:
+        """Whether to look at a picture thoroughly: seldom where none before it showed a board."""
+        if not self.seen.is_known:
+            return number < _THOROUGH
+        return self.thorough and (bool(self.seen.views) or number < _GUESS_AFTER[0] or number % _SELDOM == 0)
 
     def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
         """Yield what is seen in each picture, in order; threads look at several pictures at once.
@@ -422,8 +430,8 @@ class _Search:
 
         def oldest() -> Look:
             picture, board, found = waiting.popleft()
-            current = self.sought
-            return picture, *(found.result() if board is current else look(picture.image, current, self.is_thorough))
+            current, careful = self.sought, self.is_thorough(len(self.seen))
+            return picture, *(found.result() if board is current else look(picture.image, current, careful))
 
         with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
             failure = None
@@ -435,7 +443,7 @@ class _Search:
                         )
                         board = self.sought
                         rest = isinstance(board, Wanted) and self._is_passed(number)
-                        seen = pool.submit(look, picture.image, None if rest else board, self.is_thorough)
+                        seen = pool.submit(look, picture.image, None if rest else board, self.is_thorough(number))
                         waiting.append((picture, board, seen))
                         if self.eager or len(waiting) >= _THREADS:
                             yield oldest()
@@ -456,7 +464,7 @@ def look(image: np.ndarray, board: Board | Wanted | None, thorough: bool) -> tup
     if board is None:
         return grey, None
     if isinstance(board, Wanted):
-        return grey, recognise.look(grey, board)
+        return grey, recognise.look(grey, board, thorough=thorough)
     return grey, corners.find(grey, board, thorough=thorough)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from avcli.calibration import circles, markers, saddles
 from avcli.calibration.corners import LEAST_GUESSED, View
+from avcli.calibration.pyramid import reduced
 from avcli.calibration.target import KINDS, Board, Kind
 
 _NOMINAL_M = 0.095
@@ -15,9 +16,10 @@ _NOMINAL_M = 0.095
 _AGREE = 2
 """Pictures that must show the same board; one may show a tiled floor or another print."""
 _MOST_ROWS = 40
+_QUICK_WIDTH = 960
+"""px; of pictures that are not looked at thoroughly."""
 _MOST_BENT = 0.15
-"""Median of the second difference of neighbouring corners over the distance of the outer two. It is at most 0.136 on
-derlunz, dyf and fish_1, and mostly more in blotches."""
+"""How bent the lines of a board may be that is unknown. It is at most 0.136 on derlunz, dyf and fish_1."""
 
 
 @dataclass(frozen=True)
@@ -84,39 +86,28 @@ def largest_of(dictionary: str) -> str:
     return f"{family}_250" if count.isdigit() and int(count) < 250 else dictionary
 
 
-def look(grey: np.ndarray, wanted: Wanted) -> Board | None:
-    """Tell which board a picture (height, width) uint8 shows; None where there is none, or not the wanted kind."""
+def look(grey: np.ndarray, wanted: Wanted, *, thorough: bool = True) -> Board | None:
+    """Tell which board a picture (height, width) uint8 shows; None where there is none, or not the wanted kind.
+
+    Without `thorough`, markers and circles are looked for in a picture of 960 px, which misses small ones.
+    """
     kind = wanted.kind
+    small = grey if thorough else reduced(grey, _QUICK_WIDTH)[0]
     if kind in (None, "charuco", "aprilgrid"):
-        found = markers.recognise(grey, kind, wanted.dictionary)
+        found = markers.recognise(small, kind, wanted.dictionary)
         if found is not None or kind is not None:
             return found
     if kind in (None, "checkerboard"):
         if wanted.size and saddles.find_board(grey, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
             return Board(*wanted.size, scaled=False)
-        for inner in saddles.sizes(grey, LEAST_GUESSED)[:1]:
-            if min(inner) < 3 or not _is_regular(grey, inner):
+        for inner in saddles.sizes(grey, LEAST_GUESSED, _MOST_BENT)[:1]:
+            if min(inner) < 3:
                 break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)
     if kind == "checkerboard":
         return None
-    found = circles.recognise(grey)
+    found = circles.recognise(small)
     return found if found is None or kind in (None, found.kind) else None
-
-
-def _is_regular(grey: np.ndarray, inner: tuple[int, int]) -> bool:
-    """Whether the corners of a grid lie on smooth lines, as those of a print do and those of mere texture seldom."""
-    found = saddles.find_board(grey, inner)
-    if found is None:
-        return False
-    grid = np.full((inner[0] * inner[1], 2), np.nan)
-    grid[found[0]] = found[1]
-    bends = []
-    for lines in (grid.reshape(inner[1], inner[0], 2), grid.reshape(inner[1], inner[0], 2).swapaxes(0, 1)):
-        before, here, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
-        chord = np.linalg.norm(after - before, axis=2)
-        bends.append(np.linalg.norm(before - 2 * here + after, axis=2) / np.maximum(chord, 1e-9))
-    return bool(np.nanmedian(np.concatenate([one.ravel() for one in bends])) < _MOST_BENT)
 
 
 def agreed(seen: Sequence[Board], *, at_last: bool = False) -> Board | None:

@@ -21,7 +21,7 @@ _GRIDS = 6
 """Groups of corners that are grown into grids: the largest ones."""
 _NEAREST = 20
 """Corners around a corner that may be its neighbours."""
-_MANY = 400
+_MANY = 1000
 """Corners from which the nearest ones are looked up in a tree."""
 _BY_CHANCE = 60
 """In a picture full of corners chance joins some: groups with fewer than one in so many of them are not looked at."""
@@ -34,8 +34,13 @@ _FULL_LINE = 0.7
 _CUT_LINE = 0.4
 """Share of a line beyond a grid from which the grid counts as a part of a larger board. Edges and clutter beside the
 boards of derlunz, dyf and fish_1 fill at most 0.33 of one."""
+_BEYOND = 3
+"""Corners by which a grid, with clutter beside it, may be longer than the board that is wanted and is still grown."""
 _WIDTHS = (640, 1280, 320)
 """px; boards are looked for in pictures reduced to these widths: small ones are quick, and hide blur and noise."""
+_MOST_BENT = 0.25
+"""What `_bend` gives at most for a board, or a group of corners is no board: it is at most 0.14 on derlunz, dyf and
+fish_1, and mostly more than 0.25 in blotches."""
 _RING = 32
 """Samples on the circle around a corner."""
 
@@ -50,6 +55,7 @@ class Grid:
         columns, rows: extent of the grid along u and v.
         dark: whether the square between cells (0, 0) and (1, 1) is dark.
         is_cut: whether there are further corners, too few to be told from the edge of a board.
+        bend: see `_bend`.
     """
 
     cells: np.ndarray
@@ -58,6 +64,7 @@ class Grid:
     rows: int
     dark: bool
     is_cut: bool
+    bend: float
 
     def as_board(self, inner: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
         """Number the corners as a board of `inner` corners along a row and a column does.
@@ -250,7 +257,8 @@ def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
         distance, other = map(np.asarray, cKDTree(pixels).query(pixels, count + 1))
         return distance[:, 1:], other[:, 1:]
-    squared = ((pixels[:, None] - pixels[None]) ** 2).sum(2)
+    x, y = pixels.T.astype(np.float32)
+    squared = np.square(np.subtract.outer(x, x)) + np.square(np.subtract.outer(y, y))
     np.fill_diagonal(squared, np.inf)
     other = np.argpartition(squared, count - 1, axis=1)[:, :count]
     return np.sqrt(np.take_along_axis(squared, other, 1)), other
@@ -284,9 +292,11 @@ def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], in
     return sorted(grids, key=len, reverse=True)
 
 
-def _grown(relief: _Relief, cells: dict[tuple[int, int], np.ndarray], radius: float) -> None:
-    """Look for further corners where the grid says that they must be, until there are none."""
+def _grown(relief: _Relief, cells: dict[tuple[int, int], np.ndarray], radius: float, most: float) -> None:
+    """Look for further corners where the grid says that they must be, until there are none or it is too long."""
     for _ in range(12):
+        if np.ptp(np.array(list(cells)), axis=0).max() >= most:
+            return
         names, guesses, steps = _guessed(cells)
         which, places = _confirmed(relief, guesses, steps, radius)
         added = {}
@@ -298,6 +308,27 @@ def _grown(relief: _Relief, cells: dict[tuple[int, int], np.ndarray], radius: fl
         if not added:
             return
         cells.update(added)
+
+
+def _bend(cells: dict[tuple[int, int], np.ndarray]) -> float:
+    """Median of the second difference of corners in a line over the distance of the outer two; 0 without such corners.
+
+    The lines of a print are smooth, however a lens bends them; those of mere texture are not.
+    """
+    if len(cells) < 3:
+        return 0.0
+    names = np.array(list(cells))
+    low = names.min(0)
+    grid = np.full((*(names.max(0) - low + 1), 2), np.nan)
+    grid[tuple((names - low).T)] = list(cells.values())
+    found = []
+    for lines in (grid, grid.swapaxes(0, 1)):
+        before, here, after = lines[:-2], lines[1:-1], lines[2:]
+        apart = np.maximum(np.linalg.norm(after - before, axis=2), 1e-9)
+        off = np.linalg.norm(before - 2 * here + after, axis=2) / apart
+        found.append(off[np.isfinite(off)])
+    bends = np.concatenate(found)
+    return float(np.median(bends)) if len(bends) else 0.0
 
 
 def _guessed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[list[tuple[int, int]], np.ndarray, np.ndarray]:
@@ -378,7 +409,9 @@ def _is_cut(every: np.ndarray, left: np.ndarray) -> bool:
     return False
 
 
-def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, least: int = 9) -> list[Grid]:
+def find_grids(
+    grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, least: int = 9, most: float = np.inf
+) -> list[Grid]:
     """Find the checkerboards in a picture, the largest first; parts of a board count as boards.
 
     Args:
@@ -386,6 +419,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
         blur: px, sd of the Gaussian that smooths the picture.
         radius: px, of the circle around a corner on which dark and bright must take turns twice.
         least: corners of a grid.
+        most: corners along a grid from which it is not made longer.
     """
     relief = _Relief(grey, blur)
     peaks = relief.peaks()
@@ -401,9 +435,12 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
         start = cells[(0, 0)]
         if any((np.abs(grid.pixels - start).max(1) < 2).any() for grid in out):
             continue
-        _grown(relief, cells, radius)
+        if _bend(cells) > _MOST_BENT:
+            continue
+        _grown(relief, cells, radius, most)
         cells, is_cut = _trimmed(cells)
-        if len(cells) < least:
+        bend = _bend(cells)
+        if len(cells) < least or bend > _MOST_BENT:
             continue
         largest = max(largest, len(cells))
         names, pixels = np.array(list(cells)), np.array(list(cells.values()))
@@ -411,7 +448,7 @@ def find_grids(grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, leas
         names = names - low
         columns, rows = (names.max(0) + 1).tolist()
         order = np.lexsort((names[:, 0], names[:, 1]))
-        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0), is_cut))
+        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0), is_cut, bend))
     return sorted(out, key=lambda grid: -len(grid.pixels))
 
 
@@ -432,7 +469,7 @@ def find_board(
     best: tuple[np.ndarray, np.ndarray, float] | None = None
     total = inner[0] * inner[1]
     for small, scale in _reduced(grey):
-        grids = find_grids(small, least=max(6, total // 4))
+        grids = find_grids(small, least=max(6, total // 4), most=max(inner) + _BEYOND)
         for grid in grids:
             found = grid.as_board(inner)
             if found is not None and (best is None or len(found[0]) > len(best[0])):
@@ -454,14 +491,15 @@ def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
             yield small, scale
 
 
-def sizes(grey: np.ndarray, least: int = 9) -> list[tuple[int, int]]:
+def sizes(grey: np.ndarray, least: int = 9, bend: float = _MOST_BENT) -> list[tuple[int, int]]:
     """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first.
 
-    A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count.
+    A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count; nor
+    does one that is bent by `bend` or more (see `_bend`).
     """
     for small, _ in _reduced(grey):
         whole = [g for g in find_grids(small, least=least) if len(g.pixels) == g.columns * g.rows >= least]
-        whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut]
+        whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut and g.bend < bend]
         if whole:
             return [(g.columns, g.rows) for g in whole]
     return []
