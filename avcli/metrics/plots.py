@@ -87,7 +87,7 @@ def plot(run: Run, kind: str) -> bytes:
             if k:
                 for row in range(3):
                     axes[row, k].set_ylabel("")
-        figure.legend(handles=_legend(run), loc="outside lower center", ncols=min(5, 3 + columns), frameon=False)
+        figure.legend(handles=_legend(run), loc="outside lower center", ncols=min(5, 1 + columns), frameon=False)
         content = io.BytesIO()
         nothing = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
         figure.savefig(content, format=kind, dpi=150, metadata=nothing)
@@ -161,9 +161,12 @@ def _draw_error(axes: Axes, run: Run, name: str) -> None:
     tracked = run.trackers[name]
     error, distances = error_over_time(tracked)
     time = tracked.sequence.time
-    axes.fill_between(time, distances.ospa, step="mid", color="0.88", linewidth=0, label="OSPA")
-    axes.plot(time, error, color="#0072B2", linewidth=1.4, marker=".", markersize=3, label="mean error of matches")
-    axes.set(xlabel="time in s", ylabel="m", ylim=(0, tracked.case.settings.cutoff_m * 1.05))
+    largest = 100 * max(float(np.nan_to_num(error).max(initial=0.0)), 0.01)
+    axes.fill_between(time, 100 * distances.ospa, step="mid", color="0.88", linewidth=0, label="OSPA")
+    axes.plot(
+        time, 100 * error, color="#0072B2", linewidth=1.4, marker=".", markersize=3, label="mean error of matches"
+    )
+    axes.set(xlabel="time in s", ylabel="cm", ylim=(0, 1.6 * largest))  # OSPA of a missed person reaches beyond
     axes.grid(color="0.9", linewidth=0.6)
     axes.legend(loc="upper right", fontsize=8, edgecolor="none", framealpha=0.8)
 

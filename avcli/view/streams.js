@@ -47,16 +47,21 @@ class Spans {
     else this.list.push([t - step / 2, t + step / 2, value]);
   }
 }
-function nearest(people, x, y) {
-  let best = null, least = NEAR_M;
-  for (const person of people) {
-    const distance = Math.hypot(person[X] - x, person[Y] - y);
-    if (distance < least) { least = distance; best = person; }
-  }
-  return best;
+// Whose each item is: one person an item and one item a person, the nearest pairs first, within a metre.
+function owners(people, items, first) {
+  const pairs = [], whose = new Array(items.length).fill(null), taken = new Set();
+  items.forEach((item, i) => {
+    if (item[first] == null) return;
+    for (const person of people) {
+      const distance = Math.hypot(person[X] - item[first], person[Y] - item[first + 1]);
+      if (distance < NEAR_M) pairs.push([distance, i, person]);
+    }
+  });
+  for (const [, i, person] of pairs.sort((a, b) => a[0] - b[0])) if (!whose[i] && !taken.has(person)) { whose[i] = person; taken.add(person); }
+  return whose;
 }
 // Lanes of each person of `people`: when somebody spoke, was found by each sensor and, where `tracker` is another
-// stream, was tracked; what is within a metre belongs to the nearest person.
+// stream, was tracked; what is within a metre belongs to a person.
 function lanes(people, sensors, tracker) {
   const found = new Map();
   const lane = (who, what, kind, step) => {
@@ -73,16 +78,13 @@ function lanes(people, sensors, tracker) {
     if (!tracker || tracker === people) lane(who, tracker ? "tracked" : "there", "track", people.step).add(t, person[OBSERVED] === 0 ? -1 : people.labels.get(who));
   }
   for (const sensor of sensors) for (const [t, row] of sensor.rows) {
-    const there = objectsAt(people, t);
-    for (const item of row) {
-      const person = item[0] == null ? null : nearest(there, item[0], item[1]);
+    for (const person of owners(objectsAt(people, t), row, 0))
       if (person) lane(person[ID], words(sensor), sensor.sensor, sensor.step).add(t, 0);
-    }
   }
   if (tracker && tracker !== people) for (const [t, row] of tracker.rows) {
-    const there = objectsAt(people, t);
-    for (const track of row) {
-      const person = nearest(there, track[X], track[Y]);
+    const whose = owners(objectsAt(people, t), row, X);
+    for (const [i, track] of row.entries()) {
+      const person = whose[i];
       if (person) lane(person[ID], "tracked", "track", tracker.step).add(t, tracker.labels.get(track[ID]));
       else lane(`track ${track[ID]}`, "nobody near", "false", tracker.step).add(t, tracker.labels.get(track[ID]));
     }
