@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from avcli import pose
-from avcli.scene import annotations, furniture, mesh, outlines, people, render, scenario
+from avcli.scene import annotations, devices, furniture, mesh, outlines, people, render, scenario
 
 SMALL_KB = {
     "lens_model": "kannala_brandt", "fx_px": 215.6, "fy_px": 215.7, "cx_px": 262.0, "cy_px": 137.8, "k1": -0.0269,
@@ -388,3 +388,16 @@ def test_depth_alone_is_the_depth_that_comes_with_colour(context):
     assert other.rgb is None
     np.testing.assert_array_equal(one.depth, other.depth)
     np.testing.assert_array_equal(one.ids, other.ids)
+
+
+def test_a_graphics_card_is_tried_before_a_processor(monkeypatch):
+    here = devices.known()
+    assert [device.number for device in here] == list(range(len(here)))
+    several = [devices.Device(0, software=True), devices.Device(1, software=False), devices.Device(2, software=False)]
+    assert devices.preferred(several) == [1, 2, 0]
+    assert devices.preferred([]) == [None]
+    monkeypatch.setenv(devices.ENVIRONMENT, "2")
+    assert devices.preferred(several) == [2]
+    monkeypatch.setenv(devices.ENVIRONMENT, "3")
+    with pytest.raises(ValueError, match="no such device; EGL has 3 here, numbered from 0"):
+        devices.preferred(several)

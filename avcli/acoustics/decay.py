@@ -87,6 +87,36 @@ def image_rt60(
     return _Decay(room_dimensions_m, longest, speed_of_sound_m_s).time(absorption, air)
 
 
+def too_dead(
+    room_dimensions_m: ArrayLike, rt60_s: float, absorption: ArrayLike, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+) -> str | None:
+    """Say of a room whether its walls absorb so much that its sound hardly decays but ends: one sentence, or None.
+
+    T30 is then a mean over places with a decay that is longer than asked for, and places without any, and no
+    absorption makes it right.
+
+    Args:
+        room_dimensions_m: (3,) m.
+        rt60_s: reverberation time that was asked for, s.
+        absorption: (6,) of energy, of `image_absorption`.
+        speed_of_sound_m_s: m/s.
+    """
+    if np.max(absorption) < DEAD:
+        return None
+    times, decays = _Decay(room_dimensions_m, rt60_s, speed_of_sound_m_s).times(absorption)
+    if decays.mean() > 0.95:
+        return None
+    elsewhere = f"; elsewhere it decays in {times[decays].mean():.2g} s" if decays.any() else ""
+    return (
+        f"T60 {rt60_s:g} s is hardly possible in this room: the walls absorb {100 * np.max(absorption):.0f} %, and at "
+        f"{100 * (1 - decays.mean()):.0f} % of places sound does not decay but ends{elsewhere}"
+    )
+
+
+DEAD = 0.9
+"""absorption of walls above which a decay may be too short to be one."""
+
+
 class _Decay:
     """The energy decay of the image sources of one room, for walls of any absorption.
 
@@ -128,21 +158,29 @@ class _Decay:
 
     def time(self, absorption: ArrayLike, air: float = 0.0) -> float:
         """Return T30, s, the mean over pairs of places; see `image_rt60`."""
+        return float(self.times(absorption, air)[0].mean())
+
+    def times(self, absorption: ArrayLike, air: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return T30 of the pairs of places, (n,) s, and at which the energy really decays, (n,) bool.
+
+        Elsewhere the direct sound, and little more, is all that is heard above -35 dB: T30 is twice the time until
+        then.
+        """
         lost = np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6))
         edges = np.linspace(0, self._end, 1500)
         later = self._later(lost, air, np.maximum(edges, self._reach))
-        times = []
+        times, decays = [], []
         for distances, orders in self._pairs:
             energy = np.exp(lost @ orders - 2 * air * distances) / (4 * np.pi * distances) ** 2
             begun = np.bincount((distances / edges[1]).astype(int), energy, len(edges))[: len(edges)]
             level = 10 * np.log10(np.cumsum(begun[::-1])[::-1] + later)
             first, last = np.searchsorted(-level, [5 - level[0], 35 - level[0]])
-            seconds = edges[first:last] / self._speed
-            if last - first < 2 or level[first] - level[last - 1] < 15:  # the direct sound, and little more
-                times.append(2 * (last - first) * edges[1] / self._speed)
+            decays.append(last - first >= 2 and level[first] - level[last - 1] >= 15)
+            if decays[-1]:
+                times.append(-60 / np.polyfit(edges[first:last] / self._speed, level[first:last], 1)[0])
             else:
-                times.append(-60 / np.polyfit(seconds, level[first:last], 1)[0])
-        return float(np.mean(times))
+                times.append(2 * (last - first) * edges[1] / self._speed)
+        return np.array(times), np.array(decays)
 
     def _later(self, lost: np.ndarray, air: float, distances: np.ndarray) -> np.ndarray:
         """Return the energy of all images beyond some distances, (n,), as a mean over places."""

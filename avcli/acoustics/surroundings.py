@@ -270,7 +270,10 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
     speed = settings.speed_of_sound_m_s or room.speed_of_sound_m_s
     try:
         if settings.absorption_model == "image":
-            return rt60, decay.image_absorption(room.dimensions, rt60, speed_of_sound_m_s=speed)
+            absorption = decay.image_absorption(room.dimensions, rt60, speed_of_sound_m_s=speed)
+            if sentence := decay.too_dead(room.dimensions, rt60, absorption, speed):
+                say(sentence)
+            return rt60, absorption
         if settings.absorption_model == "sabine":
             return rt60, absorptions.sabine_absorption(room.dimensions, rt60)
         return rt60, absorptions.eyring_absorption(room.dimensions, rt60)

@@ -10,7 +10,7 @@ import numpy as np
 from avcli import pose
 from avcli.formats.experiment import Camera
 from avcli.lens import shader as lens_shader
-from avcli.scene import shaders
+from avcli.scene import devices, shaders
 
 if TYPE_CHECKING:
     import moderngl
@@ -25,21 +25,27 @@ class NoGraphics(RuntimeError):
 
 
 def open_context() -> moderngl.Context:
-    """Open a headless OpenGL context.
+    """Open a headless OpenGL context, on a graphics card where there is one; `devices` says how to choose another.
 
     Raises:
-        NoGraphics: there is no EGL or no driver.
+        NoGraphics: there is no EGL or no driver, or the device that was asked for cannot draw.
     """
     import moderngl
 
-    options: dict[str, Any] = {"backend": "egl", "require": 330}
+    fault: Exception | None = None
     try:
-        return moderngl.create_context(standalone=True, **options)
-    except Exception as error:
-        raise NoGraphics(
-            f"cannot open headless OpenGL ({error}); on Debian: "
-            "apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri"
-        ) from None
+        for number in devices.preferred(devices.known()):
+            options: dict[str, Any] = {"backend": "egl", "require": 330}
+            options |= {} if number is None else {"device_index": number}
+            try:
+                return moderngl.create_context(standalone=True, **options)
+            except Exception as error:
+                fault = fault or error
+    except ValueError as error:
+        raise NoGraphics(str(error)) from None
+    raise NoGraphics(
+        f"cannot open headless OpenGL ({fault}); on Debian: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri"
+    )
 
 
 class Canvas:
