@@ -220,3 +220,27 @@ def test_children_have_larger_heads_and_about_their_stated_height(height):
     ears = np.linalg.norm(bodies.keypoints[0, 0, 3] - bodies.keypoints[0, 0, 4]) / height
     grown = 0.16 / 1.75
     assert ears == pytest.approx(grown * (1 + 0.7 * max(1.5 - height, 0)), rel=1e-6)
+
+
+def test_heads_of_a_group_turn_to_who_speaks():
+    """The listener at the origin looks along +x; who speaks stands at 60 degrees to the left, the next in the back."""
+    places = {"listener": [2.0, 2.0], "left": [2.5, 2.0 + 0.5 * 3**0.5], "back": [1.0, 2.0]}
+    turns = {"left": [[1.0, 3.0]], "back": [[5.0, 7.0]]}
+    group = [
+        {
+            "waypoints": [{"position_m": place, "heading_deg": 0, "t_s": 0, "stay_s": 10}],
+            "group": "all",
+            "speech_s": turns.get(name, []),
+        }
+        for name, place in places.items()
+    ]
+
+    def looks_deg(group):
+        parsed = scenario.parse({"people": group, "duration_s": 10}, "group")
+        bodies = people.pose(parsed.people, np.array([0.0, 2.0, 4.0, 6.0]))
+        nose, ears = bodies.keypoints[:, 0, 0], bodies.keypoints[:, 0, 3:5].mean(1)
+        return np.rad2deg(np.arctan2(*(nose - ears).T[1::-1]))
+
+    np.testing.assert_allclose(looks_deg(group), [0, 60, 0, 0], atol=1)
+    strangers = [{key: value for key, value in person.items() if key != "group"} for person in group]
+    np.testing.assert_allclose(looks_deg(strangers), 0, atol=1)

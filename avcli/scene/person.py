@@ -16,6 +16,8 @@ Colour = tuple[float, float, float]
 """sRGB fractions."""
 
 _FADE_S = 0.4  # in which gestures begin and end with a turn to speak
+_TURN_S = 0.8  # in which a head turns to somebody
+_FARTHEST_TURN, _BEHIND = np.deg2rad(70.0), np.deg2rad(140.0)
 
 
 def rgb(text: str) -> Colour:
@@ -112,6 +114,7 @@ class Person:
         gestures: whether the hands move while speaking.
         carries: one of postures.LOADS; None: nothing.
         wheelchair: whether the person sits in one, and rolls where others walk.
+        heeds: motions of others, and their turns to speak (k, 2) s, to whom the head turns while they speak.
     """
 
     object_id: int
@@ -122,6 +125,7 @@ class Person:
     gestures: bool = True
     carries: str | None = None
     wheelchair: bool = False
+    heeds: tuple[tuple[Motion, np.ndarray], ...] = ()
 
 
 def speaking(person: Person, t: np.ndarray, end: float) -> np.ndarray:
@@ -141,9 +145,29 @@ def speaking(person: Person, t: np.ndarray, end: float) -> np.ndarray:
     return np.any(now, axis=1)
 
 
-def talking(person: Person, t: np.ndarray) -> np.ndarray:
-    """How much gestures show at times t (n,) s: (n,), 0..1, faded at each end of a turn."""
+def talking(turns: np.ndarray, t: np.ndarray, fade_s: float = _FADE_S) -> np.ndarray:
+    """How far somebody with turns to speak (k, 2) s is in one at times t (n,) s: (n,), 0..1, faded at each end."""
     amount = np.zeros_like(t)
-    for begin, end in person.speech.reshape(-1, 2):
-        amount = np.maximum(amount, np.clip(np.minimum(t - begin, end - t) / _FADE_S + 0.5, 0, 1))
+    for begin, end in turns.reshape(-1, 2):
+        amount = np.maximum(amount, np.clip(np.minimum(t - begin, end - t) / fade_s + 0.5, 0, 1))
     return amount * amount * (3 - 2 * amount)
+
+
+def listening(person: Person, t: np.ndarray) -> np.ndarray:
+    """By what angle the head is turned to those who speak, (n,) rad counterclockwise, at times t (n,) s.
+
+    A head turns by 70 degrees at most, and does not turn to somebody in the person's back; of several who speak it
+    follows their mean.
+    """
+    turn, listens = np.zeros_like(t), 1 - talking(person.speech, t, _TURN_S)
+    if not person.heeds:
+        return turn
+    place, heading = person.motion.position(t), person.motion.heading(t)
+    total = np.full_like(t, 1e-9)
+    for motion, turns in person.heeds:
+        way = motion.position(t) - place
+        aside = (np.arctan2(way[:, 1], way[:, 0]) - heading + np.pi) % (2 * np.pi) - np.pi
+        amount = talking(turns, t, _TURN_S) * np.clip((_BEHIND - np.abs(aside)) / 0.3, 0, 1)
+        turn += amount * np.clip(aside, -_FARTHEST_TURN, _FARTHEST_TURN)
+        total += amount
+    return listens * turn / np.maximum(total, 1.0)

@@ -7,7 +7,7 @@ the thesis's laboratory), and `furniture` and `people`. `SCENARIO` describes eve
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -125,6 +125,9 @@ _PERSON = Object(
         "speech_s": Key(
             Either((Choice((True,)), ListOf(bounds.TIMES))),
             "turns to speak, each [start, end] in s, in order; true: all the time; default: never",
+        ),
+        "group": Key(
+            Text(), "name of the people who talk with each other: heads turn to who speaks; default: with nobody"
         ),
         "gestures": Key(Boolean(), "whether the hands move while speaking", default=True),
         "carries": Key(Choice(tuple(LOADS)), "what the person carries; default: nothing"),
@@ -255,6 +258,7 @@ def _parsed(
             raise error.within("people", index) from None
         people.append(person)
         fast += [f"people[{index}].{text}" for text in odd]
+    people = _heeding(people, [item["group"] for item in values["people"] or ()])
     times = _frame_times(duration, camera.frame_rate_hz)
     viewpoint.refuse_buried(camera, pieces, people, times)
     solids = furniture.join(pieces)
@@ -367,6 +371,16 @@ def _person(values: Mapping[str, Any], index: int, duration: float, room: experi
     speech = np.array(turns, float).reshape(-1, 2)
     loads = values["carries"], values["wheelchair"]
     return Person(identity, motion, look, height, speech, values["gestures"], *loads), warnings
+
+
+def _heeding(people: Sequence[Person], groups: Sequence[str | None]) -> list[Person]:
+    """Let everybody heed the others of their group."""
+
+    def others(person: Person, group: str | None) -> tuple[tuple[Motion, np.ndarray], ...]:
+        together = [one for one, its in zip(people, groups, strict=True) if group is not None and its == group]
+        return tuple((one.motion, one.speech) for one in together if one is not person and len(one.speech))
+
+    return [replace(person, heeds=others(person, group)) for person, group in zip(people, groups, strict=True)]
 
 
 def _motion(points: Sequence[Mapping[str, Any]], height: float, room: experiment.Room) -> tuple[Motion, list[str]]:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from avcli.scene.person import Person, talking
+from avcli.scene.person import Person, listening, talking
 from avcli.scene.postures import LOADS, POSTURES, WHEELCHAIR, Posture
 
 AVERAGE_M = 1.75
@@ -253,7 +253,7 @@ def _trunk(person: Person, t: np.ndarray, unit: float, height: float) -> Trunk:
         chest_left=_horizontal(chest_heading + np.pi / 2),
         chest_up=chest_up,
         sit=sit,
-        talk=talking(person, t),
+        talk=talking(person.speech, t),
         sole=sole,
         foot_heading=foot_heading,
         foot_swing=foot_swing,
@@ -350,11 +350,11 @@ def _hand(
 
 
 def _head(person: Person, t: np.ndarray, trunk: Trunk, unit: float, head_unit: float) -> Head:
-    """The head nods and looks round while its person talks."""
+    """The head nods and looks round while its person talks, and turns to others while they do."""
     nod = 0.06 + sum((p.nod * amount for p, amount in trunk.doing), np.zeros_like(t))
     nod = nod + trunk.talk * 0.07 * np.sin(2 * np.pi * _NOD_HZ * t + person.object_id)
     turn = trunk.talk * 0.18 * np.sin(2 * np.pi * _LOOK_ROUND_HZ * t + 2 * person.object_id)
-    heading = person.motion.heading(t) + turn
+    heading = person.motion.heading(t) + turn + listening(person, t)
     level, left = _horizontal(heading), _horizontal(heading + np.pi / 2)
     front = level * np.cos(nod)[:, None] - _UP * np.sin(nod)[:, None]
     up = _UP * np.cos(nod)[:, None] + level * np.sin(nod)[:, None]

@@ -72,6 +72,9 @@ def random_world(
         people, crowd.waypoints, conversations(groups, len(people), duration, g_talk), strict=True
     ):
         person |= {"waypoints": points, "speech_s": turns}
+    for number, group in enumerate(groups):
+        for member in group:
+            people[member]["group"] = f"group {number + 1}"
     return {
         "name": "random",
         "duration_s": float(duration),
