@@ -50,7 +50,8 @@ float cornered(vec3 p, vec3 n) {
     vec3 gap = min(p, room - p) + abs(n) * 9.0;
     return 1.0 - 0.45 * exp(-3.0 * min(gap.x, min(gap.y, gap.z)));
 }
-float unblocked(vec3 p, vec3 n) { return luma(open_light(p, n) - (1.0 - cornered(p, n)) * ambient * sky(n)); }
+// The light of the coarse grid is kept as the share of the open light that arrives.
+float unblocked(vec3 p, vec3 n) { return 1.0; }
 """
 
 # Light on the room's surfaces past the furniture, as ROOM_LIGHT has it.
@@ -66,7 +67,8 @@ void main() {
     vec3 n = texelFetch(surface, at, 0).xyz;
     vec3 p = eye + hit.x * (to_room * ray_of(at)) + 2e-3 * n, sum = vec3(0.0);
     float turn = 6.2832 * hash(vec3(gl_FragCoord.xy, 1.0)), ring = hash(vec3(gl_FragCoord.yx, 2.0));
-    float least = 0.02 * luma(open_light(p, n));   // a lamp of which less arrives is not asked what stands before it
+    // A lamp of which less than `least` arrives is not asked what stands before it.
+    float all = luma(open_light(p, n)), least = 0.02 * all;
     for (int k = 0; k < lamp_count; ++k) {
         vec3 whole = arriving(p, n, k, lamps[k]);
         bool counts = luma(whole) > least;
@@ -97,7 +99,7 @@ void main() {
     }
     block_5(p, ways, far, open);
     float sky_seen = open[0] + open[1] + open[2] + open[3] + open[4];
-    light = luma(sum + sky_seen * cornered(p, n) * ambient * sky(n));
+    light = luma(sum + sky_seen * cornered(p, n) * ambient * sky(n)) / max(all, 1e-3);
 }
 """
 
@@ -182,9 +184,7 @@ vec3 shade(vec2 px, vec3 d, float t, int id, vec3 n) {
     ONLY(first.w == -1.0 && id == 6) base = vec3(0.72);
     ONLY(first.w == -1.0 && id < 5) base = curtain(p, id, bent);
     bent = normalize(bent - bump.x * u - bump.y * v);
-    vec3 flat_light = open_light(p, n), bent_light = flat_light;
-    ONLY(bent != n) bent_light = open_light(p, bent);
-    vec3 light = light_at(px, id, p, n) * bent_light / max(luma(flat_light), 1e-3);
+    vec3 light = light_at(px, id, p, n) * open_light(p, bent);
     SUNSHINE
     ONLY(gloss > 0.01) {
         float grazing = 0.04 + 0.96 * pow(1.0 - max(dot(-d, bent), 0.0), 5.0);
