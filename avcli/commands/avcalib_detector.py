@@ -54,12 +54,11 @@ def detector_command(
         session.usage(f"--labels {labels}: no such folder")
     try:
         import onnx  # noqa: F401
-        import torch
+        import torch  # noqa: F401
     except ImportError:
         session.fail(_EXTRA)
     from avcli.formats.media import MediaError
 
-    torch.set_num_threads(max(torch.get_num_threads(), 1))
     kept = Path(session.output_path + ".part")
     try:
         taught = _taught(session, sources, settings, (teacher, model, labels), kept)
