@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -12,7 +11,7 @@ import click
 
 from avcli.commands.filter import GateNotMet, Session, common
 from avcli.commands.options import from_settings, settings_from
-from avcli.detection.settings import TeachingSettings
+from avcli.detection.settings import FEWEST, TeachingSettings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,12 +54,11 @@ def detector_command(
         session.usage(f"--labels {labels}: no such folder")
     try:
         import onnx  # noqa: F401
-        import torch
+        import torch  # noqa: F401
     except ImportError:
         session.fail(_EXTRA)
     from avcli.formats.media import MediaError
 
-    torch.set_num_threads(max(torch.get_num_threads(), 1))
     kept = Path(session.output_path + ".part")
     try:
         taught = _taught(session, sources, settings, (teacher, model, labels), kept)
@@ -114,6 +112,7 @@ def _taught(
                 state.write(kept)
         made = None if labels is None else _labels(Path(labels), path, size)
         taken.append(lessons.lesson(path, lit, state.seen[number], network.size, made))
+    state.write(kept)
     people, empty = sum(len(one.people) for one in taken), sum(not len(one.people) for one in taken)
     session.warn(f"the teacher sees {people} people in {len(taken)} pictures, {empty} of which show nobody to it")
 
@@ -149,9 +148,12 @@ def _pictures(session: Session, sources: tuple[str, ...], most: int) -> Iterator
     count = None if live else footage.count_pictures(list(sources))
     if count is None:
         session.usage(f"{(live or sources)[0]}: record a film first; it is read from its beginning to its end")
-    step = max(math.ceil(count / most), 1)
+    if count < FEWEST:
+        session.fail(f"the film has {count} pictures; {FEWEST} or more are needed")
+    taken = min(most, count)
+    wanted = {k * count // taken for k in range(taken)}
     for number, picture in enumerate(footage.pictures(list(sources))):
-        if number % step == 0:
+        if number in wanted:
             yield picture.name, picture.image[..., :3]
 
 

@@ -11,12 +11,6 @@ from avcli.detection.windows import upright
 STRIDE = 8
 """px of the input for a cell of the maps."""
 
-CUT_PX = 384
-"""Side of the part of a picture that is learnt from at a time; the network sees some 100 px around a place."""
-
-AIMED = 0.6
-"""Share of these parts that are laid about somebody."""
-
 _SQUARE = 1.2
 """Ratio of the picture's sides up to which it may be turned by any angle."""
 
@@ -68,24 +62,19 @@ def lesson(
 
 
 def drawn(one: Lesson, chance: np.random.Generator) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """A part of a lesson's picture (h, w, 3) uint8, turned, mirrored, scaled, in another light, and its `targets`."""
+    """A lesson's picture (h, w, 3) uint8, turned, mirrored, scaled and in another light, and its `targets`."""
     import cv2
 
     height, width = one.picture.shape[:2]
-    cut = np.minimum([width, height], CUT_PX)
     may_turn = max(width, height) <= _SQUARE * min(width, height) and chance.random() < 0.5
     angle = chance.uniform(0, 2 * np.pi) if may_turn else np.pi * chance.integers(2)
     cosine, sine = np.exp(chance.normal(0, 0.08)) * np.array([np.cos(angle), np.sin(angle)])
     to_new = np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([chance.choice([-1.0, 1.0]), 1.0])
     middle = np.array([width, height]) / 2
-    spot = one.people[chance.integers(len(one.people)), :2] if len(one.people) else middle
-    aim = to_new @ (spot - middle) + middle - cut / 2 + chance.uniform(-0.3, 0.3, 2) * cut
-    spare = np.array([width, height]) - cut
-    corner = np.clip(aim, 0, spare) if len(one.people) and chance.random() < AIMED else chance.uniform(0, 1, 2) * spare
-    map_ = np.column_stack([to_new, middle - to_new @ middle - corner])
+    map_ = np.column_stack([to_new, middle - to_new @ middle])
     centred = map_.copy()
     centred[:, 2] += centred[:, :2] @ [0.5, 0.5] - 0.5  # OpenCV's pixels are centre-based
-    picture = cv2.warpAffine(one.picture, centred, cut.tolist(), borderValue=(PAD, PAD, PAD))
+    picture = cv2.warpAffine(one.picture, centred, (width, height), borderValue=(PAD, PAD, PAD))
     light = chance.uniform(0.75, 1.3) * chance.uniform(0.93, 1.07, 3)
     table = np.clip(255 * (np.arange(256) / 255)[:, None] ** chance.uniform(0.8, 1.25) * light, 0, 255).astype(np.uint8)
     picture = np.stack([table[picture[..., k], k] for k in range(3)], axis=-1)
@@ -97,12 +86,12 @@ def drawn(one: Lesson, chance: np.random.Generator) -> tuple[np.ndarray, tuple[n
     corners = one.doubtful[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 4, 2) @ map_[:, :2].T + map_[:, 2]
     doubtful = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
     boxes = upright(people)
-    clipped = np.clip(boxes, 0, np.tile(cut, 2))
+    clipped = np.clip(boxes, 0, [width, height, width, height])
     share = (clipped[:, 2:] - clipped[:, :2]).prod(axis=1) / np.maximum((boxes[:, 2:] - boxes[:, :2]).prod(axis=1), 1)
     whole = share > 0.5
     ignored = np.concatenate([doubtful, clipped[~whole]])
-    spots = np.clip(people[whole, :2], 0, cut)
-    return picture, targets(clipped[whole], spots, ignored, (int(cut[0]), int(cut[1])))
+    spots = np.clip(people[whole, :2], 0, [width, height])
+    return picture, targets(clipped[whole], spots, ignored, (width, height))
 
 
 def targets(boxes: np.ndarray, spots: np.ndarray, ignored: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, ...]:

@@ -78,7 +78,8 @@ LYING = tuple(Kind(0.005, 0.28, 0.07, _lying(azimuth)) for azimuth in np.pi / 4 
 """People who lie, by azimuth."""
 
 FEET_HIDDEN = 0.25
-"""Share of people of whom something hides the side of the feet."""
+"""Share of people of whom something hides the side of the feet. It is set by hand: on random scenes with little
+furniture (seed 720000, which decided nothing) 0.08 gains 0.018 nats a box, with a standard error of 0.010."""
 
 
 class _Hypotheses:

@@ -116,7 +116,7 @@ class TeachingSettings:
         300, "Learn from at most N pictures, at equal steps through the film.", unit="N", least=FEWEST, most=5000
     )
     steps: int = setting(
-        400, "Learn for N steps of eight pictures; 400 take some four minutes.", unit="N", least=1, most=100_000
+        150, "Learn for N steps of eight pictures; 150 take some two minutes.", unit="N", least=1, most=100_000
     )
 
     def __post_init__(self) -> None:

@@ -31,6 +31,9 @@ DOUBTFUL = 0.1
 LOWEST = 0.02
 """Score from which boxes count in the comparison."""
 
+CALIBRATED = 0.1
+"""Score from which boxes are used to calibrate; the many below, mostly wrong, would bend the law where it matters."""
+
 BLOCKS, EVERY = 10, 5
 """The film is cut into so many parts in time, of which every so many-th is held back."""
 
@@ -230,7 +233,8 @@ def teach(
     raw = [_against(one, _seen_by(graph.content(1.0, 0.0, {}), size, one)) for one in judge]
     scores = np.clip(np.concatenate([one[1] for one in raw]), 1e-6, 1 - 1e-6)
     right = np.concatenate([matched(*one) for one in raw])
-    slope, shift = platt(scores, right) if len(scores) else (1.0, 0.0)
+    likely = scores >= CALIBRATED
+    slope, shift = platt(scores[likely], right[likely]) if likely.any() else (1.0, 0.0)
     model = graph.content(slope, shift, metadata | {"imgsz": str([size[1], size[0]]), "parts": "unknown"})
     found = [[_seen_by(content, size, one) for one in judge] for content in (learner, model)]
     pairs = [[_against(one, boxes) for one, boxes in zip(judge, some, strict=True)] for some in found]

@@ -6,11 +6,11 @@ FOLDER holds a folder for each set, with pictures and hand-made labels as YOLO w
 SET/**/labels/NAME.txt, a line `0 x y width height` in parts of the picture for each person. Nothing of them ships; see
 examples/benchmarks/real-video.md for where public sets are and under which terms.
 
-Networks: the package's own, and each --model, in the whole picture and, with --windows N, in N turned windows. A box is
-found if it overlaps a label by more than .3 (or .5, for AP.5). The lens is not known: it is taken as equidistant over
-the picture's shorter side, which serves to lay the windows and to place true boxes: `placed` is the share of them that
-get a position, `explained` the share that a body explains, at the camera height of --heights at which most are. Times
-are CPU milliseconds of one thread.
+Networks: the package's own, what `avcalib detector` made of it, and each other --model, in the whole picture and, with
+--windows N, in N turned windows. A box is found if it overlaps a label by more than .3 (or .5, for AP.5). The lens is
+not known: it is taken as equidistant over the picture's shorter side, which serves to lay the windows and to place true
+boxes: `placed` is the share of them that get a position, `explained` the share that a body explains, at the camera
+height of --heights at which most are. Times are CPU milliseconds of one thread.
 """
 
 import argparse
@@ -101,6 +101,9 @@ def ways(options: argparse.Namespace, size: tuple[int, int]) -> dict[str, Callab
     }
     for path in options.model:
         network = Network(path.read_bytes(), None, LEAST, picture=size)
+        if network.head.kind == "points":  # from avcalib detector
+            made[f"people, {path.stem}"] = network.detect
+            continue
         made[path.stem] = network.detect
         if options.windows:
             turned = WindowedNetwork(network, size, np.array(size) / 2, options.windows)
