@@ -6,21 +6,22 @@ chain of places and velocities, eliminated by its banded normal matrix (Schur's 
 cannot tell: where the array is in the room, how it is turned, and how large it is.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-MOUTH_M, MOUTH_SD_M = 1.5, 0.4
-"""Height of mouths, m, and its standard deviation: weak, for what the delays leave open."""
+from avcli.numeric import TooLittle
+
+MOUTH_M, MOUTH_SD_M = 1.5, 0.2
+"""Mean height of a mouth, m, and its standard deviation."""
 ACCELERATION, UPRIGHT = 5.0, 0.2
-"""m²/s³, the spectral density of a voice's acceleration along x and y, and along z: ten times a walker's, since the most
-probable path of a narrow prior is a shorter one, and with it the whole array would shrink."""
+"""m²/s³, the spectral density of a voice's acceleration along x and y, and along z. It is ten times a walker's, since
+the most probable path of a narrow prior is a shorter one, and with it the whole array would shrink."""
 BLOCK_S = 3.0
 """The time after which errors of delays are taken to be new ones, s."""
 COARSE_S, TURN_S, FINE_S = 4e-4, 5e-5, 1e-5
 """The robust scale of a delay's error at the beginning of the fit, from where on it is estimated, and the least, s."""
-_POSITION = 3
 
 
 @dataclass(frozen=True)
@@ -29,17 +30,15 @@ class Priors:
 
     Attributes:
         position_m: of each coordinate of a microphone.
-        delay_s, drift: of a channel.
+        delay_s, drift: of a channel, or of each (m,).
         speed_m_s: of the speed of sound.
-        offset_m: of the offset of the voice from the places that are given, common to all, (3,).
         clock_s: of the clock between the sound and the places that are given.
     """
 
     position_m: float = 0.04
-    delay_s: float = 1e-3
-    drift: float = 2e-5
+    delay_s: float | np.ndarray = 1e-3
+    drift: float | np.ndarray = 2e-5
     speed_m_s: float = 2.0
-    offset_m: tuple[float, float, float] = (0.05, 0.05, 0.1)
     clock_s: float = 0.0
 
 
@@ -50,14 +49,16 @@ class Way:
     Attributes:
         times: (k,) s, ascending.
         places: (k, 3) m.
-        sd_m: standard deviation of each coordinate.
-        lasting_s: how long an error lasts, s.
+        errors: (k,) int; places with the same number share one error.
+        sd_m: standard deviation of that error along each axis.
+        offset_m: of the error along x, y and z that all places have in common.
     """
 
     times: np.ndarray
     places: np.ndarray
-    sd_m: float = 0.05
-    lasting_s: float = 2.0
+    errors: np.ndarray
+    sd_m: float
+    offset_m: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,9 @@ class Fit:
 
     Attributes:
         positions: (m, 3) m.
-        delays: (m,) s by which each channel is late at time 0, beyond what was put right before; their mean is 0.
-        drifts: (m,) s/s; their mean is 0.
+        delays: (m,) s by which each channel is late at time 0, beyond what was put right before; the mean of those that
+            were known best is 0.
+        drifts: (m,) s/s; the same holds for them.
         speed_of_sound: m/s.
         clock: s, to add to a time of the sound to get one of the way.
         path: (n, 3) m, where the voice was in each window.
@@ -89,7 +91,6 @@ class Fit:
     residual_s: float
     inflation: float
     used: float
-    given: np.ndarray = field(repr=False)
 
     @property
     def shape_covariance(self) -> np.ndarray:
@@ -114,6 +115,11 @@ class Fit:
     def position_sd(self) -> np.ndarray:
         """Of each microphone in the room: root of the largest eigenvalue, (m,) m."""
         return _largest_sd(self.covariance[: self.positions.size, : self.positions.size])
+
+    def told(self, prior_m: float) -> float:
+        """Return the share of the ways to deform the array that the sound tells twice as well as a prior in m."""
+        values = np.linalg.eigvalsh(self.shape_covariance)[6:]
+        return float((values < (0.5 * prior_m) ** 2).mean())
 
     @property
     def delay_sd(self) -> np.ndarray:
@@ -170,18 +176,18 @@ def adjust(
         clock: s, roughly, to add to a time of the sound to get one of the way.
 
     Raises:
-        ValueError: too few windows have delays.
+        TooLittle: too few windows have delays.
 
     Source: the elimination is that of B. Triggs et al., "Bundle Adjustment: A Modern Synthesis", 2000, section 6; the
     motion that of Y. Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, 6.2.2.
     """
-    heard = np.isfinite(delays).any(axis=(1, 2))
-    if heard.sum() < 8:
-        raise ValueError(f"a clear voice in {int(heard.sum())} windows only; record some minutes of speech or claps")
+    clear = int(np.isfinite(delays).any(axis=(1, 2)).sum())
+    if clear < 8:
+        raise TooLittle(f"a clear voice in {clear} windows only; record some minutes of speech or claps")
     problem = _Problem(times, delays, first, second, microphones, speed_of_sound, priors or Priors(), way, clock)
     problem.start(places)
-    scale, share = COARSE_S, 0.0
-    for turn in range(60):
+    scale = COARSE_S
+    for _ in range(60):
         step, residuals = problem.step(scale)
         if scale > 1.01 * TURN_S:
             scale = max(0.85 * scale, TURN_S)
@@ -228,18 +234,20 @@ class _Problem:
         clock: float,
     ):
         self.times, self.delays, self.first, self.second, self.way = times, delays, first, second, way
-        self.given, self.middle = microphones, float(times.mean())
+        self.middle = float(times.mean())
         count = len(microphones)
         self.count = count
         self.mean = np.concatenate([microphones.ravel(), np.zeros(2 * count), [speed, clock], np.zeros(3)])
-        sd = [priors.position_m] * (3 * count) + [priors.delay_s] * count + [priors.drift] * count
-        self.sd = np.array([*sd, priors.speed_m_s, max(priors.clock_s, 1e-9), *priors.offset_m])
+        late, drift = (np.broadcast_to(sd, (count,)) for sd in (priors.delay_s, priors.drift))
+        last = [priors.speed_m_s, max(priors.clock_s, 1e-9), *(way.offset_m if way else (1e-9,) * 3)]
+        self.sd = np.concatenate([np.full(3 * count, priors.position_m), late, drift, last])
         self.unknown = self.mean.copy()
-        # What all delays have in common is heard by none of the pairs.
         self.prior = np.diag(self.sd**-2.0)
-        for begin, size in ((3 * count, priors.delay_s), (4 * count, priors.drift)):
-            rows = slice(begin, begin + count)
-            self.prior[rows, rows] += (1e3 / size) ** 2 / count
+        # What all delays have in common is heard by none of the pairs: those that are known best are 0 on average.
+        for begin in (3 * count, 4 * count):
+            sd = self.sd[begin : begin + count]
+            rows = begin + np.flatnonzero(sd < 1.01 * sd.min())
+            self.prior[np.ix_(rows, rows)] += (1e2 / sd.min()) ** 2 / len(rows)
         self.inflation = 1.0
         self.motion = _motion(times)
         # Of all pairs of m channels only m - 1 delays are independent.
@@ -254,12 +262,11 @@ class _Problem:
             return np.zeros(len(self.times))
         at = self.times + self.mean[5 * self.count + 1]
         known = (at >= self.way.times[0]) & (at <= self.way.times[-1])
-        nearest = np.abs(at - self.way.times[np.abs(at[:, None] - self.way.times).argmin(axis=1)])
-        known &= nearest < 0.5
-        blocks = np.floor(at / max(self.way.lasting_s, 1e-3)).astype(int)
-        _, inverse, sizes = np.unique(blocks[known], return_inverse=True, return_counts=True)
+        nearest = np.abs(at[:, None] - self.way.times).argmin(axis=1)
+        known &= np.abs(at - self.way.times[nearest]) < 0.5
+        _, shared, sizes = np.unique(self.way.errors[nearest[known]], return_inverse=True, return_counts=True)
         information = np.zeros(len(at))
-        information[known] = 1.0 / (self.way.sd_m**2 * sizes[inverse])
+        information[known] = 1.0 / (self.way.sd_m**2 * sizes[shared])
         return information
 
     def start(self, places: np.ndarray) -> None:
@@ -271,7 +278,12 @@ class _Problem:
         self.local = np.concatenate([smooth, np.zeros_like(smooth)], axis=1)
 
     def _model(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Predicted delays (n, p), the units (n, p, 3) from each of its microphones, its late times, its ranges' difference."""
+        """Predict the delays (n, p).
+
+        Returns:
+            delays, unit vectors (n, p, 3) from the first and from the second microphone, by how much later than the
+            window's middle a pair hears, s, and the difference of the ranges, m.
+        """
         count = self.count
         positions, speed = self.unknown[: 3 * count].reshape(-1, 3), self.unknown[5 * count]
         late, drift = self.unknown[3 * count : 4 * count], self.unknown[4 * count : 5 * count]
@@ -338,9 +350,10 @@ class _Problem:
         return information, gradient, ll, lr, lg, np.where(ratio < 1e6, ratio * scale, np.inf)
 
     def _local_priors(self, ll: np.ndarray, lr: np.ndarray, lg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Add what is known of mouths and of the way; return what that adds for the global unknowns, (g, g) and (g,)."""
-        ll[:, 2, 2] += MOUTH_SD_M**-2.0 / max(len(self.times), 1) * 20.0
-        lr[:, 2] += (MOUTH_M - self.local[:, 2]) * MOUTH_SD_M**-2.0 / max(len(self.times), 1) * 20.0
+        """Add what is known of mouths and of the way; return what that adds to the global information and gradient."""
+        level = MOUTH_SD_M**-2.0 / len(self.times)
+        ll[:, 2, 2] += level
+        lr[:, 2] += level * (MOUTH_M - self.local[:, 2])
         g = len(self.unknown)
         information, gradient = np.zeros((g, g)), np.zeros(g)
         if self.way is None:
@@ -400,13 +413,13 @@ class _Problem:
 
         Source: the cluster estimator of K.-Y. Liang and S. L. Zeger, Biometrika 73, 1986, as one factor.
         """
-        total, _, Z, _, _, data, gradients, blocks, coupling, direct = self._solved(scale)
+        _, _, Z, _, _, data, gradients, blocks, coupling, direct = self._solved(scale)
         n, g = len(self.times), len(self.unknown)
         back = Z.reshape(n, 6, g)
         score = gradients - np.einsum("nlg,nl->ng", back, direct)
         cross = np.einsum("nlg,nlh->gh", back, coupling)
         fisher = data - cross - cross.T + np.einsum("nlg,nlk,nkh->gh", back, blocks, back)
-        values, vectors = np.linalg.eigh(fisher / np.outer(1 / self.sd, 1 / self.sd) ** 1.0 if False else fisher * np.outer(self.sd, self.sd))
+        values, vectors = np.linalg.eigh(fisher * np.outer(self.sd, self.sd))
         told = values > 4.0  # what the sound tells better than the priors
         if not told.any():
             return 1.0
@@ -442,7 +455,6 @@ class _Problem:
             residual_s=scale,
             inflation=self.inflation,
             used=share,
-            given=self.given,
         )
 
 
@@ -462,7 +474,7 @@ def _motion(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _banded(ll: np.ndarray, motion: tuple[np.ndarray, np.ndarray], local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Put the local blocks (n, 6, 6) and the motion into a lower banded matrix (12, 6 n); return the motion's pull too."""
+    """Put local blocks (n, 6, 6) and the motion into a lower banded matrix (12, 6 n); return the motion's pull too."""
     F, Q = motion
     n = len(ll)
     diagonal, pull = ll + 1e-6 * np.eye(6), np.zeros((n, 6))

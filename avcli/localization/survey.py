@@ -9,21 +9,26 @@ whose sound it carries.
 import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from avcli.localization import correlation
+from avcli.localization.faults import Fault
+from avcli.localization.health import UNUSUAL_DB
 from avcli.localization.srp import SteeredResponse
-from avcli.numeric import assign, fft_length
+from avcli.numeric import TooLittle, assign, fft_length
 
-WINDOW_S, HOP_S = 0.085, 0.1
+WINDOW_S, HOP_S = 0.085, 0.05
 BAND_HZ = (300.0, 8000.0)
-MOST = 1500
+MOST = 3600
 """Windows that are used at most; of a longer recording they are taken evenly."""
-LISTENED = 240
-"""Windows from which the state of the channels is found."""
+ALONE, LISTENED = 1200, 240
+"""How many of them are heard each by itself, and from how many the state of the channels is found."""
 LONGEST_S = 0.06
 """The largest delay of a channel that is looked for, s."""
+TOLD_S = 0.0005
+"""The least delay that is told from a microphone that hangs up to 17 cm from where the config says, s."""
 STEEPEST = 150e-6
 """The largest drift of a channel against the others that is looked for."""
 STRETCH_S = 15.0
@@ -64,6 +69,54 @@ class Channels:
     level_db: np.ndarray
 
     @property
+    def late(self) -> np.ndarray:
+        """Which channels (m,) were found to be late or to drift."""
+        return (self.delay != 0.0) | (self.drift != 0.0)
+
+    def faults(self) -> list[Fault]:
+        """What is wrong with the channels."""
+        found = list[Fault]()
+        for microphone, channel in enumerate(self.order):
+            number = int(channel) + 1
+            if not self.usable[microphone]:
+                found.append(Fault(number, "unexplained", corrected=False))
+                continue
+            if channel != microphone:
+                found.append(Fault(number, "swapped", microphone=microphone + 1))
+            if self.sign[microphone] < 0.0:
+                found.append(Fault(number, "polarity"))
+            if self.late[microphone]:
+                found.append(Fault(number, "late", delay_s=float(self.delay[microphone])))
+            if abs(self.level_db[microphone]) > UNUSUAL_DB:
+                found.append(Fault(number, "level", level_db=float(self.level_db[microphone])))
+        return found
+
+    def words(self) -> list[str]:
+        """Describe what is wrong in sentences without a full stop."""
+        drifting = [
+            f"channel {channel + 1} drifts by {1e6 * drift:.1f} ppm"
+            for channel, drift in zip(self.order, self.drift, strict=True)
+            if drift
+        ]
+        return [str(fault) for fault in self.faults()] + drifting
+
+    def record(self) -> list[dict[str, Any]]:
+        """Return the state of each microphone's channel, as avcalib writes it."""
+        return [
+            {
+                "channel": int(channel) + 1,
+                "polarity": int(sign),
+                "delay_s": float(delay),
+                "drift_ppm": 1e6 * float(drift),
+                "level_db": float(level),
+                "usable": bool(usable),
+            }
+            for channel, sign, delay, drift, level, usable in zip(
+                self.order, self.sign, self.delay, self.drift, self.level_db, self.usable, strict=True
+            )
+        ]
+
+    @property
     def usable(self) -> np.ndarray:
         """Which microphones (m,) agree with the others at some delay."""
         return self.heard >= CLEAR
@@ -100,13 +153,13 @@ class Listening:
         speed_of_sound: m/s.
 
     Raises:
-        ValueError: there is too little sound.
+        TooLittle: there is too little sound.
     """
 
     def __init__(self, read: Read, microphones: np.ndarray, low: np.ndarray, high: np.ndarray, speed_of_sound: float):
         self.times, self.spectra, levels, frame = _windows(read)
         if len(self.times) < 8:
-            raise ValueError(f"only {len(self.times)} windows of sound; record some minutes of speech or claps")
+            raise TooLittle(f"only {len(self.times)} windows of sound; record some minutes of speech or claps")
         self.listener = _Listener(frame, microphones, low, high, speed_of_sound)
         some = np.unique(np.linspace(0, len(self.times) - 1, LISTENED).astype(int))
         channels = self.listener.channels(self.times[some], self.spectra[some])
@@ -115,17 +168,20 @@ class Listening:
         self.corrected = self.listener.corrected(self.times, self.spectra, self.channels)
 
     def heard(self) -> Survey:
-        """Return what each window tells by itself."""
-        places, delays = self.listener.delays(self.corrected, self.channels)
-        return Survey(self.times, places, delays, self.listener.first, self.listener.second, self.channels)
+        """Return what single windows tell, each by itself."""
+        some = np.unique(np.linspace(0, len(self.times) - 1, ALONE).astype(int))
+        places, delays = self.listener.delays(self.corrected[some], self.channels)
+        return Survey(self.times[some], places, delays, self.listener.first, self.listener.second, self.channels)
 
-    def again(self, path: np.ndarray, predicted: np.ndarray) -> Survey:
+    def again(self, times: np.ndarray, path: np.ndarray, predicted: np.ndarray) -> Survey:
         """Return what windows that follow on tell together, turned to where a voice is thought to be in each.
 
         Args:
-            path: (n, 3) m, the voice's place in each window.
-            predicted: (n, p) s, the delays of the pairs in each window.
+            times: (k,) s.
+            path: (k, 3) m, the voice's place at these times.
+            predicted: (k, p) s, the delays of the pairs then.
         """
+        path, predicted = _between(self.times, times, path), _between(self.times, times, predicted)
         listener = self.listener
         usable = self.channels.usable
         kept = usable[listener.first] & usable[listener.second]
@@ -136,8 +192,12 @@ class Listening:
         for row, (begin, end) in enumerate(itertools.pairwise(begins)):
             delays[row, kept] = listener.together(self.corrected[begin:end], predicted[begin:end])[kept]
         return Survey(
-            self.times[middles], path[middles], predicted[middles][..., None] + delays, listener.first,
-            listener.second, self.channels
+            self.times[middles],
+            path[middles],
+            predicted[middles][..., None] + delays,
+            listener.first,
+            listener.second,
+            self.channels,
         )
 
 
@@ -156,7 +216,7 @@ class _Frame:
 
 
 def _windows(read: Read) -> tuple[np.ndarray, np.ndarray, np.ndarray, _Frame]:
-    """Return the middles (n,) s of the loud windows, their whitened spectra (n, m, bins), and the channels' RMS (m,)."""
+    """Return the middles (n,) s of the loud windows, their whitened spectra (n, m, bins), and the channels' RMS."""
     marks, powers = list[tuple[int, int]](), list[np.ndarray]()
     frame: _Frame | None = None
     for piece, (_, samples, rate) in enumerate(read()):
@@ -294,7 +354,9 @@ class _Listener:
         usable = agrees >= CLEAR
         sign = picked[:, 0] * (1.0 if np.sum(picked[usable, 0]) >= 0 else -1.0)
         delay, drift = (picked[:, k] - np.median(picked[usable, k] if usable.any() else picked[:, k]) for k in (1, 2))
-        return Channels(order, sign, delay, drift, agrees, np.zeros(count))
+        # A microphone that hangs beside its place seems late by less than this, and a drift shows by more in the end.
+        late = (np.abs(delay) > TOLD_S) | (np.abs(drift) * np.ptp(middles) > TOLD_S)
+        return Channels(order, sign, np.where(late, delay, 0.0), np.where(late, drift, 0.0), agrees, np.zeros(count))
 
     def delays(self, windows: np.ndarray, channels: Channels) -> tuple[np.ndarray, np.ndarray]:
         """Return where each window's sound comes from, (n, 3) m, and the peaks of the pairs' GCCs, (n, pairs, k) s."""
@@ -331,6 +393,11 @@ class _Listener:
         around = [np.take_along_axis(gcc, at + offset, axis=1) for offset in (0, 1, 2)]
         lag = at + 1 - lags + correlation.interpolate_peak(*around)
         return np.where(np.isfinite(found), lag * self.step, np.nan)
+
+
+def _between(at: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Interpolate values (k, c), known at times (k,), linearly: (n, c)."""
+    return np.stack([np.interp(at, times, column) for column in values.T], axis=1)
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:
