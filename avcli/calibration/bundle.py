@@ -9,7 +9,6 @@ cannot tell: where the array is in the room, how it is turned, and how large it 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from avcli.numeric import TooLittle
 
@@ -384,6 +383,8 @@ class _Problem:
 
     def _solved(self, scale: float) -> tuple[np.ndarray, ...]:
         """Eliminate the local unknowns: reduced information (g, g) and gradient (g,), and what leads back to them."""
+        from scipy.linalg import solveh_banded
+
         information, gradients, ll, lr, lg, rest = self._equations(scale)
         data = information.copy()
         blocks, coupling, direct = ll.copy(), lg.copy(), lr.copy()

@@ -12,7 +12,6 @@ import avcli.calibration.settings as settings
 from avcli.commands.avcalib_pictures import check_sources, read_camera, usage_errors, views_for, write_camera
 from avcli.commands.filter import GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
-from avcli.numeric import TooLittle, speed_of_sound
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
@@ -163,6 +162,7 @@ def microphones_command(
     were found. The exit status is 3, and nothing is changed, if the recording cannot tell.
     """
     from avcli.calibration import camera, microphones
+    from avcli.numeric import TooLittle
 
     given = settings_from(settings.MicrophoneSettings, values)
     if tracks and places:
@@ -215,6 +215,8 @@ def _way(session: Session, tracks: str | None, places: str | None, given: settin
 
 def _speed_of_sound(session: Session, given: settings.MicrophoneSettings) -> tuple[float, float]:
     """Return the speed of sound and its standard deviation, m/s."""
+    from avcli.numeric import speed_of_sound
+
     if given.temperature_c is None:
         return session.config.room.speed_of_sound_m_s, 2.0
     return speed_of_sound(given.temperature_c), 0.6
@@ -226,6 +228,7 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
 
     from avcli.calibration import microphones
     from avcli.localization.survey import Listening
+    from avcli.numeric import TooLittle
 
     config, speed = session.config, _speed_of_sound(session, given)[0]
     known, size = config.microphones, config.room.dimensions
