@@ -8,7 +8,7 @@
 #: make man           the manual pages, checked, and as HTML in out/man/
 #: make formats       the schemas and the key lists of the manual, from the one description of each format
 #: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-detection bench-tracking
-#:      bench-metrics bench-calibration
+#:      bench-metrics bench-calibration bench-microphones
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
@@ -46,7 +46,7 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance live long real-video
+BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long real-video
 FITS := localization voice detection looks tracking
 
 # The matrices are small: threads inside BLAS cost more than they bring.

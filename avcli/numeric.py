@@ -13,6 +13,11 @@ SPEED_OF_SOUND_M_S = 343.0
 _WORK_WORTH_SCIPY = 3_000_000
 """Inner steps of `assign` that take as long as the import of scipy.optimize (about 0.15 s)."""
 
+
+class TooLittle(ValueError):
+    """There is too little data to tell what was asked."""
+
+
 Assignment = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 

@@ -1,87 +1,210 @@
-"""Microphone positions and clocks, from voices whose way is known."""
+"""Microphone positions and clocks, from a voice that moves."""
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 import soundfile
+from click.testing import CliRunner
+from localization_rooms import MICROPHONES, heard, noisy, voice
 
-from avcli.calibration import camera, microphones
+from avcli.calibration import bundle, camera, microphones
+from avcli.commands.avcalib import main
 from avcli.formats.records import Identified
+from avcli.localization.survey import Listening
 
 SPEED = 343.0
-ROOM = np.array(
-    [
-        [0.115, 4.545, 2.493],
-        [2.401, 4.498, 2.385],
-        [4.545, 4.545, 2.484],
-        [4.498, 2.342, 2.380],
-        [4.545, 0.115, 2.489],
-        [2.395, 0.162, 2.378],
-        [0.115, 0.115, 2.489],
-        [2.386, 2.253, 2.489],
-    ]
-)
-"""The thesis's microphones, m."""
 
 
-def walk(seconds=30.0):
-    """A winding walk through the room: times (s) and mouths (m)."""
+def walk(seconds, rng):
+    """A winding walk through a room of 6 x 5 x 3 m: times (s) and mouths (m)."""
     t = np.arange(0, seconds, 0.1)
-    place = np.stack([2.3 + 1.6 * np.sin(0.41 * t), 2.3 + 1.5 * np.sin(0.53 * t + 1), 1.6 + 0.05 * np.sin(2 * t)], -1)
-    return t, place
+    a, b = rng.uniform(0, 6, 2)
+    return t, np.stack([3 + 2.2 * np.sin(0.41 * t + a), 2.5 + 1.8 * np.sin(0.53 * t + b), 1.6 + 0.03 * np.sin(t)], -1)
 
 
-def hear(where, offset, rng, noise=1e-5, wrong=0.15):
-    """Delays in windows every 50 ms; the sound's clock lags the picture's by `offset` s."""
-    t, path = walk()
-    first, second = np.triu_indices(len(where), 1)
-    times = np.arange(1.0, 28.0, 0.05)
-    delays = []
-    for middle in times:
-        emitted = middle + offset
-        for _ in range(3):
-            place = np.array([np.interp(emitted, t, path[:, i]) for i in range(3)])
-            emitted = middle + offset - np.linalg.norm(where - place, axis=1).mean() / SPEED
-        away = np.linalg.norm(where - place, axis=1)
-        delays.append((away[first] - away[second]) / SPEED)
-    delays = np.array(delays) + noise * rng.standard_normal((len(times), len(first)))
-    lost = rng.random(delays.shape)
-    delays[lost < wrong] = rng.uniform(-0.01, 0.01, (lost < wrong).sum())
-    delays[lost > 0.95] = np.nan
-    return microphones.Heard(times, delays, first, second)
+def array(rng, count=6):
+    """Microphones along the walls of that room, (count, 3) m."""
+    angle = 2 * np.pi * np.arange(count) / count
+    x, y = 3 + 2.9 * np.cos(angle), 2.5 + 2.4 * np.sin(angle)
+    return np.stack([x, y, rng.uniform(1.0, 2.5, count)], -1)
 
 
-def test_the_clock_and_one_moved_microphone_are_found():
-    rng = np.random.default_rng(0)
-    true = ROOM.copy()
-    true[3] += [0.06, -0.05, 0.04]
-    heard = hear(true, 0.24, rng)
-    found = microphones.align(heard, *walk(), ROOM, SPEED)
-    assert found.clock_offset == pytest.approx(0.24, abs=0.005)
-    assert found.improves
-    # What everything has in common (a turn or shift of room and path together) is held by the priors alone.
-    relative = found.shifts - np.median(found.shifts, axis=0)
-    assert np.linalg.norm(relative[3] - [0.06, -0.05, 0.04]) < 0.02
-    assert np.linalg.norm(np.delete(relative, 3, 0), axis=1).max() < 0.02
+@dataclass
+class Said:
+    """What a survey would say."""
+
+    times: np.ndarray
+    places: np.ndarray
+    delays: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
 
 
-def test_microphones_that_hang_right_are_left_alone():
-    found = microphones.align(hear(ROOM, -0.1, np.random.default_rng(1)), *walk(), ROOM, SPEED)
-    assert found.clock_offset == pytest.approx(-0.1, abs=0.005)
-    assert np.linalg.norm(found.shifts, axis=1).max() < 0.01
-    assert not found.improves
-    assert found.used > 0.7
+def said(true, t, path, rng, *, late=0.0, drift=0.0, noise=2e-5, offset=0.0, wrong=0.15):
+    """Delays of windows every 0.25 s; the sound's clock lags the picture's by `offset` s, and channels are late."""
+    first, second = np.triu_indices(len(true), 1)
+    times = np.arange(1.0, t[-1] - 2.0, 0.25)
+    where = np.stack([np.interp(times + offset, t, path[:, i]) for i in range(3)], -1)
+    travel = np.linalg.norm(where[:, None] - true, axis=2) / SPEED
+    ahead = np.stack([np.interp(times + offset + 0.05, t, path[:, i]) for i in range(3)], -1)
+    rate = (np.linalg.norm(ahead[:, None] - true, axis=2) / SPEED - travel) / 0.05
+    early = travel.mean(1, keepdims=True) - 0.5 * (travel[:, first] + travel[:, second])
+    delays = travel[:, first] - travel[:, second] + early * (rate[:, first] - rate[:, second])
+    behind = late + drift * times[:, None] + noise * rng.standard_normal(travel.shape)
+    delays = delays + behind[:, first] - behind[:, second]
+    delays = np.where(rng.random(delays.shape) < wrong, rng.uniform(-0.01, 0.01, delays.shape), delays)
+    rough = where + rng.normal(0, 0.05, where.shape)
+    return Said(times + travel.mean(1), rough, delays[..., None], first, second)
+
+
+def measured(heard, given, way=None, **known):
+    prior = microphones.Prior(given, 0.04, SPEED, 2.0, np.zeros(len(given), bool))
+    return microphones.measure(heard, lambda *_: heard, prior, way, **known)
+
+
+def test_stated_uncertainty_is_true_over_many_rooms():
+    errors = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        true = array(rng)
+        given = true + rng.normal(0, 0.04, true.shape)
+        priors = bundle.Priors(delay_s=1e-4, drift=1e-6)
+        late = rng.normal(0, 1e-4, 6)
+        speed = rng.normal(0, 2.0)
+        heard = said(true, *walk(25, rng), rng, late=late - late.mean())
+        fit = bundle.adjust(
+            heard.times, heard.places, heard.delays * SPEED / (SPEED + speed), heard.first, heard.second, given, SPEED,
+            priors,
+        )  # fmt: skip
+        error = (fit.positions - true).ravel()
+        errors.append(error @ np.linalg.solve(fit.covariance[:18, :18], error) / 18)
+    assert 0.6 < np.mean(errors) < 1.4
+
+
+def test_positions_and_a_channel_of_another_device_are_found():
+    rng = np.random.default_rng(1)
+    true = array(rng, 8)
+    given = true + rng.normal(0, 0.04, true.shape)
+    late, drift = np.zeros(8), np.zeros(8)
+    late[5], drift[5] = 4e-4, 5e-6
+    t, path = walk(60, rng)
+    heard = said(true, t, path, rng, late=late, drift=drift, offset=0.24)
+    found = measured(heard, given, microphones.tracked(t, path, True, 0.01), is_clock_known=False)
+    assert found.refusal is None
+    assert found.fit.clock == pytest.approx(0.24, abs=0.01)
+    assert np.median(np.linalg.norm(found.fit.positions - true, axis=1)) < 0.015
+    away = found.fit.delays - np.median(found.fit.delays)
+    assert away[5] == pytest.approx(4e-4, abs=1e-4)
+    assert np.abs(np.delete(away, 5)).max() < 1e-4
+    assert 1e6 * (found.fit.drifts - np.median(found.fit.drifts))[5] == pytest.approx(5, abs=1)
+    assert found.held_out_s < 0.5 * found.held_out_given_s
+    assert any("is not where it was measured" in line for line in found.words())
+
+
+def test_a_voice_in_one_place_tells_nothing_and_says_so():
+    rng = np.random.default_rng(2)
+    true = array(rng, 8)
+    t = np.arange(0, 30, 0.1)
+    heard = said(true, t, np.tile([2.0, 2.0, 1.5], (len(t), 1)), rng)
+    found = measured(heard, true + rng.normal(0, 0.04, true.shape))
+    assert "cannot tell where the microphones are" in found.refusal
+    assert np.median(found.fit.shape_sd) > 0.02
 
 
 def test_too_little_is_refused():
-    heard = hear(ROOM, 0.0, np.random.default_rng(2))
-    few = microphones.Heard(heard.times[:5], heard.delays[:5], heard.first, heard.second)
-    with pytest.raises(ValueError, match="talks or claps"):
-        microphones.align(few, *walk(), ROOM, SPEED)
-    t, path = walk()
+    rng = np.random.default_rng(3)
+    true = array(rng)
+    t, path = walk(40, rng)
+    heard = said(true, t, path, rng)
+    few = Said(heard.times[:5], heard.places[:5], heard.delays[:5], heard.first, heard.second)
+    with pytest.raises(ValueError, match="speech or claps"):
+        measured(few, true)
     with pytest.raises(ValueError, match="do not overlap"):
-        microphones.align(heard, t + 500, path, ROOM, SPEED)
+        measured(heard, true, microphones.tracked(t + 500, path, True, 0.05), is_clock_known=False)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """A voice for 0.75 s at each of 24 places, at 16 kHz: samples (n, 8), and the places as --places takes them."""
+    rng, fs = np.random.default_rng(4), 16000
+    parts, lines = [], []
+    for number in range(24):
+        place = np.array([*rng.uniform(0.6, 4.0, 2), rng.uniform(1.2, 1.7)])
+        parts.append(heard(place, voice(0.75, fs, rng), fs, reflection=0.5, order=1))
+        lines.append(f"{0.75 * number + 0.05},{0.75 * number + 0.7},{place[0]},{place[1]},{place[2]}")
+    return noisy(np.concatenate(parts), 30, rng), fs, "\n".join(["# begin,end,x,y,z", *lines])
+
+
+def test_a_survey_finds_late_turned_and_exchanged_channels(recording):
+    samples, fs, _ = recording
+    faulty = samples.copy()
+    faulty[:, 1] *= -1
+    faulty[:, [2, 3]] = faulty[:, [3, 2]]
+    faulty[:, 6] = np.roll(faulty[:, 6], 80)
+    listening = Listening(lambda: [(0.0, faulty, fs)], MICROPHONES, np.array([0.1, 0.1, 0.8]), [4.5, 4.5, 2.0], SPEED)
+    channels = listening.channels
+    assert channels.order.tolist() == [0, 1, 3, 2, 4, 5, 6, 7]
+    assert channels.sign.tolist() == [1, -1, 1, 1, 1, 1, 1, 1]
+    assert channels.delay[6] == pytest.approx(0.005, abs=3e-4)
+    assert np.count_nonzero(channels.delay) == 1
+    assert channels.usable.all()
+    told = {str(fault) for fault in channels.faults()}
+    assert any("channel 2 has the wrong polarity" in one for one in told)
+    assert any("channel 4 carries the sound of microphone 3" in one for one in told)
+
+
+def experiment(tmp_path, samples, fs, positions):
+    (tmp_path / "audio" / "wav").mkdir(parents=True)
+    soundfile.write(tmp_path / "audio" / "wav" / "multichannel_audio_0.0000000000.wav", samples, fs)
+    raw = {
+        "room_config": {"room_dimensions_m": [4.66, 4.66, 3.0]},
+        "microphone_config": {"audio_sample_rate_hz": fs, "mic_positions_m": positions.tolist()},
+    }
+    (tmp_path / "config.json").write_text(json.dumps(raw))
+    return raw
+
+
+def test_the_command_writes_a_corrected_config(recording, tmp_path):
+    samples, fs, places = recording
+    given = MICROPHONES + np.random.default_rng(5).normal(0, 0.04, MICROPHONES.shape)
+    raw = experiment(tmp_path, samples, fs, given)
+    (tmp_path / "places.csv").write_text(places)
+    new = tmp_path / "new.json"
+    result = CliRunner().invoke(
+        main, ["microphones", "-C", str(tmp_path), "--places", str(tmp_path / "places.csv"), "-o", str(new)]
+    )
+    assert result.exit_code == 0, result.output
+    written = json.loads(new.read_text())
+    assert written["room_config"] == raw["room_config"]
+    found = np.array(written["microphone_config"]["mic_positions_m"])
+    assert np.median(np.linalg.norm(found - MICROPHONES, axis=1)) < 0.02
+    assert written["microphone_config"]["calibration"]["sd_m"] < 0.04
+    assert json.loads((tmp_path / "config.json").read_text()) == raw
+
+
+def test_the_command_changes_nothing_where_the_recording_cannot_tell(recording, tmp_path):
+    samples, fs, _ = recording
+    raw = experiment(tmp_path, np.tile(samples[: round(0.75 * fs)], (8, 1)), fs, MICROPHONES)
+    new = tmp_path / "new.json"
+    result = CliRunner().invoke(main, ["microphones", "-C", str(tmp_path), "--write", "-o", str(new)])
+    assert result.exit_code == 3, result.output
+    assert "record some minutes of speech or claps" in result.output
+    assert not new.exists()
+    assert json.loads((tmp_path / "config.json").read_text()) == raw
+
+
+def test_places_are_read_and_bad_lines_named():
+    way = microphones.measured_places("# claps\n1,2,0.5,0.6,1.2\n\n3,4.5,2,2,1.5\n", "p.csv")
+    assert way.times[[0, -1]].tolist() == [1.0, 4.5]
+    assert way.places[0].tolist() == [0.5, 0.6, 1.2]
+    assert len(np.unique(way.errors)) == 2
+    for bad in ("1,2,3", "2,1,0,0,0", "1,2,0,0,x", "1,2,0,0,nan", "1,3,0,0,1\n2,4,0,0,1"):
+        with pytest.raises(ValueError, match=r"p.csv:\d: expected begin,end"):
+            microphones.measured_places(bad, "p.csv")
+    with pytest.raises(ValueError, match="no places"):
+        microphones.measured_places("# nothing\n", "p.csv")
 
 
 def person(timestamp, position, mouth=None):
@@ -92,11 +215,13 @@ def person(timestamp, position, mouth=None):
 
 def test_a_mouth_is_where_the_record_says_or_ahead_of_the_walker():
     stated = [person(t, [t, 1.0, 0.0], [t + 0.2, 1.1, 1.5]) for t in (0.2, 0.0, 0.1)]
-    times, path = microphones.mouths(stated, 1.7)
+    times, path, known = microphones.mouths(stated, 1.7)
+    assert known
     assert times.tolist() == [0.0, 0.1, 0.2]
     assert np.allclose(path, [[0.2, 1.1, 1.5], [0.3, 1.1, 1.5], [0.4, 1.1, 1.5]])
     walker = [person(t, [t, 1.0, 0.0]) for t in np.arange(0, 3, 0.1)]  # 1 m/s along x
-    times, path = microphones.mouths(walker, 1.7)
+    times, path, known = microphones.mouths(walker, 1.7)
+    assert not known
     assert np.allclose(path, np.stack([times + microphones.MOUTH_AHEAD_M, 0 * times + 1, 0 * times + 1.7], -1))
 
 

@@ -115,13 +115,16 @@ def write_camera(path: Path, found: Mapping[str, Any]) -> None:
     experiment.write_config(path, raw)
 
 
-def write_microphones(path: Path, raw: Mapping[str, Any], positions: list[list[float]], sd_m: float) -> None:
-    """Write positions (m, 3) m of the microphones, and how well they are known, into a config.json that reads `raw`."""
+def with_microphones(raw: Mapping[str, Any], positions: list[list[float]], sd_m: float) -> dict[str, Any]:
+    """Return a config.json that reads `raw` with new positions (m, 3) m, and how well they are known."""
     section = raw["microphone_config"]
     listed = [
         {**old, "position": new} if isinstance(old, Mapping) else new
         for old, new in zip(section["mic_positions_m"], positions, strict=True)
     ]
-    experiment.write_config(
-        path, {**raw, "microphone_config": {**section, "mic_positions_m": listed, "calibration": {"sd_m": sd_m}}}
-    )
+    return {**raw, "microphone_config": {**section, "mic_positions_m": listed, "calibration": {"sd_m": sd_m}}}
+
+
+def write_microphones(path: Path, raw: Mapping[str, Any], positions: list[list[float]], sd_m: float) -> None:
+    """Write positions (m, 3) m of the microphones into a config.json that reads `raw`."""
+    experiment.write_config(path, with_microphones(raw, positions, sd_m))

@@ -230,7 +230,7 @@ def _microphones(config: Config, folder: Path) -> tuple[str, str]:
         text += "; fewer than four do not tell a place"
     found = values.get("calibration")
     if not isinstance(found, Mapping):
-        return "stated", f"{text}; avcalib microphones tests the positions"
+        return "stated", f"{text}; avcalib microphones measures the positions by sound"
     return "measured", f"{text}, found with avcalib microphones to ± {1000 * float(found.get('sd_m') or 0):.0f} mm"
 
 

@@ -1,95 +1,311 @@
-"""Microphone positions and the clock between sound and picture, from a speaker whose track is known."""
+"""Microphones measured by sound: a voice that moves tells where they are, and when each channel hears."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
+from avcli.calibration import bundle
 from avcli.formats import media
 from avcli.formats.records import Identified
 
-POSITION_SD_M = 0.05
-"""Expected error of a measured microphone position, m (prior)."""
-SOURCE_SD_M = 0.1
-"""Expected offset of the mouth from the track, m (prior); one offset for the whole recording."""
 SMOOTH_S = 0.4
 """Width of the Gaussian over which a track is smoothed, s."""
 MOUTH_AHEAD_M = 0.1
 """How far a walker's mouth is ahead of the body's axis."""
+TRACK_LASTS_S = 2.0
+"""How long an error of a track lasts, s."""
+PLACE_SD_M = 0.01
+"""Standard deviation of a place that was measured, m."""
+STATED_M, GUESSED_M = (0.005, 0.005, 0.005), (0.05, 0.05, 0.1)
+"""Standard deviation of what all places of a voice have in common as an error, along x, y, z, m: where the mouth is
+stated, and where it is guessed from the body's track."""
+WIDEST_CLOCK_S, CLOCK_SD_S = 1.0, 0.05
+"""How far the clocks of a track and of the sound may be apart, and how well the first look tells that, s."""
+SYNCHRONOUS = 3.0
+"""How many standard deviations of its delay or drift a channel must be off before it is not taken for synchronous."""
+TIGHT_S, TIGHT_DRIFT = 1e-5, 1e-7
+"""How well synchronous channels agree: delay in s, drift in s/s."""
+ENOUGH = 0.5
+"""The share of the ways to deform an array that a recording must tell."""
 _SURE = 16.3
 """Chi-square with three degrees of freedom that chance exceeds once in a thousand."""
 
 
+class Heard(Protocol):
+    """What was heard: times (n,) s, rough places (n, 3) m, candidates for the pairs' delays (n, p, k) s."""
+
+    @property
+    def times(self) -> np.ndarray: ...
+    @property
+    def places(self) -> np.ndarray: ...
+    @property
+    def delays(self) -> np.ndarray: ...
+    @property
+    def first(self) -> np.ndarray: ...
+    @property
+    def second(self) -> np.ndarray: ...
+
+
+Again = Callable[[np.ndarray, np.ndarray, np.ndarray], Heard]
+"""Listens again, given times (k,) s, the path (k, 3) m and the pairs' delays (k, p) s there."""
+
+
 @dataclass(frozen=True)
-class Heard:
-    """When a voice reached which microphone.
+class Prior:
+    """What is known of an array before.
 
     Attributes:
-        times: (n,) s on the sound's clock, middles of the windows.
-        delays: (n, p) s, arrival at a pair's first microphone minus at its second; NaN where nothing was clear.
-        first, second: (p,) the microphones of each pair.
-    """
-
-    times: np.ndarray
-    delays: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-
-
-@dataclass(frozen=True)
-class Aligned:
-    """Microphone positions and clock offset, as the sound shows them.
-
-    Attributes:
-        clock_offset: s, to add to a time on the sound's clock to get the picture's.
-        clock_offset_sd: s.
         positions: (m, 3) m.
-        shifts: (m, 3) m, positions minus those that were given.
-        covariances: (m, 3, 3) m².
-        residual_s: robust standard deviation of the delays about the model, s.
-        held_out_given_s, held_out_s: the same for windows that took no part, with the given and the found positions.
-        used: share of the delays that fit the model.
-        windows: number of windows with a clear delay.
+        sd_m: of each coordinate.
+        speed_of_sound, speed_sd: m/s.
+        late: (m,) bool, the channels that are late by more than the others, as the survey found.
     """
 
-    clock_offset: float
-    clock_offset_sd: float
     positions: np.ndarray
-    shifts: np.ndarray
-    covariances: np.ndarray
-    residual_s: float
+    sd_m: float
+    speed_of_sound: float
+    speed_sd: float
+    late: np.ndarray
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Microphones, as the sound shows them.
+
+    Attributes:
+        fit: positions, delays and their covariance.
+        prior: what was known before.
+        told: the share of the ways to deform the array that the recording tells.
+        held_out_given_s, held_out_s: robust spread of the delays in seconds that took no part, with the given and with
+            the found positions.
+        windows: how many stretches of sound were heard.
+        placed: whether the places of the voice were known.
+    """
+
+    fit: bundle.Fit
+    prior: Prior
+    told: float
     held_out_given_s: float
     held_out_s: float
-    used: float
     windows: int
+    placed: bool
 
     @property
-    def improves(self) -> bool:
-        """Whether the found positions explain windows that took no part better than the given ones do."""
-        return bool(self.held_out_s < 0.95 * self.held_out_given_s)
+    def shifts(self) -> np.ndarray:
+        """(m, 3) m, found minus given positions."""
+        return self.fit.positions - self.prior.positions
 
     @property
-    def sd_m(self) -> float:
-        """Largest standard deviation of a microphone's position along any direction, m."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariances)[:, -1].max()))
+    def refusal(self) -> str | None:
+        """Why the recording cannot tell where the microphones are; None where it can."""
+        if self.told < ENOUGH:
+            return (
+                f"this recording cannot tell where the microphones are: of the ways in which the array can be deformed "
+                f"it tells {100 * self.told:.0f} %; walk through the whole room while you talk, or clap in ten places"
+            )
+        if self.held_out_s > 1.02 * self.held_out_given_s:
+            return "the found positions explain sound that took no part in the fit worse than the given ones do"
+        return None
 
-    def record(self) -> dict:
+    def record(self) -> dict[str, Any]:
         """What was found, as avcalib writes it."""
+        fit = self.fit
+        covariances = _blocks(fit.covariance[: fit.positions.size, : fit.positions.size])
         return {
-            "clock_offset_s": self.clock_offset,
-            "clock_offset_sd_s": self.clock_offset_sd,
-            "delay_residual_s": self.residual_s,
+            "speed_of_sound_m_s": fit.speed_of_sound,
+            "clock_offset_s": fit.clock,
+            "delay_residual_s": fit.residual_s,
             "held_out_given_s": self.held_out_given_s,
             "held_out_found_s": self.held_out_s,
+            "told": self.told,
+            "array_sd_m": fit.place_sd.tolist(),
             "microphones": [
-                {"position": p.tolist(), "shift_m": s.tolist(), "sd_m": np.sqrt(np.diag(c)).tolist()}
-                for p, s, c in zip(self.positions, self.shifts, self.covariances, strict=True)
+                {
+                    "position": position.tolist(),
+                    "shift_m": shift.tolist(),
+                    "sd_m": np.sqrt(np.diag(covariance)).tolist(),
+                    "shape_sd_m": float(shape),
+                    "delay_s": float(delay),
+                    "delay_sd_s": float(delay_sd),
+                    "drift_ppm": 1e6 * float(drift),
+                    "drift_sd_ppm": 1e6 * float(drift_sd),
+                }
+                for position, shift, covariance, shape, delay, delay_sd, drift, drift_sd in zip(
+                    fit.positions,
+                    self.shifts,
+                    covariances,
+                    fit.shape_sd,
+                    fit.delays,
+                    fit.delay_sd,
+                    fit.drifts,
+                    fit.drift_sd,
+                    strict=True,
+                )
             ],
         }
 
+    def words(self) -> list[str]:
+        """Describe it in sentences without a full stop."""
+        fit, lines = self.fit, list[str]()
+        covariances = _blocks(fit.covariance[: fit.positions.size, : fit.positions.size])
+        for number, (shift, covariance) in enumerate(zip(self.shifts, covariances, strict=True), 1):
+            size, sd = float(np.linalg.norm(shift)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+            elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
+            say = "is not where it was measured" if elsewhere else "agrees with its measured position"
+            lines.append(f"microphone {number} {say}: shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm")
+        shape, speed_sd = 1000 * float(np.median(fit.shape_sd)), float(np.sqrt(fit.covariance[-1, -1]))
+        place = ", ".join(f"{1000 * sd:.0f}" for sd in fit.place_sd)
+        known = "the places of the voice" if self.placed else "the given positions, since sound alone does not tell it"
+        lines += [
+            f"the shape of the array is known to {shape:.0f} mm (median)",
+            f"its place in the room is known to {place} mm along x, y, z, from {known}",
+            f"speed of sound {fit.speed_of_sound:.1f} ± {speed_sd:.1f} m/s; {self.windows} stretches of sound, delay "
+            f"residual {1e6 * fit.residual_s:.0f} µs, {100 * fit.used:.0f} % of the delays fit",
+            f"on sound held out of the fit, the delays' spread is {1e6 * self.held_out_s:.0f} µs with the found "
+            f"positions, {1e6 * self.held_out_given_s:.0f} µs with the given ones",
+        ]
+        return lines
 
-def mouths(track: Iterable[Identified], height: float) -> tuple[np.ndarray, np.ndarray]:
+
+def _blocks(covariance: np.ndarray) -> np.ndarray:
+    """The (3, 3) blocks on the diagonal of a covariance (3 m, 3 m), (m, 3, 3)."""
+    count = len(covariance) // 3
+    return covariance.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count), :]
+
+
+def measure(
+    heard: Heard, again: Again, prior: Prior, way: bundle.Way | None, *, is_clock_known: bool = True
+) -> Measured:
+    """Find an array from a moving voice: first from single windows, then from windows that are heard together.
+
+    Channels whose delay or drift differs from the others' by less than SYNCHRONOUS standard deviations are then taken
+    to be synchronous, as those of one device are.
+
+    Args:
+        heard: what single windows tell.
+        again: listens again along a path.
+        prior: what is known before.
+        way: where the voice was, if that is known.
+        is_clock_known: whether its times are the sound's.
+
+    Raises:
+        ValueError: too little was heard, or the way and the sound do not overlap in time.
+    """
+    clock = 0.0
+
+    def fitted(said: Heard, rows: np.ndarray | slice = np.s_[:], given: bool = False, **priors: Any) -> bundle.Fit:
+        return bundle.adjust(
+            said.times[rows], said.places[rows], said.delays[rows], said.first, said.second, prior.positions,
+            prior.speed_of_sound, bundle.Priors(
+                position_m=1e-6 if given else prior.sd_m, speed_m_s=prior.speed_sd,
+                clock_s=0.0 if is_clock_known else CLOCK_SD_S, **priors,
+            ), way_used, clock,
+        )  # fmt: skip
+
+    way_used = None
+    rough = fitted(heard)
+    if way is not None:
+        clock = 0.0 if is_clock_known else _clock(rough.path, heard.times, way)
+        way_used = way
+    said = again(heard.times, rough.path, rough.predicted)
+    free = fitted(said)
+    off = prior.late | (np.abs(free.delays - np.median(free.delays)) > SYNCHRONOUS * free.delay_sd)
+    adrift = prior.late | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)
+    delay, drift = np.where(off | adrift, 1e-3, TIGHT_S), np.where(adrift, 2e-5, TIGHT_DRIFT)
+    best = fitted(said, delay_s=delay, drift=drift)
+    part = np.floor(said.times / 5.0).astype(int) % 2 == 0
+    scores = [
+        [fitted_on(said, rows, model, prior) for rows, model in ((~part, one), (part, other))]
+        for one, other in (
+            [(prior.positions, np.zeros(len(off)), prior.speed_of_sound)] * 2,
+            [
+                (half.positions, half.delays, half.speed_of_sound)
+                for half in (fitted(said, rows, delay_s=delay, drift=drift) for rows in (part, ~part))
+            ],
+        )
+    ]
+    return Measured(
+        best, prior, best.told(prior.sd_m), float(np.mean(scores[0])), float(np.mean(scores[1])), len(said.times),
+        way is not None,
+    )  # fmt: skip
+
+
+def fitted_on(said: Heard, rows: np.ndarray, model: tuple[np.ndarray, np.ndarray, float], prior: Prior) -> float:
+    """Return the spread, s, of delays about an array that is held: positions (m, 3) m, delays (m,) s and the speed."""
+    positions, late, speed = model
+    delays = said.delays[rows] - (late[said.first] - late[said.second])[:, None]
+    held = bundle.Priors(position_m=1e-7, delay_s=1e-9, drift=1e-12, speed_m_s=1e-6)
+    fit = bundle.adjust(said.times[rows], said.places[rows], delays, said.first, said.second, positions, speed, held)
+    away = np.nanmin(np.abs(delays - fit.predicted[..., None]), axis=2, initial=np.inf, where=np.isfinite(delays))
+    return 1.4826 * float(np.median(away[np.isfinite(away)]))
+
+
+def _clock(path: np.ndarray, times: np.ndarray, way: bundle.Way) -> float:
+    """Return what to add to times (n,) s of a path (n, 3) m to get those of the way, s.
+
+    Raises:
+        ValueError: they do not overlap.
+    """
+    best, least = 0.0, np.inf
+    for offset in np.arange(-WIDEST_CLOCK_S, WIDEST_CLOCK_S + 1e-9, 0.02):
+        at = times + offset
+        known = (at >= way.times[0]) & (at <= way.times[-1])
+        if known.mean() < 0.3:
+            continue
+        there = np.stack([np.interp(at[known], way.times, way.places[:, axis]) for axis in range(2)], axis=1)
+        apart = float(np.median(np.linalg.norm(there - path[known, :2], axis=1)))
+        if apart < least:
+            best, least = float(offset), apart
+    if not np.isfinite(least):
+        raise ValueError("the sound and the track do not overlap in time")
+    return best
+
+
+def tracked(times: np.ndarray, places: np.ndarray, is_stated: bool, sd_m: float) -> bundle.Way:
+    """Return the way of a track: times (k,) s, mouths (k, 3) m, which are stated or guessed; its errors last a while.
+
+    Raises:
+        ValueError: it has fewer than two records with one person.
+    """
+    if len(times) < 2:
+        raise ValueError(f"the track has {len(times)} records with one person; record one person who walks and talks")
+    return bundle.Way(
+        times, places, np.floor(times / TRACK_LASTS_S).astype(int), sd_m, STATED_M if is_stated else GUESSED_M
+    )
+
+
+def measured_places(text: str, name: str) -> bundle.Way:
+    """Read where somebody spoke or clapped: lines "begin,end,x,y,z" in s and m.
+
+    Raises:
+        ValueError: a line is not five numbers, or ends before it begins, or overlaps the one before.
+    """
+    rows = [line.strip() for line in text.splitlines()]
+    times, places, errors = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+    last = -np.inf
+    for number, row in enumerate(rows, 1):
+        if not row or row.startswith("#"):
+            continue
+        try:
+            begin, end, *place = (float(cell) for cell in row.split(","))
+        except ValueError:
+            begin, end, place = np.nan, np.nan, []
+        if len(place) != 3 or not np.isfinite([begin, end, *place]).all() or not last <= begin < end:
+            raise ValueError(f"{name}:{number}: expected begin,end,x,y,z in s and m, in order of time, found {row!r}")
+        last = end
+        at = np.linspace(begin, end, max(2, int((end - begin) / 0.1)))
+        times.append(at)
+        places.append(np.tile(place, (len(at), 1)))
+        errors.append(np.full(len(at), number))
+    if not times:
+        raise ValueError(f"{name}: there are no places in it")
+    return bundle.Way(np.concatenate(times), np.concatenate(places), np.concatenate(errors), PLACE_SD_M, STATED_M)
+
+
+def mouths(track: Iterable[Identified], height: float) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return where a walker's mouth is: as the records state it, otherwise ahead of the body at a height.
 
     Args:
@@ -97,7 +313,7 @@ def mouths(track: Iterable[Identified], height: float) -> tuple[np.ndarray, np.n
         height: m, of the mouth where a record does not state it.
 
     Returns:
-        times (k,) s, ascending, and mouths (k, 3) m.
+        times (k,) s, ascending, mouths (k, 3) m, and whether the records state all of them.
     """
     alone = sorted((one for one in track if len(one) == 1), key=lambda one: one.timestamp)
     times = np.array([one.timestamp for one in alone])
@@ -111,7 +327,7 @@ def mouths(track: Iterable[Identified], height: float) -> tuple[np.ndarray, np.n
         ahead = np.where(speed > 0.2, MOUTH_AHEAD_M * step / np.maximum(speed, 1e-9), 0.0)
         path[bare, :2] += ahead[bare]
     path[bare, 2] = height
-    return times, path
+    return times, path, not bare.any()
 
 
 def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -130,203 +346,27 @@ def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def sounds(paths: Sequence[str], folder: Path | None) -> Iterator[tuple[float, np.ndarray, int]]:
-    """Read sound that follows on: files one after another, or a folder's files, each from the time in its name.
+    """Read sound in pieces: files that follow one another, or a folder's files, each from the time in its name.
 
     Args:
         paths: sound files in order of time, from time 0 on.
         folder: where to look instead if there are no paths: DIR/audio/wav of an experiment.
 
     Returns:
-        start in s, samples (n, channels) and sample rate in Hz of each.
+        start in s, samples (n, channels) and sample rate in Hz of each piece.
 
     Raises:
         ValueError: there is no sound.
     """
+    files: list[tuple[str | Path, float | None]] = [(path, None) for path in paths]
+    if not paths and folder is not None:
+        found = sorted(folder.glob("multichannel_audio_*"))
+        if not found:
+            raise ValueError(f"no sound in {folder}; name the files with --audio")
+        files = [(file, float(file.stem.rsplit("_", 1)[1])) for file in found]
     start = 0.0
-    for path in paths:
-        samples, rate = media.read_audio(path)
-        yield start, samples, rate
-        start += len(samples) / rate
-    if paths or folder is None:
-        return
-    files = sorted(folder.glob("multichannel_audio_*"))
-    if not files:
-        raise ValueError(f"no sound in {folder}; name the files with --audio")
-    for file in files:
-        samples, rate = media.read_audio(file)
-        yield float(file.stem.rsplit("_", 1)[1]), samples, rate
-
-
-def joined(parts: list[tuple[np.ndarray, np.ndarray]], microphones: int) -> Heard:
-    """Join (times (n,), delays (n, pairs)) of stretches of sound; pairs in the order of the upper triangle."""
-    first, second = np.triu_indices(microphones, 1)
-    times, delays = [np.zeros(0)], [np.zeros((0, len(first)))]
-    for some, found in parts:
-        times.append(some)
-        delays.append(found)
-    return Heard(np.concatenate(times), np.concatenate(delays), first, second)
-
-
-def words(result: Aligned) -> list[str]:
-    """Describe the clock and the microphones, in sentences without a full stop."""
-    lines = [
-        f"clock: picture time = sound time {result.clock_offset:+.4f} s ± {result.clock_offset_sd:.4f} s; "
-        f"{result.windows} windows, delay residual {1e6 * result.residual_s:.0f} µs, {100 * result.used:.0f} % of the "
-        "delays fit"
-    ]
-    for number, (shift, covariance) in enumerate(zip(result.shifts, result.covariances, strict=True), 1):
-        size, sd = float(np.linalg.norm(shift)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-        elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
-        say = "is not where it was measured" if elsewhere else "agrees with its measured position"
-        lines.append(f"microphone {number} {say}: shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm")
-    better = "are better than" if result.improves else "are not better than"
-    found, given = 1e6 * result.held_out_s, 1e6 * result.held_out_given_s
-    lines.append(
-        f"on sound held out of the fit, the found positions {better} the given ones: residual {found:.0f} µs, given "
-        f"{given:.0f} µs"
-    )
-    return lines
-
-
-def align(
-    heard: Heard,
-    path_times: np.ndarray,
-    path: np.ndarray,
-    microphones: np.ndarray,
-    speed_of_sound: float,
-    *,
-    widest_offset: float = 1.0,
-) -> Aligned:
-    """Find clock offset and microphone positions that explain when a moving voice was heard.
-
-    The offset is scanned with the given positions and then solved for together with the positions and one offset of the
-    mouth, by robust Gauss-Newton with Gaussian priors (maximum a posteriori; the priors hold what the walk leaves open,
-    such as a turn of everything about a straight path).
-
-    Args:
-        heard: delays.
-        path_times, path: (k,) s on the picture's clock, ascending, and (k, 3) m, where the mouth was.
-        microphones: (m, 3) m as measured.
-        speed_of_sound: m/s.
-        widest_offset: s, how far the clocks may be apart.
-
-    Raises:
-        ValueError: too little was heard while the voice's place was known.
-    """
-    clear = np.isfinite(heard.delays)
-    if clear.any(1).sum() < 8 or len(path_times) < 2:
-        raise ValueError(
-            f"not enough data: a clear voice in {int(clear.any(1).sum())} windows, a track of {len(path_times)} "
-            "records; record one person who talks or claps at ten or more places"
-        )
-    problem = _Problem(heard, path_times, path, microphones, speed_of_sound)
-    offsets = np.arange(-widest_offset, widest_offset + 1e-9, 0.02)
-    costs = [problem.coarse_cost(offset) for offset in offsets]
-    if not np.isfinite(costs).any():
-        raise ValueError("the sound and the track do not overlap in time")
-    start = float(offsets[int(np.nanargmin(costs))])
-    # Alternate stretches of about a second, so that neighbours in time do not tell each other's noise.
-    part = (np.floor(heard.times - heard.times[0]).astype(int) % 2).astype(bool)
-    every = np.ones(len(part), bool)
-    found, covariance, spread, used = problem.solve(start, every, free=True)
-    given = [problem.solve(start, part == half, free=False)[0] for half in (False, True)]
-    learned = [problem.solve(start, part == half, free=True)[0] for half in (False, True)]
-    count = len(microphones)
-    return Aligned(
-        clock_offset=float(found[0]),
-        clock_offset_sd=float(np.sqrt(covariance[0, 0])),
-        positions=microphones + found[4:].reshape(-1, 3),
-        shifts=found[4:].reshape(-1, 3),
-        covariances=np.stack([covariance[4 + 3 * i : 7 + 3 * i, 4 + 3 * i : 7 + 3 * i] for i in range(count)]),
-        residual_s=spread,
-        held_out_given_s=float(np.mean([problem.spread(given[h], part != bool(h)) for h in (0, 1)])),
-        held_out_s=float(np.mean([problem.spread(learned[h], part != bool(h)) for h in (0, 1)])),
-        used=used,
-        windows=int(clear.any(1).sum()),
-    )
-
-
-class _Problem:
-    """Unknowns: clock offset (s), offset of the mouth (3, m), shift of each microphone (3 m, m)."""
-
-    def __init__(self, heard: Heard, path_times: np.ndarray, path: np.ndarray, microphones: np.ndarray, speed: float):
-        self.heard, self.path_times, self.path = heard, path_times, path
-        self.microphones, self.speed = microphones, speed
-        middle = path.mean(0)
-        self.travel = float(np.linalg.norm(microphones - middle, axis=1).mean() / speed)
-
-    def _at(self, offset: float) -> tuple[np.ndarray, np.ndarray]:
-        """Place and velocity of the mouth in each window, NaN where the track does not say."""
-        t = self.heard.times + offset - self.travel
-        inside = (t >= self.path_times[0]) & (t <= self.path_times[-1])
-        place = np.stack([np.interp(t, self.path_times, self.path[:, i]) for i in range(3)], -1)
-        h = 0.05
-        ahead = np.stack([np.interp(t + h, self.path_times, self.path[:, i]) for i in range(3)], -1)
-        behind = np.stack([np.interp(t - h, self.path_times, self.path[:, i]) for i in range(3)], -1)
-        place[~inside] = np.nan
-        return place, (ahead - behind) / (2 * h)
-
-    def _model(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predicted delays (n, p) and their derivatives (n, p, unknowns)."""
-        place, velocity = self._at(unknown[0])
-        m = self.microphones + unknown[4:].reshape(-1, 3)
-        away = (place + unknown[1:4])[:, None] - m[None]
-        distance = np.linalg.norm(away, axis=2)
-        unit = away / np.maximum(distance, 1e-9)[..., None]
-        first, second = self.heard.first, self.heard.second
-        predicted = (distance[:, first] - distance[:, second]) / self.speed
-        towards = (unit[:, first] - unit[:, second]) / self.speed
-        J = np.zeros((*predicted.shape, len(unknown)))
-        J[:, :, 0] = np.einsum("npi,ni->np", towards, velocity)
-        J[:, :, 1:4] = towards
-        p = np.arange(len(first))
-        for i in range(3):
-            J[:, p, 4 + 3 * first + i] = -unit[:, first, i] / self.speed
-            J[:, p, 4 + 3 * second + i] = unit[:, second, i] / self.speed
-        return predicted, J
-
-    def _rest(self, unknown: np.ndarray) -> np.ndarray:
-        return self.heard.delays - self._model(unknown)[0]
-
-    def coarse_cost(self, offset: float) -> float:
-        """Mean of the delays' misfit, none of them counting more than a millisecond."""
-        unknown = np.zeros(4 + self.microphones.size)
-        unknown[0] = offset
-        rest = np.abs(self._rest(unknown))
-        known = np.isfinite(rest)
-        if known.sum() < 0.3 * np.isfinite(self.heard.delays).sum():
-            return np.nan
-        return float(np.minimum(rest[known], 1e-3).mean())
-
-    def solve(self, start: float, windows: np.ndarray, *, free: bool) -> tuple[np.ndarray, np.ndarray, float, float]:
-        """Solve from a clock offset; `free` lets the microphones move.
-
-        Returns the unknowns, their covariance, the delays' spread (s) and the share of delays within three of it.
-        """
-        size = 4 + self.microphones.size
-        unknown = np.zeros(size)
-        unknown[0] = start
-        sd = np.concatenate([[1.0], np.full(3, SOURCE_SD_M), np.full(size - 4, POSITION_SD_M if free else 1e-9)])
-        scale = 3e-4
-        for _ in range(30):
-            predicted, J = self._model(unknown)
-            rest = self.heard.delays - predicted
-            good = np.isfinite(rest) & windows[:, None]
-            r, A = rest[good], J[good]
-            # Cauchy's weight: echoes and wrong peaks are far off and should not pull at all.
-            weight = 1 / (1 + (r / (2 * scale)) ** 2)
-            normal = (A * weight[:, None]).T @ A / scale**2 + np.diag(1 / sd**2)
-            prior = unknown.copy()
-            prior[0] = 0.0 if abs(start) < 1e-12 else unknown[0] - start
-            step = np.linalg.solve(normal, (A * weight[:, None]).T @ r / scale**2 - prior / sd**2)
-            step[0] = np.clip(step[0], -0.05, 0.05)
-            unknown = unknown + step
-            scale = max(1.4826 * float(np.median(np.abs(r))), 2e-6)
-            if np.abs(step).max() < 1e-8:
-                break
-        return unknown, np.linalg.inv(normal), scale, float((np.abs(r) < 3 * scale).mean())
-
-    def spread(self, unknown: np.ndarray, windows: np.ndarray) -> float:
-        """Robust standard deviation of the delays in some windows, s."""
-        rest = self._rest(unknown)[windows]
-        return 1.4826 * float(np.median(np.abs(rest[np.isfinite(rest)])))
+    for path, stated in files:
+        start = start if stated is None else stated
+        for samples, rate in media.audio_blocks(path, 1 << 17):
+            yield start, samples, rate
+            start += len(samples) / rate

@@ -215,7 +215,7 @@ class PrintSettings:
 
 @dataclass(frozen=True)
 class MicrophoneSettings:
-    """How the mouth of a walker is placed."""
+    """What is known of an array, and of the voice, before they are measured by sound."""
 
     mouth_height_m: float = setting(
         1.6,
@@ -224,6 +224,31 @@ class MicrophoneSettings:
         least=0.3,
         most=2.2,
         flag="--mouth-height",
+    )
+    position_sd_m: float = setting(
+        0.04,
+        "How far a microphone may be from its position in config.json along each axis: a standard deviation in m.",
+        unit="M",
+        least=0.001,
+        most=1.0,
+        flag="--position-sd",
+    )
+    track_sd_m: float = setting(
+        0.05,
+        "Standard deviation of a track along each axis in m; its error lasts 2 s.",
+        unit="M",
+        least=0.001,
+        most=1.0,
+        flag="--track-sd",
+    )
+    temperature_c: float | None = setting(
+        None,
+        "Temperature of the air in °C, if it is known to 1 degree.",
+        unit="C",
+        least=-50.0,
+        most=60.0,
+        flag="--temperature",
+        default_text="the config's speed of sound, to 2 m/s",
     )
 
 

@@ -15,7 +15,10 @@ from avcli.commands.options import Size, from_settings, refuse_without_effect, s
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
-    from avcli.calibration.microphones import Heard
+    from collections.abc import Iterator
+
+    from avcli.calibration.bundle import Way
+    from avcli.localization.survey import Listening
 
 
 @click.command("undistort", epilog="Example: avcalib undistort film.mp4 -c camera.json --to straight.mp4")
@@ -126,7 +129,7 @@ def pose_command(
 
 
 @click.command("microphones", epilog="Example: avcalib microphones -C lab smooth.jsonl")
-@click.argument("tracks", metavar="TRACKS")
+@click.argument("tracks", required=False, metavar="[TRACKS]")
 @click.option(
     "--audio",
     multiple=True,
@@ -135,36 +138,116 @@ def pose_command(
     help="Sound with one channel per microphone, from time 0 on; repeat the option for the files that follow.  "
     "[default: DIR/audio/wav, each from the time in its name]",
 )
+@click.option(
+    "--places",
+    type=click.Path(exists=True, dir_okay=False),
+    metavar="FILE",
+    help="Where somebody spoke or clapped, measured in the room: lines begin,end,x,y,z in s and m.",
+)
 @from_settings(settings.MicrophoneSettings)
 @click.option("--write", "into_config", is_flag=True, help="Write the found positions into config.json.")
 @common()
 def microphones_command(
-    session: Session, tracks: str, audio: tuple[str, ...], mouth_height_m: float, into_config: bool
+    session: Session,
+    tracks: str | None,
+    audio: tuple[str, ...],
+    places: str | None,
+    into_config: bool,
+    **values: Any,
 ) -> None:
-    """Check the microphone positions and the clock of the sound, with a person who walks and talks.
+    """Measure the microphones by sound: some minutes of one person who walks and talks, or claps, in the room.
 
-    TRACKS are records with one person in the room (tracks, or ground truth). The result gives the shift of each
-    microphone from its measured position, and the standard deviation of that shift.
+    Without TRACKS or --places the sound tells the shape of the array, but not its place in the room. TRACKS are records
+    with one person (tracks, or ground truth). With -o FILE the output is the whole config.json with the positions that
+    were found. The exit status is 3, and nothing is changed, if the recording cannot tell.
     """
     from avcli.calibration import camera, microphones
+    from avcli.numeric import TooLittle
+
+    given = settings_from(settings.MicrophoneSettings, values)
+    if tracks and places:
+        session.usage("give TRACKS or --places, not both")
+    if not tracks:
+        refuse_without_effect(["mouth_height_m", "track_sd_m"], "without TRACKS")
+    way = _way(session, tracks, places, given)
+    with session.timing("listen"):
+        listening = _listening(session, audio, given)
+    for line in listening.channels.words():
+        session.warn(line)
+    known = session.config.microphones.positions
+    speed, speed_sd = _speed_of_sound(session, given)
+    prior = microphones.Prior(known, given.position_sd_m, speed, speed_sd, listening.channels.late)
+    with session.timing("fit"):
+        try:
+            found = microphones.measure(listening.heard(), listening.again, prior, way, is_clock_known=not tracks)
+        except TooLittle as error:
+            raise GateNotMet(str(error)) from None
+        except ValueError as error:
+            session.fail(str(error))
+    for line in found.words():
+        session.warn(line)
+    if found.refusal:
+        raise GateNotMet(found.refusal)
+    record = {**found.record(), "channels": listening.channels.record()}
+    sd = float(found.fit.position_sd.max())
+    changed = camera.with_microphones(session.config.raw, found.fit.positions.tolist(), sd)
+    with session.output() as write:
+        write(record if session.output_path == "-" else changed)
+    if into_config:
+        camera.write_microphones(session.config_path, session.config.raw, found.fit.positions.tolist(), sd)
+
+
+def _way(session: Session, tracks: str | None, places: str | None, given: settings.MicrophoneSettings) -> Way | None:
+    """Return where the voice was, as tracks or a file of places say it; None where neither is given."""
+    from avcli.calibration import microphones
     from avcli.formats import records
 
-    times, path = microphones.mouths(session.records([tracks], records.identified), mouth_height_m)
-    given, speed = session.config.microphones.positions, session.config.room.speed_of_sound_m_s
-    with session.timing("delays"):
-        heard = _heard(session, audio)
-    with session.timing("fit"):
-        result = microphones.align(heard, times, path, given, speed)
-    for line in microphones.words(result):
-        session.warn(line)
-    with session.output() as write:
-        write(result.record())
-    if into_config and result.improves:
-        camera.write_microphones(session.config_path, session.config.raw, result.positions.tolist(), result.sd_m)
-    elif into_config:
-        session.warn(
-            "config.json was not changed: the new positions do not explain held-out sound better than the old ones"
-        )
+    try:
+        if places:
+            return microphones.measured_places(Path(places).read_text(encoding="utf-8"), places)
+        if tracks:
+            walked = microphones.mouths(session.records([tracks], records.identified), given.mouth_height_m)
+            return microphones.tracked(*walked, given.track_sd_m)
+    except (ValueError, OSError) as error:
+        session.fail(str(error))
+    return None
+
+
+def _speed_of_sound(session: Session, given: settings.MicrophoneSettings) -> tuple[float, float]:
+    """Return the speed of sound and its standard deviation, m/s."""
+    from avcli.numeric import speed_of_sound
+
+    if given.temperature_c is None:
+        return session.config.room.speed_of_sound_m_s, 2.0
+    return speed_of_sound(given.temperature_c), 0.6
+
+
+def _listening(session: Session, audio: tuple[str, ...], given: settings.MicrophoneSettings) -> Listening:
+    """Listen to the sound, in a room without the last decimetres before its walls."""
+    import numpy as np
+
+    from avcli.calibration import microphones
+    from avcli.localization.survey import Listening
+    from avcli.numeric import TooLittle
+
+    config, speed = session.config, _speed_of_sound(session, given)[0]
+    known, size = config.microphones, config.room.dimensions
+
+    def read() -> Iterator[tuple[float, np.ndarray, int]]:
+        for start, samples, rate in microphones.sounds(audio, None if audio else session.experiment / "audio" / "wav"):
+            if samples.shape[1] != len(known.positions):
+                session.fail(
+                    f"the sound has {samples.shape[1]} channels, but config.json has {len(known.positions)} microphones"
+                )
+            yield start, samples, rate
+
+    low, high = np.array([0.1, 0.1, min(0.8, 0.4 * size[2])]), np.append(size[:2] - 0.1, min(2.0, 0.9 * size[2]))
+    try:
+        return Listening(read, known.positions, low, high, speed)
+    except TooLittle as error:
+        raise GateNotMet(str(error)) from None
+    except ValueError as error:
+        session.fail(str(error))
 
 
 @click.command("background", epilog="Example: avcalib background empty.mp4 --depth depth.mkv -C lab")
@@ -217,21 +300,6 @@ def _write_picture(session: Session, name: str, picture: Any) -> None:
     path = session.experiment / name
     path.parent.mkdir(parents=True, exist_ok=True)
     media.write_png(path, picture)
-
-
-def _heard(session: Session, audio: tuple[str, ...]) -> Heard:
-    """Measure when a voice reached which microphone, in all of the sound."""
-    from avcli.calibration import microphones
-    from avcli.localization import tdoa
-
-    given, speed = session.config.microphones.positions, session.config.room.speed_of_sound_m_s
-    parts = []
-    for start, samples, rate in microphones.sounds(audio, None if audio else session.experiment / "audio" / "wav"):
-        if samples.shape[1] != len(given):
-            session.fail(f"the sound has {samples.shape[1]} channels, but config.json has {len(given)} microphones")
-        middles, delays = tdoa.pair_delays(samples, rate, given, speed)
-        parts.append((start + middles, delays))
-    return microphones.joined(parts, len(given))
 
 
 def examine(session: Session, path: str, only: tuple[str, ...]) -> None:

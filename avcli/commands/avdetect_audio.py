@@ -13,12 +13,16 @@ import click
 
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.live import Skips, open_pipe
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import Numbers, Parsed, from_settings, refuse_without_effect, settings_from
 from avcli.localization.settings import METHODS, ClosedFormSettings, CommonSettings, SteeredSettings
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from avcli.formats.experiment import Config, Microphones
     from avcli.formats.live import Stoppable
+    from avcli.formats.recorder import Raw
     from avcli.localization.stream import Block, Recording
 
 _BLOCK = 1 << 16
@@ -50,6 +54,17 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
     help="Air temperature in °C, which sets the speed of sound.  [default: the config's speed, or 343 m/s]",
 )
 @click.option("--live", is_flag=True, help="srp: When behind a stream in real time, skip time steps.")
+@click.option(
+    "--raw",
+    type=Parsed("KIND,HZ,CHANNELS", "avcli.formats.recorder", "Raw.parse"),
+    help="The sound is raw samples, interleaved: s16le, s24le, s32le or f32le, such as s16le,48000,8.",
+)
+@click.option(
+    "--channels",
+    type=Parsed("LIST", "avcli.formats.recorder", "channels_of"),
+    help="Channels of the sound that are the microphones', in their order, from 1: 3-10 or 1-4,8,6.  [default: all]",
+)
+@click.option("--gains", type=Numbers(), help="Gains of these channels in dB, such as 0,0,6,0.  [default: none]")
 @from_settings(CommonSettings)
 @from_settings(SteeredSettings)
 @from_settings(ClosedFormSettings)
@@ -61,6 +76,9 @@ def main(
     start: float,
     temperature: float | None,
     live: bool,
+    raw: Raw | None,
+    channels: tuple[int, ...] | None,
+    gains: tuple[float, ...] | None,
     **options: Any,
 ) -> None:
     """Localize people who speak, with microphones.
@@ -75,7 +93,7 @@ def main(
     if method != "srp":
         refuse_without_effect(["live"], f"with --method {method}, which needs the whole recording")
     with session.output() as write, contextlib.ExitStack() as stack:
-        sound = _Sound(session, start, live)
+        sound = _Sound(session, start, live, raw, channels, gains)
         if live:
             blocks = _arriving(sound, stack, *open_pipe(session, files))
         else:
@@ -88,7 +106,7 @@ def main(
         from avcli.localization import localizer
 
         settings = settings_from(METHODS[method], options)
-        chosen = localizer(session.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
+        chosen = localizer(sound.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
         skips = stack.enter_context(Skips(session, "time steps"))
@@ -124,14 +142,23 @@ def _arriving(sound: _Sound, stack: contextlib.ExitStack, name: str, pipe: Stopp
     arrivals = stack.enter_context(LiveSource(sound.blocks([(name, io.BufferedReader(pipe))]), stop=pipe.stop))
     for block in arrivals:
         samples = arrivals.waiting(lambda block: len(block.samples))
-        yield dataclasses.replace(block, waiting=samples / sound.recording.microphones.sample_rate_hz)
+        yield dataclasses.replace(block, waiting=samples / sound.microphones.sample_rate_hz)
 
 
 class _Sound:
     """The sound that files hold, or the records in them point at, as one recording."""
 
-    def __init__(self, session: Session, start: float, live: bool):
-        self.session, self.start, self.live = session, start, live
+    def __init__(
+        self,
+        session: Session,
+        start: float,
+        live: bool,
+        raw: Raw | None,
+        channels: tuple[int, ...] | None,
+        gains: tuple[float, ...] | None,
+    ):
+        self.session, self.start, self.live, self.raw = session, start, live, raw
+        self.channels, self.gains = channels, gains
 
     @functools.cached_property
     def recording(self) -> Recording:
@@ -140,12 +167,34 @@ class _Sound:
 
         config = self.session.config
         reverberation = config.room.reverberation_time_s or 0.0
-        return Recording(config.microphones, reverberation_s=reverberation, start_s=self.start, warn=self.session.warn)
+        if self.raw and self.raw.rate != config.microphones.sample_rate_hz:
+            stated = config.microphones.sample_rate_hz
+            self.session.warn(f"the sound has {self.raw.rate} Hz, which counts; config.json says {stated} Hz")
+        return Recording(self.microphones, reverberation_s=reverberation, start_s=self.start, warn=self.session.warn)
+
+    @functools.cached_property
+    def config(self) -> Config:
+        """The config, with the rate of raw sound."""
+        known = self.session.config
+        if not self.raw:
+            return known
+        section = {**known.raw["microphone_config"], "audio_sample_rate_hz": self.raw.rate}
+        return type(known)({**known.raw, "microphone_config": section}, known.name)
+
+    @property
+    def microphones(self) -> Microphones:
+        """The microphones; the rate of raw sound counts in place of the config's."""
+        return self.config.microphones
 
     def blocks(self, streams: list[tuple[str, BinaryIO]]) -> Iterator[Block]:
         """Yield the blocks of the streams, one after another."""
         for path, stream in streams:
             name = "<stdin>" if path == "-" else path
+            if self.raw:
+                from avcli.formats import recorder
+
+                yield from self.recording.sound(name, self.picked(name, recorder.raw_blocks(stream, self.raw, name)))
+                continue
             head = stream.read(4)
             whole = io.BufferedReader(_Again(head, stream))
             if head in _SOUND:
@@ -153,9 +202,35 @@ class _Sound:
             else:
                 yield from self.recorded(whole, name)
 
+    def picked(self, name: str, pieces: Iterable[tuple[np.ndarray, int]]) -> Iterable[tuple[np.ndarray, int]]:
+        """Return the chosen channels of pieces of sound, with their gains, and silence where live ones are missing."""
+        from avcli.formats import recorder
+
+        if self.channels is not None or self.gains is not None:
+            pieces = recorder.chosen(pieces, name, self.channels, self.gains)
+        return self.whole(name, pieces) if self.live else pieces
+
+    def whole(self, name: str, pieces: Iterable[tuple[np.ndarray, int]]) -> Iterator[tuple[np.ndarray, int]]:
+        """Yield pieces of live sound, with silence for what the clock says is missing."""
+        import numpy as np
+
+        from avcli.formats.recorder import Arrivals
+
+        arrivals = Arrivals()
+        for samples, rate in pieces:
+            lost = round(arrivals.missing(len(samples) / rate) * rate)
+            if lost:
+                self.session.warn(
+                    f"{name}: {lost / rate:.2f} s of sound are missing; they count as silence", kind="gaps"
+                )
+            while lost > 0:
+                yield np.zeros((min(lost, _BLOCK), samples.shape[1])), rate
+                lost -= _BLOCK
+            yield samples, rate
+
     def expected(self, files: Iterable[str]) -> int | None:
         """Return about how many blocks the files have, for a progress bar; None where a stream or a fault hides it."""
-        if self.session.lines(files) is None:
+        if self.raw or self.session.lines(files) is None:
             return None
         import soundfile
 
@@ -186,7 +261,7 @@ class _Sound:
             pieces = media.wav_stream_blocks(stream, name)
         else:
             self.session.fail(f"{name}: standard input takes sound as WAV only; name the file instead")
-        yield from self.recording.sound(name, pieces)
+        yield from self.recording.sound(name, self.picked(name, pieces))
 
     def recorded(self, stream: BinaryIO, name: str) -> Iterator[Block]:
         """Yield the blocks that the audio records of a stream point at."""
@@ -201,7 +276,7 @@ class _Sound:
                 path = self.session.media_root / chunk.path
                 yield from self.recording.piece(
                     str(path),
-                    media.audio_blocks(path, _BLOCK),
+                    self.picked(str(path), media.audio_blocks(path, _BLOCK)),
                     start_sample=chunk.start_sample,
                     num_samples=chunk.num_samples,
                     tail_samples=chunk.tail_samples,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import math
 import re
 import types
@@ -89,6 +90,43 @@ class Size(click.ParamType):
             bounds = f" from {self.least:g} to {self.most:g} px each" if math.isfinite(self.most) else ""
             self.fail(f"expected a width and a height such as 640x384{bounds}, found {value!r}", parameter, context)
         return int(match[1]), int(match[2])
+
+
+class Parsed(click.ParamType):
+    """What a function of a module reads from text; the module is imported only when the option is given."""
+
+    def __init__(self, name: str, module: str, function: str):
+        self.name, self.module, self.function = name, module, function
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Read it; a value that is no text is taken as it is."""
+        if not isinstance(value, str):
+            return value
+        read: Any = importlib.import_module(self.module)
+        for part in self.function.split("."):
+            read = getattr(read, part)
+        try:
+            return read(value)
+        except ValueError as error:
+            self.fail(str(error), parameter, context)
+
+
+class Numbers(click.ParamType):
+    """Finite numbers with commas between them."""
+
+    name = "X,..."
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Read "0,0,6"; a tuple is taken as it is."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(float(part) for part in value.split(","))
+        except ValueError:
+            numbers = (math.nan,)
+        if not all(map(math.isfinite, numbers)):
+            self.fail(f"expected numbers with commas between them, found {value!r}", parameter, context)
+        return numbers
 
 
 def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Mapping[str, Any]) -> Callable:

@@ -584,7 +584,7 @@ def wav_stream_blocks(stream: BinaryIO, name: str, block_size: int = 1 << 10) ->
     left = None if length == 0 or length >= 0x7FFFFFFF - 0x1000 else length - length % frame
     while left is None or left > 0:
         wanted = block_size * frame if left is None else min(block_size * frame, left)
-        content = _as_much_as(stream, wanted)
+        content = as_much_as(stream, wanted)
         if len(content) < wanted and left is not None:
             missing = (left - len(content)) // frame
             raise MediaError(f"{name}: cut short: {missing} samples fewer than its header states")
@@ -607,9 +607,15 @@ def _wav_layout(content: bytes, name: str) -> tuple[Callable[[bytes], np.ndarray
     known = (tag, bits) in {(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)}
     if not known or not 0 < channels <= MOST_CHANNELS or rate == 0:
         raise MediaError(f"{name}: a WAV of format {tag} with {bits} bits and {channels} channels cannot be read")
+    decode, width = decoder(tag, bits)
+    return decode, width, channels, rate
+
+
+def decoder(tag: int, bits: int) -> tuple[Callable[[bytes], np.ndarray], int]:
+    """Return how to decode samples of a WAV's format (1: integers, 3: floats) and bits, and their bytes."""
     if tag == 3:
         kind = f"<f{bits // 8}"
-        return (lambda content: np.frombuffer(content, kind).astype(np.float64)), bits // 8, channels, rate
+        return (lambda content: np.frombuffer(content, kind).astype(np.float64)), bits // 8
 
     def integers(content: bytes) -> np.ndarray:
         octets: np.ndarray = np.frombuffer(content, np.uint8).reshape(-1, bits // 8)
@@ -619,10 +625,10 @@ def _wav_layout(content: bytes, name: str) -> tuple[Callable[[bytes], np.ndarray
         wide[:, 4 - bits // 8 :] = octets
         return wide.view("<i4")[:, 0] / 2.0**31
 
-    return integers, bits // 8, channels, rate
+    return integers, bits // 8
 
 
-def _as_much_as(stream: BinaryIO, size: int) -> bytes:
+def as_much_as(stream: BinaryIO, size: int) -> bytes:
     """Read until `size` bytes are there or the stream ends."""
     parts = []
     while size > 0 and (part := stream.read(size)):
@@ -632,7 +638,7 @@ def _as_much_as(stream: BinaryIO, size: int) -> bytes:
 
 
 def _exactly(stream: BinaryIO, size: int, name: str) -> bytes:
-    content = _as_much_as(stream, size)
+    content = as_much_as(stream, size)
     if len(content) < size:
         raise MediaError(f"{name}: the WAV ends within its header")
     return content
