@@ -47,6 +47,12 @@ def test_records_are_sorted_by_their_keys():
     assert recording.frames == [(0.1, "f.png")]
 
 
+@pytest.mark.parametrize("objects", [5, [5], [{"object_id": 1}]])
+def test_what_is_no_list_of_people_is_refused(objects):
+    with pytest.raises(records.RecordError):
+        Recording("x").add(record(0.0, objects), "t")
+
+
 def test_people_named_by_text_keep_their_names():
     recording = Recording("x")
     recording.add(record(0.0, [{"object_id": "<b>", "position": [1, 2]}]), "t")

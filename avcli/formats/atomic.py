@@ -115,6 +115,6 @@ def writing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write `content` to `path`, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
+    """Write `content` to `path`, whole or not at all; a device or a pipe is written directly."""
+    with writing(path) as stream:
+        stream.write(content)

@@ -92,11 +92,12 @@ class Recording:
         if record.get("sensor") is not None or record.get("kind") is not None or _lacks_identities(record):
             return [self.add_detections(records.detections(record, bad))]
         kind = stated or self._known.get(source) or _kind_of_people(record, source)
-        if kind is None:
+        if kind is None and record["objects"] == []:
             self._pending.setdefault(source, []).append(record["timestamp"])
             return []
-        self._known[source] = kind
         people = records.identified(record, bad, self._names.setdefault(source, records.Names()))
+        kind = kind or TRACKS
+        self._known[source] = kind
         name = "truth" if kind == TRUTH else source
         new = [self.add_people(kind, name, _nobody(time)) for time in self._pending.pop(source, [])]
         return [*new, self.add_people(kind, name, people)]
