@@ -9,15 +9,25 @@
 #   walk.avi walk.wav        one person who walks about and talks, from one moment on
 #   meeting.avi meeting.wav  what you want to know
 #   room.json     room_config and microphone_config as measured with a tape
-# BOARD, SQUARE (mm): the board. AT, YAW: the middle of the board on the floor (m), and the direction of its rows (degrees).
+# BOARD, SQUARE (mm): the board. AT, YAW: the middle of the board on the floor (m; the board's thickness counts), and the
+# direction of its rows (degrees).
 set -euo pipefail
 here=$(dirname "$(readlink -f "$0")")
 in=${1:?usage: real-room.sh RECORDED LAB}
 lab=${2:?usage: real-room.sh RECORDED LAB}
 board=(--board "${BOARD:-7x10}" --square "${SQUARE:-95}")
-read -r -a at <<<"${AT:-2.6 2.5 0}"
+read -r -a at <<<"${AT:-2.6 2.5 0.02}"
 mkdir -p "$lab"
 step() { printf '\n== %s\n' "$*" >&2; }
+add() { # adds the keys of a JSON file to lab/config.json
+    python3 - "$lab/config.json" "$1" <<'END'
+import json, sys
+config, more = (json.load(open(path)) for path in sys.argv[1:])
+for section, values in more.items():
+    config[section] = config.get(section, {}) | values
+json.dump(config, open(sys.argv[1], "w"), indent=2)
+END
+}
 
 step "1. A board to print (measure its rulers afterwards)"
 avcalib target "${board[@]}" --paper A0 -o "$lab/board.pdf"
@@ -26,18 +36,14 @@ step "2. The lens"
 avcalib calibrate "$in/boards" "${board[@]}" -C "$lab" --html "$lab/lens.html" >/dev/null
 
 step "3. What was measured with a tape: the room and the microphones"
-python3 - "$lab/config.json" "$in/room.json" <<'END'
-import json, sys
-path, measured = sys.argv[1:]
-config = json.load(open(path)) | json.load(open(measured))
-json.dump(config, open(path, "w"), indent=2)
-END
+add "$in/room.json"
 
 step "4. Where the camera hangs"
 avcalib pose "$in/floor.png" "${board[@]}" --at "${at[@]}" --yaw "${YAW:-30}" -C "$lab" >/dev/null
 
 step "5. The empty room"
-avcalib background "$in/empty.avi" -C "$lab" >/dev/null
+avcalib background "$in/empty.avi" -C "$lab" -o "$lab/background.json"
+add "$lab/background.json"
 
 step "6. The microphones, by a person who walks and talks"
 avdetect-video -C "$lab" "$in/walk.avi" | avfuse -C "$lab" --lag inf -o "$lab/walk.jsonl"
