@@ -290,7 +290,7 @@ def test_a_live_page_follows_the_run(made):
             urllib.request.urlopen(other)
         if CHROMIUM:
             page = Browser(url)
-            page.wait("run.ticks.length === 10")
+            page.wait("run.ticks.length === 10 && now === 9")
         process.stdin.write(b"".join(rows[10:]))
         frame = {"timestamp": 4.0, "frame": {"rgb": experiments.Layout.rgb(4.0)}}
         process.stdin.write(json.dumps(frame).encode() + b"\n")

@@ -168,7 +168,7 @@ function chooseRun(which) {
   tell();
   drawRoom();
   drawCharts();
-  show(Math.min(now, Math.max(0, run.ticks.length - 1)));
+  show(follow ? run.ticks.length - 1 : Math.min(now, Math.max(0, run.ticks.length - 1)));
 }
 function about() {
   const first = run.ticks[0] ?? 0, people = run.truth ? run.truth.labels.size : 0, plural = (n, one, more) => `${n} ${n === 1 ? one : more}`;
