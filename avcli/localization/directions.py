@@ -1,9 +1,9 @@
 """Directions from arrays that are small against the range: bearing, elevation and inverse range.
 
 Sound from 2 m reaches an array of 20 cm almost as a plane wave: the response hardly changes along a ray, and a search
-in metres, whose cells are larger than the array, finds nothing. Here the response is taken on rays from the middle of the
-array instead, at few inverse ranges, and what is not observed is said: a direction with its uncertainty, and a position
-whose covariance reaches along the ray as far as the room lets it.
+in metres, whose cells are larger than the array, finds nothing. Here the response is taken on rays from the middle of
+the array instead, at few inverse ranges, and what is not observed is said: a direction with its uncertainty, and a
+position whose covariance reaches along the ray as far as the room lets it.
 """
 
 import json
@@ -319,11 +319,7 @@ class DirectionFinder:
     def talker(self, one: Bearing, ray: np.ndarray, score: float, noise: NoiseLaw) -> Talker:
         """Return a talker in a direction, with the middle of where along the ray he may be."""
         turned = self.across(one, noise)
-        distance, along = self.range(one.gcc, ray, noise)
-        axes = tangents(ray)
-        position = self.response.centre + ray * distance
-        covariance = along**2 * np.outer(ray, ray) + axes.T @ turned @ axes * (distance**2 + along**2)
-        covariance = 0.5 * (covariance + covariance.T) + 1e-6 * np.eye(3)
+        position, covariance = self.place(one.gcc, ray, turned, noise)
         # `tangents` are level and upward: where elevation is hardly known, the direction on the floor is told alone.
         level = float(np.hypot(ray[0], ray[1]))
         sideways, upward = np.sqrt(turned[0, 0]), np.sqrt(turned[1, 1])
@@ -348,19 +344,33 @@ class DirectionFinder:
         turned = turned + others + self.law.floor**2 * np.eye(2)
         return 0.5 * (turned + turned.T)
 
-    def range(self, gcc: np.ndarray, ray: np.ndarray, noise: NoiseLaw) -> tuple[float, float]:
-        """Return the mean and standard deviation in m of the range along a ray.
+    def place(
+        self, gcc: np.ndarray, ray: np.ndarray, turned: np.ndarray, noise: NoiseLaw
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean (3,) m and covariance (3, 3) m² of where in the volume a talker about a ray may be.
 
-        What the response tells of it, and a talker who may stand anywhere on the floor.
+        Directions are as likely as their covariance (2, 2) rad² has it; along each, the response tells how far the
+        talker is as far as it does, who may stand anywhere on the floor.
         """
-        enter, leave = self.response.stretch(ray[None])[0]
-        leave = max(leave, enter + 0.1)
-        ranges = enter + (np.arange(24) + 0.5) / 24 * (leave - enter)
-        values = self.response.response(gcc, self.response.centre + ray * ranges[:, None])
-        weight = ranges * np.exp(self.law.sharpness * (values - values.max()) / noise.deviation)
-        weight = weight / weight.sum()
-        mean = float(weight @ ranges)
-        return mean, float(np.sqrt(weight @ (ranges - mean) ** 2 + ((leave - enter) / 24) ** 2))
+        widths, axes = np.linalg.eigh(turned)
+        offsets = (np.minimum(np.sqrt(widths), 0.4) * _STEPS) @ axes.T
+        rays = _tangent(ray, offsets)
+        enter, leave = self.response.stretch(rays).T
+        met = leave > enter
+        met[len(met) // 2] = True
+        leave = np.maximum(leave, enter + 0.1)
+        ranges = enter[:, None] + _SHARES * (leave - enter)[:, None]
+        points = self.response.centre + rays[:, None] * ranges[:, :, None]
+        values = self.response.response(gcc, points.reshape(-1, 3)).reshape(ranges.shape)
+        values = values - values.max(axis=1, keepdims=True)
+        weight = ranges * np.exp(self.law.sharpness * values / noise.deviation)
+        likely = met * np.exp(-0.5 * (_STEPS**2).sum(axis=1))
+        weight *= (likely * (leave - enter) / weight.sum(axis=1))[:, None]
+        weight /= weight.sum()
+        mean = np.einsum("rk,rkx->x", weight, points)
+        away = points - mean
+        covariance = np.einsum("rk,rkx,rky->xy", weight, away, away) + 0.05**2 * np.eye(3)
+        return mean, 0.5 * (covariance + covariance.T)
 
 
 def tangents(ray: np.ndarray) -> np.ndarray:
@@ -405,6 +415,12 @@ def _mirrored(ray: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 _GRID = np.array([[x, y] for y in range(-2, 3) for x in range(-2, 3)], dtype=np.float64)
+_STEPS = np.array([[x, y] for y in np.linspace(-2.5, 2.5, 7) for x in np.linspace(-2.5, 2.5, 7)])
+"""Standard deviations, at which directions about a ray stand for the others."""
+
+_SHARES = (np.arange(16) + 0.5) / 16
+"""Of the way through the volume, at which ranges along a ray stand for the others."""
+
 _PARABOLOID = np.linalg.pinv(
     np.column_stack([np.ones(25), _GRID, _GRID[:, 0] ** 2, _GRID[:, 1] ** 2, _GRID[:, 0] * _GRID[:, 1]])
 )
