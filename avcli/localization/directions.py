@@ -79,8 +79,9 @@ class DirectionLaw:
     Attributes:
         first, further: weights of the logit of the probability that a direction is right: a constant, and of the
             logarithms of the response over the largest of noise and of the agreement, and of what was there before.
-        spread: weights of the logarithm of the factor on the standard deviation that the response's shape gives: a
-            constant, and of the logarithm of the agreement.
+        spread: weights of the logarithms of factors on two standard deviations: on that which the curvature of the
+            response gives a constant ("one") and the logarithm of the agreement, on that of the directions nearby that
+            are answered nearly as well a constant ("others").
         floor: rad.
         sharpness: logarithm of a direction's likelihood over its response, in standard deviations of a GCC of noise.
     """
@@ -341,7 +342,7 @@ class DirectionFinder:
         likelihood = np.exp(self.law.sharpness * (values - values.max(initial=-np.inf)) / noise.deviation)
         away = self.response.rays[near] @ axes.T
         others = (away.T * (likelihood / max(likelihood.sum(), 1e-300))) @ away
-        turned = turned + others + self.law.floor**2 * np.eye(2)
+        turned = turned + np.exp(2.0 * weights["others"]) * others + self.law.floor**2 * np.eye(2)
         return 0.5 * (turned + turned.T)
 
     def place(

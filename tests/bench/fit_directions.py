@@ -35,7 +35,7 @@ from avcli.localization.stream import Block  # noqa: E402
 from avcli.localization.windows import Heard  # noqa: E402
 
 FITTED = ROOT / "avcli" / "localization" / "directions.json"
-SPLITS = {"fit": (31, 36), "held out": (5031, 16)}
+SPLITS = {"fit": (31, 26), "held out": (5031, 14)}
 """Seed and number of scenes."""
 SECONDS, RIGHT = 4.5, np.radians(10.0)
 FIRST, FURTHER = ("one", "response", "agreement", "before"), ("one", "response", "agreement", "own", "before")
@@ -154,12 +154,12 @@ class Witness(DirectionFinder):
         right = best[0] < RIGHT and best[1] not in taken and self.scene.people[best[1]].sounds(time, 0.1)
         if right:
             taken.add(best[1])
-        whole = replace(self.law, spread={"one": 0.0, "agreement": 0.0}, floor=0.0)
-        none = replace(self.law, spread={"one": -20.0, "agreement": 0.0}, floor=0.0)
+        whole = replace(self.law, spread={"one": 0.0, "agreement": 0.0, "others": -20.0}, floor=0.0)
+        none = replace(self.law, spread={"one": -20.0, "agreement": 0.0, "others": 0.0}, floor=0.0)
         self.law, law = none, self.law
         other = self.across(one, noise)
         self.law = whole
-        shape = self.across(one, noise) - other
+        shape = self.across(one, noise)
         self.law = law
         self.rows.append(Row(right, best[2], one.terms, shape, other, one.first))
 
@@ -199,11 +199,12 @@ def width(found: Sequence[Row]) -> tuple[dict[str, float], float]:
     agreement = np.array([row.terms["agreement"] for row in found if row.right])
 
     def loss(w: np.ndarray) -> float:
-        variance = np.exp(2.0 * (w[0] + w[1] * agreement)) * shape + other + np.exp(2.0 * w[2])
+        variance = np.exp(2.0 * (w[0] + w[1] * agreement)) * shape + np.exp(2.0 * w[3]) * other + np.exp(2.0 * w[2])
         return float(np.sum(0.5 * np.log(variance) + 2.5 * np.log1p(error**2 / (4.0 * variance))))
 
-    best = minimize(loss, np.array([0.0, 0.0, -4.0]), method="Nelder-Mead").x
-    return {"one": round(best[0] + 0.1, 2), "agreement": round(best[1], 2)}, round(float(np.exp(best[2] + 0.1)), 4)
+    best = minimize(loss, np.array([0.0, 0.0, -4.0, -1.0]), method="Nelder-Mead", options={"maxiter": 4000}).x
+    one, agreement_weight, floor, others = np.round(best, 2).tolist()
+    return {"one": one, "agreement": agreement_weight, "others": others}, round(float(np.exp(floor)), 4)
 
 
 def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
@@ -218,7 +219,8 @@ def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
     factor = np.array(
         [np.exp(2.0 * (law.spread["one"] + law.spread["agreement"] * r.terms["agreement"])) for r in found]
     )
-    sd = np.sqrt(factor * [r.shape[0, 0] for r in found] + [r.other[0, 0] for r in found] + law.floor**2)
+    others = np.exp(2.0 * law.spread["others"]) * np.array([row.other[0, 0] for row in found])
+    sd = np.sqrt(factor * [row.shape[0, 0] for row in found] + others + law.floor**2)
     right = np.array([row.right for row in found])
     error = np.abs([row.error[0] for row in found])
     said["within_1.96_sd"] = float(np.mean((error < 1.96 * sd)[right]))
