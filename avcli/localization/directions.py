@@ -32,6 +32,9 @@ RANGED = 0.25
 NEAREST_M, SPACING, DEFOCUS_M = 0.4, np.radians(2.5), 0.01
 """m and rad: the least range, how far the rays are apart, and by how much path they may be out of focus in range."""
 
+PLACED_M = 0.001
+"""m: how well the places of the microphones are known."""
+
 APART = np.radians(25.0)
 """rad: the least angle between two talkers."""
 
@@ -79,17 +82,14 @@ class DirectionLaw:
     Attributes:
         first, further: weights of the logit of the probability that a direction is right: a constant, and of the
             logarithms of the response over the largest of noise and of the agreement, and of what was there before.
-        spread: weights of the logarithms of factors on two standard deviations: on that which the curvature of the
-            response gives a constant ("one") and the logarithm of the agreement, on that of the directions nearby that
-            are answered nearly as well a constant ("others").
-        floor: rad.
-        sharpness: logarithm of a direction's likelihood over its response, in standard deviations of a GCC of noise.
+        spread: weights of the logarithm of a factor on the standard deviation that the curvature of the response gives:
+            a constant ("one") and the logarithm of the agreement.
+        sharpness: logarithm of a range's likelihood over its response, in standard deviations of a GCC of noise.
     """
 
     first: Mapping[str, float]
     further: Mapping[str, float]
     spread: Mapping[str, float]
-    floor: float
     sharpness: float
 
     def logit(self, terms: Mapping[str, float], *, first: bool) -> float:
@@ -114,6 +114,7 @@ class RaySearch:
     Attributes:
         microphones, first, second, half_lags: as of a SteeredResponse.
         centre: (3,) m.
+        size: m, root mean square of the microphones' distances from it.
         rays: (n, 3) unit vectors that meet the volume.
         reach: (n, 2) m, where they enter and leave it.
 
@@ -128,6 +129,7 @@ class RaySearch:
         baseline = np.linalg.norm(self.microphones[self.first] - self.microphones[self.second], axis=1)
         self.half_lags = int(np.ceil(baseline.max() * steps_per_metre)) + 4
         self.centre = self.microphones.mean(axis=0)
+        self.size = float(np.sqrt(np.mean(np.sum((self.microphones - self.centre) ** 2, axis=1))))
         rays = _sphere(SPACING)
         reach = self.stretch(rays)
         kept = reach[:, 1] > reach[:, 0] + 0.05
@@ -309,22 +311,30 @@ class DirectionFinder:
         return False
 
     def told(self, one: Bearing, score: float, noise: NoiseLaw) -> list[Talker]:
-        """Return a bearing as a talker, and as two of half the score where a mirror image is as good."""
-        if self.mirror is not None:
-            other = _mirrored(one.ray, self.mirror)
-            reach = self.response.stretch(other[None])[0]
-            if other @ one.ray < np.cos(APART) and reach[1] > reach[0] + 0.3:
-                return [self.talker(one, ray, 0.5 * score, noise) for ray in (one.ray, other)]
-        return [self.talker(one, one.ray, score, noise)]
+        """Return a bearing as a talker, and as two of half the score where a mirror image is as good.
 
-    def talker(self, one: Bearing, ray: np.ndarray, score: float, noise: NoiseLaw) -> Talker:
-        """Return a talker in a direction, with the middle of where along the ray he may be."""
-        turned = self.across(one, noise)
-        position, covariance = self.place(one.gcc, ray, turned, noise)
+        An image above or below the talker says no more than that the height is unknown.
+        """
+        if self.mirror is None:
+            return [self.talker(one, [one.ray], score, noise)]
+        other = _mirrored(one.ray, self.mirror)
+        reach = self.response.stretch(other[None])[0]
+        if other @ one.ray > np.cos(APART) or reach[1] < reach[0] + 0.3:
+            return [self.talker(one, [one.ray], score, noise)]
+        if abs(self.mirror[2]) > np.cos(APART):
+            return [self.talker(one, [one.ray, other], score, noise)]
+        return [self.talker(one, [ray], 0.5 * score, noise) for ray in (one.ray, other)]
+
+    def talker(self, one: Bearing, rays: list[np.ndarray], score: float, noise: NoiseLaw) -> Talker:
+        """Return a talker in one of some directions, with the middle of where along them he may be."""
+        turned, ray = self.across(one, noise), rays[0]
+        means, covariances = zip(*(self.place(one.gcc, each, turned, noise) for each in rays), strict=True)
+        position = np.mean(means, axis=0)
+        covariance = np.mean(covariances, axis=0) + np.mean([np.outer(m, m) for m in means - position], axis=0)
         # `tangents` are level and upward: where elevation is hardly known, the direction on the floor is told alone.
         level = float(np.hypot(ray[0], ray[1]))
         sideways, upward = np.sqrt(turned[0, 0]), np.sqrt(turned[1, 1])
-        if upward > 2.0 * sideways and level > 0.3:
+        if (upward > 2.0 * sideways or len(rays) > 1) and level > 0.3:
             flat = np.array([ray[0] / level, ray[1] / level, np.nan])
             told = Ray(self.response.centre, flat, float(sideways / level))
         else:
@@ -336,13 +346,7 @@ class DirectionFinder:
         weights = self.law.spread
         factor = np.exp(2.0 * (weights["one"] + weights["agreement"] * one.terms["agreement"]))
         turned = factor * noise.deviation * np.linalg.inv(one.curvature + 0.02 * noise.deviation * np.eye(2))
-        axes = tangents(one.ray)
-        near = self.response.rays @ one.ray > np.cos(APART)
-        values = self.response.responses(one.gcc)[near]
-        likelihood = np.exp(self.law.sharpness * (values - values.max(initial=-np.inf)) / noise.deviation)
-        away = self.response.rays[near] @ axes.T
-        others = (away.T * (likelihood / max(likelihood.sum(), 1e-300))) @ away
-        turned = turned + np.exp(2.0 * weights["others"]) * others + self.law.floor**2 * np.eye(2)
+        turned = turned + (PLACED_M / self.response.size) ** 2 * np.eye(2)
         return 0.5 * (turned + turned.T)
 
     def place(

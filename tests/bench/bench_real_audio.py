@@ -188,11 +188,12 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="directory with the sets as folders")
     parser.add_argument("--out", type=Path, default=ROOT / "bench-out", help="directory of real-audio.md")
     parser.add_argument("--split", choices=("decide", "judge"), help="one half alone")
+    parser.add_argument("--folder", help="one set alone")
     parser.add_argument("--every", type=int, default=1, help="take every so many loudspeakers of large sets")
     chosen = parser.parse_args()
     tallies: dict[tuple[str, str], Tally] = {}
     sources: list[str] = []
-    for one in SETS:
+    for one in (one for one in SETS if chosen.folder in (None, one.folder)):
         if not (chosen.data / one.folder).is_dir():
             print(f"bench-real-audio: {chosen.data / one.folder} is not there; see {one.source}", file=sys.stderr)
             continue

@@ -10,7 +10,7 @@ and 6 to 40 cm, on tables, walls and ceilings, in rooms of 3.5 to 10 m and T60 .
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from avcli.localization.stream import Block  # noqa: E402
 from avcli.localization.windows import Heard  # noqa: E402
 
 FITTED = ROOT / "avcli" / "localization" / "directions.json"
-SPLITS = {"fit": (31, 26), "held out": (5031, 14)}
+SPLITS = {"fit": (31, 24), "held out": (5031, 12)}
 """Seed and number of scenes."""
 SECONDS, RIGHT = 4.5, np.radians(10.0)
 FIRST, FURTHER = ("one", "response", "agreement", "before"), ("one", "response", "agreement", "own", "before")
@@ -58,7 +58,6 @@ class Row:
     error: np.ndarray
     terms: dict[str, float]
     shape: np.ndarray
-    other: np.ndarray
     first: bool
 
 
@@ -84,10 +83,10 @@ def compact(rng: np.random.Generator) -> np.ndarray:
     return radius * rng.uniform(-1.0, 1.0, (count, 3))
 
 
-def scenes(split: str, spoken: Sequence[Sound]) -> Iterator[Scene]:
-    """Yield the scenes of a split."""
-    seed, count = SPLITS[split]
-    for number in range(count):
+def scenes(split: str, spoken: Sequence[Sound], numbers: Iterable[int]) -> Iterator[Scene]:
+    """Yield scenes of a split by their numbers."""
+    seed, _ = SPLITS[split]
+    for number in numbers:
         rng = np.random.default_rng([seed, number])
         room = np.array([rng.uniform(3.5, 10.0), rng.uniform(3.5, 8.0), rng.uniform(2.5, 3.3)])
         shape = compact(rng)
@@ -154,17 +153,13 @@ class Witness(DirectionFinder):
         right = best[0] < RIGHT and best[1] not in taken and self.scene.people[best[1]].sounds(time, 0.1)
         if right:
             taken.add(best[1])
-        whole = replace(self.law, spread={"one": 0.0, "agreement": 0.0, "others": -20.0}, floor=0.0)
-        none = replace(self.law, spread={"one": -20.0, "agreement": 0.0, "others": 0.0}, floor=0.0)
-        self.law, law = none, self.law
-        other = self.across(one, noise)
-        self.law = whole
+        law, self.law = self.law, replace(self.law, spread={"one": 0.0, "agreement": 0.0})
         shape = self.across(one, noise)
         self.law = law
-        self.rows.append(Row(right, best[2], one.terms, shape, other, one.first))
+        self.rows.append(Row(right, best[2], one.terms, shape, one.first))
 
 
-def rows(split: str, law: DirectionLaw, heard: Sequence[Scene]) -> list[Row]:
+def rows(law: DirectionLaw, heard: Iterable[Scene]) -> list[Row]:
     """Return the bearings that are found in scenes with a law."""
     found: list[Row] = []
     for scene in heard:
@@ -191,20 +186,19 @@ def logistic(found: Sequence[Row], names: Sequence[str], ridge: float = 0.5) -> 
     return dict(zip(names, np.round(minimize(loss, np.zeros(len(names))).x, 2).tolist(), strict=True))
 
 
-def width(found: Sequence[Row]) -> tuple[dict[str, float], float]:
-    """Return the weights of the spread and the floor by the likelihood of the level errors, Student's t."""
+def width(found: Sequence[Row]) -> dict[str, float]:
+    """Return the weights of the spread: the likelihood of the level errors, Student's t, and 95 % within 1.96 sd."""
     error = np.array([row.error[0] for row in found if row.right])
     shape = np.array([row.shape[0, 0] for row in found if row.right])
-    other = np.array([row.other[0, 0] for row in found if row.right])
     agreement = np.array([row.terms["agreement"] for row in found if row.right])
 
     def loss(w: np.ndarray) -> float:
-        variance = np.exp(2.0 * (w[0] + w[1] * agreement)) * shape + np.exp(2.0 * w[3]) * other + np.exp(2.0 * w[2])
+        variance = np.exp(2.0 * (w[0] + w[1] * agreement)) * shape
         return float(np.sum(0.5 * np.log(variance) + 2.5 * np.log1p(error**2 / (4.0 * variance))))
 
-    best = minimize(loss, np.array([0.0, 0.0, -4.0, -1.0]), method="Nelder-Mead", options={"maxiter": 4000}).x
-    one, agreement_weight, floor, others = np.round(best, 2).tolist()
-    return {"one": one, "agreement": agreement_weight, "others": others}, round(float(np.exp(floor)), 4)
+    one, slope = minimize(loss, np.zeros(2), method="Nelder-Mead").x
+    ratio = np.abs(error) / np.sqrt(np.exp(2.0 * (one + slope * agreement)) * shape)
+    return {"one": round(one + np.log(np.quantile(ratio, 0.95) / 1.96), 2), "agreement": round(slope, 2)}
 
 
 def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
@@ -219,8 +213,7 @@ def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
     factor = np.array(
         [np.exp(2.0 * (law.spread["one"] + law.spread["agreement"] * r.terms["agreement"])) for r in found]
     )
-    others = np.exp(2.0 * law.spread["others"]) * np.array([row.other[0, 0] for row in found])
-    sd = np.sqrt(factor * [row.shape[0, 0] for row in found] + others + law.floor**2)
+    sd = np.sqrt(factor * [row.shape[0, 0] for row in found])
     right = np.array([row.right for row in found])
     error = np.abs([row.error[0] for row in found])
     said["within_1.96_sd"] = float(np.mean((error < 1.96 * sd)[right]))
@@ -231,28 +224,31 @@ def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
     return {name: round(float(value), 3) for name, value in said.items()}
 
 
+def fitted(found: Sequence[Row], law: DirectionLaw) -> DirectionLaw:
+    """Return a law fitted to bearings; what the law before remembered is in their terms."""
+    first = logistic([row for row in found if row.first], FIRST)
+    further = logistic([row for row in found if not row.first], FURTHER)
+    return replace(law, first=first, further=further, spread=width(found))
+
+
 def main() -> None:
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
-    heard = {split: list(scenes(split, voices(split, folder))) for split in SPLITS}
-    law = fitted_law()
-    for turn in range(2):  # what is remembered depends on the scores
-        found = rows("fit", law, heard["fit"])
-        spread, floor = width(found)
-        law = replace(
-            law,
-            first=logistic([row for row in found if row.first], FIRST),
-            further=logistic([row for row in found if not row.first], FURTHER),
-            spread=spread,
-            floor=floor,
-        )
-        print(turn, law, described(found, law), flush=True)
-    check = described(rows("held out", law, heard["held out"]), law)
-    print("held out", check)
+    before = fitted_law()
+    found = {
+        split: rows(before, scenes(split, voices(split, folder), range(count))) for split, (_, count) in SPLITS.items()
+    }
+    write(fitted(found["fit"], before), found["held out"], real=folder.exists())
+
+
+def write(law: DirectionLaw, held_out: Sequence[Row], *, real: bool) -> None:
+    """Write a law with what it was fitted on and how it holds on bearings that it was not fitted to."""
+    check = described(held_out, law)
+    print(law, check)
     content = {
         "law": dict(vars(law)),
         "fitted_on": {
             "command": "tests/bench/fit_directions.py",
-            "speech": "CMU ARCTIC aew; held out: axb" if folder.exists() else "synthetic voices",
+            "speech": "CMU ARCTIC aew; held out: axb" if real else "synthetic voices",
             "scenes": {split: {"seed": seed, "count": count} for split, (seed, count) in SPLITS.items()},
             "right": "within 10 degrees in azimuth of a talker who sounds, or of the mirror image of one",
             "held_out": check,
