@@ -10,10 +10,6 @@ from avcli.localization.events import occupancy
 from avcli.localization.settings import SteeredSettings
 from avcli.numeric import fft_length
 
-TWINS = 5
-"""For how many windows two channels must be the same signal: sound without noise reaches two microphones at the same
-distance alike before its echoes come."""
-
 
 @dataclass(frozen=True)
 class Band:
@@ -122,7 +118,6 @@ class Correlator:
         self.band, self.half_lags, self.beta = band, half_lags, beta
         self.sample_rate = array.sample_rate
         self.first, self.second = correlation.pairs(len(array.microphones))
-        self.alike = np.zeros(len(self.first), np.intp)  # in how many windows up to the last a pair was the same
         self.baseline = np.linalg.norm(array.microphones[self.first] - array.microphones[self.second], axis=1)
         if 2 * half_lags >= band.size * band.oversampling:
             far = int(self.baseline.argmax())
@@ -198,9 +193,7 @@ class Correlator:
     def _without_twins(self, gcc: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, list[str]]:
         """Return which channels (m,) are good and no copy of another one, and a notice of each pair of copies."""
         first, second, notices = self.first, self.second, []
-        alike = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01) & good[first] & good[second]
-        self.alike = np.where(alike, self.alike + 1, 0)
-        twins = self.alike >= TWINS
+        twins = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01) & good[first] & good[second]
         good = good.copy()
         for pair in np.flatnonzero(twins):
             notices.append(f"channels {first[pair] + 1} and {second[pair] + 1} are the same signal and left out")
