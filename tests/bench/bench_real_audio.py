@@ -178,7 +178,7 @@ def table(tallies: dict[tuple[str, str], Tally]) -> list[str]:
         held = f"{np.mean(tally.ellipses):.2f}" if tally.ellipses else "-"
         lines.append(
             f"| {array} | {split} | {tally.frames} | {found / max(tally.frames, 1):.2f} | {errors} | {inside} |"
-            f" {spread(tally.places, 3)} | {held} | {said} | {tally.further} |"
+            f" {'-' if tally.inside else spread(tally.places, 3)} | {held} | {said} | {tally.further} |"
         )
     return lines
 
