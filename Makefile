@@ -12,9 +12,11 @@
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
+#: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
-#: make fit-localization fit-voice fit-detection fit-looks fit-tracking     the coefficients of the stages, fitted again
-#:                    (minutes each; fit-voice needs recordings: FIT_FLAGS="--speech DIR")
+#: make fit-localization fit-directions fit-voice fit-detection fit-looks fit-tracking
+#:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
+#:                    FIT_FLAGS="--speech DIR")
 #: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
 #:
 #: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv
@@ -46,8 +48,9 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long real-video
-FITS := localization voice detection looks tracking
+BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long \
+           real-video real-audio
+FITS := localization directions voice detection looks tracking
 
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1

@@ -174,22 +174,22 @@ def test_the_mask_keeps_the_frequencies_that_another_talker_has():
     """Of two talkers who share the frequencies between them nothing of the first is left, and all of the second."""
     localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
     other = np.array([3.4, 1.0, 1.7])
-    band, talkers = localizer.band, localizer.talkers
+    band, masks = localizer.band, localizer.finder.talkers.masks
     frequencies = np.arange(band.bins.start, band.bins.stop) * FS / band.size
     delays = np.linalg.norm(np.stack([PLACE, other])[:, None] - MICROPHONES, axis=2) / 343.0
     both = np.exp(-2j * np.pi * frequencies * delays[..., None]).astype(np.complex64)
     spectra = np.where(np.arange(len(frequencies)) // 40 % 2, both[0], both[1])[None]
-    explained = talkers.coherence(spectra, np.zeros(1), PLACE, np.zeros(3))
+    explained = masks.coherence(spectra, np.zeros(1), PLACE, np.zeros(3))
 
     def answers(gccs):
-        return localizer.response.response(gccs[0], np.stack([PLACE, other]))
+        return localizer.finder.response.response(gccs[0], np.stack([PLACE, other]))
 
-    before = answers(talkers.masked(spectra, np.zeros_like(explained)))
-    after = answers(talkers.masked(spectra, explained))
+    before = answers(masks.masked(spectra, np.zeros_like(explained)))
+    after = answers(masks.masked(spectra, explained))
     assert min(before) > 0.4
     assert after[0] < 0.15 * before[0]
     assert after[1] > 0.8 * before[1]
-    assert not talkers.masked(0 * spectra, explained).any()
+    assert not masks.masked(0 * spectra, explained).any()
 
 
 def test_a_talker_is_heard_again_in_the_pauses_of_another():

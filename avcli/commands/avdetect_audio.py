@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import io
+import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from avcli.formats.experiment import Config, Microphones
     from avcli.formats.live import Stoppable
     from avcli.formats.recorder import Raw
+    from avcli.localization.array import Decision
     from avcli.localization.stream import Block, Recording
 
 _BLOCK = 1 << 16
@@ -115,19 +117,24 @@ def main(
             skips.take(decision.time, skips.skipped + decision.skipped, starting=number == 0)
             for notice in decision.notices:
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
-            objects = [
-                {"position": position, "covariance": covariance, "score": score, **({"features": told} if told else {})}
-                for position, covariance, score, told in zip(
-                    decision.positions,
-                    decision.covariances,
-                    decision.scores,
-                    as_objects(decision.features, len(decision.scores)),
-                    strict=True,
-                )
-            ]
+            objects = _objects(decision, as_objects(decision.features, len(decision.scores)))
             faults = {"channel_faults": [fault.record() for fault in decision.faults]} if decision.faults else {}
             named = {"timestamp": decision.time, "sensor": "audio", "kind": "microphones"}
             write({**named, "objects": objects, **faults})
+
+
+def _objects(decision: Decision, features: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the talkers of a decision as a record has them, each with its features."""
+    objects = []
+    rays = decision.rays or (None,) * len(decision.scores)
+    rows = zip(decision.positions, decision.covariances, decision.scores, rays, features, strict=True)
+    for position, covariance, score, ray, told in rows:
+        one: dict[str, Any] = {"position": position, "covariance": covariance, "score": score}
+        if ray is not None:
+            direction = [number for number in ray.direction.tolist() if not math.isnan(number)]
+            one |= {"origin": ray.origin, "direction": direction, "direction_sd_deg": math.degrees(ray.sd)}
+        objects.append(one | ({"features": told} if told else {}))
+    return objects
 
 
 def _with_first(first: Block, rest: Iterable[Block]) -> Iterator[Block]:

@@ -52,7 +52,7 @@ class Array:
 
         Args:
             count: the least number of microphones at different places.
-            dimensions: 2 refuses microphones on one line, 3 also those in one plane.
+            dimensions: 1 refuses nothing more, 2 microphones on one line, 3 also those in one plane.
 
         Raises:
             ValueError: says which dimension is missing.
@@ -62,7 +62,7 @@ class Array:
             raise ValueError(
                 f"{distinct} microphones at different places; a position in x, y and z needs {count} or more"
             )
-        if self.spread[1] < 0.01:
+        if dimensions >= 2 and self.spread[1] < 0.01:
             raise ValueError("the microphones are on one line; a position needs at least one more off that line")
         if dimensions == 3 and self.spread[2] < 0.001:
             raise ValueError(
@@ -77,6 +77,21 @@ class Array:
 
 
 @dataclass(frozen=True)
+class Ray:
+    """A direction, of a talker whose range is not observed.
+
+    Attributes:
+        origin: (3,) m.
+        direction: (3,) unit vector; z is NaN where it is told on the floor alone.
+        sd: rad, across it to each side.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    sd: float
+
+
+@dataclass(frozen=True)
 class Talker:
     """A talker who was heard at one time.
 
@@ -84,11 +99,13 @@ class Talker:
         position: (3,) m.
         covariance: (3, 3) m².
         score: probability that it is right.
+        ray: from where in which direction, where the range is not observed.
     """
 
     position: np.ndarray
     covariance: np.ndarray
     score: float
+    ray: Ray | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +121,7 @@ class Decision:
         skipped: how many time steps before it were skipped, since the localizer was behind a live stream.
         features: name -> what tells these talkers from others.
         faults: what is known to be wrong with the channels by then.
+        rays: (n,) from where in which direction, None of a talker whose range is observed too; empty: of nobody.
     """
 
     time: float
@@ -114,6 +132,7 @@ class Decision:
     skipped: int = 0
     features: Mapping[str, Feature] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
+    rays: tuple[Ray | None, ...] = ()
 
     @classmethod
     def of(
@@ -133,6 +152,7 @@ class Decision:
             tuple(notices),
             features=features or {},
             faults=faults,
+            rays=tuple(talker.ray for talker in talkers) if any(talker.ray for talker in talkers) else (),
         )
 
     def detections(self, sensor: str = "audio") -> Detections:
@@ -145,7 +165,19 @@ class Decision:
             self.scores,
             kind=MICROPHONES,
             features=self.features,
+            **self._partial(),
         )
+
+    def _partial(self) -> dict[str, np.ndarray]:
+        """Return origins (n, 3) m, directions (n, 3) and their standard deviations (n,) rad; nothing without rays."""
+        if not self.rays:
+            return {}
+        unknown = np.full(3, np.nan)
+        return {
+            "origins": np.array([ray.origin if ray else unknown for ray in self.rays]),
+            "directions": np.array([ray.direction if ray else unknown for ray in self.rays]),
+            "direction_sds": np.array([ray.sd if ray else np.nan for ray in self.rays]),
+        }
 
 
 def time_steps(begin: int, count: int, sample_rate: float, rate: float, tail: float) -> range:

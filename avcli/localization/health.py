@@ -87,7 +87,7 @@ class Health:
 
     Args:
         array: the microphones.
-        correlator, response: of the array.
+        correlator, response: of the array; without a response levels and silence alone are watched.
 
     Attributes:
         order: (m,) which channel of the recording is taken for each microphone.
@@ -100,8 +100,8 @@ class Health:
         silent: (m,) in how many windows up to the last each was without sound.
     """
 
-    def __init__(self, array: Array, correlator: Correlator, response: SteeredResponse):
-        self.array, self.correlator, self.response = array, correlator, response
+    def __init__(self, array: Array, correlator: Correlator, response: SteeredResponse | None):
+        self.array, self.correlator, self._response = array, correlator, response
         self.band: Band = correlator.band
         count = len(array.microphones)
         self.order, self.sign, self.delay = np.arange(count), np.ones(count), np.zeros(count)
@@ -110,12 +110,12 @@ class Health:
         self.size = round(self.band.size * self.band.oversampling)
         self.step = 1.0 / (array.sample_rate * self.band.oversampling)
         self.reach = min(int(LONGEST_S / self.step), self.size // 2 - 2)
-        self.hypotheses = _hypotheses(count)
+        self.hypotheses = _hypotheses(count) if response else [((), False)]
         self.after = AFTER if count <= FEW else 0  # many pairs tell much at once, and cost much
         gains = np.ones((len(self.hypotheses), count))
         for row, (subset, turned) in zip(gains, self.hypotheses, strict=True):
             row[list(subset)] = -1.0 if turned else 0.0
-        self.weights = (gains[:, response.first] * gains[:, response.second]).T.astype(np.float32)
+        self.weights = (gains[:, correlator.first] * gains[:, correlator.second]).T.astype(np.float32)
         self.price = np.array([(DOUBT + EACH * len(subset)) * bool(subset) for subset, _ in self.hypotheses])
         self._forget()
 
@@ -124,6 +124,17 @@ class Health:
         self.patience = self.waited = EARLIEST
         self.recent: deque[Correlated] = deque(maxlen=RECENT)
         self.likely: Remedy | None = None
+
+    @property
+    def response(self) -> SteeredResponse:
+        """The response by which the channels are tested.
+
+        Raises:
+            ValueError: there is none.
+        """
+        if self._response is None:
+            raise ValueError("the channels of this array are not tested")
+        return self._response
 
     @property
     def out(self) -> np.ndarray:
@@ -152,6 +163,8 @@ class Health:
         """
         self.windows += 1
         self._weigh(window)
+        if self._response is None:
+            return
         good = window.good & ~self.faulty
         if good.sum() < 5 or (self.windows > self.after and self.windows % SELDOM and not self.doubted.any()):
             return

@@ -1,14 +1,24 @@
 """What noise alone does to the steered response: the law from which the detection threshold follows."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from avcli.localization import correlation
-from avcli.localization.srp import SteeredResponse
 from avcli.localization.windows import Correlator
 
 DRAWS = 32
+
+
+class Search(Protocol):
+    """What is searched for the largest response: places of a room, or rays from an array."""
+
+    microphones: np.ndarray
+
+    def search(self, gcc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return places (n, 3) m, best first, and their responses (n,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -37,7 +47,7 @@ class NoiseLaw:
 
 
 def draw_noise_law(
-    correlator: Correlator, response: SteeredResponse, hop: int, windows: int, rng: np.random.Generator
+    correlator: Correlator, response: Search, hop: int, windows: int, rng: np.random.Generator
 ) -> NoiseLaw:
     """Fit the law by its moments to draws of white noise, independent in each channel.
 

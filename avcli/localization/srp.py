@@ -125,7 +125,7 @@ class SteeredResponse:
 
     def at(self, gcc: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Return each pair's GCC at the lag of a place (3,) m, (pairs,)."""
-        return _cubic(gcc, self.lags(position[None]) + self.half_lags)[:, 0]
+        return interpolated(gcc, self.lags(position[None]) + self.half_lags)[:, 0]
 
     def search(self, gcc: np.ndarray, keep: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,).
@@ -260,7 +260,7 @@ class SteeredResponse:
         lag = self.lags(position + velocity * offsets[:, None]).T + self.half_lags
         lag = np.clip(lag, reach, 2 * self.half_lags - reach)[:, :, None] + np.arange(-reach, reach + 1)
         rows = gccs.reshape(-1, self.lag_count)
-        return _cubic(rows, lag.reshape(len(rows), -1)).reshape(lag.shape).mean(axis=0)
+        return interpolated(rows, lag.reshape(len(rows), -1)).reshape(lag.shape).mean(axis=0)
 
     def differences(self, aligned: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the range differences (pairs,) m of the peaks near a place's lags, and the peaks' heights."""
@@ -278,7 +278,7 @@ class SteeredResponse:
         lag = after - before + reach
         if lag.min() < 0.0 or lag.max() > 2 * reach:
             return np.zeros(len(aligned))
-        return _cubic(aligned, lag[:, None])[:, 0]
+        return interpolated(aligned, lag[:, None])[:, 0]
 
     def notch(self, gccs: np.ndarray, places: np.ndarray, width: float) -> np.ndarray:
         """Return GCCs without what a place adds: 0 up to `width` m from its lag, whole from twice that.
@@ -341,7 +341,7 @@ def _lattice(centre: np.ndarray, step: float, reach: int, heights: np.ndarray) -
     return points.reshape(-1, 3)
 
 
-def _cubic(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
+def interpolated(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Interpolate each row (n, lags) at fractional indices (n, k) by the cubic of Catmull & Rom (1974)."""
     whole = np.clip(at.astype(np.intp), 1, rows.shape[1] - 3)
     t = at - whole

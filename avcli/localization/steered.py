@@ -7,32 +7,25 @@ and one of 0.39 s for rooms that echo; the search over place and velocity lets t
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from avcli.formats.features import Feature
-from avcli.localization import uncertainty
+from avcli.localization import directions, uncertainty
 from avcli.localization.array import Array, Decision, Talker, time_steps
+from avcli.localization.directions import DirectionFinder, RaySearch
 from avcli.localization.events import Gate
 from avcli.localization.health import Health
-from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.masks import Masks
+from avcli.localization.memory import Memory
 from avcli.localization.noise import NoiseLaw, draw_noise_law
+from avcli.localization.places import PlaceFinder
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.stream import Block, LatestSamples, stretches
-from avcli.localization.talkers import Peak, TalkerSearch
 from avcli.localization.voice import VoiceMeter
-from avcli.localization.windows import Band, Correlator, Heard, Window, together
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A peak, the probability that it is right, and what that rests on."""
-
-    score: float
-    peak: Peak
-    features: uncertainty.Features
+from avcli.localization.windows import Band, Correlator, Window, together
 
 
 class SteeredLocalizer:
@@ -55,26 +48,39 @@ class SteeredLocalizer:
         rng: np.random.Generator,
         law: uncertainty.Law | None = None,
     ):
-        array.require(count=4, dimensions=2)
-        self.array, self.settings, self.rng = array, settings, rng
-        self.law = law or uncertainty.fitted_law()
         low = np.array([0.0, 0.0, min(settings.heights[0], array.room[2])])
         high = np.array([*array.room[:2], min(settings.heights[1], array.room[2])])
+        compact = not directions.observes_ranges(array, low, high)
+        array.require(count=4, dimensions=1 if compact else 2)
+        self.array, self.settings, self.rng = array, settings, rng
+        self.law = law or uncertainty.fitted_law()
         self.delay = array.mean_delay(low, high)
+        if compact:
+            settings = replace(settings, band=directions.band_of(settings, array), tilt=0.0)
         self.band = Band.of(settings, array.sample_rate)
-        self.response = SteeredResponse(
-            array.microphones,
-            low,
-            high,
-            array.sample_rate * self.band.oversampling / array.speed_of_sound,
-            cell=settings.cell,
-            resolution=settings.resolution,
-            keep=settings.keep,
-        )
-        self.correlator = Correlator(array, self.band, self.response.half_lags, settings.beta)
-        self.health = Health(array, self.correlator, self.response)
+        scale = array.sample_rate * self.band.oversampling / array.speed_of_sound
+        response: SteeredResponse | RaySearch
+        if compact:
+            response = RaySearch(array, low, high, scale)
+        else:
+            response = SteeredResponse(
+                array.microphones,
+                low,
+                high,
+                scale,
+                cell=settings.cell,
+                resolution=settings.resolution,
+                keep=settings.keep,
+            )
+        self.correlator = Correlator(array, self.band, response.half_lags, settings.beta)
         self.voices = VoiceMeter(array, self.band)
-        self.talkers = TalkerSearch(array, settings, self.correlator, self.response)
+        self.health = Health(array, self.correlator, None if isinstance(response, RaySearch) else response)
+        masks = Masks(array, self.correlator)
+        self.finder: PlaceFinder | DirectionFinder
+        if isinstance(response, RaySearch):
+            self.finder = DirectionFinder(settings, response, masks, directions.fitted_law())
+        else:
+            self.finder = PlaceFinder(array, settings, response, masks, self.health, self.law)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
         self.windows_a_step = max(1, int(np.ceil(1.0 / (settings.rate * max(settings.context, 1e-9)) - 1e-9)))
         if settings.context <= 0.0:
@@ -173,11 +179,15 @@ class SteeredLocalizer:
                 for window, offset in zip(around, self.offsets.tolist(), strict=True)
                 if window is not None
             ]
-            talkers = self.decide(time, together(sounding, self.health.out))
+            heard = together(sounding, self.health.out)
+            if heard is None:
+                self.memory.keep([])
+            else:
+                talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
             features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, self.noise(1).deviation)
             notices += self._news()
-            if talkers and talkers[0].score > 0.9 and self.on_the_edge(talkers[0].position)[:2].any():
+            if self.finder.outside(talkers):
                 notices.append("a source is on the edge of the room or outside it")
         return Decision.of(time, talkers, notices, features, self.health.faults)
 
@@ -191,95 +201,5 @@ class SteeredLocalizer:
         """Return what so many windows of white noise, independent in each channel, do to the response."""
         if self._noise is None:
             hop = round(self.hop * self.array.sample_rate)
-            self._noise = draw_noise_law(self.correlator, self.response, hop, len(self.offsets), self.rng)
+            self._noise = draw_noise_law(self.correlator, self.finder.response, hop, len(self.offsets), self.rng)
         return self._noise.of(windows)
-
-    def decide(self, time: float, heard: Heard | None) -> list[Talker]:
-        """Find the talkers in the windows around one moment, the clearest first.
-
-        Args:
-            time: s, the moment.
-            heard: the windows around it.
-        """
-        if heard is None:
-            self.memory.keep([])
-            return []
-        noise = self.noise(heard.count)
-        judged = self.judge(self.talkers.peaks(heard, noise, self.memory), noise)
-        self.memory.keep(
-            [
-                Trace(
-                    one.peak.position,
-                    0.6 * one.features.gait + 0.4 * one.features.velocity,
-                    self.law.remembered(one.features, self.memory.kept),
-                )
-                for one in judged
-            ]
-        )
-        return self.report(time, judged, heard, noise)
-
-    def judge(self, peaks: list[Peak], noise: NoiseLaw) -> list[Judged]:
-        """Return a decision's peaks with their scores, the most probable first."""
-        judged, left = [], self.memory.traces
-        for number, peak in enumerate(peaks):
-            near = [level_distance(trace.position, peak.position) < self.memory.reach(trace) for trace in left]
-            traces = [trace for trace, same in zip(left, near, strict=True) if same]
-            left = [trace for trace, same in zip(left, near, strict=True) if not same]
-            features = self.features(peak, number == 0, traces, noise)
-            judged.append(Judged(self.law.probability(features), peak, features))
-        return sorted(judged, key=lambda one: -one.score)
-
-    def features(self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw) -> uncertainty.Features:
-        """Return what tells a right peak, the decision's first or a further one, from a wrong one.
-
-        Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was.
-        """
-        strayed, pace, gait = np.zeros(3), peak.velocity, peak.velocity
-        if traces:
-            latest = min(traces, key=lambda trace: trace.age)
-            gait = latest.velocity
-            strayed = peak.position - latest.position - peak.velocity * (latest.age / self.settings.rate)
-            pace = (peak.position - latest.position) * [1.0, 1.0, 0.0] * (self.settings.rate / latest.age)
-        return uncertainty.Features(
-            response=peak.response / noise.location,
-            agreement=peak.agreement,
-            support=peak.support,
-            before=max((trace.lasting for trace in traces), default=0.0, key=abs),
-            first=first,
-            own=peak.own,
-            velocity=peak.velocity,
-            residual=peak.residual,
-            strayed=strayed,
-            pace=pace,
-            gait=gait,
-            strongest=peak.strongest,
-        )
-
-    def report(self, time: float, judged: list[Judged], heard: Heard, noise: NoiseLaw) -> list[Talker]:
-        """Return those of a decision's peaks that are probable enough, with their covariances.
-
-        Args:
-            time: s, the moment.
-            judged: the peaks, the most probable first.
-            heard: the windows around the moment.
-            noise: what noise does to as many windows.
-        """
-        return [
-            Talker(one.peak.position, self.covariance(one, heard.offsets, noise), one.score)
-            for one in judged[: self.settings.max_speakers]
-            if one.score >= self.settings.min_score
-        ]
-
-    def covariance(self, judged: Judged, offsets: np.ndarray, noise: NoiseLaw) -> np.ndarray:
-        """Return the covariance (3, 3) m² of a peak that was found in windows at offsets (windows,) s."""
-        peak, low, high = judged.peak, self.response.low, self.response.high
-        sharpness = self.law.sharpness / noise.deviation
-        others = self.response.ambiguity(peak.gccs, offsets, peak.position, peak.velocity, sharpness)
-        covariance = self.law.covariance(peak.normal, others, judged.features, low, high)
-        covariance = covariance + uncertainty.beyond(self.on_the_edge(peak.position))
-        return covariance + uncertainty.UNSURE_M**2 * np.eye(3) if self.health.doubted.any() else covariance
-
-    def on_the_edge(self, position: np.ndarray) -> np.ndarray:
-        """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
-        margin = 0.5 * self.settings.resolution
-        return (position - self.response.low < margin) | (self.response.high - position < margin)

@@ -10,17 +10,15 @@ import numpy as np
 
 from avcli.localization import multilateration
 from avcli.localization.array import Array
+from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory, Trace, level_distance
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
-from avcli.localization.windows import Correlator, Heard
+from avcli.localization.windows import Heard
 
 NOTCH_M, ECHO_NOTCH_M = 0.1, 0.012
 """m of range difference: half the width of a notch around a talker's lags, and around those of an echo."""
-
-AGREED_BY_CHANCE, AGREED_BY_A_TALKER = 0.125, 0.475
-"""Agreement of the channels in a bin, up to which the mask keeps it whole, and from which it leaves nothing of it."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,11 @@ class TalkerSearch:
     Args:
         array: the microphones and the room.
         settings: see SteeredSettings.
-        correlator, response: of the array.
+        masks, response: of the array.
     """
 
-    def __init__(self, array: Array, settings: SteeredSettings, correlator: Correlator, response: SteeredResponse):
-        self.array, self.settings, self.correlator, self.response = array, settings, correlator, response
+    def __init__(self, array: Array, settings: SteeredSettings, masks: Masks, response: SteeredResponse):
+        self.array, self.settings, self.masks, self.response = array, settings, masks, response
 
     def peaks(self, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Peak]:
         """Return the places that are answered better than noise would, each without those before it.
@@ -77,7 +75,7 @@ class TalkerSearch:
         """
         found: list[Peak] = []
         taken: list[np.ndarray] = []  # where the peaks so far are, (windows, 3) m or (1, 3) m each
-        gccs, explained = heard.gccs, np.zeros((len(heard.spectra), len(self.correlator.band.weight)), np.float32)
+        gccs, explained = heard.gccs, self.masks.nothing(heard)
         known = memory.known()
         for _ in range(self.settings.max_speakers + 1):
             if taken:
@@ -114,56 +112,13 @@ class TalkerSearch:
 
         Args:
             heard: the windows around the moment.
-            explained: (windows, bins) the peaks' coherence, see `coherence`.
+            explained: (windows, bins) the peaks' coherence, see `Masks.coherence`.
             taken: where each peak is, see `Peak.path`.
         """
-        gccs = self.masked(heard.spectra, explained) * heard.gains[:, None, None]
+        gccs = self.masks.masked(heard.spectra, explained) * heard.gains[:, None, None]
         for places in taken:
             gccs = self.response.notch(gccs, places, NOTCH_M)
         return self.response.notch_echoes(gccs, taken[0], self.array.room, ECHO_NOTCH_M)
-
-    def masked(self, spectra: np.ndarray, explained: np.ndarray) -> np.ndarray:
-        """Return GCCs (windows, pairs, lags) of those times and frequencies that are not explained yet.
-
-        Speech is sparse: of two talkers one or the other is the louder in most bins (Yilmaz and Rickard 2004). A bin
-        counts the less, the better the channels agree there on the peaks so far. What is left keeps its amplitude.
-
-        Args:
-            spectra: (windows, m, bins), whitened.
-            explained: (windows, bins), see `coherence`.
-        """
-        whole = self.correlator.band.weight
-        agreed = explained / (whole * (spectra.shape[1] - 1))
-        kept = (AGREED_BY_A_TALKER - agreed) / (AGREED_BY_A_TALKER - AGREED_BY_CHANCE)
-        weights = whole * np.clip(kept, 0.0, 1.0).astype(np.float32)
-        return np.stack(
-            [
-                self.correlator.gcc(each, weight) * (weight.sum() / whole.sum())
-                for each, weight in zip(spectra, weights, strict=True)
-            ]
-        )
-
-    def coherence(
-        self, spectra: np.ndarray, offsets: np.ndarray, position: np.ndarray, velocity: np.ndarray
-    ) -> np.ndarray:
-        """Return how far the channels agree, bin by bin, on sound from a place that moves, (windows, bins).
-
-        0 is what chance gives; neighbouring bins are averaged.
-
-        Args:
-            spectra: (windows, m, bins), whitened.
-            offsets: (windows,) s.
-            position: (3,) m.
-            velocity: (3,) m/s.
-        """
-        places = position + velocity * offsets[:, None]
-        ranges = np.linalg.norm(places[:, None] - self.array.microphones, axis=2)
-        delays = (ranges - ranges.mean(axis=1, keepdims=True)) / self.array.speed_of_sound
-        steered = (spectra * self.correlator.band.turned(delays, self.array.sample_rate)).sum(axis=1)
-        power = (spectra.real**2 + spectra.imag**2).sum(axis=1)
-        excess = steered.real**2 + steered.imag**2 - power
-        weight = self.correlator.band.weight
-        return weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
 
     def fitted(
         self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray
@@ -199,7 +154,7 @@ class TalkerSearch:
         misfit = differences - (ranges[steered.first] - ranges[steered.second])
         places = position + velocity * offsets[:, None]
         each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
-        coherence = self.coherence(heard.spectra, offsets, position, velocity)
+        coherence = self.masks.coherence(heard.spectra, offsets, position, velocity)
         peak = Peak(
             position,
             velocity,
@@ -218,10 +173,3 @@ class TalkerSearch:
 def _same(peak: Peak, trace: Trace, memory: Memory) -> bool:
     """Tell whether a peak may be the talker of a trace."""
     return level_distance(peak.position, trace.position) <= memory.reach(trace)
-
-
-def _smooth(rows: np.ndarray) -> np.ndarray:
-    """Return the sums of five neighbours in each row (n, bins); beyond the ends are zeros."""
-    wide = np.pad(rows, ((0, 0), (2, 2)))
-    count = rows.shape[1]
-    return wide[:, :count] + wide[:, 1:-3] + wide[:, 2:-2] + wide[:, 3:-1] + wide[:, 4:]

@@ -134,11 +134,12 @@ class Renderer:
             outlines: of `prepare`.
             index: of the time.
         """
-        known = outlines is self._outlines or not (outlines.held.size or self._outlines.held.size)
-        moved = outlines.held[index] != outlines.held[self._index] if known else np.ones(outlines.held.shape[1], bool)
+        same = outlines is self._outlines
+        known = same or not (outlines.held.size or self._outlines.held.size)
+        moved = outlines.held[index] != outlines.held[self._index] if same else np.ones(outlines.held.shape[1], bool)
         everybody = np.ones_like(moved)
         bodies, shadows = outlines.tiles(index, everybody)
-        before = outlines.tiles(self._index, moved) if known else self._stale
+        before = outlines.tiles(self._index if same else index, moved) if known else self._stale
         found, darkened = (one | other for one, other in zip(outlines.tiles(index, moved), before, strict=True))
         painted = found | (darkened & bodies)
         dimmed = darkened & ~painted

@@ -57,9 +57,10 @@ from avcli.formats.records import Identified  # noqa: E402
 from avcli.localization import uncertainty  # noqa: E402
 from avcli.localization.array import Array, Talker  # noqa: E402
 from avcli.localization.noise import NoiseLaw  # noqa: E402
+from avcli.localization.places import Judged, PlaceFinder  # noqa: E402
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings  # noqa: E402
 from avcli.localization.ssl3d import ClosedFormLocalizer  # noqa: E402
-from avcli.localization.steered import Judged, SteeredLocalizer  # noqa: E402
+from avcli.localization.steered import SteeredLocalizer  # noqa: E402
 from avcli.localization.stream import Block  # noqa: E402
 from avcli.localization.windows import Heard  # noqa: E402
 
@@ -111,11 +112,11 @@ class Row:
     score: float
 
 
-class Witness(SteeredLocalizer):
-    """A localizer that notes each of its peaks, with what covariances are made of only where `spread`."""
+class Witness(PlaceFinder):
+    """A finder that notes each of its peaks, with what covariances are made of only where `spread`."""
 
-    def __init__(self, scene: Scene, law: uncertainty.Law, *, spread: bool):
-        super().__init__(scene.array, SteeredSettings(), np.random.default_rng(0), law)
+    def __init__(self, finder: PlaceFinder, scene: Scene, *, spread: bool):
+        vars(self).update(vars(finder))
         self.scene, self.spread, self.rows = scene, spread, list[Row]()
 
     def report(self, time: float, judged: list[Judged], heard: Heard, noise: NoiseLaw) -> list[Talker]:
@@ -163,8 +164,11 @@ def peaks(heard: Sequence[Scene], law: uncertainty.Law, *, spread: bool = False)
     """Return the peaks that the localizer finds in each scene with a law."""
     found = []
     for scene in heard:
-        witness = Witness(scene, law, spread=spread)
-        for _ in witness.localize([Block(scene.samples)]):
+        localizer = SteeredLocalizer(scene.array, SteeredSettings(), np.random.default_rng(0), law)
+        if not isinstance(localizer.finder, PlaceFinder):
+            raise TypeError("the array observes no ranges")
+        localizer.finder = witness = Witness(localizer.finder, scene, spread=spread)
+        for _ in localizer.localize([Block(scene.samples)]):
             pass
         found.append(witness.rows)
     return found

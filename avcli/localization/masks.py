@@ -1,0 +1,75 @@
+"""Which times and frequencies a talker explains, so that the next one is searched for in the others."""
+
+import numpy as np
+
+from avcli.localization.array import Array
+from avcli.localization.windows import Correlator, Heard
+
+AGREED_BY_CHANCE, AGREED_BY_A_TALKER = 0.125, 0.475
+"""Agreement of the channels in a bin, up to which the mask keeps it whole, and from which it leaves nothing of it."""
+
+
+class Masks:
+    """Masks of one array.
+
+    Args:
+        array: the microphones.
+        correlator: of the array.
+    """
+
+    def __init__(self, array: Array, correlator: Correlator):
+        self.array, self.correlator = array, correlator
+
+    def nothing(self, heard: Heard) -> np.ndarray:
+        """Return what no talker explains, (windows, bins) of 0."""
+        return np.zeros((len(heard.spectra), len(self.correlator.band.weight)), np.float32)
+
+    def masked(self, spectra: np.ndarray, explained: np.ndarray) -> np.ndarray:
+        """Return GCCs (windows, pairs, lags) of those times and frequencies that are not explained yet.
+
+        Speech is sparse: of two talkers one or the other is the louder in most bins (Yilmaz and Rickard 2004). A bin
+        counts the less, the better the channels agree there on the peaks so far. What is left keeps its amplitude.
+
+        Args:
+            spectra: (windows, m, bins), whitened.
+            explained: (windows, bins), see `coherence`.
+        """
+        whole = self.correlator.band.weight
+        agreed = explained / (whole * (spectra.shape[1] - 1))
+        kept = (AGREED_BY_A_TALKER - agreed) / (AGREED_BY_A_TALKER - AGREED_BY_CHANCE)
+        weights = whole * np.clip(kept, 0.0, 1.0).astype(np.float32)
+        return np.stack(
+            [
+                self.correlator.gcc(each, weight) * (weight.sum() / whole.sum())
+                for each, weight in zip(spectra, weights, strict=True)
+            ]
+        )
+
+    def coherence(
+        self, spectra: np.ndarray, offsets: np.ndarray, position: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
+        """Return how far the channels agree, bin by bin, on sound from a place that moves, (windows, bins).
+
+        0 is what chance gives; neighbouring bins are averaged.
+
+        Args:
+            spectra: (windows, m, bins), whitened.
+            offsets: (windows,) s.
+            position: (3,) m.
+            velocity: (3,) m/s.
+        """
+        places = position + velocity * offsets[:, None]
+        ranges = np.linalg.norm(places[:, None] - self.array.microphones, axis=2)
+        delays = (ranges - ranges.mean(axis=1, keepdims=True)) / self.array.speed_of_sound
+        steered = (spectra * self.correlator.band.turned(delays, self.array.sample_rate)).sum(axis=1)
+        power = (spectra.real**2 + spectra.imag**2).sum(axis=1)
+        excess = steered.real**2 + steered.imag**2 - power
+        weight = self.correlator.band.weight
+        return weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
+
+
+def _smooth(rows: np.ndarray) -> np.ndarray:
+    """Return the sums of five neighbours in each row (n, bins); beyond the ends are zeros."""
+    wide = np.pad(rows, ((0, 0), (2, 2)))
+    count = rows.shape[1]
+    return wide[:, :count] + wide[:, 1:-3] + wide[:, 2:-2] + wide[:, 3:-1] + wide[:, 4:]

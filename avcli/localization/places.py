@@ -1,0 +1,140 @@
+"""Where talkers are, decision by decision: peaks of the steered response in metres, their scores and covariances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avcli.localization import uncertainty
+from avcli.localization.array import Array, Talker
+from avcli.localization.health import Health
+from avcli.localization.masks import Masks
+from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.noise import NoiseLaw
+from avcli.localization.settings import SteeredSettings
+from avcli.localization.srp import SteeredResponse
+from avcli.localization.talkers import Peak, TalkerSearch
+from avcli.localization.windows import Heard
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A peak, the probability that it is right, and what that rests on."""
+
+    score: float
+    peak: Peak
+    features: uncertainty.Features
+
+
+class PlaceFinder:
+    """Decides, step by step, where an array hears talkers.
+
+    Args:
+        array: the microphones and the room.
+        settings: see SteeredSettings.
+        response, masks, health: of the array.
+        law: scores and covariances.
+    """
+
+    def __init__(
+        self,
+        array: Array,
+        settings: SteeredSettings,
+        response: SteeredResponse,
+        masks: Masks,
+        health: Health,
+        law: uncertainty.Law,
+    ):
+        self.settings, self.response, self.health, self.law = settings, response, health, law
+        self.talkers = TalkerSearch(array, settings, masks, response)
+
+    def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
+        """Return the talkers in the windows around one moment, the most probable first, and remember them.
+
+        Args:
+            time: s, the moment.
+            heard: the windows around it.
+            noise: what noise does to as many windows.
+            memory: what the decisions before found.
+        """
+        judged = self.judge(self.talkers.peaks(heard, noise, memory), noise, memory)
+        memory.keep(
+            [
+                Trace(
+                    one.peak.position,
+                    0.6 * one.features.gait + 0.4 * one.features.velocity,
+                    self.law.remembered(one.features, memory.kept),
+                )
+                for one in judged
+            ]
+        )
+        return self.report(time, judged, heard, noise)
+
+    def judge(self, peaks: list[Peak], noise: NoiseLaw, memory: Memory) -> list[Judged]:
+        """Return a decision's peaks with their scores, the most probable first."""
+        judged, left = [], memory.traces
+        for number, peak in enumerate(peaks):
+            near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
+            traces = [trace for trace, same in zip(left, near, strict=True) if same]
+            left = [trace for trace, same in zip(left, near, strict=True) if not same]
+            features = self.features(peak, number == 0, traces, noise)
+            judged.append(Judged(self.law.probability(features), peak, features))
+        return sorted(judged, key=lambda one: -one.score)
+
+    def features(self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw) -> uncertainty.Features:
+        """Return what tells a right peak, the decision's first or a further one, from a wrong one.
+
+        Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was.
+        """
+        strayed, pace, gait = np.zeros(3), peak.velocity, peak.velocity
+        if traces:
+            latest = min(traces, key=lambda trace: trace.age)
+            gait = latest.velocity
+            strayed = peak.position - latest.position - peak.velocity * (latest.age / self.settings.rate)
+            pace = (peak.position - latest.position) * [1.0, 1.0, 0.0] * (self.settings.rate / latest.age)
+        return uncertainty.Features(
+            response=peak.response / noise.location,
+            agreement=peak.agreement,
+            support=peak.support,
+            before=max((trace.lasting for trace in traces), default=0.0, key=abs),
+            first=first,
+            own=peak.own,
+            velocity=peak.velocity,
+            residual=peak.residual,
+            strayed=strayed,
+            pace=pace,
+            gait=gait,
+            strongest=peak.strongest,
+        )
+
+    def report(self, time: float, judged: list[Judged], heard: Heard, noise: NoiseLaw) -> list[Talker]:
+        """Return those of a decision's peaks that are probable enough, with their covariances.
+
+        Args:
+            time: s, the moment.
+            judged: the peaks, the most probable first.
+            heard: the windows around the moment.
+            noise: what noise does to as many windows.
+        """
+        return [
+            Talker(one.peak.position, self.covariance(one, heard.offsets, noise), one.score)
+            for one in judged[: self.settings.max_speakers]
+            if one.score >= self.settings.min_score
+        ]
+
+    def covariance(self, judged: Judged, offsets: np.ndarray, noise: NoiseLaw) -> np.ndarray:
+        """Return the covariance (3, 3) m² of a peak that was found in windows at offsets (windows,) s."""
+        peak, low, high = judged.peak, self.response.low, self.response.high
+        sharpness = self.law.sharpness / noise.deviation
+        others = self.response.ambiguity(peak.gccs, offsets, peak.position, peak.velocity, sharpness)
+        covariance = self.law.covariance(peak.normal, others, judged.features, low, high)
+        covariance = covariance + uncertainty.beyond(self.on_the_edge(peak.position))
+        return covariance + uncertainty.UNSURE_M**2 * np.eye(3) if self.health.doubted.any() else covariance
+
+    def on_the_edge(self, position: np.ndarray) -> np.ndarray:
+        """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
+        margin = 0.5 * self.settings.resolution
+        return (position - self.response.low < margin) | (self.response.high - position < margin)
+
+    def outside(self, talkers: list[Talker]) -> bool:
+        """Tell whether the first talker is surely heard, on the edge of the room or beyond it."""
+        return bool(talkers and talkers[0].score > 0.9 and self.on_the_edge(talkers[0].position)[:2].any())

@@ -1,0 +1,144 @@
+"""Measured rooms with microphones and loudspeakers at known places, as they are published.
+
+Each set is a folder beside the others in one directory; none is part of the project. A set says which of its
+loudspeakers decided settings ("decide") and which are kept to judge by ("judge").
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from scipy.io import loadmat
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One loudspeaker in one measured room.
+
+    Attributes:
+        set, name: which, for the table.
+        split: "decide" or "judge".
+        room: (3,) m.
+        microphones: (m, 3) m.
+        source: (3,) m.
+        responses: (m, n).
+        sample_rate: Hz.
+    """
+
+    set: str
+    name: str
+    split: str
+    room: np.ndarray
+    microphones: np.ndarray
+    source: np.ndarray
+    responses: np.ndarray
+    sample_rate: int
+
+
+@dataclass(frozen=True)
+class MeasuredSet:
+    """A published set: its folder, where it comes from, its licence, and how it is read."""
+
+    folder: str
+    source: str
+    licence: str
+    read: Callable[[Path], Iterator[Measured]]
+
+
+def delft(folder: Path) -> Iterator[Measured]:
+    """Read eight microphones on a circle of 10 cm radius, and six loudspeakers 1.4 to 4.4 m from it (TU Delft).
+
+    The file's places agree with the delays of the direct sound to 0.02 ms; its own other list of places does not.
+    """
+    for path in sorted(folder.glob("InHouse/bigger/*/RIR_*.mat")):
+        content = loadmat(str(path))
+        curtains, number = path.parent.name.split()[0].lower(), path.stem.split("_")[1]
+        yield Measured(
+            "circle of 8, 10 cm",
+            f"loudspeaker {number}, curtains {curtains}",
+            "decide" if curtains == "closed" and number in "134" else "judge",
+            np.array([8.1, 6.8, 3.07]),
+            np.asarray(content["loc_microphone"], float),
+            np.asarray(content["loc_loudspeaker"], float).ravel(),
+            np.asarray(content["RIR"], float).T,
+            int(content["Fs"].ravel()[0]),
+        )
+
+
+def variable_lab(folder: Path) -> Iterator[Measured]:
+    """Read seven microphones of a sphere of 5 cm radius, loudspeakers around it at 1.5 to 3 m (R3VIVAL).
+
+    Azimuths run clockwise, channel 3 is on the right. The array's place in the room is not stated: the middle of the
+    floor is taken, at ear height; only directions are judged.
+    """
+    slant = 0.05 * np.sqrt(0.5)
+    shape = np.array([[0.05, 0, 0], [-0.05, 0, 0], [0, -slant, slant], [0, slant, slant], [0, -slant, -slant],
+                      [0, slant, -slant], [0, 0, 0]])  # fmt: skip
+    room, centre = np.array([9.7, 5.5, 2.7]), np.array([4.85, 2.75, 1.3])
+    pattern = re.compile(r"Absorptive_([0-9A-Z]+)_S(\d+)-(\d+)_")
+    for path in sorted(folder.glob("RIRs/FRL_array/*.wav")):
+        found = pattern.search(path.name)
+        if not found or found[1] not in ("000", "050", "100"):
+            continue
+        turn, distance = -np.radians(float(found[2])), float(found[3]) / 100.0
+        samples, rate = soundfile.read(path)
+        yield Measured(
+            "sphere of 7, 5 cm",
+            f"{found[2]} degrees, {distance:g} m, absorption {found[1]}",
+            "decide" if found[1] == "000" else "judge",
+            room,
+            centre + shape,
+            centre + distance * np.array([np.cos(turn), np.sin(turn), 0.0]),
+            samples.T,
+            rate,
+        )
+
+
+def vilnius(folder: Path) -> Iterator[Measured]:
+    """Read 25 places of a microphone in a grid 50 cm apart, two loudspeakers 1 to 3 m from them (VilniusTech).
+
+    Eight of the places at a time are an array; the delays agree with the stated places to 0.01 ms.
+    """
+    grid = np.array([(3.68 - 0.5 * (k % 5), 3.0 + 0.5 * (k // 5), 1.2) for k in range(25)])
+    choices = {"decide": [0, 4, 20, 24, 7, 11, 13, 17], "judge": [2, 10, 14, 22, 1, 8, 16, 23]}
+    sources = np.array([(3.36, 2.0, 1.5), (2.0, 2.0, 1.5)])
+    for number, source in enumerate(sources, start=1):
+        heard = []
+        for place in range(1, 26):
+            samples, rate = soundfile.read(folder / f"Source{number}" / f"S{number}R{place}.Wav", always_2d=True)
+            heard.append(samples[:, 0])
+        length = min(len(one) for one in heard)
+        responses = np.array([one[:length] for one in heard])
+        for split, chosen in choices.items():
+            yield Measured(
+                "8 in a grid of 2 m",
+                f"loudspeaker {number}, places {split}",
+                split,
+                np.array([5.36, 5.85, 2.86]),
+                grid[chosen],
+                source,
+                responses[chosen],
+                rate,
+            )
+
+
+SETS = (
+    MeasuredSet(
+        "extracting-absorption-coefficients",
+        "https://github.com/tbloemen/extracting-absorption-coefficients (InHouse, bigger)",
+        "none stated: evaluated with only",
+        delft,
+    ),
+    MeasuredSet(
+        "R3VIVAL", "https://github.com/facebookresearch/R3VIVAL (Amengual Gari et al.)", "CC BY 4.0", variable_lab
+    ),
+    MeasuredSet(
+        "Room-Impulse-Response-dataset",
+        "https://github.com/tamulionism/Room-Impulse-Response-dataset",
+        "none stated: evaluated with only",
+        vilnius,
+    ),
+)

@@ -1,0 +1,80 @@
+"""Compact arrays: directions instead of places."""
+
+import numpy as np
+import pytest
+from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
+
+from avcli.localization import directions
+from avcli.localization.array import Array
+from avcli.localization.settings import SteeredSettings
+from avcli.localization.steered import SteeredLocalizer
+from avcli.localization.stream import Block
+
+FS = 16000
+LARGE = np.array([6.0, 5.0, 3.0])
+TURN = 2.0 * np.pi * np.arange(6) / 6
+RING = 0.08 * np.column_stack([np.cos(TURN), np.sin(TURN), 0.0 * TURN])
+SHAPES = {
+    "ring": np.array([2.5, 2.0, 1.1]) + RING,
+    "on a wall": np.array([2.5, 0.05, 1.3]) + RING[:, [0, 2, 1]],
+    "line on a wall": np.array([[2.5 + 0.04 * k, 0.03, 1.3] for k in range(6)]),
+}
+
+
+def decisions(microphones, *, mouth=(4.2, 3.6, 1.5), seconds=1.0):
+    rng = np.random.default_rng(3)
+    sound = voice(seconds, FS, rng)
+    samples = noisy(heard(mouth, sound, FS, microphones=microphones, reflection=0.5, order=2, room=LARGE), 25, rng)
+    localizer = SteeredLocalizer(Array(microphones, FS, LARGE), SteeredSettings(), np.random.default_rng(0))
+    return [one for one in localizer.localize([Block(samples)]) if len(one.scores)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_direction_is_found_and_the_range_is_not_claimed(shape):
+    """The direction is right, so is what is said of its error, and the ellipse holds the mouth."""
+    microphones, mouth = SHAPES[shape], np.array([4.2, 3.6, 1.5])
+    found = decisions(microphones)
+    assert len(found) >= 6
+    away = mouth - microphones.mean(axis=0)
+    for decision in found:
+        ray = decision.rays[0]
+        error = np.angle(np.exp(1j * (np.arctan2(*ray.direction[1::-1]) - np.arctan2(*away[1::-1]))))
+        assert abs(np.degrees(error)) < (3.0 if shape == "ring" else 6.0)
+        assert abs(error) < 3.5 * ray.sd
+        miss, covariance = decision.positions[0] - mouth, decision.covariances[0]
+        assert miss @ np.linalg.solve(covariance, miss) < 11.3
+        assert np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > 0.4
+        assert ((decision.positions[0] > 0.0) & (decision.positions[0] < LARGE)).all()
+
+
+def test_records_say_that_the_range_is_unknown():
+    """What is written for others has the origin, the direction and its standard deviation."""
+    found = decisions(SHAPES["ring"])[0].detections()
+    assert found.shows_less()
+    np.testing.assert_allclose(found.origins[0], [2.5, 2.0, 1.1])
+    assert np.hypot(*found.directions[0, :2]) == pytest.approx(1.0, abs=0.2)
+    assert 0.0 < found.direction_sds[0] < 0.3
+
+
+def test_a_mirror_image_that_the_room_allows_is_told():
+    """An upright plane in the middle of the room hears front and back alike: both are told, each by half."""
+    found = decisions(np.array([2.5, 2.0, 1.3]) + RING[:, [0, 2, 1]])
+    for decision in found:
+        assert decision.scores.max() <= 0.5
+        assert decision.rays[0].direction[1] * decision.rays[1].direction[1] < 0.0
+
+
+def test_a_distributed_array_observes_ranges():
+    """The ring on the walls of a room keeps its places, and a table array of 30 cm is compact in a large room."""
+    low, high = np.array([0.0, 0.0, 0.8]), np.array([*ROOM[:2], 2.0])
+    assert directions.observes_ranges(Array(MICROPHONES, FS, ROOM), low, high)
+    table = 2.0 * RING + [3.0, 2.5, 0.8]
+    assert not directions.observes_ranges(Array(table, FS, LARGE), low, np.array([*LARGE[:2], 2.0]))
+
+
+def test_noise_alone_makes_no_directions():
+    """Half a minute of noise that differs from channel to channel has nearly no talkers."""
+    samples = np.random.default_rng(5).standard_normal((10 * FS, 6))
+    localizer = SteeredLocalizer(Array(SHAPES["ring"], FS, LARGE), SteeredSettings(), np.random.default_rng(0))
+    found = [one for one in localizer.localize([Block(samples)]) if len(one.scores)]
+    assert len(found) <= 2
