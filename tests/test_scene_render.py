@@ -370,8 +370,8 @@ def test_a_pose_that_is_kept_is_nowhere_off_by_more_than_was_asked(context):
 def test_a_frame_in_which_nobody_moved_is_the_last_one(context):
     scene = scene_of(people=[])
     renderer = renderer_of(scene, context)
-    first, second = (renderer.prepare(people.pose([], np.arange(3.0))) for _ in range(2))
-    assert renderer.draw(first, 0) is renderer.draw(second, 2)
+    first, second = (renderer.prepare(people.pose([], np.arange(count))) for count in (3.0, 2.0))
+    assert renderer.draw(first, 2) is renderer.draw(second, 0)
     scene = scene_of(people=STANDING[:1])
     prepared = renderer.prepare(people.pose(scene.people, np.arange(3.0)), still_px=100.0)
     frame = renderer.draw(prepared, 0)
