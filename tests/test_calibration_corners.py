@@ -79,6 +79,16 @@ def test_nothing_is_found_where_there_is_nothing():
     assert (corners.to_grey(np.zeros((40, 40), np.uint16)) == 0).all()
 
 
+def test_blotches_are_no_board():
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        blotches = cv2.resize(
+            rng.integers(0, 256, (45, 80)).astype(np.uint8), (1920, 1080), interpolation=cv2.INTER_CUBIC
+        )
+        noisy = np.clip(blotches + rng.normal(0, 3, blotches.shape), 0, 255).astype(np.uint8)
+        assert corners.find(noisy, BOARD) is None
+
+
 @pytest.mark.parametrize("part", ["5x8", "6x7", "4x6"])
 def test_a_part_of_a_larger_board_is_not_taken_for_the_board(shots, part):
     for picture in shots[1]:
