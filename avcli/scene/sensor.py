@@ -83,10 +83,15 @@ def _stamp(picture: np.ndarray, time: float) -> None:
 
     size = picture.shape[0] / 720
     text = f"{_BEGIN + timedelta(seconds=time):%Y-%m-%d %H:%M:%S}"
-    place = round(20 * size), round(40 * size)
-    for colour, width in (((20, 20, 20), 5 * size), ((245, 245, 245), 2 * size)):
-        thickness = max(1, round(width))
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, thickness, cv2.LINE_AA)
+    strip = picture[: round(60 * size) + 1]
+    letters = np.zeros(strip.shape[:2], np.uint8)
+    place, thickness = (round(20 * size), round(40 * size)), max(1, round(2 * size))
+    cv2.putText(letters, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, 255, thickness, cv2.LINE_AA)
+    # Not a second, bolder text: its letters are wider and stand elsewhere.
+    rim = cv2.dilate(letters, np.ones((2 * max(1, round(1.5 * size)) + 1,) * 2, np.uint8))
+    for colour, cover in ((20.0, rim), (245.0, letters)):
+        share = cover[..., None] / np.float32(255)
+        strip[:] = np.rint(strip + share * (colour - strip)).astype(np.uint8)
 
 
 def _compressed(rgb: np.ndarray, quality: int) -> np.ndarray:
