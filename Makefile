@@ -13,8 +13,8 @@
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make setup-bench   the peers that some benchmarks compare with
-#: make fit-localization fit-voice fit-detection fit-looks fit-tracking     the coefficients of the stages, fitted again
-#:                    (minutes each; fit-voice needs recordings: FIT_FLAGS="--speech DIR")
+#: make fit-localization fit-voice fit-detection fit-looks fit-tracking fit-existence     the coefficients of the stages,
+#:                    fitted again (minutes each; fit-voice needs recordings: FIT_FLAGS="--speech DIR")
 #: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
 #:
 #: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv
@@ -47,7 +47,7 @@ NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long real-video
-FITS := localization voice detection looks tracking
+FITS := localization voice detection looks tracking existence
 
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
