@@ -50,10 +50,12 @@ from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
+from avcli.tracking.trust import TRUST
 from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
+SHOWN = 0.45  # existence, as it is reported, from which a person is: lower, ghosts stay; higher, who is hidden goes
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
 ROUNDS = 20  # of weighing detections that are many more than were expected
 PRUNED = 100  # new labels, after which notes about old ones are dropped
@@ -170,8 +172,8 @@ class GLMB:
         return {**self.habits.state(), "sensors": {**self.known, **sensors}}
 
     def news(self) -> list[str]:
-        """Return sentences for the user about what was learnt since the last call and takes somebody away."""
-        return self.false_places.news([one.name for one in self.sensors])
+        """Return sentences for the user, since the last call: false places that were found, features not used."""
+        return self.false_places.news([one.name for one in self.sensors]) + self.features.news()
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another run in the same room has learnt, before the first record.
@@ -242,7 +244,7 @@ class GLMB:
         )
         if shown is not None:
             from_undetected[shown.columns()] = 0.0  # they are in the cells
-        birth = (from_tentative.sum(0) + from_undetected).tolist()
+        birth = (np.add.reduce(from_tentative, 0) + from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
         self.errors.learn(self._now(), scan, groups, self.people)
@@ -675,13 +677,17 @@ class GLMB:
         lasting = self.errors.variance(people.lean.take(rows, 0))
         cov[:, 0, 0] += lasting
         cov[:, 1, 1] += lasting
-        detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
+        seen, detectable = people.seen.take(rows, 0), people.detectable.take(rows, 0).tolist()
+        last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
+        latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
-            if existence * near[k] > min(least, THERE):
+            believed = existence * near[k]
+            there = TRUST.of(believed, latest[k], count[k])
+            if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
-                tracks.append(Track(label, mean[k], cov[k], existence * near[k], able, last[k]))
+                tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
 
     def ends(self) -> Iterator[End]:
