@@ -30,6 +30,9 @@ TIGHT_S, TIGHT_DRIFT = 1e-5, 1e-7
 """How well synchronous channels agree: delay in s, drift in s/s."""
 ENOUGH = 0.5
 """The share of the ways to deform an array that a recording must tell."""
+FARTHEST, ODD_S = 5.0, 6e-4
+"""How many standard deviations a microphone may be from its place, and how late a channel may be of which the survey
+said nothing, s; beyond that the recording is not understood."""
 _SURE = 16.3
 """Chi-square with three degrees of freedom that chance exceeds once in a thousand."""
 
@@ -105,6 +108,13 @@ class Measured:
             return (
                 f"this recording cannot tell where the microphones are: of the ways in which the array can be deformed "
                 f"it tells {100 * self.told:.0f} %; walk through the whole room while you talk, or clap in ten places"
+            )
+        far = np.linalg.norm(self.shifts, axis=1) > FARTHEST * self.prior.sd_m
+        odd = far | (~self.prior.late & (np.abs(self.fit.delays) > ODD_S))
+        if odd.any():
+            return (
+                f"the sound of microphone {int(np.argmax(odd)) + 1} fits no place near the one in config.json; is its "
+                "channel exchanged with another?"
             )
         if self.held_out_s > 1.02 * self.held_out_given_s:
             return "the found positions explain sound that took no part in the fit worse than the given ones do"

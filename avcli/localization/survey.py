@@ -44,6 +44,9 @@ NEAR_S = 5e-4
 CLEAR = 6.0
 """How many standard deviations of its correlation a channel must stand out by at its delay."""
 
+DOUBTED = 0.7
+"""The share of the usual agreement below which a channel is left out: what is wrong with it is not known for sure."""
+
 Read = Callable[[], Iterable[tuple[float, np.ndarray, int]]]
 """Reads sound from the start: time in s, samples (n, m) and sample rate in Hz of each piece."""
 
@@ -118,8 +121,10 @@ class Channels:
 
     @property
     def usable(self) -> np.ndarray:
-        """Which microphones (m,) agree with the others at some delay."""
-        return self.heard >= CLEAR
+        """Which microphones (m,) agree with the others at some delay, about as well as those do with each other."""
+        clear = self.heard >= CLEAR
+        alike = clear & (self.heard >= DOUBTED * np.median(self.heard))
+        return alike if alike.sum() >= 5 else clear
 
 
 @dataclass(frozen=True)
@@ -265,9 +270,13 @@ class _Listener:
         count = len(self.microphones)
         zero = np.zeros(count)
         found = Channels(np.arange(count), np.ones(count), zero, zero, np.full(count, np.inf), zero)
-        for turn in range(3):
-            places = self._places(times, spectra, found, signed=turn > 0)
-            found = self._heard(times, spectra, places, found)
+        starts = [
+            self._heard(times, spectra, self._places(times, spectra, found, signed=signed), found)
+            for signed in (True, False)
+        ]
+        found = max(starts, key=lambda start: float(start.heard.sum()))
+        for _ in range(2):
+            found = self._heard(times, spectra, self._places(times, spectra, found, signed=True), found)
         return found
 
     def corrected(self, times: np.ndarray, spectra: np.ndarray, channels: Channels) -> np.ndarray:
