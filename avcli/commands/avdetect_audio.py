@@ -106,11 +106,14 @@ def main(
             return
         from avcli.formats.features import as_objects
         from avcli.localization import localizer
+        from avcli.localization.steered import SteeredLocalizer
 
         settings = settings_from(METHODS[method], options)
         chosen = localizer(sound.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
+        if isinstance(chosen, SteeredLocalizer) and chosen.compact:
+            session.note("the microphones are close together: directions are told, distances are not known")
         skips = stack.enter_context(Skips(session, "time steps"))
         read = session.progress(_with_first(first, blocks), None if live else sound.expected(files))
         for number, decision in enumerate(chosen.localize(read, sound.recording.begin or 0)):

@@ -95,6 +95,11 @@ class SteeredLocalizer:
         self._noise: NoiseLaw | None = None
 
     @property
+    def compact(self) -> bool:
+        """Whether the array is too small for ranges, so that directions are told."""
+        return isinstance(self.finder, DirectionFinder)
+
+    @property
     def latency(self) -> float:
         """How long after the sound left the mouth its decision can be made, s."""
         return self.delay + 0.5 * self.band.size / self.array.sample_rate + self.reach * self.hop
