@@ -14,7 +14,7 @@
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
-#: make fit-localization fit-directions fit-voice fit-detection fit-looks fit-tracking
+#: make fit-localization fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence
 #:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
 #:                    FIT_FLAGS="--speech DIR")
 #: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
@@ -50,7 +50,7 @@ SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long \
            real-video real-audio
-FITS := localization directions voice detection looks tracking
+FITS := localization directions voice detection looks tracking existence
 
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1

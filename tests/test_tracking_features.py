@@ -312,3 +312,17 @@ def test_one_at_a_time_in_the_same_clothes_each_is_somebody_else():
     assert first
     assert second
     assert not first & second
+
+
+def test_a_kind_that_nobody_knows_and_vectors_of_another_length_are_said_once_and_ignored():
+    features, crowd = kinds(), people(2)
+    strange = {"gait": Feature("steps", np.zeros((1, 3)), np.ones((1, 3)))}
+    for time in (0.0, 0.1):
+        for some in (strange, clothes([[1.0, 2.0, 3.0]])):
+            assert features.weigh(crowd, [], time, np.zeros((1, 2)), np.ones((2, 1)), some) is None
+    assert features.news() == [
+        "features 'gait' of kind 'steps' are ignored: nothing is known of this kind over people",
+        "features 'looks' of kind 'clothes' are ignored: the vectors have 3 numbers, and those of this kind have 2",
+    ]
+    assert features.news() == []
+    assert seen(features, crowd, [[1.0, 0.0], [-1.0, 0.0]]).vectors.shape == (2, 2)

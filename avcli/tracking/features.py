@@ -85,6 +85,8 @@ class Features:
         """Begin without any kind; table: what is known of a kind by its name."""
         self.table = table
         self.kinds: dict[tuple[str, str, int], Kind] = {}
+        self.ignored: dict[tuple[str, str, int], str] = {}  # those of which nothing is known, and why
+        self._news: list[str] = []
         self.time: float | None = None
         self._gather()
 
@@ -108,12 +110,29 @@ class Features:
         """Add the kinds that are new; nobody's features of those are known yet."""
         for name, one in sorted(given.items()):
             key = (name, one.kind, one.vectors.shape[1])
+            if key in self.kinds or key in self.ignored:
+                continue
             population = self.table(one.kind)
-            if key in self.kinds or population is None or len(population.mean) != key[2]:
+            if population is None or len(population.mean) != key[2]:
+                self._ignore(key, population)
                 continue
             self.kinds[key] = Kind(slice(self.width, self.width + key[2]), population)
             self._gather()
         self.fill(people)
+
+    def _ignore(self, key: tuple[str, str, int], population: Population | None) -> None:
+        """Leave a kind of features out from now on."""
+        name, kind, length = key
+        why = "nothing is known of this kind over people"
+        if population is not None:
+            why = f"the vectors have {length} numbers, and those of this kind have {len(population.mean)}"
+        self.ignored[key] = why
+        self._news.append(f"features {name!r} of kind {kind!r} are ignored: {why}")
+
+    def news(self) -> list[str]:
+        """Return a sentence for the user on each kind of features that is ignored since the last call."""
+        news, self._news = self._news, []
+        return news
 
     def fill(self, people: Densities) -> None:
         """Give densities the columns that they lack: people of whom no feature is known."""

@@ -50,6 +50,7 @@ from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
+from avcli.tracking.trust import TRUST
 from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
@@ -170,8 +171,8 @@ class GLMB:
         return {**self.habits.state(), "sensors": {**self.known, **sensors}}
 
     def news(self) -> list[str]:
-        """Return sentences for the user about what was learnt since the last call and takes somebody away."""
-        return self.false_places.news([one.name for one in self.sensors])
+        """Return sentences for the user, since the last call: false places that were found, features not used."""
+        return self.false_places.news([one.name for one in self.sensors]) + self.features.news()
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another run in the same room has learnt, before the first record.
@@ -681,7 +682,8 @@ class GLMB:
             existence *= 1 - doubts.get(label, 0.0)
             if existence * near[k] > min(least, THERE):
                 able = dict(zip(self.column, detectable[k], strict=True))
-                tracks.append(Track(label, mean[k], cov[k], existence * near[k], able, last[k]))
+                there = TRUST.of(existence * near[k], time - last[k])
+                tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
 
     def ends(self) -> Iterator[End]:

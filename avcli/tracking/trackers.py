@@ -110,7 +110,7 @@ class Learning(Protocol):
         """Return what was learnt: numbers, and lists and dictionaries of them."""
 
     def news(self) -> list[str]:
-        """Return sentences for the user about what was learnt since the last call and takes somebody away."""
+        """Return sentences for the user, since the last call: what takes somebody away, and input that is not used."""
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another run in the same room has learnt, before the first record.
