@@ -1,8 +1,8 @@
 """How often the filter is right where it believes with some probability that somebody is there: fitted to tracks.
 
-The filter's probability is as true as its models of how people hide and leave. Where nobody was detected for a while it
-is too sure, and just after a miss it is too modest. So it is corrected by a logistic curve over its log odds and the
-time since the last detection. The curve rises with the filter's probability.
+The filter's probability is as true as its models of how people hide and leave. Of people who were not detected for a
+while it is too sure, and just after a miss it is too modest. So it is corrected by a logistic curve over its log odds
+and the time in which sensors looked in vain. The curve rises with the filter's probability.
 
 Source:
     J. Platt, "Probabilistic outputs for support vector machines and comparisons to regularized likelihood methods",
@@ -26,7 +26,7 @@ class Trust(NamedTuple):
     Attributes:
         offset: log odds of somebody who is detected now and whom the filter believes in with 1/2.
         slope: log odds for each of the filter's, positive.
-        unseen: log odds for each unit of log(1 + s since the last detection).
+        unseen: log odds for each unit of log(1 + s in which sensors looked in vain), negative.
     """
 
     offset: float
@@ -38,7 +38,7 @@ class Trust(NamedTuple):
 
         Args:
             believed: the filter's probability.
-            unseen: s since any sensor detected the person.
+            unseen: s since any sensor detected the person, times the probability that a sensor was not blind.
 
         >>> Trust(0.0, 1.0, 0.0).of(0.75, 2.0)
         0.75
