@@ -43,7 +43,7 @@ from avcli.tracking.false_places import FalsePlaces
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.learning import Habits
-from avcli.tracking.model import BLUR, NEAR, REPORT, Population, Track
+from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
@@ -55,7 +55,7 @@ from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
-SHOWN = 0.6  # existence, as it is reported, from which a person is
+SHOWN = 0.45  # existence, as it is reported, from which a person is: lower, ghosts stay; higher, who is hidden goes
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
 ROUNDS = 20  # of weighing detections that are many more than were expected
 PRUNED = 100  # new labels, after which notes about old ones are dropped
@@ -342,7 +342,7 @@ class GLMB:
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
         p_sensor = rates.detection * (1 - blindness.probability)
-        open_eyed = blindness.sighted
+        open_eyed = 1 - blindness.probability * (1 - blindness.left)
         p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
@@ -679,11 +679,13 @@ class GLMB:
         cov[:, 1, 1] += lasting
         detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
         tracks, doubts = [], self.false_places.doubts()
-        sighted = max([one.blindness.sighted for one in self.rates], default=1.0)
+        latest = (people.seen.take(rows, 0) == self.last_record).any(1).tolist()
+        count = people.hits.take(rows, 0).sum(1).tolist()
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
-            there = TRUST.of(existence * near[k], (time - last[k]) * sighted)
-            if there > (SHOWN if least else 0.0):
+            believed = existence * near[k]
+            there = TRUST.of(believed, latest[k], count[k])
+            if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks

@@ -177,11 +177,6 @@ class Blindness:
         self._records = 0  # since it sees again, with 1 where it does not; 0: that is long ago
         self._again = 0  # of these, in which known people are detected, from the first that it had lost
 
-    @property
-    def sighted(self) -> float:
-        """Probability that it is not blind: it sees, or everybody has left."""
-        return 1 - self.probability * (1 - self.left)
-
     def update(self, dt: float, ratio: float) -> None:
         """Take in that a record, dt s after the last one, is so much likelier if the sensor is not blind."""
         if not self.ever:

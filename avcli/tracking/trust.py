@@ -1,8 +1,8 @@
 """How often the filter is right where it believes with some probability that somebody is there: fitted to tracks.
 
-The filter's probability is as true as its models of how people hide and leave. Of people who were not detected for a
-while it is too sure, and just after a miss it is too modest. So it is corrected by a logistic curve over its log odds
-and the time in which sensors looked in vain. The curve rises with the filter's probability.
+The filter's probability is as true as its models of how people hide and leave. It is about right of people who
+are detected for the first time, too modest of those who are detected again, and too sure of those who are not detected.
+So it is corrected by a logistic curve over its log odds for each of these. All curves rise.
 
 Source:
     J. Platt, "Probabilistic outputs for support vector machines and comparisons to regularized likelihood methods",
@@ -12,7 +12,6 @@ Source:
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,31 +19,44 @@ FITTED = Path(__file__).with_name("existence.json")
 SUREST = 1e-4  # least distance of the filter's probability from 0 and from 1
 
 
-class Trust(NamedTuple):
-    """A logistic curve.
+class Curve(NamedTuple):
+    """A logistic curve over log odds.
 
     Attributes:
-        offset: log odds of somebody who is detected now and whom the filter believes in with 1/2.
+        odds: of somebody in whom the filter believes with 1/2.
         slope: log odds for each of the filter's, positive.
-        unseen: log odds for each unit of log(1 + s in which sensors looked in vain), negative.
     """
 
-    offset: float
+    odds: float
     slope: float
-    unseen: float
 
-    def of(self, believed: float, unseen: float) -> float:
+    def of(self, believed: float) -> float:
+        """Return the probability that somebody is there in whom the filter believes with some probability.
+
+        >>> Curve(1.0, 1.0).of(0.75)
+        0.75
+        """
+        odds = self.odds * ((believed + SUREST) / (1 - believed + SUREST)) ** self.slope
+        return odds / (1 + odds)
+
+
+class Trust(NamedTuple):
+    """The curves of people who were detected once so far, and of others: whether or not in a sensor's latest record."""
+
+    once: Curve
+    once_missed: Curve
+    again: Curve
+    again_missed: Curve
+
+    def of(self, believed: float, detected: bool, count: float) -> float:
         """Return the probability that somebody is there.
 
         Args:
             believed: the filter's probability.
-            unseen: s since any sensor detected the person, times the probability that a sensor was not blind.
-
-        >>> Trust(0.0, 1.0, 0.0).of(0.75, 2.0)
-        0.75
+            detected: whether some sensor detected the person in its latest record.
+            count: how often sensors have detected the person so far.
         """
-        odds = (believed + SUREST) / (1 - believed + SUREST)
-        return 1 / (1 + math.exp(-self.offset - self.unseen * math.log1p(unseen)) * odds**-self.slope)
+        return self[2 * (count > 1) + (not detected)].of(believed)
 
 
-TRUST = Trust(**json.loads(FITTED.read_text())["curve"])
+TRUST = Trust(*(Curve(**one) for one in json.loads(FITTED.read_text())["curves"].values()))

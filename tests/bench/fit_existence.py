@@ -1,13 +1,14 @@
 """Fits how true the filter's existence is; writes avcli/tracking/existence.json (`make fit-existence`).
 
-A record of a track is true if the track is matched, one to one, to somebody within 1 m. The curve of
-avcli/tracking/trust.py is the one of greatest likelihood over all records of the tracks in which the filter believes
+A record of a track is true if the track is matched, one to one, to somebody within 1 m. The curves of
+avcli/tracking/trust.py are those of greatest likelihood over all records of the tracks in which the filter believes
 with .35 or more: on the synthetic cases (seeds from 100 on), and on the tracks of real people that may decide (ETH
 hotel, UCY zara01 and zara02, with and without occlusions, from a checkout of OpenTraj).
 """
 
 import argparse
 import json
+import math
 import os
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -26,29 +29,28 @@ from tracking_scenes import Scene
 
 from avcli.tracking import glmb
 from avcli.tracking.model import THERE
-from avcli.tracking.trust import FITTED, SUREST, Trust
+from avcli.tracking.trust import FITTED, SUREST, Curve, Trust
 
 REAL = tuple(f"{name}{hiding}@any+120" for name in ("hotel", "zara01", "zara02") for hiding in ("", "occ"))
 LONG = ("long-pair", "long-pair-looks", "ten-looks", "crowd100", "60hz", *ONCE)  # minutes, and nearly all is true
-STEPS = 50  # of Newton's method at most
 
 
 class Noted:
-    """In place of a `Trust`: says what the filter believes, and notes for how long sensors looked in vain."""
+    """In place of a `Trust`: says what the filter believes, and notes who was detected, and how often."""
 
     def __init__(self) -> None:
-        self.unseen: list[float] = []
+        self.detected: list[tuple[bool, float]] = []
 
-    def of(self, believed: float, unseen: float) -> float:
+    def of(self, believed: float, detected: bool, count: float) -> float:
         if believed > THERE:
-            self.unseen.append(unseen)
+            self.detected.append((detected, count))
         return believed
 
 
 def records_of(scene: Scene) -> np.ndarray:
-    """Records of the tracks of a scene: (n, 3) what the filter believes, s in which sensors looked in vain, truth."""
+    """Records of the tracks of a scene: (n, 4) what the filter believes, whether detected, how often, whether true."""
     noted, usual = Noted(), (glmb.TRUST, glmb.SHOWN)
-    glmb.TRUST, glmb.SHOWN = noted, THERE  # type: ignore[assignment]
+    glmb.TRUST, glmb.SHOWN = noted, 0.0  # type: ignore[assignment]
     try:
         tracks, _ = fuse(scene, Variant())
     finally:
@@ -57,21 +59,20 @@ def records_of(scene: Scene) -> np.ndarray:
         one in found for frame, found in zip(tracks, matched(scene.truth, tracks), strict=True) for one in frame.ids
     ]
     believed = np.concatenate([np.zeros(0), *(frame.existence for frame in tracks)])
-    return np.column_stack([believed, noted.unseen, true])
+    return np.column_stack([believed, np.reshape(noted.detected, (-1, 2)), true])
 
 
-def fit(records: np.ndarray) -> Trust:
-    """The curve of greatest likelihood for records (n, 3), with three digits: logistic regression."""
-    believed, unseen, true = records.T
+def fit(believed: np.ndarray, true: np.ndarray) -> Curve:
+    """The curve of greatest likelihood for n records, with three digits: logistic regression."""
     odds = np.log(believed + SUREST) - np.log(1 - believed + SUREST)
-    signs, curve = np.column_stack([np.ones(len(odds)), odds, np.log1p(unseen)]), np.array([0.0, 1.0, 0.0])
-    for _ in range(STEPS):
-        p = 1 / (1 + np.exp(-signs @ curve))
-        step = np.linalg.solve((signs * (p * (1 - p))[:, None]).T @ signs + 1e-6 * np.eye(3), signs.T @ (true - p))
-        curve = curve + step
-        if abs(step).max() < 1e-6:
-            break
-    return Trust(*(float(f"{number:.3g}") for number in curve.tolist()))
+
+    def loss(curve: np.ndarray) -> tuple[float, np.ndarray]:
+        logits = curve[0] + curve[1] * odds
+        off = expit(logits) - true
+        return float(np.mean(np.logaddexp(0, logits) - true * logits)), np.array([off.mean(), (off * odds).mean()])
+
+    curve = minimize(loss, np.array([0.0, 1.0]), jac=True, method="BFGS", options={"gtol": 1e-7}).x
+    return Curve(float(f"{math.exp(curve[0]):.3g}"), float(f"{curve[1]:.3g}"))
 
 
 def bins(said: np.ndarray, true: np.ndarray) -> list[list[float]]:
@@ -82,14 +83,16 @@ def bins(said: np.ndarray, true: np.ndarray) -> list[list[float]]:
 
 
 def described(records: np.ndarray, command: str, synthetic: list[str]) -> dict[str, Any]:
-    """What the file says of a curve that is fitted to records (n, 3) of some synthetic cases and of REAL."""
-    curve, (believed, unseen, true) = fit(records), records.T
-    said = np.array([curve.of(*one) for one in zip(believed.tolist(), unseen.tolist(), strict=True)])
+    """What the file says of curves that are fitted to records (n, 4) of some synthetic cases and of REAL."""
+    believed, detected, count, true = records.T
+    groups = [(count > 1, detected > 0) == np.array([[again], [now]]) for again in (0, 1) for now in (1, 0)]
+    trust = Trust(*(fit(believed[some.all(0)], true[some.all(0)]) for some in groups))
+    said = np.array([trust.of(b, d > 0, c) for b, d, c in zip(*records.T[:3].tolist(), strict=True)])
     return {
         "origin": "Fitted by tests/bench/fit_existence.py. UCY zara01 and zara02: A. Lerner, Y. Chrysanthou and D. "
         "Lischinski, Crowds by example, Computer Graphics Forum 26(3), 2007; ETH hotel: S. Pellegrini, A. Ess, K. "
         "Schindler and L. van Gool, You'll never walk alone, ICCV 2009. None of their data is part of avcli.",
-        "curve": curve._asdict(),
+        "curves": {name: curve._asdict() for name, curve in trust._asdict().items()},
         "fit": {
             "command": command,
             "first seed": FIRST_DECIDING,
