@@ -85,8 +85,8 @@ def bins(said: np.ndarray, true: np.ndarray) -> list[list[float]]:
 def described(records: np.ndarray, command: str, synthetic: list[str]) -> dict[str, Any]:
     """What the file says of curves that are fitted to records (n, 4) of some synthetic cases and of REAL."""
     believed, detected, count, true = records.T
-    groups = [(count > 1, detected > 0) == np.array([[again], [now]]) for again in (0, 1) for now in (1, 0)]
-    trust = Trust(*(fit(believed[some.all(0)], true[some.all(0)]) for some in groups))
+    groups = [((count > 1) == again) & ((detected > 0) == now) for again in (False, True) for now in (True, False)]
+    trust = Trust(*(fit(believed[some], true[some]) for some in groups))
     said = np.array([trust.of(b, d > 0, c) for b, d, c in zip(*records.T[:3].tolist(), strict=True)])
     return {
         "origin": "Fitted by tests/bench/fit_existence.py. UCY zara01 and zara02: A. Lerner, Y. Chrysanthou and D. "
