@@ -218,14 +218,16 @@ class Errors:
     def predict(self, people: Densities, dt: float) -> None:
         """Let lasting errors change for dt s: as far as they do, what they were is noise of the positions."""
         keep = np.exp(-dt / self.memory)
-        gone = (people.lean * people.lean * ((1 - keep * keep) * self.lasting)).sum(1)[:, None]
+        gone = np.add.reduce(people.lean * people.lean * ((1 - keep * keep) * self.lasting), 1)[:, None]
         people.cov[..., 0, 0] += gone
         people.cov[..., 1, 1] += gone
         people.lean = people.lean * keep
 
     def variance(self, lean: np.ndarray) -> np.ndarray:
         """Return the variance (n,) m² per axis of positions by lasting errors that they follow by shares (n, S)."""
-        return (lean * lean * self.lasting).sum(-1)  # a product of matrices would depend on the order of sensors
+        return np.add.reduce(
+            lean * lean * self.lasting, -1
+        )  # a product of matrices would depend on the order of sensors
 
     def between(self, lean: np.ndarray, column: int) -> Between:
         """Compute what lasting errors add where densities with shares lean (n, S) meet one sensor's detections."""
@@ -358,7 +360,7 @@ def leaning(
     """
     shared = np.maximum(between.shared[:, None], gaussian.LEAST_SHARED * variance)
     added = (noise[:, 0, 0] + noise[:, 1, 1]) / 2 + between.unshared
-    pull = (mode * (variance + shared) / (variance + added[:, None])).sum(1)
+    pull = np.add.reduce(mode * (variance + shared) / (variance + added[:, None]), 1)
     lean = lean * (1 - pull)[:, None]
     lean[:, column] += pull
     return lean

@@ -244,7 +244,7 @@ class GLMB:
         )
         if shown is not None:
             from_undetected[shown.columns()] = 0.0  # they are in the cells
-        birth = (from_tentative.sum(0) + from_undetected).tolist()
+        birth = (np.add.reduce(from_tentative, 0) + from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
         self.errors.learn(self._now(), scan, groups, self.people)
@@ -677,10 +677,10 @@ class GLMB:
         lasting = self.errors.variance(people.lean.take(rows, 0))
         cov[:, 0, 0] += lasting
         cov[:, 1, 1] += lasting
-        detectable, last = people.detectable.take(rows, 0).tolist(), people.seen.take(rows, 0).max(1).tolist()
+        seen, detectable = people.seen.take(rows, 0), people.detectable.take(rows, 0).tolist()
+        last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
-        latest = (people.seen.take(rows, 0) == self.last_record).any(1).tolist()
-        count = people.hits.take(rows, 0).sum(1).tolist()
+        latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
