@@ -192,6 +192,7 @@ def _say(session: Session, taught: teaching.Taught) -> None:
             f"{name}: AP {one.ap:.2f} against the teacher on {taught.held_back} pictures held back; at score .5 "
             f"precision {one.precision:.2f}, recall {one.recall:.2f}{empty}"
         )
+    session.warn("the pictures held back are of the same film; expect less in other films of the room")
     if taught.teacher_labels is not None:
         before, after = taught.before.ap_labels, taught.after.ap_labels
         teacher = taught.teacher_labels
