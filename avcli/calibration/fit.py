@@ -20,6 +20,8 @@ SHAPE = 3
 """Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
 BOARD_ERROR = 0.01
 """Standard deviation of a corner's place on the board, in squares, before it is seen."""
+_SCANNED = 8
+"""Views at most from which the focal length is guessed."""
 _WIDE = 1e3
 """Size of a picture, in focal lengths, that bounds no lens."""
 _UNSEEN_PX = 100.0
@@ -210,9 +212,11 @@ def rotation_from_vector(omega: np.ndarray) -> np.ndarray:
 
 def cross_matrix(v: np.ndarray) -> np.ndarray:
     """Matrices (n, 3, 3) that take a vector w to v × w, of vectors v (n, 3)."""
-    zero = np.zeros(v.shape[:-1])
-    x, y, z = np.moveaxis(v, -1, 0)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+    out = np.zeros((*v.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., k, j] = v[..., i]
+        out[..., j, k] = -v[..., i]
+    return out
 
 
 # --- one step ---------------------------------------------------------------------------------------------------------
@@ -459,7 +463,7 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
 
     OpenCV starts from max(width, height) / pi instead, which asserts or ends in nonsense on most wide lenses.
     """
-    few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, 12)).round().astype(int))
+    few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, _SCANNED)).round().astype(int))
     sample = _thinned(observations.of_views(few))
     middle = (np.array([width, height]) - 1) / 2
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])

@@ -335,14 +335,19 @@ def _guessed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[list[tuple[int, 
     """The free cells beside a grid, where they must be (n, 2) px, and how far that is from their neighbour (n,) px."""
     names = np.array(list(cells))
     low = names.min(0) - 3  # as far as is looked back
-    grid = np.full((*(names.max(0) - low + 4), 2), np.nan)
-    grid[tuple((names - low).T)] = list(cells.values())
+    spread = np.full((*(names.max(0) - low + 10), 2), np.nan)
+    spread[tuple((names - low + 3).T)] = list(cells.values())
+    columns, rows = spread.shape[0] - 6, spread.shape[1] - 6
+    grid = spread[3:-3, 3:-3]
     free = np.isnan(grid[..., 0])
     nearest, guesses = np.full(free.shape, np.inf), grid
-    for axis, way in ((0, 1), (1, 1), (0, -1), (1, -1)):
-        here, before, further = (np.roll(grid, way * count, axis) for count in (1, 2, 3))
+    for u, v in ((-1, 0), (0, -1), (1, 0), (0, 1)):
+        here, before, further = (
+            spread[3 + u * count : 3 + u * count + columns, 3 + v * count : 3 + v * count + rows] for count in (1, 2, 3)
+        )
         guess = np.where(np.isnan(further), 2 * here - before, 2.5 * here - 2 * before + 0.5 * further)
-        step = np.hypot(*np.moveaxis(guess - here, -1, 0))
+        ahead = guess - here
+        step = np.hypot(ahead[..., 0], ahead[..., 1])
         nearer = free & (step < nearest)
         nearest, guesses = np.where(nearer, step, nearest), np.where(nearer[..., None], guess, guesses)
     found = np.argwhere(np.isfinite(nearest))

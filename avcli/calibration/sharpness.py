@@ -160,8 +160,9 @@ def _width(
     quarter, middle, last = (_crossing(step, level) for level in (0.25, 0.5, 0.75))
     fine = (high - low)[:, 0] > _LEAST_CONTRAST
     fine &= (np.abs(middle - (_SAMPLES - 1) / 2) < 0.3 * _SAMPLES) & (last > quarter)
-    width = np.where(fine, last - quarter, np.nan).reshape(len(middles), -1)
-    return np.median(width, axis=1) * 2 * reach / (_SAMPLES - 1) / _GAUSSIAN
+    width = np.sort(np.where(fine, last - quarter, np.nan).reshape(len(middles), -1), axis=1)
+    median = np.where(np.isnan(width[:, -1]), np.nan, width[:, len(_LINES) // 2])
+    return median * 2 * reach / (_SAMPLES - 1) / _GAUSSIAN
 
 
 def _crossing(step: np.ndarray, level: float) -> np.ndarray:

@@ -9,7 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -72,7 +72,7 @@ class Lens(ABC):
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """The names of the parameters, in order: fx, fy, cx, cy, and the coefficients of the model."""
-        return tuple(field.name for field in fields(cls) if field.name not in _SIZE)
+        return _names(cls)
 
     @classmethod
     def keys(cls) -> tuple[str, ...]:
@@ -224,8 +224,9 @@ class Lens(ABC):
         self, x: np.ndarray, y: np.ndarray, mx: np.ndarray, my: np.ndarray, by_point: np.ndarray
     ) -> np.ndarray:
         """Derivatives (..., 2, 2) of the pixel to fx and fy."""
-        zero = np.zeros_like(mx)
-        return np.stack([np.stack([mx, zero], -1), np.stack([zero, my], -1)], -2)
+        out = np.zeros((*mx.shape, 2, 2))
+        out[..., 0, 0], out[..., 1, 1] = mx, my
+        return out
 
     # What the shaders need of it (avcli.lens.shader)
 
@@ -575,6 +576,11 @@ class Division(FourTerms, Perspective):
     def ray_parts(self, m: np.ndarray) -> np.ndarray:
         """Undistorted over distorted radius, and 1, (n, 2), at radii m (n,): the shader scales them to a unit ray."""
         return np.stack([1.0 / self._denominator(m * (1 - 1e-9)), np.ones_like(m)], -1)
+
+
+@cache
+def _names(kind: type[Lens]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind) if field.name not in _SIZE)
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------
