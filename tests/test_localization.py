@@ -32,6 +32,14 @@ def test_hann_is_symmetric_and_sums_to_half():
     assert window.sum() == pytest.approx(500.0)
 
 
+@pytest.mark.parametrize(("count", "taken"), [(2, 1), (8, 28), (19, 171), (20, 160), (32, 160), (64, 320)])
+def test_of_many_channels_each_is_paired_with_as_many_others(count, taken):
+    first, second = correlation.pairs(count)
+    assert (first < second).all()
+    assert len(set(zip(first.tolist(), second.tolist(), strict=True))) == taken
+    assert len(set(np.bincount(np.concatenate([first, second])).tolist())) == 1
+
+
 def test_high_pass_takes_away_dc_and_hum_and_leaves_speech():
     t = np.arange(FS) / FS
     hum, tone = 0.3 + np.sin(2 * np.pi * 50 * t), np.sin(2 * np.pi * 400 * t + 0.3)

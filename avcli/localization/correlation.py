@@ -13,11 +13,25 @@ def hann(size: int) -> np.ndarray:
     return 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / max(size - 1, 1))
 
 
+PAIRS, PARTNERS = 160, 10
+"""About how many pairs are taken of many channels, and the least number of channels that each is paired with."""
+
+
 @lru_cache(maxsize=8)
 def pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first and second microphone of every pair, two (count (count - 1) / 2,) integer arrays."""
+    """Return the first and second channel of every pair that is correlated, two (pairs,) integer arrays.
+
+    Up to 19 channels, these are all pairs. Of more, each channel is paired with as many others, so many places further
+    in a circle of the channels: all pairs would tell little more, since their noise is shared, and cost much.
+    """
     first, second = np.triu_indices(count, 1)
-    return first, second
+    distances = max(-(-PAIRS // max(count, 1)), PARTNERS // 2)
+    if distances >= count // 2:
+        return first, second
+    chosen = np.rint(np.linspace(1, (count - 1) // 2, distances)).astype(np.intp)
+    apart = second - first
+    kept = np.isin(apart, chosen) | np.isin(count - apart, chosen)
+    return first[kept], second[kept]
 
 
 def high_pass(samples: np.ndarray, sample_rate: float, cutoff: float) -> np.ndarray:

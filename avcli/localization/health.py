@@ -430,9 +430,7 @@ _LATTICE = np.array([[x, y, z] for x in _LEVEL for y in _LEVEL for z in np.arang
 def _apart(places: np.ndarray, count: int, distance: float) -> list[np.ndarray]:
     """Return the first places (3,) m of (n, 3), no two of them nearer than a distance in m, so many at most."""
     chosen: list[np.ndarray] = []
-    for place in places:
-        if all(np.linalg.norm(place - one) > distance for one in chosen):
-            chosen.append(place)
-            if len(chosen) == count:
-                break
+    while len(places) and len(chosen) < count:
+        chosen.append(places[0])
+        places = places[np.linalg.norm(places - places[0], axis=1) > distance]
     return chosen
