@@ -235,13 +235,3 @@ def test_a_part_of_a_board_is_not_taken_for_a_smaller_board():
     assert sorted((grids[0].columns, grids[0].rows)) == [9, 9]
     assert grids[0].is_cut
     assert not saddles.sizes(picture)
-
-
-@pytest.mark.parametrize(("off", "is_near"), [(0.8, True), (4.0, False)])
-def test_a_peak_far_from_its_saddle_point_is_no_corner(off: float, is_near: bool) -> None:
-    y, x = np.mgrid[:33, :33] - 16.0
-    surface = 128 + 4 * (x - off) * y * np.exp(-(x * x + y * y) / 60)
-    relief = saddles._Relief(surface.astype(np.uint8), 1.2)
-    place, near = relief.settled(np.array([[16, 16]]))
-    assert near.tolist() == [is_near]
-    assert not is_near or np.allclose(place, [[16 + off, 16]], atol=0.1)

@@ -41,8 +41,6 @@ _WIDTHS = (640, 1280, 320)
 _MOST_BENT = 0.25
 """What `_bend` gives at most for a board, or a group of corners is no board: it is at most 0.14 on derlunz, dyf and
 fish_1, and mostly more than 0.25 in blotches."""
-_FARTHEST = 1.5
-"""px from the peak of the saddle to the saddle point, along each axis."""
 _RING = 32
 """Samples on the circle around a corner."""
 
@@ -162,19 +160,15 @@ class _Relief:
         order = np.argsort(-self.saddle[y, x], kind="stable")[:_MOST]
         return np.stack([x[order], y[order]], -1)
 
-    def settled(self, peaks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places of the saddle points near whole pixels (n, 2), by one Newton step: (n, 2) px, and (n,) bool.
-
-        False says that the step leads out of the pixels around: the peak is that of noise in an even square, or of an
-        edge, and its place is not known.
-        """
+    def settled(self, peaks: np.ndarray) -> np.ndarray:
+        """Places of the saddle points near whole pixels (n, 2), by one Newton step: (n, 2) px."""
         x, y = peaks.T
         g = self.grey
         gx, gy = (g[y, x + 1] - g[y, x - 1]) / 2, (g[y + 1, x] - g[y - 1, x]) / 2
         xx, yy, xy = self.xx[y, x], self.yy[y, x], self.xy[y, x]
         determinant = np.minimum(xx * yy - xy * xy, -1e-6)
         step = np.stack([-(yy * gx - xy * gy), -(xx * gy - xy * gx)], -1) / determinant[:, None]
-        return peaks + np.clip(step, -_FARTHEST, _FARTHEST), (np.abs(step) < _FARTHEST).all(1)
+        return peaks + np.clip(step, -1.5, 1.5)
 
 
 def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -> tuple[_Corners, np.ndarray]:
@@ -379,7 +373,7 @@ def _confirmed(relief: _Relief, guesses: np.ndarray, steps: np.ndarray, radius: 
             places.append((x0 + column, y0 + row))
     if not which:
         return np.zeros(0, int), np.zeros((0, 2))
-    settled, _ = relief.settled(np.array(places))
+    settled = relief.settled(np.array(places))
     twice = np.repeat([radius, 0.6 * radius], len(which))[:, None]
     good = _verified(relief, np.tile(settled, (2, 1)), twice)[1].reshape(2, -1).any(0)
     return np.array(which)[good], settled[good]
@@ -436,8 +430,7 @@ def find_grids(
     peaks = relief.peaks()
     if len(peaks) < least:
         return []
-    settled, is_near = relief.settled(peaks)
-    corners, _ = _verified(relief, settled[is_near], radius)
+    corners, _ = _verified(relief, relief.settled(peaks), radius)
     out: list[Grid] = []
     largest = 0
     for found in _labelled(*_neighbours(corners))[:_GRIDS]:
