@@ -102,6 +102,11 @@ class Measured:
         return self.fit.positions - self.prior.positions
 
     @property
+    def ways(self) -> int:
+        """In how many ways the array can be deformed: 3 m less the rigid motions."""
+        return self.fit.positions.size - 6
+
+    @property
     def refusal(self) -> str | None:
         """Why the recording cannot tell where the microphones are; None where it can."""
         if self.told < ENOUGH:
@@ -166,11 +171,14 @@ class Measured:
             elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
             say = "is not where it was measured" if elsewhere else "agrees with its measured position"
             lines.append(f"microphone {number} {say}: shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm")
-        shape, speed_sd = 1000 * float(np.median(fit.shape_sd)), float(np.sqrt(fit.covariance[-1, -1]))
+        speed_sd = float(np.sqrt(fit.covariance[-1, -1]))
+        along = np.sqrt(np.maximum(np.diag(fit.shape_covariance).reshape(-1, 3), 0.0))
+        shape = ", ".join(f"{1000 * sd:.0f}" for sd in np.median(along, axis=0))
         place = ", ".join(f"{1000 * sd:.0f}" for sd in fit.place_sd)
         known = "the places of the voice" if self.placed else "the given positions, since sound alone does not tell it"
         lines += [
-            f"the shape of the array is known to {shape:.0f} mm (median)",
+            f"the shape of the array is known to {shape} mm along x, y, z (median); the sound tells "
+            f"{round(self.told * self.ways)} of {self.ways} ways to deform it, the given positions tell the others",
             f"its place in the room is known to {place} mm along x, y, z, from {known}",
             f"speed of sound {fit.speed_of_sound:.1f} ± {speed_sd:.1f} m/s; {self.windows} stretches of sound, delay "
             f"residual {1e6 * fit.residual_s:.0f} µs, {100 * fit.used:.0f} % of the delays fit",

@@ -188,6 +188,8 @@ def microphones_command(
         session.warn(line)
     if found.refusal:
         raise GateNotMet(found.refusal)
+    if listening.channels.faults() and (into_config or session.output_path != "-"):
+        session.warn("config.json keeps positions only: put the channels right at the recorder, in the config's order")
     record = {**found.record(), "channels": listening.channels.record()}
     sd = float(found.fit.position_sd.max())
     changed = camera.with_microphones(session.config.raw, found.fit.positions.tolist(), sd)

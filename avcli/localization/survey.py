@@ -120,11 +120,15 @@ class Channels:
         ]
 
     @property
+    def clear(self) -> np.ndarray:
+        """Which microphones (m,) agree with the others at some delay."""
+        return self.heard >= CLEAR
+
+    @property
     def usable(self) -> np.ndarray:
         """Which microphones (m,) agree with the others at some delay, about as well as those do with each other."""
-        clear = self.heard >= CLEAR
-        alike = clear & (self.heard >= DOUBTED * np.median(self.heard))
-        return alike if alike.sum() >= 5 else clear
+        alike = self.clear & (self.heard >= DOUBTED * np.median(self.heard))
+        return alike if alike.sum() >= 5 else self.clear
 
 
 @dataclass(frozen=True)
@@ -271,12 +275,17 @@ class _Listener:
         zero = np.zeros(count)
         found = Channels(np.arange(count), np.ones(count), zero, zero, np.full(count, np.inf), zero)
         starts = [
-            self._heard(times, spectra, self._places(times, spectra, found, signed=signed), found)
+            self._heard(times, spectra, self._places(times, spectra, found, found.usable, signed=signed), found)
             for signed in (True, False)
         ]
         found = max(starts, key=lambda start: float(start.heard.sum()))
         for _ in range(2):
-            found = self._heard(times, spectra, self._places(times, spectra, found, signed=True), found)
+            places = self._places(times, spectra, found, found.usable, signed=True)
+            found = self._heard(times, spectra, places, found)
+        if (found.clear & ~found.usable).any():
+            # Places fit best to the microphones that gave them: what was put right is compared once it helps too.
+            again = self._heard(times, spectra, self._places(times, spectra, found, found.clear, signed=True), found)
+            found = max(found, again, key=lambda state: float(state.heard.sum()))
         return found
 
     def corrected(self, times: np.ndarray, spectra: np.ndarray, channels: Channels) -> np.ndarray:
@@ -286,9 +295,11 @@ class _Listener:
     def _gcc(self, window: np.ndarray, lags: int) -> np.ndarray:
         return correlation.gcc(window, self.frame.band, self.frame.size, lags, self.finer)
 
-    def _places(self, times: np.ndarray, spectra: np.ndarray, channels: Channels, *, signed: bool) -> np.ndarray:
-        """Return where each window's sound comes from, (n, 3) m."""
-        kept = channels.usable[self.first] & channels.usable[self.second]
+    def _places(
+        self, times: np.ndarray, spectra: np.ndarray, channels: Channels, used: np.ndarray, *, signed: bool
+    ) -> np.ndarray:
+        """Return where each window's sound comes from, (n, 3) m, by the microphones (m,) that are used."""
+        kept = used[self.first] & used[self.second]
         places = np.empty((len(times), 3))
         for row, window in enumerate(self.corrected(times, spectra, channels)):
             gcc = self._gcc(window, self.response.half_lags) * kept[:, None]
