@@ -127,10 +127,10 @@ def test_too_little_is_refused():
 
 @pytest.fixture(scope="module")
 def recording():
-    """A voice for 0.75 s at each of 24 places, at 16 kHz: samples (n, 8), and the places as --places takes them."""
+    """A voice for 0.75 s at each of 16 places, at 16 kHz: samples (n, 8), and the places as --places takes them."""
     rng, fs = np.random.default_rng(4), 16000
     parts, lines = [], []
-    for number in range(24):
+    for number in range(16):
         place = np.array([*rng.uniform(0.6, 4.0, 2), rng.uniform(1.2, 1.7)])
         parts.append(heard(place, voice(0.75, fs, rng), fs, reflection=0.5, order=1))
         lines.append(f"{0.75 * number + 0.05},{0.75 * number + 0.7},{place[0]},{place[1]},{place[2]}")

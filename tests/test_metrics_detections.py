@@ -113,7 +113,7 @@ def a_run(truth, track, found=()):
         count = seen.track.identity.size
         case = SensorCase(seen, np.full((count, 2, 2), np.nan), "body", 1.0)
         record = {"sequence": "s", "sensor": "audio", "Detections": SENSOR_METRIC.score(case)}
-        sensors["audio"] = Detected(case, record, np.full((count, 4), np.nan), "microphones")
+        sensors["audio"] = Detected(case, record, "microphones")
     speaking = (np.arange(sequence.truth.identity.size) % 2).astype(float)
     case = Case(replace(sequence, truth=replace(sequence.truth, speaking=speaking)))
     tracked = Tracked(case, {"sequence": "s", "tracker": "audio", **score_case(case)})
