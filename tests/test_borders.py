@@ -310,6 +310,16 @@ def test_an_output_follows_a_link_and_may_have_a_long_name(tmp_path):
     assert len(list(tmp_path.iterdir())) == 5
 
 
+def test_only_a_file_is_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, tmp_path):
+        with pytest.raises(OSError, match="only a file can be replaced"), atomic.replacing(path):
+            pass
+    assert pipe.is_fifo()
+    assert os.listdir(tmp_path) == ["pipe"]
+
+
 def test_two_outputs_of_one_name_are_refused(tmp_path):
     same = tmp_path / "same.jsonl"
     ended = run_forked("avfuse", "-o", same, "--explain", same, stdin=DETECTION)

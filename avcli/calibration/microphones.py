@@ -185,6 +185,8 @@ class Measured:
             f"on sound held out of the fit, the delays' spread is {1e6 * self.held_out_s:.0f} µs with the found "
             f"positions, {1e6 * self.held_out_given_s:.0f} µs with the given ones",
         ]
+        if not self.placed:  # one of four rooms of another simulator was such a case (examples/benchmarks)
+            lines.append("by sound alone the error can be twice what is stated: give TRACKS or --places to make sure")
         return lines
 
 

@@ -1,7 +1,6 @@
 """A page that shows the newest picture of a film, and how the filming goes."""
 
 import contextlib
-import ipaddress
 import json
 import secrets
 import threading
@@ -12,6 +11,8 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+
+from avcli.formats.serving import is_local, is_named, send
 
 _WAIT_S = 10.0
 """How long a question about the state waits for a new one."""
@@ -62,19 +63,18 @@ class Show:
 
     def _answer(self, handler: BaseHTTPRequestHandler) -> None:
         asked = urlsplit(handler.path)
-        host = handler.headers.get("Host", "").rpartition(":")[0].strip("[]")
-        if (self._local and not is_local(host)) or not asked.path.startswith(f"/{self._key}"):
+        if (self._local and not is_named(handler)) or not asked.path.startswith(f"/{self._key}"):
             handler.send_error(404)
             return
         what = asked.path.removeprefix(f"/{self._key}")
         with contextlib.suppress(OSError):
             if what == "picture":
-                _send(handler, "image/jpeg", self._jpeg)
+                send(handler, "image/jpeg", self._jpeg)
             elif what == "state":
                 known = parse_qs(asked.query).get("after", [""])[0]
-                _send(handler, "application/json", self._state_after(int(known) if known.isdecimal() else 0))
+                send(handler, "application/json", self._state_after(int(known) if known.isdecimal() else 0))
             elif what == "":
-                _send(handler, "text/html; charset=utf-8", self._page)
+                send(handler, "text/html; charset=utf-8", self._page)
             else:
                 handler.send_error(404)
 
@@ -90,26 +90,6 @@ class Show:
             self._new.notify_all()
         self._server.shutdown()
         self._server.server_close()
-
-
-def is_local(host: str) -> bool:
-    """Tell whether a host, by name or address, is this machine alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _send(handler: BaseHTTPRequestHandler, kind: str, content: bytes) -> None:
-    handler.send_response(200)
-    handler.send_header("Content-Type", kind)
-    handler.send_header("Content-Length", str(len(content)))
-    handler.send_header("Cache-Control", "no-store")
-    handler.send_header("Referrer-Policy", "no-referrer")
-    handler.end_headers()
-    handler.wfile.write(content)
 
 
 def _own_address() -> str:

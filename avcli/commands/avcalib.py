@@ -102,6 +102,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
     counts, and only of a board that is held still. Ctrl-C ends the filming earlier.
     """
     from avcli.calibration import live, watch
+    from avcli.formats import serving
 
     _check_options(session, values)
     given = settings_from(settings.LiveSettings, values)
@@ -112,7 +113,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
         if given.port:
             page = stack.enter_context(watch.serving(given.port, given.host))
             session.warn(f"open {page.url} to watch")
-            if not watch.is_local(given.host):
+            if not serving.is_local(given.host):
                 session.warn("everybody in the network who knows this address sees the camera")
 
             def show(picture: Any, state: live.State) -> None:

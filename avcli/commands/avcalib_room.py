@@ -172,8 +172,6 @@ def microphones_command(
     way = _way(session, tracks, places, given)
     with session.timing("listen"):
         listening = _listening(session, audio, given)
-    for line in listening.channels.words():
-        session.warn(line)
     known = session.config.microphones.positions
     speed, speed_sd = _speed_of_sound(session, given)
     prior = microphones.Prior(known, given.position_sd_m, speed, speed_sd, listening.channels.late)
@@ -184,7 +182,7 @@ def microphones_command(
             raise GateNotMet(str(error)) from None
         except ValueError as error:
             session.fail(str(error))
-    for line in found.words():
+    for line in [*listening.channels.words(), *found.words()]:
         session.warn(line)
     if found.refusal:
         raise GateNotMet(found.refusal)

@@ -237,7 +237,9 @@ def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown]
 
     _read(session, run, options, take)
     if not begun:
+        session.warn("there are no records to show")
         _surround(session, run, options, shown)
+        live = watch and watch(shown)
     if live is not None:
         live.end()
     with session.timing("pictures"):
@@ -246,6 +248,10 @@ def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown]
         else:
             found = experiment.frames(run.root, recording.frames)
             shown.pictures, shown.picture_count = found, len(found)
+        if shown.surroundings and (camera := _camera(session, run)):
+            checked = experiment.of_size((camera.width_px, camera.height_px), session.warn)
+            read = ((time, checked(picture)) for time, picture in shown.pictures)
+            shown.pictures = read if options.film else list(read)
     with session.timing("sound"):
         if options.sound:
             shown.track = experiment.recording(options.sound, options.microphone, options.start)

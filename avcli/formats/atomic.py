@@ -30,12 +30,14 @@ def replacing(path: str | os.PathLike[str], suffix: str = "") -> Iterator[Path]:
         suffix: ends the name of the temporary file, for a writer that looks at it (".mp4").
 
     Raises:
-        OSError: the directory is missing or not writable (at once, before the block runs), the disk is full, or the
-            file is being written by this process already.
+        OSError: the directory is missing or not writable, or the path is a device, a pipe or a directory (at once,
+            before the block runs), the disk is full, or the file is being written by this process already.
     """
     path = Path(path)
     if path.is_symlink():
         path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():  # root could replace a device by a file
+        raise OSError(errno.EINVAL, "not a file; only a file can be replaced", str(path))
     if path in _in_progress:
         raise FileExistsError(errno.EEXIST, "two outputs have the same name", str(path))
     _sweep(path.parent)

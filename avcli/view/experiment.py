@@ -1,14 +1,20 @@
 """What a page shows of an experiment beside its records: the camera's pictures and the sound of a microphone."""
 
+from __future__ import annotations
+
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from avcli.formats import footage, media
 from avcli.formats.records import AudioChunk
 from avcli.view import sound
-from avcli.view.pictures import Timed
+from avcli.view.pictures import Read, Timed
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _PICTURE = re.compile(r"RGB_frame_(-?\d+\.\d+)\.\w+")
 _SOUND = re.compile(r"multichannel_audio_(-?\d+\.\d+)\.\w+")
@@ -20,6 +26,26 @@ def frames(root: Path, named: Sequence[tuple[float, str]], *, lying: bool = True
     if lying and not found:
         found = _timed(root / "video/rgb", _PICTURE)
     return [(time, partial(media.read_rgb, path)) for time, path in sorted(found)]
+
+
+def of_size(size: tuple[int, int], say: Callable[[str], None]) -> Callable[[Read], Read]:
+    """Return what makes a picture's reader say, once for all, that it has another size than the lens is known for.
+
+    Args:
+        size: width and height, px.
+        say: is called with a sentence.
+    """
+    said: list[bool] = []
+
+    def seen(read: Read) -> np.ndarray:
+        image = read()
+        if image.shape[1::-1] != size and not said:
+            said.append(True)
+            has = f"{image.shape[1]} × {image.shape[0]} px"
+            say(f"a picture has {has}, camera_config {size[0]} × {size[1]} px: what is drawn in it may be misplaced")
+        return image
+
+    return lambda read: partial(seen, read)
 
 
 def film(path: str, rate_hz: float | None, start_s: float) -> tuple[Iterator[Timed], int]:

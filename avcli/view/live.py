@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import ipaddress
 import json
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from avcli.formats.media import MediaError
+from avcli.formats.serving import is_named, send
 from avcli.view.page import Shown, Words, described, page
 from avcli.view.pictures import Read, jpeg
 from avcli.view.recording import Row
@@ -89,20 +89,20 @@ class Live:
     def answer(self, handler: BaseHTTPRequestHandler) -> None:
         """Answer one request; it must name this machine, so that no page from the network can read the run."""
         asked = urlsplit(handler.path)
-        what, host = asked.path.strip("/"), handler.headers.get("Host", "").rpartition(":")[0]
+        what = asked.path.strip("/")
         with contextlib.suppress(OSError):
-            if not _is_local(host.strip("[]")):
+            if not is_named(handler):
                 handler.send_error(403)
             elif what == "":
-                _send(handler, "text/html; charset=utf-8", self._page())
+                send(handler, "text/html; charset=utf-8", self._page())
             elif what == "events":
                 first = parse_qs(asked.query).get("from", [""])[0]
-                _send(handler, "text/event-stream", None)
+                send(handler, "text/event-stream", None)
                 for part in self._events(int(first) if first.isdecimal() else 0):
                     handler.wfile.write(part)
                     handler.wfile.flush()
             elif (number := what.removeprefix("picture/")).isdecimal() and int(number) < len(self._reads):
-                _send(handler, "image/jpeg", self._jpeg(int(number)))
+                send(handler, "image/jpeg", self._jpeg(int(number)))
             else:
                 handler.send_error(404)
 
@@ -135,24 +135,3 @@ class Live:
             finally:
                 self.end()
                 server.shutdown()
-
-
-def _is_local(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _send(handler: BaseHTTPRequestHandler, kind: str, content: bytes | None) -> None:
-    handler.send_response(200)
-    handler.send_header("Content-Type", kind)
-    handler.send_header("Cache-Control", "no-store")
-    handler.send_header("Referrer-Policy", "no-referrer")
-    if content is not None:
-        handler.send_header("Content-Length", str(len(content)))
-    handler.end_headers()
-    if content is not None:
-        handler.wfile.write(content)

@@ -26,8 +26,8 @@ if importlib.util.find_spec("pyroomacoustics") is None:
     os.execv(bench, [str(bench), *sys.argv])
 
 import numpy as np  # noqa: E402
-import pyroomacoustics  # noqa: E402
 import soundfile  # noqa: E402
+from bench_localization import responses  # noqa: E402
 from scipy.signal import fftconvolve, resample_poly  # noqa: E402
 
 from avcli.localization.array import Array  # noqa: E402
@@ -87,25 +87,6 @@ def ring(room: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([room[:2] / 2 + (room[:2] / 2 - 0.15) * level, rng.uniform(2.4, 2.5, count)])
 
 
-def responses(room: np.ndarray, rt60: float, places: np.ndarray, microphones: np.ndarray) -> np.ndarray:
-    """Return room impulse responses (places, m, n), by Eyring's absorption."""
-    surface = 2 * (room[0] * room[1] + room[0] * room[2] + room[1] * room[2])
-    absorption = 1 - np.exp(-24 * np.log(10) * room.prod() / (SPEED * surface * rt60))
-    order = min(int(SPEED * rt60 / room.min()) + 1, 45)
-    shoebox = pyroomacoustics.ShoeBox(room, fs=FS, materials=pyroomacoustics.Material(absorption), max_order=order)
-    shoebox.set_sound_speed(SPEED)
-    for place in places:
-        shoebox.add_source(list(place))
-    shoebox.add_microphone_array(microphones.T)
-    shoebox.compute_rir()
-    length = max(len(one) for row in shoebox.rir for one in row)
-    found = np.zeros((len(places), len(microphones), length))
-    for m, row in enumerate(shoebox.rir):
-        for s, one in enumerate(row):
-            found[s, m, : len(one)] = one
-    return found[:, :, 40:]
-
-
 def voice(speaker: str, first: int) -> np.ndarray:
     """Return speech of SECONDS, with silence before and after it."""
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
@@ -129,7 +110,8 @@ def recording(case: Case, speaker: str) -> Recording:
         places = np.array([[*rng.uniform(0.8, room[:2] - 0.8), rng.uniform(1.3, 1.7)]])
     hop = len(dry) / max(len(places) - 1, 1)
     wet = np.zeros((len(dry), len(microphones)))
-    for k, heard in enumerate(responses(room, case.rt60, places, microphones)):
+    order = min(int(SPEED * case.rt60 / room.min()) + 1, 45)
+    for k, heard in enumerate(responses(room, FS, case.rt60, places, microphones, order)):
         near = np.clip(1.0 - np.abs(np.arange(len(dry)) / hop - k), 0.0, 1.0) if case.walks else 1.0
         for m, response in enumerate(heard):
             wet[:, m] += fftconvolve(dry * near, response)[: len(dry)]

@@ -109,19 +109,21 @@ def voices(split: str) -> list[np.ndarray]:
     return [0.05 * x / np.sqrt(np.mean(x**2)) for x in resampled]
 
 
-def responses(t60: float, places: Sequence[np.ndarray], order: int) -> np.ndarray:
-    """Room impulse responses, (places, 8, n), by Eyring's absorption; without pyroomacoustics' 40 samples of delay."""
-    volume, surface = ROOM.prod(), 2 * (ROOM[0] * ROOM[1] + ROOM[0] * ROOM[2] + ROOM[1] * ROOM[2])
-    absorption = 1 - np.exp(-24 * np.log(10) * volume / (SPEED * surface * t60))
-    room = pyroomacoustics.ShoeBox(ROOM, fs=FS, materials=pyroomacoustics.Material(absorption), max_order=order)
-    room.set_sound_speed(SPEED)
+def responses(
+    room: np.ndarray, fs: int, t60: float, places: Sequence[np.ndarray], microphones: np.ndarray, order: int
+) -> np.ndarray:
+    """Room impulse responses, (places, m, n), by Eyring's absorption; without pyroomacoustics' 40 samples of delay."""
+    surface = 2 * (room[0] * room[1] + room[0] * room[2] + room[1] * room[2])
+    absorption = 1 - np.exp(-24 * np.log(10) * room.prod() / (SPEED * surface * t60))
+    shoebox = pyroomacoustics.ShoeBox(room, fs=fs, materials=pyroomacoustics.Material(absorption), max_order=order)
+    shoebox.set_sound_speed(SPEED)
     for place in places:
-        room.add_source(list(place))
-    room.add_microphone_array(MICROPHONES.T)
-    room.compute_rir()
-    length = max(len(one) for row in room.rir for one in row)
-    result = np.zeros((len(places), len(MICROPHONES), length))
-    for m, row in enumerate(room.rir):
+        shoebox.add_source(place)
+    shoebox.add_microphone_array(microphones.T)
+    shoebox.compute_rir()
+    length = max(len(one) for row in shoebox.rir for one in row)
+    result = np.zeros((len(places), len(microphones), length))
+    for m, row in enumerate(shoebox.rir):
         for s, one in enumerate(row):
             result[s, m, : len(one)] = one
     return result[:, :, 40:]
@@ -142,7 +144,8 @@ def still(voice: np.ndarray, t60: float, place: np.ndarray, begin: float = 0.5) 
     dry = np.concatenate([np.zeros(int(begin * FS)), voice, np.zeros(FS // 2)])
     order = min(int(np.ceil(SPEED * t60 / ROOM.min())), 60)
     wet, direct = (
-        np.column_stack([fftconvolve(dry, h)[: len(dry)] for h in responses(t60, [place], o)[0]]) for o in (order, 0)
+        np.column_stack([fftconvolve(dry, h)[: len(dry)] for h in responses(ROOM, FS, t60, [place], MICROPHONES, o)[0]])
+        for o in (order, 0)
     )
     return wet, Talker(np.array([0.0]), place[None], sounding(dry), direct)
 
@@ -165,7 +168,7 @@ def walking(
         wet = np.zeros((len(dry) + 2 * FS, len(MICROPHONES)))
         for k, place in enumerate(places):
             piece = padded[k * hop : (k + 2) * hop] * fade
-            for m, h in enumerate(responses(t60, [place], order)[0]):
+            for m, h in enumerate(responses(ROOM, FS, t60, [place], MICROPHONES, order)[0]):
                 heard = fftconvolve(piece, h)[: len(wet) - k * hop]
                 wet[k * hop : k * hop + len(heard), m] += heard
         sums.append(wet[hop : hop + len(dry) + FS // 2])
