@@ -112,6 +112,15 @@ def test_bad_use_is_one_line(made):
         assert not (made / "x.html").exists()
 
 
+def test_pictures_of_another_size_are_said_once(made):
+    raw = json.loads((made / "s3/config.json").read_text())
+    raw["camera_config"] |= {"image_width_px": 1280, "image_height_px": 720}
+    (made / "small.json").write_text(json.dumps(raw))
+    result = run("avview", "s3", "-c", "small.json", "--html", "small.html", cwd=made)
+    assert (result.returncode, result.stderr.count("\n")) == (0, 1)
+    assert "camera_config 1280 × 720 px: what is drawn in it may be misplaced" in result.stderr
+
+
 def test_a_large_page_has_a_folder(made):
     result = run("avview", "s3", "--html", "large.html", "--largest-mb", "0", cwd=made)
     assert result.returncode == 0
