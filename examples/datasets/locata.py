@@ -14,14 +14,11 @@ whose names stand in the first line. LOCATA's origin is inside the room; avcli's
 """
 
 import argparse
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import soundfile
-
-RATE_HZ = 10.0
+from experiment import RATE_HZ, people, run, save
 
 
 def table(path: Path) -> dict[str, np.ndarray]:
@@ -55,13 +52,11 @@ def convert(folder: Path, out: Path, room: tuple[float, float, float], offset: t
         offset: m, added to positions.
 
     Raises:
-        ValueError: the folder is not of that layout, or the array moves.
+        ValueError: the folder is not of that layout, or the array moves; `out` is not empty.
     """
     arrays = sorted(folder.glob("audio_array_*.wav"))
     if len(arrays) != 1:
         raise ValueError(f"{folder}: expected one audio_array_NAME.wav, found {len(arrays)}")
-    if out.exists() and any(out.iterdir()):
-        raise ValueError(f"{out}: is not empty")
     name = arrays[0].stem.removeprefix("audio_array_")
     array = table(folder / f"position_array_{name}.txt")
     samples, rate = soundfile.read(arrays[0], always_2d=True)
@@ -81,9 +76,6 @@ def convert(folder: Path, out: Path, room: tuple[float, float, float], offset: t
         source = table(path)
         at = clock(source) - begin
         mouths.append(np.stack([np.interp(times, at, column) for column in places(source).T], axis=1) + offset)
-    (out / "audio" / "wav").mkdir(parents=True, exist_ok=True)
-    sound = "audio/wav/multichannel_audio_0.0000000000.wav"
-    soundfile.write(out / sound, samples, rate, subtype="PCM_24")
     config = {
         "session_id": f"locata-{folder.parent.name}-{name}",
         "room_config": {"room_dimensions_m": list(room), "reverberation_time_s": 0.55},
@@ -93,22 +85,8 @@ def convert(folder: Path, out: Path, room: tuple[float, float, float], offset: t
             "mic_positions_m": [position.round(5).tolist() for position in microphones],
         },
     }
-    (out / "config.json").write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
-    heard = {
-        "path": sound,
-        "start_sample": 0,
-        "num_samples": len(samples),
-        "sample_rate_hz": rate,
-        "num_channels": count,
-    }
-    (out / "audio.jsonl").write_text(json.dumps({"timestamp": 0.0, "audio": heard}) + "\n", encoding="utf-8")
-    with open(out / "groundtruth_sources.jsonl", "w", encoding="utf-8") as lines:
-        for row, time in enumerate(times):
-            people = [
-                {"object_id": number, "position": [*path[row, :2].tolist(), 0.0], "mouth_position": path[row].tolist()}
-                for number, path in enumerate(mouths)
-            ]
-            lines.write(json.dumps({"timestamp": round(float(time), 10), "objects": people}) + "\n")
+    truth = [people(time, {number: path[row] for number, path in enumerate(mouths)}) for row, time in enumerate(times)]
+    save(out, config, {"groundtruth_sources.jsonl": truth}, samples)
 
 
 def main() -> None:
@@ -119,10 +97,7 @@ def main() -> None:
     parser.add_argument("--room", type=float, nargs=3, default=(7.1, 9.8, 3.0), help="sides of the room, m")
     parser.add_argument("--offset", type=float, nargs=3, default=(3.55, 4.9, 0.0), help="added to positions, m")
     given = parser.parse_args()
-    try:
-        convert(given.folder, given.out, tuple(given.room), tuple(given.offset))
-    except (ValueError, OSError, KeyError, soundfile.LibsndfileError) as error:
-        sys.exit(f"locata.py: {error}")
+    run(lambda: convert(given.folder, given.out, tuple(given.room), tuple(given.offset)))
 
 
 if __name__ == "__main__":
