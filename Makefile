@@ -14,6 +14,8 @@
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
+#: make bench         the pipeline and all stage benchmarks in short, on one page: out/bench/index.html
+#:                    (BENCH_FLAGS=--all: as long as they take; --check: exit 1 where something costs more than its budget)
 #: make fit-localization fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence
 #:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
 #:                    FIT_FLAGS="--speech DIR")
@@ -64,7 +66,7 @@ ifneq ($(filter %-audio,$(NAME)),)
   $(error $(SCENARIO): rename the scenario; out/NAME-audio is the directory of the scenario NAME by microphones alone)
 endif
 
-.PHONY: FORCE run run-all run-audio run-video run-both setup setup-bench all test lint man clean distclean help formats $(SCENARIOS) \
+.PHONY: FORCE bench run run-all run-audio run-video run-both setup setup-bench all test lint man clean distclean help formats $(SCENARIOS) \
         $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
@@ -218,6 +220,9 @@ bench-tracking: BENCH_PYTHON = $(if $(wildcard .venv-bench/bin/python),.venv-ben
 $(BENCHES:%=bench-%): bench-%: $(READY)
 	@mkdir -p bench-out
 	$(BENCH_PYTHON) tests/bench/bench_$(subst -,_,$*).py --out bench-out $(BENCH_FLAGS)
+
+bench: $(READY)
+	$(BIN)/python tests/bench/bench_whole.py --out $(OUT)/bench $(BENCH_FLAGS)
 
 $(FITS:%=fit-%): fit-%: $(READY)
 	$(BIN)/python tests/bench/fit_$*.py $(FIT_FLAGS)

@@ -36,6 +36,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np  # noqa: E402
 import pyroomacoustics  # noqa: E402
+from figures import Row, figure, hand_over  # noqa: E402
 from localization_rooms import MICROPHONES, ROOM  # noqa: E402
 
 from avcli.localization.array import Array, Decision  # noqa: E402
@@ -382,9 +383,18 @@ def main() -> None:
             print(row(record), flush=True)
     seed = SPLITS[options.split][0]
     (options.out / "localization.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+    hand_over(options.out, "detect-audio", (one for record in records for one in figures(record)))
     (options.out / "localization.md").write_text(table(records, f"split {options.split}, seed {seed}"))
     if importlib.util.find_spec("matplotlib"):
         plot(records, options.out / "localization.svg")
+
+
+def figures(record: dict[str, Any]) -> Iterator[Row]:
+    case = f"{record['scene']}, T60 {record['rt60_s']} s, noise at {record['snr_db']} dB"
+    given = ("detect-audio", case, f"avcli {record['method']}", record["ms"] / 1e3, "decision")
+    yield figure(*given, 1 - record["recall"], "share missed")
+    if record["error_2d_m"] is not None:
+        yield figure(*given, record["error_2d_m"], "m")
 
 
 COLUMNS = (
