@@ -35,13 +35,12 @@ PEERS = HERE.parents[1] / ".venv-bench" / "bin" / "python"
 
 @dataclass(frozen=True)
 class Stage:
-    """A benchmark of one stage: its script, its options in the quick run and in the whole one, and whose Python."""
+    """A benchmark of one stage: its script, and its options in the quick run and in the whole one."""
 
     script: str
     quick: Sequence[str]
     whole: Sequence[str] = ()
     needs_peers: bool = False
-    prefers_peers: bool = False
 
 
 STAGES = {
@@ -51,7 +50,24 @@ STAGES = {
         "localization", ["--scenes", "1", "--kinds", "turns", "two", "--no-variants"], needs_peers=True
     ),
     "detect-video": Stage("detection", ["--scenes", "2"]),
-    "fuse": Stage("tracking", ["--cases", "s1", "ten", "crowd30", "--seeds", "1", "--no-more"], prefers_peers=True),
+    "fuse": Stage(
+        "tracking",
+        [
+            "--cases",
+            "s1",
+            "ten",
+            "crowd30",
+            "--seeds",
+            "1",
+            "--no-more",
+            "--variants",
+            "default",
+            "gnn",
+            "sort",
+            "bytetrack",
+            "oc-sort",
+        ],
+    ),
     "eval": Stage("metrics", ["--quick", "--rounds", "1"]),
     "calibration": Stage("calibration", ["--quick", "--only", "methods", "--seeds", "1"]),
 }
@@ -61,8 +77,7 @@ def stage_rows(stage: Stage, out: Path, whole: bool) -> str:
     """Run one benchmark, which hands its figures over; return why it could not, or ""."""
     if stage.needs_peers and not PEERS.exists():
         return "needs make setup-bench"
-    python = str(PEERS) if stage.prefers_peers and PEERS.exists() else sys.executable
-    command = [python, str(HERE / f"bench_{stage.script}.py"), "--out", str(out)]
+    command = [sys.executable, str(HERE / f"bench_{stage.script}.py"), "--out", str(out)]
     environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
     with open(out / f"{stage.script}.log", "w") as log:
         ended = subprocess.run([*command, *(stage.whole if whole else stage.quick)], stdout=log, stderr=log,

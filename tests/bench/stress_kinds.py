@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import soundfile
 
@@ -81,7 +82,7 @@ def ended(
     if end.returncode not in (0, *REFUSALS):
         lost = f"exit {end.returncode}: {end.stderr[-300:]}"
     elif not all(line.startswith(f"{command}: ") for line in said):
-        lost = f"a line that is none of ours: {end.stderr[-300:]}"
+        lost = f"a line that is none of ours: {end.stderr[:400]}"
     elif end.returncode and not said:
         lost = f"exit {end.returncode} without a word"
     elif end.returncode and written:
@@ -262,8 +263,7 @@ def pictures(seed: int, folder: Path) -> Trial:
     channels = int(rng.choice([1, 3, 3, 3, 4]))
     deep = bool(rng.random() < 0.1)
     picture = rng.integers(0, 65536 if deep else 256, (height, width, channels))
-    media.write_png(folder / "rgb.png", np.squeeze(picture.astype(np.uint16 if deep else np.uint8), -1)
-                    if channels == 1 else picture.astype(np.uint16 if deep else np.uint8))  # fmt: skip
+    cv2.imwrite(str(folder / "rgb.png"), picture.astype(np.uint16 if deep else np.uint8))
     config = copy.deepcopy(LABORATORY)
     camera = config["camera_config"]
     camera |= {"image_width_px": width, "image_height_px": height, "cx_px": width / 2, "cy_px": height / 2}
