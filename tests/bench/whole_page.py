@@ -9,7 +9,7 @@ from budget import Judged
 from figures import Row, front, groups
 
 WIDTH, HEIGHT = 440, 260
-LEFT, BOTTOM, TOP, RIGHT = 52, 40, 14, 12
+LEFT, BOTTOM, TOP, RIGHT = 52, 40, 26, 16
 
 STYLE = """
 :root { color-scheme: light dark; --page: #fbfbfa; --card: #fff; --ink: #1c1d1f; --soft: #5d6168; --line: #e2e4e8;
@@ -36,12 +36,15 @@ th:first-child, td:first-child, td.text, th.text { text-align: left } tr.over td
 
 def sentence(verdict: Sequence[Judged], failed: dict[str, str]) -> str:
     """The verdict in one or two sentences."""
-    over = [
-        f"{one.stage}, {one.case}, {one.tool} ({one.found:.2g} for {one.allowed:.2g})" for one in verdict if one.over
-    ]
-    said = f"{len(verdict) - len(over)} of {len(verdict)} lines of the budget are kept."
-    if over:
-        said += " Over it: " + "; ".join(over) + "."
+
+    def named(some: Iterable[Judged]) -> str:
+        return "; ".join(f"{one.stage}, {one.case}, {one.tool} ({one.found:.2g} for {one.allowed:.2g})" for one in some)
+
+    limits = [one for one in verdict if not one.goal]
+    over, missed = ([one for one in verdict if one.over and one.goal is goal] for goal in (False, True))
+    said = f"{len(limits) - len(over)} of {len(limits)} limits of time are kept."
+    said += f" Over the limit, in units: {named(over)}." if over else ""
+    said += f" Goals that are not reached, in units: {named(missed)}." if missed else ""
     if failed:
         said += " Not measured: " + "; ".join(f"{name} ({why})" for name, why in failed.items()) + "."
     return said
@@ -84,7 +87,7 @@ def markdown(machine: dict[str, Any], rows: Sequence[Row], verdict: Sequence[Jud
 
 def page(machine: dict[str, Any], rows: Sequence[Row], verdict: Sequence[Judged], failed: dict[str, str]) -> str:
     """Everything as one HTML page."""
-    bad = bool(failed or any(one.over for one in verdict))
+    bad = bool(failed or any(one.over and not one.goal for one in verdict))
     plots = "".join(_plot(*key, some) for key, some in groups(rows).items() if len(some) > 1)
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -94,8 +97,8 @@ def page(machine: dict[str, Any], rows: Sequence[Row], verdict: Sequence[Judged]
 <p class="soft">{escape(facts(machine))}</p>
 {_pipeline(rows)}
 <h2>Run time against error</h2>
-<p class="soft">Left is sooner, low is more accurate. A ring marks the Pareto front: no other is both. Blue is avcli,
-orange are others, in the same run.</p>
+<p class="soft">Left is sooner, low is more accurate. A ring marks the Pareto front: nobody else is both as soon and as
+accurate. Blue is avcli, orange are others, in the same run.</p>
 <div class="plots">{plots}</div>
 {_budget(verdict)}
 </main></html>
@@ -130,10 +133,10 @@ def _pipeline(rows: Sequence[Row]) -> str:
         share = f"{100 * least['cpu_s'] / row['cpu_s']:.0f} %" if least else ""
         bar = f'<span class="bar" style="width:{10 * row["cpu_s"] / longest:.2f}rem"></span>'
         what = escape(least["what"]) if least else ""
-        cells = (escape(tool.removeprefix("avcli ")), bar, what, share, f"{row['cpu_s']:.2f}", f"{row['units']:.2f}")
+        cells = (escape(tool.removeprefix("avcli ")), f"{row['cpu_s']:.2f}", bar, f"{row['units']:.2f}", share, what)
         lines.append(("", cells))
     said = "; ".join(f"{case}: {row['cpu_s']:.1f} CPU s, {row['wall_s']:.1f} s by the clock" for case, row in whole)
-    heads = ("command", "", "its limit: this alone", "limit's share", "CPU s", "units")
+    heads = ("command", "CPU s", "", "units", "share of its limit", "the limit: this alone")
     return f'<h2>S1 from end to end</h2><p class="soft">{escape(said)}. S1 lasts 4 s.</p>{_table(heads, lines)}'
 
 
@@ -170,7 +173,10 @@ def _plot(stage: str, case: str, unit: str, rows: Sequence[Row]) -> str:
         label = f"{10**y:.3g}" if by_powers else f"{y:.3g}"
         marks.append(f'<path d="M{px:.1f} {py:.1f}H{WIDTH - RIGHT}" stroke="var(--line)"/>')
         marks.append(f'<text x="{px - 6:.1f}" y="{py + 4:.1f}" text-anchor="end">{label}</text>')
-    for power in range(math.ceil(x_low), math.floor(x_high) + 1):
+    few = x_high - x_low < 2
+    for power in [k + step for k in range(-9, 6) for step in ((0, math.log10(2), math.log10(5)) if few else (0,))]:
+        if not x_low <= power <= x_high:
+            continue
         px, py = at(power, y_low)
         marks.append(f'<path d="M{px:.1f} {TOP}V{py:.1f}" stroke="var(--line)"/>')
         marks.append(f'<text x="{px:.1f}" y="{py + 15:.1f}" text-anchor="middle">{_seconds(power)}</text>')
