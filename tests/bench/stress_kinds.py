@@ -27,6 +27,8 @@ fuzz: Any = importlib.import_module("test_fuzz")
 run: Any = importlib.import_module("forked").run_forked
 BIN = Path(sys.executable).parent
 REFUSALS = (1, 2, 3, 74)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores it, and children would inherit that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @dataclass(frozen=True)
