@@ -14,6 +14,12 @@
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
+#: make bench         the pipeline and all stage benchmarks in short, on one page: out/bench/index.html
+#:                    (BENCH_FLAGS=--all: as long as they take; --check: exit 1 where something costs more than its budget)
+#: make stress        random worlds, sounds, pictures, detections, faults and damaged files for ten minutes; what was lost, if
+#:                    anything (STRESS_FLAGS="--seconds 3600")
+#: make thesis        S1 to S4 as the thesis built its chain, beside ours, each part exchanged by itself (THESIS_FLAGS="--seeds 5")
+#: make study         the thesis's hypotheses with intervals, and one factor of the scene at a time (STUDY_FLAGS="--seeds 20")
 #: make fit-localization fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence
 #:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
 #:                    FIT_FLAGS="--speech DIR")
@@ -21,7 +27,7 @@
 #:
 #: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv
 #:   SCENE_FLAGS AUDIO_FLAGS DETECT_AUDIO_FLAGS DETECT_VIDEO_FLAGS FUSE_FLAGS EVAL_FLAGS: options of the stages
-#:   TEST_FLAGS BENCH_FLAGS FIT_FLAGS: options of pytest, of a benchmark, of a fit
+#:   TEST_FLAGS BENCH_FLAGS STRESS_FLAGS THESIS_FLAGS STUDY_FLAGS FIT_FLAGS: options of pytest, and of the other targets
 #: A target runs again exactly the stages whose inputs, options or code have changed: make s3 FUSE_FLAGS='--lag inf'
 
 SHELL := bash
@@ -64,8 +70,8 @@ ifneq ($(filter %-audio,$(NAME)),)
   $(error $(SCENARIO): rename the scenario; out/NAME-audio is the directory of the scenario NAME by microphones alone)
 endif
 
-.PHONY: FORCE run run-all run-audio run-video run-both setup setup-bench all test lint man clean distclean help formats $(SCENARIOS) \
-        $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
+.PHONY: FORCE bench stress thesis study run run-all run-audio run-video run-both setup setup-bench all test lint man clean \
+        distclean help formats $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
 	@sed -n 's/^#: \?//p' Makefile
@@ -218,6 +224,15 @@ bench-tracking: BENCH_PYTHON = $(if $(wildcard .venv-bench/bin/python),.venv-ben
 $(BENCHES:%=bench-%): bench-%: $(READY)
 	@mkdir -p bench-out
 	$(BENCH_PYTHON) tests/bench/bench_$(subst -,_,$*).py --out bench-out $(BENCH_FLAGS)
+
+bench: $(READY)
+	$(BIN)/python tests/bench/bench_whole.py --out $(OUT)/bench $(BENCH_FLAGS)
+
+stress: $(READY)
+	$(BIN)/python tests/bench/stress.py --out $(OUT)/stress $(STRESS_FLAGS)
+
+thesis study: %: $(READY)
+	$(BIN)/python tests/bench/$*.py --out $(OUT)/$* $($(if $(filter thesis,$*),THESIS,STUDY)_FLAGS)
 
 $(FITS:%=fit-%): fit-%: $(READY)
 	$(BIN)/python tests/bench/fit_$*.py $(FIT_FLAGS)

@@ -130,15 +130,10 @@ class Recorder:
         if self._speakers.bounded:
             self._say(f"a mouth came within {1000 * NEAREST_M:g} mm of a microphone; it is heard as from that distance")
 
-    def described(self) -> str:
-        """Return a sentence about the work that the sound of the people took and saved so far."""
-        computed, saved = self._speakers.work
-        if computed + saved == 0:
-            return "direct sound by delay lines, without responses of the room"
-        return (
-            f"{computed} responses of {len(self.surroundings.microphones_m)} microphones were computed; {saved} more "
-            f"({100 * saved / (computed + saved):.0f} %) were not needed, where people stand or are silent"
-        )
+    @property
+    def work(self) -> tuple[int, int]:
+        """How many responses of all microphones were computed so far, and how many more were not needed."""
+        return self._speakers.work
 
     def pieces(self) -> Iterator[np.ndarray]:
         """Yield the sound that is settled and not yet taken, (≤ PIECE, m) Pa each."""

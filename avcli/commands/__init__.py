@@ -1,1 +1,10 @@
-"""The seven commands: the only place that knows click, streams and exit codes."""
+"""The eight commands: the only place that knows click, streams and exit codes."""
+
+import os
+import signal
+import sys
+
+# Ctrl-C while a command is still loading its libraries ends it as it ends `cat`, without a traceback of the imports.
+_module = os.path.basename(sys.argv[0]).replace("-", "_") + ".py"
+if os.path.exists(os.path.join(__path__[0], _module)) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -124,6 +124,8 @@ def main(
             faults = {"channel_faults": [fault.record() for fault in decision.faults]} if decision.faults else {}
             named = {"timestamp": decision.time, "sensor": "audio", "kind": "microphones"}
             write({**named, "objects": objects, **faults})
+        if isinstance(chosen, SteeredLocalizer):
+            session.note_skipped("searches of windows", chosen.silent, chosen.windows, "which hold no voice")
 
 
 def _objects(decision: Decision, features: list[dict[str, Any]]) -> list[dict[str, Any]]:

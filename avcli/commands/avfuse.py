@@ -190,6 +190,7 @@ def main(
             given.setdefault(name, {})[key] = value
     from avcli.formats.records import as_record
     from avcli.tracking.fusion import Fusion
+    from avcli.tracking.glmb import GLMB
 
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
     _check_outputs(session, [path for _, path in sources], {"--explain": explain, "--learn": learn, "--map": map})
@@ -227,6 +228,9 @@ def main(
         session.warn(f"sensor {name!r} has options but sent no record")
     for note in fusion.notes():
         session.note(note)
+    if isinstance(fusion.tracker, GLMB):
+        pairs, near = fusion.tracker.pairs, fusion.tracker.near
+        session.note_skipped("pairs of person and detection", pairs - near, pairs, "which are far from each other")
 
 
 def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> None:

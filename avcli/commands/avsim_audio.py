@@ -166,7 +166,9 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
         with session.timing("simulation"):
             recorder.finish()
         store(tape.end())
-        session.note(recorder.described())
+        computed, spared = recorder.work
+        why = "where people stand or are silent"
+        session.note_skipped("responses of all microphones", spared, computed + spared, why, "simulation")
         if options["rir"]:
             from avcli.acoustics import exchange
 

@@ -122,8 +122,13 @@ def main(session: Session, scenario: str, **options: Any) -> None:
     if film.drawing:
         session.note(f"drawn by {film.drawn_by}")
         if film.cache and film.cache.saved_s:
-            session.note(f"the empty room is kept from an earlier run, in which it took {film.cache.saved_s:.2f} s")
-        session.note(film.account.text())
+            saved = f"saved about {film.cache.saved_s:.2f} s"
+            session.note(f"not computed: the colours of the empty room, which an earlier run has kept; {saved}")
+        frames = film.account.drawn + film.account.again
+        size = scene.config.camera.width_px * scene.config.camera.height_px
+        session.note_skipped("frames", film.account.again, frames, "which are as the one before", "draw")
+        left = round((frames - film.account.share) * size)
+        session.note_skipped("pixels", left, frames * size, "where the picture is as the one before")
 
 
 def _film(session: Session, scene: Scenario, options: dict[str, Any]) -> Film:

@@ -226,6 +226,22 @@ class Session:
         """End with one line on stderr and exit 2."""
         raise click.UsageError(text, click.get_current_context(silent=True))
 
+    def note_skipped(self, what: str, count: int, total: int, why: str, stage: str = "") -> None:
+        """Say under -v how much was not computed, why, and what that saved.
+
+        Args:
+            what: was to be computed, in the plural.
+            count: how many were not, of `total`.
+            why: it was not needed, as "where nothing moves".
+            stage: whose time was spent on the others; "" where that is not known.
+        """
+        if not total:
+            return
+        said = f"not computed: {count} of {total} {what} ({100 * count / total:.0f} %), {why}"
+        if stage in self._timings and count < total:
+            said += f"; saved about {self._timings[stage] * count / (total - count):.2f} s"
+        self.note(said)
+
     @contextlib.contextmanager
     def timing(self, stage: str) -> Iterator[None]:
         """Add the time that the block takes to the stage's, for -v."""

@@ -117,6 +117,7 @@ class Tally:
         nowhere: without a place: none of their rays reaches the room.
         outside: of people beyond the walls, who were left out.
         still: that show only the room as it was learnt, and were left out.
+        pictures, unchanged: pictures so far, and those of them in which nothing had moved.
         boxes: (4,) px, the first `MOST_BOXES` of those that were placed by the box alone.
     """
 
@@ -125,6 +126,8 @@ class Tally:
     nowhere: int = 0
     outside: int = 0
     still: int = 0
+    pictures: int = 0
+    unchanged: int = 0
     boxes: list[np.ndarray] = field(default_factory=list)
 
 
@@ -219,6 +222,8 @@ class Detector:
         with self._timing("wait for pictures"):
             picture = self._read(rgb, "colour")
         regions = self._gate.changes(picture)
+        self.tally.pictures += 1
+        self.tally.unchanged += not len(regions)
         if self._room_colours is not None:
             self._room_colours.see(picture)
         if len(regions):

@@ -12,6 +12,7 @@ from avcli.localization import correlation, events, multilateration, uncertainty
 from avcli.localization.array import Array, Decision, Talker, time_steps
 from avcli.localization.settings import ClosedFormSettings
 from avcli.localization.stream import Block, stretches
+from avcli.localization.windows import finite
 
 RT60_S = 0.35
 """s, the reverberation time of the thesis's room."""
@@ -71,10 +72,12 @@ class ClosedFormLocalizer:
         fs, rate = self.array.sample_rate, self.settings.rate
         for first, stretch in stretches(blocks, begin):
             read = list(stretch)
-            samples = np.concatenate([block.samples for block in read])
+            heard, _, notices = finite(np.concatenate([block.samples for block in read]).T)
+            samples = np.ascontiguousarray(heard.T)
             steps = self.steps(samples, first)
             for step in time_steps(first, len(samples), fs, rate, read[-1].tail):
-                yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [])
+                yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [], notices)
+                notices = []
 
     def steps(self, samples: np.ndarray, begin: int = 0) -> dict[int, list[Event]]:
         """Return the events of a recording (n, m) by the time step, k at k / rate seconds, to which each belongs."""

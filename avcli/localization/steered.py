@@ -91,6 +91,7 @@ class SteeredLocalizer:
         self.gate = Gate(1.0 / self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
+        self.windows = self.silent = 0  # so far, and those of them without a voice
         self.named: set[tuple[int, str]] = set()
         self._noise: NoiseLaw | None = None
 
@@ -163,9 +164,11 @@ class SteeredLocalizer:
 
     def sounding(self, window: Window) -> Window:
         """Return the window, empty where it holds no more than the room's noise or a mere tone."""
+        self.windows += 1
         heard = self.gate(window.correlated.energy if window.correlated else 0.0)
         if heard and window.correlated and window.correlated.occupancy >= self.settings.occupancy:
             return window
+        self.silent += 1
         return Window(None, window.notices)
 
     def step(self, step: int, windows: dict[int, Window]) -> Decision:

@@ -153,7 +153,7 @@ class Correlator:
         peak = np.maximum(samples.max(axis=1), -samples.min(axis=1))
         broken, notices = np.zeros(len(samples), bool), list[str]()
         if not np.isfinite(peak).all():
-            samples, broken, notices = _finite(samples)
+            samples, broken, notices = finite(samples)
             peak = np.abs(samples).max(axis=1)
         scale = peak.max()
         if scale == 0.0:
@@ -201,12 +201,12 @@ class Correlator:
         return good, notices
 
 
-def _finite(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def finite(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return the samples (m, n) with 0 for NaN and infinity, which channels (m,) held many of them, and notices."""
-    finite = np.isfinite(samples)
-    count = (~finite).sum(axis=1)
+    numbers = np.isfinite(samples)
+    count = (~numbers).sum(axis=1)
     notices = [f"channel {c + 1}: samples that are not numbers count as 0" for c in np.flatnonzero(count)]
-    return np.where(finite, samples, 0.0), count > 0.01 * samples.shape[1], notices
+    return np.where(numbers, samples, 0.0), count > 0.01 * samples.shape[1], notices
 
 
 def _believed(

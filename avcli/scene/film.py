@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -54,31 +53,18 @@ class Account:
 
     Attributes:
         drawn, again: how many frames were drawn, and how many are as the last one.
-        spent: s for the drawn ones.
         share: sum over all frames of the share of the picture that was drawn.
     """
 
     drawn: int = 0
     again: int = 0
-    spent: float = 0.0
     share: float = 0.0
 
-    def add(self, seconds: float, share: float, *, again: bool) -> None:
+    def add(self, share: float, *, again: bool) -> None:
         """Count a frame; `share` is the sum up to it."""
         self.share = share
-        if again:
-            self.again += 1
-        else:
-            self.drawn, self.spent = self.drawn + 1, self.spent + seconds
-
-    def text(self) -> str:
-        """One sentence."""
-        count = max(self.drawn + self.again, 1)
-        saved = self.again * self.spent / max(self.drawn, 1)
-        return (
-            f"{self.drawn} of {self.drawn + self.again} frames were drawn, {100 * self.share / count:.0f} % of the "
-            f"picture for each on average; the others are as the one before, which saved {saved:.2f} s of drawing"
-        )
+        self.again += again
+        self.drawn += not again
 
 
 class Film:
@@ -174,9 +160,8 @@ class Film:
                     yield Frame(time, annotations.truth(self.scenario, bodies, index), None, None)
                     continue
                 with self._timing("draw"):
-                    begin = perf_counter()
                     picture = self._renderer.draw(prepared, index)
-                    account.add(perf_counter() - begin, self._renderer.drawn_share, again=picture is last)
+                    account.add(self._renderer.drawn_share, again=picture is last)
                     last, rgb = picture, picture.rgb
                     if rgb is not None and self.drawing and self.drawing.shutter_s:
                         rgb = self._exposed(self._renderer, time, self.drawing.shutter_s)

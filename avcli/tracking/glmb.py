@@ -126,6 +126,7 @@ class GLMB:
         self.last_record: list[float] = []  # s
         self.errors = Errors(settings.learn)
         self.false_places = FalsePlaces(settings.learn)
+        self.pairs = self.near = 0  # of people and detections so far, and those of them within the gate
         self.next_label, self.pruned = 0, PRUNED  # and that at which what is known of labels is pruned next
         self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
         self.retired: dict[int, End] = {}
@@ -430,6 +431,8 @@ class GLMB:
     def _associate(self, scan: Scan, background: Sequence[float]) -> tuple[list[Group], list[float]]:
         """Update the joint hypotheses; also returns J probabilities that no labelled person caused the detection."""
         options = association.options(scan, self.labelled_rows, background)
+        self.pairs += len(self.labelled_rows) * len(scan.z)
+        self.near += int(np.count_nonzero(scan.gain[self.labelled_rows]))
         unclaimed = [1.0] * len(scan.z)
         most = self.settings.hypotheses
         competing = association.competing(self.clusters, options)

@@ -16,13 +16,14 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
+from figures import Row, figure, hand_over
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.absorption import sabine_absorption
@@ -306,13 +307,13 @@ def microphones_against_retarded_time(exact: ModuleType) -> list[dict]:
     return rows
 
 
-def growth(dry: np.ndarray, quick: bool) -> list[dict]:
+def growth(dry: np.ndarray) -> list[dict]:
     """How the cost of a scene grows."""
     rows = []
 
     def add(what: str, value: float, **options: Any) -> None:
         people = options.pop("people", 1)
-        seconds = min(scene(people, **{"dry": dry, "error_db": -40.0, **options})[1] for _ in range(1 if quick else 2))
+        seconds = min(scene(people, **{"dry": dry, "error_db": -40.0, **options})[1] for _ in range(2))
         rows.append({"what": what, "value": value, "cpu_s": seconds})
         print(f"{what} {value}: {seconds:.2f} CPU-s", flush=True)
 
@@ -378,6 +379,15 @@ def tables(result: dict) -> str:
     )
 
 
+def figures(static: list[dict], scenes: list[dict]) -> Iterator[Row]:
+    for row in static:
+        spent = row["ms_a_position"] / 1e3
+        yield figure("audio", "one place, 8 microphones", row["method"], spent, "place", row["white_db"], "dB")
+    for row in scenes:
+        method = row["method"] if row["method"].startswith("avcli") else f"avcli, {row['method']}"
+        yield figure("audio", "4 s, one walker", method, row["cpu_s"], "scene", row["error_db"], "dB")
+
+
 def plot(path: Path, static: list[dict], scenes: list[dict]) -> None:
     import matplotlib
 
@@ -408,7 +418,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     parser.add_argument("--peers", default=".venv-bench/bin/python", help="Python of the peers' environment")
     parser.add_argument("--speech", help="recording to speak instead of the first built-in voice")
-    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="fewer settings; neither growth nor retarded time")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     dry = voice(arguments.speech)
@@ -419,8 +429,8 @@ def main() -> None:
         "load": os.getloadavg()[0],
         "responses": static,
         "scene": scenes,
-        "retarded_time": against_retarded_time(),
-        "growth": growth(dry, arguments.quick),
+        "retarded_time": [] if arguments.quick else against_retarded_time(),
+        "growth": [] if arguments.quick else growth(dry),
     }
     ours = next(row["cpu_s"] for row in scenes if row["method"] == "avcli, -40 dB")
     best = next(row["cpu_s"] for row in scenes if row["method"] == "avcli, -60 dB")
@@ -433,6 +443,7 @@ def main() -> None:
     (arguments.out / "audio.json").write_text(json.dumps(result, indent=1) + "\n")
     (arguments.out / "audio.md").write_text(tables(result) + "\n")
     plot(arguments.out / "audio.svg", static, scenes)
+    hand_over(arguments.out, "audio", figures(static, scenes))
     print(f"{arguments.out}/audio.json, audio.md and audio.svg")
 
 

@@ -21,6 +21,7 @@ from typing import Any
 import cv2
 import lens_sets
 import numpy as np
+from figures import figure, hand_over
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -375,7 +376,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    parts = []
+    parts, handed = [], list[Row]()
     with open(options.out / "calibration.jsonl", "w") as log:
 
         def collected(rows: Iterable[Row]) -> Iterator[Row]:
@@ -414,6 +415,9 @@ def main() -> None:
             ]
             parts.append("## Corners with known noise\n\n" + table(rows, ["set", "method"], columns))
             plot(rows, options.out / "calibration.svg")
+            for row in (row for row in rows if row["seed"] == 0 and "s" in row):
+                tool = row["method"].replace("avcalib", "avcli")
+                handed.append(figure("calibration", row["set"], tool, row["s"], "fit", row["mean_px"], "px"))
         if options.only in (None, "speed"):
             rows = list(collected(speed_rows(options.quick)))
             columns = [
@@ -430,6 +434,7 @@ def main() -> None:
                 parts.append(f"## Pictures of others: {folder.name}\n\n{lens_sets.TEXT}\n\n" + sets_table(rows))
     text = "\n\n".join(parts) + "\n"
     (options.out / "calibration.md").write_text(text)
+    hand_over(options.out, "calibration", handed)
     print(text)
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from figures import Row, figure, hand_over
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "examples" / "train-detector"))
 
@@ -122,6 +123,18 @@ class Tally:
                 row[f"median_m {BINS[index]:g}-{BINS[index + 1]:g} h"] = np.median(errors[here]) if here.any() else None
         row["ms"] = float(np.median(self.ms))
         return {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
+
+
+def figures(row: dict[str, Any]) -> Iterator[Row]:
+    peer = row["detector"].startswith("yolo")
+    given = (row["detector"] if peer else f"avcli {row['detector']}", row["ms"] / 1e3, "frame")
+    if "recall" not in row:
+        yield figure("detect-video", "nobody", *given)
+        return
+    case = "random rooms, boxes are given" if row["detector"].startswith("true boxes") else "random rooms"
+    yield figure("detect-video", case, *given, 1 - row["recall"], "share missed")
+    if "median_m" in row:
+        yield figure("detect-video", case, *given, row["median_m"], "m")
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
@@ -239,6 +252,7 @@ def main() -> None:
     (options.out / "detection.md").write_text(text)
     (options.out / "detection.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     plot(tallies, options.out / "detection.svg")
+    hand_over(options.out, "detect-video", (one for row in rows for one in figures(row)))
 
 
 if __name__ == "__main__":

@@ -36,8 +36,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np  # noqa: E402
 import pyroomacoustics  # noqa: E402
+from figures import Row, figure, hand_over  # noqa: E402
 from localization_rooms import MICROPHONES, ROOM  # noqa: E402
 
+from avcli.acoustics.recorder import built_in_voices  # noqa: E402
 from avcli.localization.array import Array, Decision  # noqa: E402
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings  # noqa: E402
 from avcli.localization.ssl3d import ClosedFormLocalizer  # noqa: E402
@@ -95,11 +97,13 @@ def voices(split: str) -> list[np.ndarray]:
     _, speaker, spoken = SPLITS[split]
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
     recordings = [soundfile.read(path) for path in sorted(folder.glob(f"*_{speaker}_*.wav"))]
-    if not recordings:
-        print("bench-localization: found no real speech; uses espeak-ng alone", file=sys.stderr)
-    if recordings and not shutil.which("espeak-ng"):
-        print("bench-localization: espeak-ng is not installed; uses real speech alone", file=sys.stderr)
-        spoken = ()
+    speaks = bool(shutil.which("espeak-ng"))
+    if not (recordings and speaks):
+        used = "real speech" if recordings else "espeak-ng" if speaks else "the voices of avsim-audio"
+        print(f"bench-localization: uses {used} alone", file=sys.stderr)
+    if not (recordings or speaks):
+        recordings = [(one.samples[:, 0], one.sample_rate_hz) for one in built_in_voices()]
+    spoken = spoken if speaks else ()
     with tempfile.TemporaryDirectory() as directory:
         for number, (voice, text) in enumerate(spoken):
             path = Path(directory) / f"{number}.wav"
@@ -382,9 +386,18 @@ def main() -> None:
             print(row(record), flush=True)
     seed = SPLITS[options.split][0]
     (options.out / "localization.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+    hand_over(options.out, "detect-audio", (one for record in records for one in figures(record)))
     (options.out / "localization.md").write_text(table(records, f"split {options.split}, seed {seed}"))
     if importlib.util.find_spec("matplotlib"):
         plot(records, options.out / "localization.svg")
+
+
+def figures(record: dict[str, Any]) -> Iterator[Row]:
+    case = f"{record['scene']}, T60 {record['rt60_s']} s, noise at {record['snr_db']} dB"
+    given = ("detect-audio", case, f"avcli {record['method']}", record["ms"] / 1e3, "decision")
+    yield figure(*given, 1 - record["recall"], "share missed")
+    if record["error_2d_m"] is not None:
+        yield figure(*given, record["error_2d_m"], "m")
 
 
 COLUMNS = (

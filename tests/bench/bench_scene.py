@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
+from figures import Row, figure, hand_over
 
 from avcli import pose
 from avcli.formats import media
@@ -278,6 +279,13 @@ def main() -> None:
     (options.out / "scene.json").write_text(json.dumps(rows, indent=1) + "\n")
     (options.out / "scene.md").write_text(table(rows, ctx.info["GL_RENDERER"]))
     plot(rows, options.out / "scene.svg")
+    hand_over(options.out, "scene", map(as_figure, rows))
+
+
+def as_figure(row: dict[str, Any]) -> Row:
+    case = f"{row['width']} px, {row['lens']}, {row['people']} people"
+    method = row["method"] if row["method"].startswith(("cube", "embree")) else f"avcli, {row['method']}"
+    return figure("scene", case, method, row["cpu_ms"] / 1e3, "frame", row.get("p99.9_mm"), "mm, 99.9 %")
 
 
 def table(rows: list[dict[str, Any]], renderer: str) -> str:

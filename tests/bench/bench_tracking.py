@@ -18,7 +18,7 @@ import importlib.util
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tracking_peers
 import tracking_report as report
+from figures import Row, figure, hand_over
 from tracking_cases import MORE, ONCE, REAL, SYNTHETIC, TOO_MUCH, judged, scene_of
 from tracking_measures import SUMMARY, Outcome, mean, outcome, summary
 from tracking_report import CEILING, DEFAULT, OWN, Run
@@ -133,6 +134,18 @@ def tables(options: argparse.Namespace, cases: list[str], names: list[str], seed
     before = report.read(options.before) if options.before else []
     (options.out / "tracking.md").write_text(report.markdown(runs, before, detected))
     report.plots(runs, detected, options.out)
+    hand_over(options.out, "fuse", figures(runs))
+
+
+def figures(runs: Sequence[Run]) -> Iterator[Row]:
+    """Least time and mean error of each tracker in each case, by all sensors."""
+    for case, variant in dict.fromkeys((run.case, run.variant) for run in runs):
+        some = [run.outcome for run in runs if (run.case, run.variant, run.sensors) == (case, variant, "")]
+        tool = variant if variant in tracking_peers.PEERS else f"avcli {variant}"
+        spent = min(one.spent for one in some)
+        if not math.isnan(spent):
+            lost = 100 - mean(one.hota for one in some)
+            yield figure("fuse", case, tool, spent / 1e3, "record", lost, "points of HOTA lost")
 
 
 def arguments() -> argparse.Namespace:

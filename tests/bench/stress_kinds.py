@@ -1,0 +1,470 @@
+"""The kinds of trials of `make stress`; each makes an input from a seed, and says how a command took it."""
+
+import copy
+import importlib
+import json
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import soundfile
+
+from avcli.formats import media
+from avcli.lens import table as lenses
+from avcli.scene.scenario import LABORATORY
+
+fuzz: Any = importlib.import_module("test_fuzz")
+run: Any = importlib.import_module("forked").run_forked
+BIN = Path(sys.executable).parent
+REFUSALS = (1, 2, 3, 74)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores it, and children would inherit that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What was tried, the sentence that refused it ("" none did), and what is wrong with its end ("" nothing)."""
+
+    what: str
+    refused: str = ""
+    lost: str = ""
+
+
+# --- how a command ended ----------------------------------------------------------------------------------------------
+
+
+def not_finite(text: str) -> float:
+    """Refuse the numbers that JSON does not have."""
+    raise ValueError(f"{text} in the output")
+
+
+def wrong_records(data: bytes) -> str:
+    """Say what is wrong with records: not whole lines, NaN, a covariance that is none, a probability beyond 0 to 1."""
+    if data and not data.endswith(b"\n"):
+        return "the last line is not whole"
+    for number, line in enumerate(data.splitlines(), 1):
+        try:
+            record = json.loads(line, parse_constant=not_finite)
+        except ValueError as error:
+            return f"line {number}: {error}"
+        for one in record.get("objects", []):
+            spread = np.array(one.get("covariance", np.eye(3)), float)
+            if not (np.array_equal(spread, spread.T) and (np.linalg.eigvalsh(spread) >= 0).all()):
+                return f"line {number}: a covariance that is not positive: {spread.tolist()}"
+            chances = [one[key] for key in ("existence", "score", "speaking") if isinstance(one.get(key), float)]
+            if not all(0 <= chance <= 1 for chance in chances):
+                return f"line {number}: a probability of {chances}"
+    return ""
+
+
+def ended(
+    command: str, arguments: Sequence[object], folder: Path, stdin: bytes = b"", **how: Any
+) -> tuple[Trial, bytes]:
+    """Run a command with its output in folder/out.jsonl; return how it ended, and what it wrote."""
+    output = folder / "out.jsonl"
+    output.unlink(missing_ok=True)
+    shown = f"{command} {' '.join(map(str, arguments))}"
+    try:
+        end = run(command, *arguments, "-o", output, stdin=stdin, **how)
+    except AssertionError as error:
+        return Trial(shown, lost=str(error)), b""
+    written = output.read_bytes() if output.exists() else b""
+    said = end.stderr.splitlines()
+    lost = ""
+    if end.returncode not in (0, *REFUSALS):
+        lost = f"exit {end.returncode}: {end.stderr[-300:]}"
+    elif not all(line.startswith(f"{command}: ") for line in said):
+        lost = f"a line that is none of ours: {end.stderr[:400]}"
+    elif end.returncode and not said:
+        lost = f"exit {end.returncode} without a word"
+    elif end.returncode and written:
+        lost = f"exit {end.returncode} with an output"
+    elif temporary := [path.name for path in folder.rglob(".*.tmp")]:
+        lost = f"left behind: {temporary}"
+    elif command != "avcalib":
+        lost = wrong_records(written)
+    return Trial(shown, said[-1] if end.returncode and said else "", lost), written
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def damaged(chance: random.Random, data: bytes) -> bytes:
+    """Flip bits, cut, drop, repeat, exchange, or overwrite some of the bytes."""
+    out = bytearray(data)
+    kind = chance.randrange(7)
+    first, second = sorted(chance.randrange(len(out) + 1) for _ in range(2))
+    if kind in (0, 1):
+        for _ in range(chance.choice([1, 1, 4, 64])):
+            out[chance.randrange(len(out))] ^= 1 << chance.randrange(8)
+    elif kind == 2:
+        del out[first:]
+    elif kind == 3:
+        del out[first:second]
+    elif kind == 4:
+        out[first:first] = out[first:second]
+    elif kind == 5:
+        out[first:second] = bytes(second - first)
+    else:
+        out[first : first + 8] = chance.choice(
+            [b"\xff" * 8, b"\0" * 8, b"\r\n", b"\xef\xbb\xbf", b'{"', b"nan", b"[[[["]
+        )
+    return bytes(out)
+
+
+def files(seed: int, folder: Path) -> Trial:
+    """A file with damaged bytes: records, config.json, scenario, WAV, PNG."""
+    chance = random.Random(seed)
+    fuzz.made(folder)
+    command = chance.choice([*fuzz.FUZZED, "avcalib"])
+    if command == "avcalib":
+        target = folder / "rgb.png"
+        target.write_bytes(damaged(chance, target.read_bytes()))
+        return ended("avcalib", ["calibrate", target, folder / "empty.png", "--board", "6x8"], folder)[0]
+    documents, options, _ = fuzz.FUZZED[command]
+    given = fuzz.lines(documents)
+    media_of = {"avdetect-audio": ["a.wav"], "avdetect-video": ["rgb.png", "depth.png", "empty.png"]}
+    names = ["", "config.json", *media_of.get(command, [])] if command != "avsim-scene" else [""]
+    name = chance.choice(names)
+    if name:
+        (folder / name).write_bytes(damaged(chance, (folder / name).read_bytes()))
+    else:
+        given = damaged(chance, given)
+    where = folder / "experiment" if command == "avsim-scene" else folder
+    filled = [option.format(truth=folder / "truth.jsonl") for option in options]
+    trial, _ = ended(command, ["-C", where, *filled], folder, given)
+    return Trial(f"{command}, {name or 'its input'} damaged", trial.refused, trial.lost)
+
+
+def values(seed: int, folder: Path) -> Trial:
+    """One value of the input or of config.json replaced, scaled, left out or put in twice."""
+    chance = random.Random(seed)
+    fuzz.made(folder)
+    command = chance.choice(list(fuzz.FUZZED))
+    documents, options, _ = fuzz.FUZZED[command]
+    given, config = documents, fuzz.CONFIG
+    if chance.random() < 0.5 or command in ("aveval", "avsim-scene"):
+        given = fuzz.changed(documents, chance)
+    else:
+        (config,) = fuzz.changed([fuzz.CONFIG], chance)
+    (folder / "config.json").write_bytes(fuzz.lines([config]))
+    where = folder / "experiment" if command == "avsim-scene" else folder
+    filled = [option.format(truth=folder / "truth.jsonl") for option in options]
+    trial, _ = ended(command, ["-C", where, *filled], folder, fuzz.lines(given))
+    return Trial(f"{command}, one value changed", trial.refused, trial.lost)
+
+
+# --- sensors ----------------------------------------------------------------------------------------------------------
+
+
+def some(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def spread(rng: np.random.Generator, least: float, most: float) -> list[list[float]]:
+    """A covariance whose axes are turned at random."""
+    axes, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    found = axes @ np.diag([some(rng, least, most) for _ in range(3)]) @ axes.T
+    return ((found + found.T) / 2).tolist()
+
+
+def detections(seed: int, folder: Path) -> Trial:
+    """Detections at scales from 1 mm to 10 km, covariances from 1e-12 to 1e12, 0 to 250 a record, to each tracker."""
+    rng = np.random.default_rng(seed)
+    scale, rate = some(rng, 1e-3, 1e4), some(rng, 0.5, 60)
+    most = int(rng.choice([0, 1, 3, 10, 40, 250]))
+    least_variance = some(rng, 1e-12, 1e6)
+    records = []
+    for k in range(max(2, 60 // (most + 1))):
+        for sensor, kind in (("audio", "microphones"), ("video", "camera")):
+            objects = []
+            for _ in range(int(rng.integers(0, most + 1))):
+                one: dict[str, Any] = {"position": (rng.uniform(-1, 1, 3) * scale).tolist()}
+                if rng.random() < 0.8:
+                    one["covariance"] = spread(rng, least_variance, min(least_variance * some(rng, 1, 1e12), 1e12))
+                if rng.random() < 0.5:
+                    one["score"] = float(rng.choice([0.0, 1e-9, 0.5, 1.0]))
+                objects.append(one)
+            records.append({"timestamp": f"{k / rate:.10f}", "sensor": sensor, "kind": kind, "objects": objects})
+    tracker = str(rng.choice(["ms-glmb", "ms-glmb", "lmb", "gnn"]))
+    options = ["--tracker", tracker, *(["--lag", "5"] if tracker == "ms-glmb" and rng.random() < 0.3 else [])]
+    trial, tracks = ended("avfuse", options, folder, fuzz.lines(records))
+    what = f"avfuse --tracker {tracker}, {scale:.1e} m, up to {most}"
+    if trial.lost or trial.refused or not tracks:
+        return Trial(what, trial.refused, trial.lost)
+    (folder / "tracks.jsonl").write_bytes(tracks)
+    scored, _ = ended("aveval", [folder / "tracks.jsonl", folder / "tracks.jsonl"], folder)
+    lost = scored.lost or ("aveval refuses avfuse's tracks" if scored.refused else "")
+    return Trial(f"{what}, then aveval", lost=lost)
+
+
+def order(seed: int, folder: Path) -> Trial:
+    """Records that come twice, or a few places too early or late: the tracks are those of the records in order."""
+    rng = np.random.default_rng(seed)
+    in_order = []
+    for k in range(20):
+        for sensor, kind in (("audio", "microphones"), ("video", "camera")):
+            place = [1 + 0.1 * k + rng.normal(0, 0.05), 2 + rng.normal(0, 0.05), 1.6]
+            objects = [{"position": place, "covariance": (0.01 * np.eye(3)).tolist(), "score": 0.9}]
+            in_order.append({"timestamp": f"{k / 10:.10f}", "sensor": sensor, "kind": kind, "objects": objects})
+    mixed = list(in_order)
+    for k in sorted(rng.choice(len(mixed) - 1, 6, replace=False).tolist(), reverse=True):
+        if rng.random() < 0.5:
+            mixed.insert(k, copy.deepcopy(mixed[k]))
+        else:
+            mixed[k], mixed[k + 1] = mixed[k + 1], mixed[k]
+    plain, expected = ended("avfuse", [], folder, fuzz.lines(in_order))
+    trial, found = ended("avfuse", [], folder, fuzz.lines(mixed))
+    lost = plain.lost or trial.lost or ("" if found == expected else "other tracks than in order")
+    return Trial("avfuse, repeated and exchanged records", lost=lost)
+
+
+def sounds(seed: int, folder: Path) -> Trial:
+    """Sound of 8 to 192 kHz, 1 to 16 microphones; silence, clipping, NaN, offsets, few samples."""
+    rng = np.random.default_rng(seed)
+    rate = int(rng.choice([8000, 16000, 22050, 44100, 48000, 96000, 192000]))
+    count, samples = int(rng.choice([1, 2, 5, 8, 16])), int(rng.choice([0, 1, 100, 4000, 30000, 90000]))
+    kind = str(rng.choice(["noise", "silence", "faint", "clipped", "nan", "infinite", "offset", "same"]))
+    wave = rng.standard_normal((samples, count)) * 0.05
+    if kind == "same":
+        wave[:] = wave[:, :1]
+    elif kind in ("nan", "infinite"):
+        wave[samples // 2 :] = np.nan if kind == "nan" else np.inf
+    elif kind == "offset":
+        wave += 0.9
+    else:
+        wave = np.clip(wave * {"noise": 1, "silence": 0, "faint": 1e-30, "clipped": 1e9}[kind], -1, 1)
+    soundfile.write(folder / "a.wav", wave, rate, subtype="DOUBLE")
+    size = some(rng, 0.1, 100)
+    config = copy.deepcopy(LABORATORY)
+    config["room_config"]["room_dimensions_m"] = [size, size, max(size / 2, 0.1)]
+    config["microphone_config"]["audio_sample_rate_hz"] = rate
+    config["microphone_config"]["mic_positions_m"] = (rng.random((count, 3)) * [size, size, size / 2]).tolist()
+    (folder / "config.json").write_text(json.dumps(config))
+    method = ["--method", str(rng.choice(["srp", "3d-ssl"]))]
+    trial, _ = ended("avdetect-audio", ["-C", folder, folder / "a.wav", *method], folder)
+    return Trial(f"avdetect-audio {method[1]}, {rate} Hz, {count} channels, {kind}", trial.refused, trial.lost)
+
+
+def pictures(seed: int, folder: Path) -> Trial:
+    """Pictures from 1 x 1 px to 8K, grey, with alpha, of 16 bits; depth that is absent, zero, far, of another size."""
+    rng = np.random.default_rng(seed)
+    sizes = [(1, 1), (2, 3), (1, 400), (64, 36), (320, 180), (640, 480), (1920, 1080)]
+    width, height = sizes[rng.integers(len(sizes))] if rng.random() < 0.98 else (7680, 4320)
+    channels = int(rng.choice([1, 3, 3, 3, 4]))
+    deep = bool(rng.random() < 0.1)
+    picture = rng.integers(0, 65536 if deep else 256, (height, width, channels))
+    cv2.imwrite(str(folder / "rgb.png"), picture.astype(np.uint16 if deep else np.uint8))
+    config = copy.deepcopy(LABORATORY)
+    camera = config["camera_config"]
+    camera |= {"image_width_px": width, "image_height_px": height, "cx_px": width / 2, "cy_px": height / 2}
+    camera |= {"fx_px": max(width, 2) / 3, "fy_px": max(width, 2) / 3}
+    frame = {"rgb": "rgb.png"}
+    if with_depth := rng.random() < 0.7:
+        other = rng.random() < 0.1
+        depth = np.full((height + other, width), int(rng.choice([0, 1, 25000, 65535])), np.uint16)
+        media.write_png(folder / "depth.png", depth)
+        media.write_png(folder / "empty.png", np.full((height, width), 25000, np.uint16))
+        frame["depth"] = "depth.png"
+        camera |= {"background_depth": "empty.png", "depth_kind": "radial"}
+    (folder / "config.json").write_text(json.dumps(config))
+    detector = "depth" if with_depth and rng.random() < 0.5 else "net"
+    records = fuzz.lines([{"timestamp": k / 10, "frame": frame} for k in range(2)])
+    trial, _ = ended("avdetect-video", ["-C", folder, "--detector", detector], folder, records)
+    return Trial(f"avdetect-video {detector}, {width}x{height}x{channels}", trial.refused, trial.lost)
+
+
+def lens(seed: int, _folder: Path) -> Trial:
+    """A lens of random parameters: what it sees comes back to the pixel, what it cannot see is NaN."""
+    rng = np.random.default_rng(seed)
+    names = list(lenses.LENSES)
+    name = names[rng.integers(len(names))]
+    model = lenses.LENSES[name]
+    f, width = some(rng, 1, 5000), some(rng, 2, 8000)
+    own = [float(rng.normal(0, some(rng, 1e-4, 1))) for _ in model.names()[4:]]
+    try:
+        made = model.of_image([f, f * rng.uniform(0.8, 1.2), width / 2, width / 3, *own], width, width / 1.5)
+    except ValueError as error:
+        return Trial(name, refused=str(error))
+    if not made.is_possible:
+        return Trial(name, refused="not a possible lens")
+    rays = rng.standard_normal((400, 3)) * some(rng, 1e-3, 1e4)
+    with np.errstate(all="raise", under="ignore"):
+        try:
+            pixels = made.project(rays)
+            back = made.project(made.unproject(pixels))
+        except FloatingPointError as error:
+            return Trial(f"{name} {made.parameters}", lost=str(error))
+    seen = np.isfinite(pixels).all(1)
+    far = np.abs(back[seen] - pixels[seen]).max(initial=0.0) if seen.any() else 0.0
+    wrong = "" if far <= 1e-4 * max(1.0, width) else f"{far:.2g} px off, or lost, after there and back"
+    if np.isinf(pixels).any():
+        wrong = "an infinite pixel"
+    return Trial(f"{name} {made.parameters}", lost=wrong)
+
+
+# --- the whole --------------------------------------------------------------------------------------------------------
+
+
+def world(rng: np.random.Generator) -> dict[str, Any]:
+    """A random scenario: room, camera, microphones, people who walk, furniture."""
+    sides = [round(some(rng, 1.5, 25), 3), round(some(rng, 1.5, 25), 3), round(rng.uniform(2.0, 6.0), 3)]
+    count = int(rng.choice([0, 1, 2, 5, 12]))
+    rate = int(rng.choice([8000, 16000, 44100, 96000]))
+
+    def place() -> list[float]:
+        return [float(rng.uniform(0.3, side - 0.3)) for side in sides[:2]]
+
+    people = []
+    for _ in range(count):
+        ways: list[dict[str, Any]] = [{"position_m": place()}, {"position_m": place()}]
+        if rng.random() < 0.3:
+            ways[1]["stay_s"] = 0.2
+        people.append({"waypoints": ways, "speech_s": [[0.0, 0.4]] if rng.random() < 0.7 else []})
+    microphones = [[*place(), float(rng.uniform(0.2, sides[2] - 0.1))] for _ in range(int(rng.choice([2, 5, 8, 8])))]
+    return {
+        "name": "stress", "duration_s": float(rng.choice([0.0, 0.1, 0.5])),
+        "camera_config": {"image_width_px": 96, "image_height_px": 54, "fx_px": 45.0, "fy_px": 45.0, "cx_px": 48.0,
+                          "cy_px": 27.0},
+        "microphone_config": {"mic_positions_m": microphones, "audio_sample_rate_hz": rate},
+        "room_config": {"room_dimensions_m": sides, "reverberation_time_s": float(rng.choice([0.0, 0.2, 0.4]))},
+        "people": people,
+    }  # fmt: skip
+
+
+def worlds(seed: int, folder: Path) -> Trial:
+    """A random world through all stages: simulated, heard, seen, tracked and scored."""
+    rng = np.random.default_rng(seed)
+    scenario = json.dumps(world(rng)).encode()
+    experiment = folder / "experiment"
+    at: list[object] = ["-C", experiment]
+    drawn = rng.random() < 0.3
+    steps: list[tuple[str, list[object], str]] = [
+        ("avsim-scene", ["-", *([] if drawn else ["--no-video"])], "scene"),
+        ("avsim-audio", [folder / "scene.jsonl"], "audio"),
+        ("avdetect-audio", [folder / "audio.jsonl", "--method", str(rng.choice(["srp", "3d-ssl"]))], "a"),
+        ("avdetect-video", [folder / "scene.jsonl"], "v"),
+        ("avfuse", [folder / "a.jsonl", folder / "v.jsonl"], "tracks"),
+    ]
+    if not drawn:
+        del steps[3], steps[-1][1][1]
+    for command, arguments, name in steps:
+        trial, written = ended(command, [*at, *arguments], folder, scenario)
+        if trial.lost or trial.refused:
+            return Trial(f"{command} in a random world", trial.refused, trial.lost)
+        (folder / f"{name}.jsonl").write_bytes(written)
+    truth = experiment / "groundtruth_sources.jsonl"
+    trial, _ = ended("aveval", [truth, folder / "tracks.jsonl"], folder)
+    return Trial("a random world through all stages", trial.refused, trial.lost)
+
+
+# --- faults -----------------------------------------------------------------------------------------------------------
+
+
+def disk(seed: int, folder: Path) -> Trial:
+    """A disk that is full after some bytes: exit 74, and what was there before is still there."""
+    chance = random.Random(seed)
+    fuzz.made(folder)
+    command = chance.choice(["avfuse", "aveval", "avsim-audio", "avsim-scene", "avdetect-audio", "avdetect-video"])
+    documents, options, _ = fuzz.FUZZED[command]
+    filled = [option.format(truth=folder / "truth.jsonl") for option in options]
+    where = folder / "experiment" if command == "avsim-scene" else folder
+    largest = chance.choice([0, 10, 100, 1000, 10_000])
+    kept = folder / "kept.jsonl"
+    kept.write_text("before\n")
+    end = run(command, "-C", where, *filled, "-o", kept, stdin=fuzz.lines(documents), largest_file=largest)
+    what = f"{command}, files of at most {largest} bytes"
+    if end.returncode not in (0, 74) or "Traceback" in end.stderr:
+        return Trial(what, lost=f"exit {end.returncode}: {end.stderr[-300:]}")
+    if left := [path.name for path in folder.rglob(".*.tmp")]:
+        return Trial(what, lost=f"left behind: {left}")
+    whole = kept.read_text()
+    if end.returncode and whole != "before\n":
+        return Trial(what, lost="the old output is gone")
+    return Trial(what, end.stderr.strip(), "" if end.returncode else wrong_records(whole.encode()))
+
+
+def ending(seed: int, folder: Path) -> Trial:
+    """A filter in a pipe that is killed, whose input is cut, or whose reader goes away."""
+    chance = random.Random(seed)
+    fuzz.made(folder)
+    kind = chance.choice(["SIGTERM", "SIGINT", "SIGKILL", "cut", "reader"])
+    output = folder / "out.jsonl"
+    to_pipe = kind == "reader"
+    process = subprocess.Popen(
+        [BIN / "avfuse", "-C", folder, "-o", "-" if to_pipe else output],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "LANG": "C"},
+    )  # fmt: skip
+    assert process.stdin
+    assert process.stdout
+    data = fuzz.lines([{**fuzz.DETECTIONS[0], "timestamp": k / 10} for k in range(200)])
+    try:
+        if to_pipe:
+            process.stdout.close()
+            process.stdin.write(data)
+            process.stdin.close()
+        else:
+            process.stdin.write(data[: chance.randrange(1, len(data))])
+            process.stdin.flush()
+            time.sleep(chance.uniform(0.0, 0.6))
+            if kind != "cut":
+                process.send_signal(getattr(signal, kind))
+            process.stdin.close()
+    except BrokenPipeError:
+        pass
+    process.stdin = None
+    try:
+        _, said = (
+            process.communicate(timeout=120) if not to_pipe else (b"", process.stderr.read() if process.stderr else b"")
+        )
+        process.wait(120)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return Trial(f"avfuse, {kind}", lost="hangs")
+    what, code = f"avfuse, {kind}", process.returncode
+    if b"Traceback" in said:
+        return Trial(what, lost=said[-300:].decode())
+    if kind == "SIGKILL":
+        return Trial(what, kind, "an output of a killed run" if output.exists() else "")
+    if left := [path.name for path in folder.rglob(".*.tmp")]:
+        return Trial(what, lost=f"left behind: {left}")
+    expected = {"cut": (0, 1), "reader": (-signal.SIGPIPE,)}.get(kind)
+    if expected is None:
+        expected = (-getattr(signal, kind),)
+    lost = "" if code in expected else f"exit {code}: {said[-200:]!r}"
+    if code and output.exists():
+        lost = "half an output"
+    return Trial(what, f"exit {code}" if code else "", lost)
+
+
+def hour(seed: int, folder: Path) -> Trial:
+    """An hour of records, 36,000, in one trial of fifty; a minute in the others."""
+    rng = np.random.default_rng(seed)
+    count = 36_000 if (seed >> 32) % 50 == 49 else 600
+    way = 2 + np.cumsum(rng.normal(0, 0.05, (count, 2)), axis=0)
+    lines = []
+    for k, place in enumerate(2.5 + 2 * np.sin(way)):
+        one = {"position": [*place.tolist(), 1.0], "score": 0.9}
+        objects = [one] if rng.random() < 0.9 else []
+        lines.append(json.dumps({"timestamp": f"{k / 10:.10f}", "sensor": "video", "objects": objects}))
+    trial, tracks = ended("avfuse", [], folder, "\n".join(lines).encode() + b"\n")
+    records = len(tracks.splitlines())
+    lost = trial.lost or ("" if trial.refused or records == count else f"{records} records of {count}")
+    return Trial(f"avfuse, {count} records", trial.refused, lost)
+
+
+Kind = Callable[[int, Path], Trial]
+KINDS: dict[str, Kind] = {
+    one.__name__: one for one in (files, values, detections, order, sounds, pictures, lens, worlds, disk, ending, hour)
+}
