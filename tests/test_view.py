@@ -212,6 +212,24 @@ def test_all_trackers_stand_together(browser):
     assert browser.run("document.querySelectorAll('#room [data-other]').length") == 0
 
 
+def test_a_click_on_a_track_listens_at_it(browser):
+    browser.run("chooseTracker(trackers().at(-1)); show(20)")
+    place = (
+        "(() => { const n = document.querySelector('#room [data-track]'); n.scrollIntoView({block: 'center'});"
+        "const b = n.getBoundingClientRect(); return [b.x + b.width / 2 + 5, b.y + b.height / 2]; })()"
+    )
+    for expected in ("You hear the beam at track", "You hear microphone 1"):
+        x, y = browser.run(place)
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        assert browser.run("document.getElementById('hearing').textContent").startswith(expected)
+    browser.key("h", "KeyH")
+    browser.wait("Math.abs(document.getElementById('speaker').duration - 4) < 0.2")
+    assert browser.run("document.querySelectorAll('#people [aria-pressed=true]').length") == 1
+    browser.run("listenTo(run.sound)")
+    assert browser.complaints() == []
+
+
 def test_lanes_and_sound_are_drawn_and_said(browser):
     assert browser.run(INKED.format("sound")) > 1000
     words = browser.run("document.getElementById('in-words').textContent")

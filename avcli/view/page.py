@@ -174,7 +174,9 @@ def _beside(one: Shown, folder: Path, number: int, say: Callable[[str], None]) -
     heard = _heard(one, lambda track, which: store(track, f"sound-{number}{which}"))
     film = None
     if one.picture_count:
-        film = pictures.film(one.pictures, one.rate_hz, folder / f"film-{number}.webm", say)
+        film = pictures.film(
+            one.pictures, pictures.rate(one.pictures, one.rate_hz), folder / f"film-{number}.webm", say
+        )
         film = film and {**film, "src": f"{folder.name}/{film['src']}"}
     return described(one, film, *heard)
 

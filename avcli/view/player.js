@@ -98,7 +98,7 @@ const sounding = t => heard && heard.src && t >= lasts(heard)[0] && t < lasts(he
 function cue() {
   const t = run.ticks[now], film = run.film && run.film.src ? run.film : null;
   const set = (node, at) => { if (Math.abs(node.currentTime - at) > (playing ? 0.15 : 0.01)) node.currentTime = at; };
-  if (film) set($("film"), Math.max(0, t - film.start + 0.5 / film.rate));
+  if (film) set($("film"), Math.max(0, t - film.start + Math.min(0.05, 0.5 / film.rate)));
   if (sounding(t)) set($("speaker"), t - heard.start);
 }
 // Sound plays while it lasts: a beam is silent where its track is not there.
@@ -260,8 +260,10 @@ for (const id of ["room", "boxes"]) $(id).addEventListener("click", event => {
     const box = node.getBoundingClientRect();
     return [Math.hypot(box.x + box.width / 2 - event.clientX, box.y + box.height / 2 - event.clientY), node];
   }).filter(([away]) => away < 28).sort((a, b) => a[0] - b[0]);
-  const beam = near.length && beamAt(identity(near[0][1].dataset.track));
+  if (!near.length || !sounds().length) return;
+  const who = identity(near[0][1].dataset.track), beam = beamAt(who);
   if (beam) listenTo(heard === beam ? run.sound : beam);
+  else $("hearing").textContent = `There is no beam at track ${who} of ${tracker.name}` + (run.beams ? `; those there are can be chosen beside “Hear”.` : "; avview makes beams with the sound of all microphones.");
 });
 const identity = text => { const known = [...tracker.labels.keys()]; return known.find(id => String(id) === text); };
 function mute() { $("speaker").muted = !$("speaker").muted; $("mute").textContent = $("speaker").muted ? "Sound off" : "Sound on"; }
