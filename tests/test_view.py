@@ -21,6 +21,7 @@ from test_metrics_report import INKED, experiment
 from avcli.formats import experiment as experiments
 from avcli.formats import records
 from avcli.view import sound
+from avcli.view.experiment import Recorded
 from avcli.view.recording import DETECTIONS, TRACKS, TRUTH, Recording
 
 
@@ -59,11 +60,17 @@ def test_people_named_by_text_keep_their_names():
     assert recording.streams[0].rows == [[0.0, [["<b>", 1.0, 2.0]]]]
 
 
-def test_sound_is_joined_encoded_and_drawn():
+def test_sound_is_joined_encoded_and_drawn(tmp_path):
     rate = 44100
     tone = 0.1 * np.sin(2 * math.pi * 1000 * np.arange(rate) / rate)
-    track = sound.joined([(0.5, tone), (1.5, np.zeros(7))], rate, "m")
+    for name, piece in (("a", tone), ("b", np.ones(7))):
+        soundfile.write(tmp_path / f"{name}.wav", np.stack([piece, 0 * piece], axis=1), rate, "FLOAT")
+    files = [(1.5, tmp_path / "b.wav"), (0.5, tmp_path / "a.wav"), (0.5 + 1 / rate, tmp_path / "b.wav")]
+    recorded = Recorded(files)
+    track = recorded.channel(1)
     assert (track.start_s, len(track.samples)) == (0.5, rate + 7)
+    np.testing.assert_allclose(recorded.read(-2, 3)[:, 0], [0, 0, 0, 1 + tone[1], 1 + tone[2]], atol=1e-6)
+    track = sound.Track("m", 0.5, rate, track.samples - recorded.read(0, rate + 7)[:, 1])
     drawn = sound.pictured(track)
     assert drawn["step"] == pytest.approx(0.01)
     for new, expected in ((44100, 44100), (96000, 48000), (51200, 48000)):
@@ -125,8 +132,12 @@ def test_a_large_page_has_a_folder(made):
     result = run("avview", "s3", "--html", "large.html", "--largest-mb", "0", cwd=made)
     assert result.returncode == 0
     assert "large.html.files" in result.stderr
-    assert {path.name for path in (made / "large.html.files").iterdir()} == {"data.js", "film-0.webm", "sound-0.mp3"}
-    assert (made / "large.html").stat().st_size < 70_000
+    assert {path.name for path in (made / "large.html.files").iterdir()} == {
+        "data.js",
+        "film-0.webm",
+        *("sound-0.mp3", "sound-0-0.mp3", "sound-0-1.mp3", "sound-0-2.mp3"),
+    }
+    assert (made / "large.html").stat().st_size < 75_000
     if not CHROMIUM:
         pytest.skip("no Chromium here")
     page = Browser((made / "large.html").as_uri())
@@ -199,6 +210,24 @@ def test_all_trackers_stand_together(browser):
     assert browser.run("document.querySelectorAll('#room [data-other]').length") == 6
     browser.key("c", "KeyC")
     assert browser.run("document.querySelectorAll('#room [data-other]').length") == 0
+
+
+def test_a_click_on_a_track_listens_at_it(browser):
+    browser.run("chooseTracker(trackers().at(-1)); show(20)")
+    place = (
+        "(() => { const n = document.querySelector('#room [data-track]'); n.scrollIntoView({block: 'center'});"
+        "const b = n.getBoundingClientRect(); return [b.x + b.width / 2 + 5, b.y + b.height / 2]; })()"
+    )
+    for expected in ("You hear the beam at track", "You hear microphone 1"):
+        x, y = browser.run(place)
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        assert browser.run("document.getElementById('hearing').textContent").startswith(expected)
+    browser.key("h", "KeyH")
+    browser.wait("Math.abs(document.getElementById('speaker').duration - 4) < 0.2")
+    assert browser.run("document.querySelectorAll('#people [aria-pressed=true]').length") == 1
+    browser.run("listenTo(run.sound)")
+    assert browser.complaints() == []
 
 
 def test_lanes_and_sound_are_drawn_and_said(browser):

@@ -284,14 +284,15 @@ def _shown(session: Session, entry: Input, recording: Recording, config: Config 
     from avcli.view.surroundings import surroundings
 
     pictures = experiment.frames(entry.directory, [])
+    recorded = experiment.recorded(entry.directory, [])
     return Shown(
         recording,
         {} if config is None else surroundings(config, say=session.warn),
         pictures,
         len(pictures),
         10.0 if config is None else config.frame_rate_hz,
-        experiment.channel(entry.directory, [], 1),
-        {name: over_time(tracked) for name, tracked in run.trackers.items()},
+        None if recorded is None else recorded.channel(1),
+        scores={name: over_time(tracked) for name, tracked in run.trackers.items()},
     )
 
 

@@ -18,11 +18,17 @@ from avcli.commands.filter import Filter, Session, common
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Camera, Config
+    from avcli.localization.beam import Beams
+    from avcli.view.experiment import Recorded
     from avcli.view.live import Live
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
+    from avcli.view.sound import Beam
 
 _FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
+_SHORTEST_BEAM_S, _LONGEST_BEAMS_S = 1.0, 1200.0
+"""Beams are made of tracks that last longer, if they do not last longer than this in all."""
+_BEAM = "the beam at track {}"
 _LYING: dict[str, Any] = {"type": click.Path(exists=True, dir_okay=False), "metavar": "FILE"}
 
 
@@ -34,6 +40,7 @@ class Options:
     film: str | None
     sound: str | None
     microphone: int
+    beam: tuple[str, ...]
     start: float
     learnt: str | None
     scenario: str | None
@@ -70,6 +77,13 @@ class Run:
     default=1,
     show_default=True,
     help="Play and draw the sound of this microphone.",
+)
+@click.option(
+    "--beam",
+    multiple=True,
+    metavar="ID",
+    help="Listen at this track with all microphones: --mp4 plays it, --html has it to choose. May be repeated; none: no"
+    " beams. By default --html has those of all tracks of the tracker that is shown first.",
 )
 @click.option(
     "--start", type=float, metavar="S", default=0.0, show_default=True, help="Time of the start of film and sound, s."
@@ -115,18 +129,21 @@ def main(
     runs = list(_runs(session, paths, options))
     if (serve or mp4 or rrd) and len(runs) > 1:
         session.usage("--serve, --mp4 and --rrd show one run; --html shows several")
+    if mp4 and len(options.beam) > 1:
+        session.usage("--mp4 plays the beam at one track; give one --beam")
     if options.film and sum(map(bool, (html, mp4, rrd))) > 1:
         session.usage("a --film can be read once: give one of --html, --mp4 and --rrd")
     with contextlib.ExitStack() as stack:
         watch = partial(_serve, session, stack, port) if serve else None
-        shown = [_shown(session, run, options, watch) for run in runs]
+        shown = [_shown(session, run, options, watch, bool(html)) for run in runs]
         if html:
             _write_page(session, Path(html), shown, largest_mb)
         if mp4:
             from avcli.view import film
 
             with session.timing("film"):
-                film.save(Path(mp4), shown[0], _camera(session, runs[0]), session.warn)
+                heard = shown[0].beams[0].track if options.beam and shown[0].beams else shown[0].track
+                film.save(Path(mp4), shown[0], heard, _camera(session, runs[0]), session.warn)
         if rrd:
             from avcli.view import rerun
 
@@ -210,8 +227,10 @@ def _camera(session: Session, run: Run) -> Camera | None:
     return config.camera
 
 
-def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown], Live] | None) -> Shown:
-    """Read a run, and show it while it is read where somebody watches."""
+def _shown(
+    session: Session, run: Run, options: Options, watch: Callable[[Shown], Live] | None, listening: bool
+) -> Shown:
+    """Read a run, and show it while it is read where somebody watches; listen at its tracks if that is wanted."""
     from avcli.view import experiment
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
@@ -254,12 +273,78 @@ def _shown(session: Session, run: Run, options: Options, watch: Callable[[Shown]
             shown.pictures = read if options.film else list(read)
     with session.timing("sound"):
         if options.sound:
-            shown.track = experiment.recording(options.sound, options.microphone, options.start)
+            recorded: Recorded | None = experiment.Recorded([(options.start, Path(options.sound))])
         else:
-            shown.track = experiment.channel(run.root, recording.chunks, options.microphone)
+            recorded = experiment.recorded(run.root, recording.chunks)
+        shown.track = None if recorded is None else recorded.channel(options.microphone)
+    with session.timing("beams"):
+        if recorded and (listening or options.beam):
+            shown.beams = _beams(session, run, options, recording, recorded)
     with session.timing("score"):
         shown.scores = _scores(recording)
     return shown
+
+
+def _beams(session: Session, run: Run, options: Options, recording: Recording, recorded: Recorded) -> list[Beam]:
+    """Listen at each track that the user wants to hear."""
+    listener = _listener(session, run, options, recording, recorded)
+    if listener is None:
+        return []
+    from avcli.view.sound import Beam, Spool, Track, loudest
+
+    tracker, beams = listener
+    rate, ends = beams.rate_hz, beams.names
+    wanted = {str(name): name for name in ends}
+    missing = [name for name in options.beam if name not in wanted]
+    if missing:
+        session.usage(f"--beam {missing[0]}: {tracker} has no such track; it has {', '.join(wanted) or 'none'}")
+    chosen = [wanted[name] for name in options.beam] or [
+        name for name, (begin, end) in ends.items() if end - begin >= _SHORTEST_BEAM_S
+    ]
+    lasting = sum(ends[name][1] - ends[name][0] for name in chosen)
+    if not options.beam and lasting > _LONGEST_BEAMS_S:
+        session.warn(f"no beams: the tracks last {lasting / 60:.0f} min in all; choose some with --beam ID")
+        return []
+    length = recorded.length * rate // recorded.rate_hz
+    places = {name: [min(max(0, round(end * rate)), length) for end in ends[name]] for name in chosen}
+    spools = {name: Spool(last - first) for name, (first, last) in places.items() if last > first}
+    for start, heard in beams.blocks(length, list(spools)):
+        for name, samples in heard.items():
+            first, last = places[name]
+            begin, end = max(first, start), min(last, start + len(samples))
+            if begin < end:
+                spools[name].samples[begin - first : end - first] = samples[begin - start : end - start]
+    full = max((loudest(spool.samples) for spool in spools.values()), default=0.0)  # who is silent stays silent
+    starts = {name: recorded.start_s + first / rate for name, (first, _) in places.items()}
+    return [
+        Beam(tracker, name, Track(_BEAM.format(name), starts[name], rate, spool.samples, full))
+        for name, spool in spools.items()
+    ]
+
+
+def _listener(
+    session: Session, run: Run, options: Options, recording: Recording, recorded: Recorded
+) -> tuple[str, Beams] | None:
+    """The name of the tracker that is shown first, and what listens at its tracks; None if nothing can."""
+    from avcli.view.recording import TRACKS
+
+    trackers = [name for kind, name in recording.people if kind == TRACKS]
+    why = "there are no tracks"
+    if trackers and "none" not in options.beam:
+        from avcli.localization.beam import Beams
+
+        config = _config(session, run)
+        why = "config.json does not say where the microphones are"
+        if config is not None and "microphone_config" in config.raw:
+            many = len(config.microphones.positions)
+            why = f"the sound has {recorded.channels} channels, and config.json {many} microphones"
+            if many == recorded.channels > 1:
+                people = sorted(recording.people[TRACKS, trackers[-1]], key=lambda one: one.timestamp)
+                beams = Beams.of(config, people, recorded.start_s, recorded.rate_hz, recorded.read)
+                return trackers[-1], beams
+    if options.beam and options.beam != ("none",):
+        session.usage(f"--beam {options.beam[0]}: {why}")
+    return None
 
 
 def _surround(session: Session, run: Run, options: Options, shown: Shown) -> None:

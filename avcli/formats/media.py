@@ -586,6 +586,72 @@ def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator
         raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
 
 
+@dataclass(frozen=True)
+class AudioForm:
+    """How a sound file is made.
+
+    Attributes:
+        samples: of each channel.
+        channels: number of channels.
+        rate_hz: sample rate, Hz.
+    """
+
+    samples: int
+    channels: int
+    rate_hz: int
+
+
+def audio_form(path: str | os.PathLike, *, growing: bool = False) -> AudioForm:
+    """Tell how a sound file is made, without reading its samples.
+
+    Args:
+        path: of the file.
+        growing: whether somebody still writes it, so that it may be shorter than its header states.
+
+    Raises:
+        MediaError: the file is missing, empty, cut short or not sound.
+    """
+    import soundfile
+
+    try:
+        with _open_regular(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
+        if size == 0:
+            raise MediaError(f"{path}: the file is empty")
+        with soundfile.SoundFile(path) as file:
+            form = AudioForm(file.frames, file.channels, file.samplerate)
+        if form.channels > MOST_CHANNELS:
+            raise MediaError(f"{path}: sound has at most {MOST_CHANNELS} channels, and this has {form.channels}")
+        stated = _stated_wav_bytes(path)
+        if stated is not None and stated > size and not growing:
+            raise MediaError(f"{path}: cut short: it has {form.samples} samples, and its header states more")
+        if form.samples == 0 and not growing:
+            raise MediaError(f"{path}: there are no samples in it")
+        return form
+    except OSError as error:
+        raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except soundfile.LibsndfileError as error:
+        raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
+
+
+def audio_part(path: str | os.PathLike, first: int, count: int) -> np.ndarray:
+    """Read a part of a sound file, (≤ count, channels) float32 with full scale at 1, from sample `first` on.
+
+    Raises:
+        MediaError: it cannot be read.
+    """
+    import soundfile
+
+    try:
+        with soundfile.SoundFile(path) as file:
+            file.seek(min(first, file.frames))
+            return file.read(count, dtype="float32", always_2d=True)
+    except OSError as error:
+        raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except soundfile.LibsndfileError as error:
+        raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
+
+
 def _stated_wav_bytes(path: str | os.PathLike) -> int | None:
     """Return the end of the file that a WAV's header states; libsndfile does not report a file that is cut short."""
     with open(path, "rb") as file:

@@ -72,12 +72,14 @@ function drawLanes() {
 }
 
 const spectrograms = new Map();
+const bytesOf = sound => sound.bytes || (sound.bytes = Uint8Array.from(atob(sound.peak), c => c.charCodeAt(0)));
 function drawSound() {
-  const sound = run.sound;
+  const sound = heard || run.sound;
   $("sound-chart").hidden = !sound;
   if (!sound) return;
   const { pen, width, height, left, x } = canvas("sound", 150), waves = 54;
-  const peak = sound.bytes || (sound.bytes = Uint8Array.from(atob(sound.peak), c => c.charCodeAt(0)));
+  const peak = bytesOf(sound);
+  $("sound-title").textContent = `Sound of ${sound.name}`;
   pen.fillStyle = ink("--soft");
   pen.textAlign = "right";
   pen.fillText("waveform, dB", left - 8, waves / 2, left - 8);

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _PICTURE = re.compile(r"RGB_frame_(-?\d+\.\d+)\.\w+")
 _SOUND = re.compile(r"multichannel_audio_(-?\d+\.\d+)\.\w+")
+_AT_ONCE = 1 << 19  # samples
 
 
 def frames(root: Path, named: Sequence[tuple[float, str]], *, lying: bool = True) -> list[Timed]:
@@ -63,42 +64,82 @@ def _same(shot: footage.Picture):  # type: ignore[no-untyped-def]
     return shot.image
 
 
-def channel(root: Path, chunks: Sequence[AudioChunk], microphone: int) -> sound.Track | None:
-    """Return what one microphone heard, by the records or, where they name no sound, from the experiment's directory.
+class Recorded:
+    """What all microphones heard, in files that are read in parts, so that an hour needs no memory.
+
+    Args:
+        files: (time in s of the first sample, path); gaps between them are silent, and where they overlap they add up.
+        growing: whether somebody still writes the files.
+
+    Attributes:
+        start_s: time of the first sample, s.
+        rate_hz: sample rate, Hz.
+        channels: number of microphones.
+        length: samples of each channel.
+
+    Raises:
+        MediaError: a file cannot be read, or has another rate or other channels than the first.
+    """
+
+    def __init__(self, files: Sequence[tuple[float, Path]], *, growing: bool = False):
+        files = sorted(files)
+        self._growing, self._files = growing, files
+        forms = [media.audio_form(path, growing=growing) for _, path in files]
+        self.start_s, self.rate_hz, self.channels = files[0][0], forms[0].rate_hz, forms[0].channels
+        for (_, path), form in zip(files, forms, strict=True):
+            if (form.rate_hz, form.channels) != (self.rate_hz, self.channels):
+                here = f"{form.channels} channels at {form.rate_hz} Hz"
+                raise media.MediaError(f"{path}: {here}; {files[0][1]} has {self.channels} at {self.rate_hz} Hz")
+        self._lengths = [form.samples for form in forms]
+        self.length = max(map(sum, zip(self._places(), self._lengths, strict=True)))
+
+    def _places(self) -> list[int]:
+        return [round((time - self.start_s) * self.rate_hz) for time, _ in self._files]
+
+    def read(self, first: int, last: int) -> np.ndarray:
+        """Return the samples (last - first, channels) float32 from one to before another; zeros where there are none.
+
+        Raises:
+            MediaError: they cannot be read.
+        """
+        import numpy as np
+
+        samples = np.zeros((last - first, self.channels), np.float32)
+        for (_, path), place, length in zip(self._files, self._places(), self._lengths, strict=True):
+            begin, end = max(first, place), min(last, place + length)
+            if begin < end:
+                part = media.audio_part(path, begin - place, end - begin)
+                samples[begin - first : begin - first + len(part)] += part
+        return samples
+
+    def channel(self, microphone: int) -> sound.Track:
+        """Return what one microphone heard, counted from 1.
+
+        Raises:
+            MediaError: there is no such channel, or it cannot be read.
+        """
+        if microphone > self.channels:
+            raise media.MediaError(f"{self._files[0][1]}: there is no channel {microphone}; it has {self.channels}")
+        spool = sound.Spool(self.length)
+        for first in range(0, self.length, _AT_ONCE):
+            last = min(first + _AT_ONCE, self.length)
+            spool.samples[first:last] = self.read(first, last)[:, microphone - 1]
+        return sound.Track(f"microphone {microphone}", self.start_s, self.rate_hz, spool.samples)
+
+
+def recorded(root: Path, chunks: Sequence[AudioChunk]) -> Recorded | None:
+    """Return the sound that records name or, where they name none, that lies in the experiment's directory, if any.
 
     Args:
         root: the experiment's directory.
         chunks: as the records name them.
-        microphone: its number, from 1.
-
-    Returns:
-        The sound, None where there is none.
 
     Raises:
-        MediaError: it cannot be read, or has fewer channels.
+        MediaError: it cannot be read.
     """
     found = [(chunk.start_sample / chunk.sample_rate_hz, root / chunk.path) for chunk in chunks]
     found = found or _timed(root / "audio/wav", _SOUND)
-    return _joined(sorted(found), microphone) if found else None
-
-
-def recording(path: str, microphone: int, start_s: float) -> sound.Track:
-    """Return one channel of a sound file whose first sample was taken at `start_s`; raises as `channel` does."""
-    return _joined([(start_s, Path(path))], microphone)
-
-
-def _joined(files: Sequence[tuple[float, Path]], microphone: int) -> sound.Track:
-    import numpy as np
-
-    pieces, rate = [], 0
-    for time, path in files:
-        parts = []
-        for block, rate in media.audio_blocks(path):  # noqa: B007 - the rate is the same in each
-            if block.shape[1] < microphone:
-                raise media.MediaError(f"{path}: there is no channel {microphone}; it has {block.shape[1]}")
-            parts.append(block[:, microphone - 1].astype(np.float32))
-        pieces.append((time, np.concatenate(parts)))
-    return sound.joined(pieces, rate, f"microphone {microphone}")
+    return Recorded(found) if found else None
 
 
 def _timed(folder: Path, name: re.Pattern[str]) -> list[tuple[float, Path]]:

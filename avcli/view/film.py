@@ -29,7 +29,9 @@ Place = Callable[[np.ndarray], np.ndarray]
 """Maps points (n, 3) in m to pixels (n, 2), NaN where they are not seen."""
 
 
-def save(path: Path, shown: Shown, camera: Camera | None, say: Callable[[str], None]) -> None:
+def save(
+    path: Path, shown: Shown, heard: sound.Track | None, camera: Camera | None, say: Callable[[str], None]
+) -> None:
     """Write a film of a run, with its sound.
 
     H.264 and AAC where ffmpeg is installed, else VP9 and MP3, which browsers and VLC play.
@@ -37,6 +39,7 @@ def save(path: Path, shown: Shown, camera: Camera | None, say: Callable[[str], N
     Args:
         path: of the film.
         shown: the run.
+        heard: what it plays; None: it is silent.
         camera: with which it was taken; None: the map alone.
         say: is called with a sentence on what is missing.
 
@@ -57,10 +60,10 @@ def save(path: Path, shown: Shown, camera: Camera | None, say: Callable[[str], N
         writer = cv2.VideoWriter(str(silent), codec, shown.rate_hz, size)
         if not writer.isOpened():
             raise MediaError(f"{path}: OpenCV writes no film here")
-        for image in _images(shown, camera, times, say):
+        for image in _images(shown, heard, camera, times, say):
             writer.write(image)
         writer.release()
-        track = None if shown.track is None else _during(shown.track, times, shown.rate_hz)
+        track = None if heard is None else _during(heard, times, shown.rate_hz)
         if encoder:
             _encode(encoder, silent, track, temporary, path)
         else:
@@ -103,11 +106,17 @@ def _encode(encoder: str, silent: Path, track: sound.Track | None, target: Path,
 # --- one picture ------------------------------------------------------------------------------------------------------
 
 
-def _images(shown: Shown, camera: Camera | None, times: np.ndarray, say: Callable[[str], None]) -> Iterator[np.ndarray]:
+def _images(
+    shown: Shown,
+    heard: sound.Track | None,
+    camera: Camera | None,
+    times: np.ndarray,
+    say: Callable[[str], None],
+) -> Iterator[np.ndarray]:
     import cv2
 
     plan, to_map = _plan(shown)
-    strip = _strip(shown, times, _PICTURE[0] + _MAP if camera else _MAP)
+    strip = _strip(heard, shown.rate_hz, times, _PICTURE[0] + _MAP if camera else _MAP)
     pictures = iter(shown.pictures)
     held: np.ndarray = np.full((*_PICTURE[::-1], 3), 40, np.uint8)
     after = next(pictures, None)
@@ -187,18 +196,17 @@ def _extent(streams: Sequence[Stream]) -> list[float]:
     return known.max(axis=0).clip(1.0).tolist()
 
 
-def _strip(shown: Shown, times: np.ndarray, width: int) -> np.ndarray:
-    """The waveform over the whole time."""
+def _strip(heard: sound.Track | None, rate_hz: float, times: np.ndarray, width: int) -> np.ndarray:
+    """The waveform over the whole time, and what it is of."""
     strip = np.full((_STRIP, width, 3), _PAPER, np.uint8)
-    if shown.track is None:
+    if heard is None:
         return strip
-    track = _during(shown.track, times, shown.rate_hz)
+    track = _during(heard, times, rate_hz)
     parts = np.array_split(np.abs(track.samples), width)
-    peak = np.array([part.max(initial=0.0) for part in parts]) / max(
-        float(np.abs(track.samples).max(initial=0.0)), 1e-9
-    )
+    peak = np.array([part.max(initial=0.0) for part in parts]) / max(sound.loudest(track.samples), 1e-9)
     for x, tall in enumerate(np.rint(peak * (_STRIP / 2 - 6)).astype(int).tolist()):
         strip[_STRIP // 2 - tall : _STRIP // 2 + tall + 1, x] = _COLORS[0]
+    _write(strip, heard.name, (8, 18), 0.5)
     return strip
 
 

@@ -31,6 +31,7 @@ class Shown:
         pictures: of the camera, in order of time, and how many they are.
         rate_hz: of the camera.
         track: sound, None where there is none.
+        beams: what is heard at each track, of the tracker that is shown first.
         scores: tracker -> "score" (fraction), "hota" (curves over alpha), "error" ("t" in s, "cm", "missed", "false").
     """
 
@@ -40,12 +41,13 @@ class Shown:
     picture_count: int = 0
     rate_hz: float = 10.0
     track: sound.Track | None = None
+    beams: Sequence[sound.Beam] = ()
     scores: Mapping[str, Any] | None = None
 
     def bytes_inside(self) -> int:
         """Reckon how much it takes inside a page."""
         rows = sum(1 + len(row[1]) for stream in self.recording.streams for row in stream.rows)
-        heard = 0.0 if self.track is None else self.track.duration_s
+        heard = sum(track.duration_s for track in [self.track, *(beam.track for beam in self.beams)] if track)
         return int(_ROW_BYTES * rows + _PICTURE_BYTES * self.picture_count + _SOUND_BYTES_S * heard)
 
 
@@ -138,8 +140,13 @@ def page(runs: Sequence[Mapping[str, Any]], words: Words, *, folder: str | None 
     return re.sub(r"\{\{(\w+)\}\}", lambda mark: content[mark[1]], own.joinpath("page.html").read_text())
 
 
-def described(one: Shown, film: Mapping[str, Any] | None = None, heard: Mapping[str, Any] | None = None) -> dict:
-    """Describe a run in JSON's types, with its film and its sound as they are given."""
+def described(
+    one: Shown,
+    film: Mapping[str, Any] | None = None,
+    heard: Mapping[str, Any] | None = None,
+    beams: Sequence[Mapping[str, Any]] = (),
+) -> dict:
+    """Describe a run in JSON's types, with its film, its sound and its beams as they are given."""
     streams = [
         {"name": stream.name, "kind": stream.kind, "sensor": stream.sensor, "rows": stream.rows}
         for stream in one.recording.streams
@@ -150,26 +157,38 @@ def described(one: Shown, film: Mapping[str, Any] | None = None, heard: Mapping[
         **one.surroundings,
         "film": film,
         "sound": heard,
+        **({"beams": list(beams)} if beams else {}),
         "scores": one.scores,
     }
 
 
 def _inside(one: Shown, say: Callable[[str], None]) -> dict:
-    heard = None
-    if one.track is not None:
-        heard = {**sound.pictured(one.track), "src": sound.data_url(one.track)}
-    return described(one, pictures.inside(one.pictures, say), heard)
+    return described(one, pictures.inside(one.pictures, say), *_heard(one, lambda track, _: sound.data_url(track)))
 
 
 def _beside(one: Shown, folder: Path, number: int, say: Callable[[str], None]) -> dict:
-    film, heard = None, None
+    def store(track: sound.Track, name: str) -> str:
+        write_bytes(folder / f"{name}.mp3", sound.mp3(track))
+        return f"{folder.name}/{name}.mp3"
+
+    heard = _heard(one, lambda track, which: store(track, f"sound-{number}{which}"))
+    film = None
     if one.picture_count:
-        film = pictures.film(one.pictures, one.rate_hz, folder / f"film-{number}.webm", say)
+        film = pictures.film(
+            one.pictures, pictures.rate(one.pictures, one.rate_hz), folder / f"film-{number}.webm", say
+        )
         film = film and {**film, "src": f"{folder.name}/{film['src']}"}
-    if one.track is not None:
-        write_bytes(folder / f"sound-{number}.mp3", sound.mp3(one.track))
-        heard = {**sound.pictured(one.track), "src": f"{folder.name}/sound-{number}.mp3"}
-    return described(one, film, heard)
+    return described(one, film, *heard)
+
+
+def _heard(one: Shown, store: Callable[[sound.Track, str], str]) -> tuple[dict | None, list[dict]]:
+    """The microphone and the beams, drawn and, by `store`, at an address."""
+    heard = None if one.track is None else {**sound.pictured(one.track), "src": store(one.track, "")}
+    beams = [
+        {**sound.pictured(beam.track), "id": beam.identity, "tracker": beam.tracker, "src": store(beam.track, f"-{k}")}
+        for k, beam in enumerate(one.beams)
+    ]
+    return heard, beams
 
 
 def _json(runs: Sequence[Mapping[str, Any]], words: Words, live: int | None) -> str:

@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,14 @@ def inside(pictures: Iterable[Timed], say: Callable[[str], None]) -> dict[str, A
 def data_url(image: np.ndarray) -> str:
     """Return a small JPEG of a camera frame (h, w, 3) uint8 RGB as a data URL."""
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(image)).decode()
+
+
+def rate(pictures: Iterable[Timed], camera_hz: float) -> float:
+    """Return how many pictures a second a film of them needs: fewer than the camera takes if most are left out."""
+    times = [time for time, _ in pictures] if isinstance(pictures, list) else []
+    steps = sorted(after - before for before, after in pairwise(times))
+    own = 1 / steps[len(steps) // 2] if steps and steps[len(steps) // 2] > 0 else camera_hz
+    return own if own < 0.9 * camera_hz else camera_hz
 
 
 def film(pictures: Iterable[Timed], rate_hz: float, path: Path, say: Callable[[str], None]) -> dict[str, Any] | None:

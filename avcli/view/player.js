@@ -6,7 +6,7 @@ const PALETTE = {
 };
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const layers = { truth: true, tracks: true, trails: true, ellipses: true, exits: true };
-let run, tracker, compare = false, now = 0, view = [0, 1], origin = 0, playing = 0, speed = 1, follow = data.live != null, shownLanes = [];
+let run, tracker, heard = null, compare = false, now = 0, view = [0, 1], origin = 0, playing = 0, speed = 1, follow = data.live != null, shownLanes = [];
 
 function $(id) { return document.getElementById(id); }
 const inks = {};
@@ -58,6 +58,7 @@ function show(frame) {
   drawMoment();
   drawPicture();
   drawPeople();
+  sayHeard();
   for (const id of ["timeline", "sound", "error"]) {
     const node = $(id), line = node.nextElementSibling;
     if (node.at) line.style.transform = `translateX(${node.at.x(t).toFixed(1)}px)`;
@@ -90,13 +91,21 @@ function redraw() {
 
 // --- playing ----------------------------------------------------------------------------------------------------------
 
-const media = () => [["speaker", run.sound], ["film", run.film && run.film.src ? run.film : null]].filter(([, source]) => source && source.src);
+// What can be heard: the microphone, and the beams; and from when to when.
+const sounds = () => [run.sound, ...(run.beams || [])].filter(one => one);
+const lasts = source => [source.start, source.start + bytesOf(source).length * source.step];
+const sounding = t => heard && heard.src && t >= lasts(heard)[0] && t < lasts(heard)[1] - 0.02;
 function cue() {
-  const t = run.ticks[now];
-  for (const [id, source] of media()) {
-    const at = Math.max(0, t - source.start + (id === "film" ? 0.5 / source.rate : 0));
-    if (Math.abs($(id).currentTime - at) > (playing ? 0.15 : 0.01)) $(id).currentTime = at;
-  }
+  const t = run.ticks[now], film = run.film && run.film.src ? run.film : null;
+  const set = (node, at) => { if (Math.abs(node.currentTime - at) > (playing ? 0.15 : 0.01)) node.currentTime = at; };
+  if (film) set($("film"), Math.max(0, t - film.start + Math.min(0.05, 0.5 / film.rate)));
+  if (sounding(t)) set($("speaker"), t - heard.start);
+}
+// Sound plays while it lasts: a beam is silent where its track is not there.
+function keepSounding(t) {
+  const speaker = $("speaker"), on = sounding(t);
+  if (on && speaker.paused && !speaker.ended) { speaker.currentTime = t - heard.start; speaker.playbackRate = speed; speaker.play().catch(() => {}); }
+  else if (!on && !speaker.paused) speaker.pause();
 }
 function stop() {
   cancelAnimationFrame(playing);
@@ -112,12 +121,14 @@ function play() {
   let t = run.ticks[now], before = performance.now();
   playing = 1;
   cue();
-  for (const [id] of media()) { $(id).playbackRate = speed; $(id).play().catch(() => {}); }
+  if (run.film && run.film.src) { $("film").playbackRate = speed; $("film").play().catch(() => {}); }
+  keepSounding(t);
   const advance = at => {
     t += speed * Math.min(0.5, (at - before) / 1000);
     before = at;
     const speaker = $("speaker");
-    if (run.sound && run.sound.src && !speaker.paused && speaker.readyState > 1) { const heard = speaker.currentTime + run.sound.start; if (Math.abs(heard - t) < 0.5) t = heard; }
+    if (heard && !speaker.paused && speaker.readyState > 1) { const at = speaker.currentTime + heard.start; if (Math.abs(at - t) < 0.5) t = at; }
+    keepSounding(t);
     let next = now;
     while (next < run.ticks.length - 1 && run.ticks[next + 1] <= t + 1e-3) next++;
     if (next !== now) show(next);
@@ -149,6 +160,25 @@ function chooseTracker(which) {
   show(now);
 }
 function setCompare(on) { compare = on; press("trackers", { "all together": on }); drawError(); show(now); }
+// Listen to the microphone or to the beam at a track.
+function tune(which) {
+  heard = which;
+  $("speaker").pause();
+  if (heard && heard.src) $("speaker").src = heard.src; else $("speaker").removeAttribute("src");
+  $("heard").value = sounds().indexOf(heard);
+}
+function listenTo(which) {
+  tune(which);
+  if (playing) keepSounding(run.ticks[now]);
+  drawSound();
+  show(now);
+}
+const beamAt = id => tracker && (run.beams || []).find(beam => beam.tracker === tracker.name && beam.id === id);
+function sayHeard() {
+  const where = heard && heard.id !== undefined && !sounding(run.ticks[now]) ? "; the track is not there now, so it is silent" : "";
+  const text = heard ? `You hear ${heard.name}${heard.id === undefined ? "" : ": all microphones, steered at its path, with the other tracks damped"}${where}.` : "";
+  if ($("hearing").textContent !== text) $("hearing").textContent = text;
+}
 function chooseRun(which) {
   stop();
   run = which;
@@ -162,9 +192,10 @@ function chooseRun(which) {
   shownLanes = lanes(subject(), run.sensors, tracker);
   about();
   controls();
-  for (const [id, source] of [["speaker", run.sound], ["film", run.film]]) { if (source && source.src) { $(id).src = source.src; } else $(id).removeAttribute("src"); }
+  if (run.film && run.film.src) $("film").src = run.film.src; else $("film").removeAttribute("src");
   $("film").hidden = !(run.film && run.film.src);
-  $("mute").hidden = !(run.sound && run.sound.src);
+  $("mute").hidden = $("hear").hidden = !sounds().length;
+  tune(run.sound);
   tell();
   drawRoom();
   drawCharts();
@@ -175,7 +206,7 @@ function about() {
   const parts = [`${plural(run.ticks.length, "moment", "moments")} in ${clock(end() + origin - (origin || 0), 1)}`];
   if (run.truth) parts.push(plural(people, "person", "people"));
   else if (tracker) parts.push(plural(tracker.labels.size, "track", "tracks"));
-  if (run.sound) parts.push(`sound of ${run.sound.name}`);
+  if (run.sound) parts.push(`sound of ${run.sound.name}${run.beams ? ` and of ${plural(run.beams.length, "beam", "beams")}` : ""}`);
   $("about").textContent = parts.join(", ") + (data.live != null ? "; live" : "");
 }
 function controls() {
@@ -185,6 +216,7 @@ function controls() {
     button($("trackers"), t.name, score == null ? t.name : `${t.name} ${percent(score)}`, t === tracker, () => chooseTracker(t)).title = k < 9 ? `key ${k + 1}` : "";
   });
   if (trackers().length > 1) button($("trackers"), "all together", "all together", compare, () => setCompare(!compare)).title = "key C";
+  $("heard").replaceChildren(...sounds().map((one, i) => new Option(one.name, i)));
   const names = {};
   if (run.truth) names.truth = "truth";
   if (trackers().length) Object.assign(names, { tracks: "tracks", trails: "paths", ellipses: "95 % ellipses" });
@@ -222,6 +254,18 @@ $("speed").addEventListener("change", () => { speed = +$("speed").value; $("spea
 $("mute").addEventListener("click", mute);
 $("closer").addEventListener("click", () => zoom(0.5));
 $("wider").addEventListener("click", () => zoom(2));
+$("heard").addEventListener("change", () => listenTo(sounds()[$("heard").value]));
+for (const id of ["room", "boxes"]) $(id).addEventListener("click", event => {
+  const near = [...$(id).querySelectorAll("[data-track]")].map(node => {
+    const box = node.getBoundingClientRect();
+    return [Math.hypot(box.x + box.width / 2 - event.clientX, box.y + box.height / 2 - event.clientY), node];
+  }).filter(([away]) => away < 28).sort((a, b) => a[0] - b[0]);
+  if (!near.length || !sounds().length) return;
+  const who = identity(near[0][1].dataset.track), beam = beamAt(who);
+  if (beam) listenTo(heard === beam ? run.sound : beam);
+  else $("hearing").textContent = `There is no beam at track ${who} of ${tracker.name}` + (run.beams ? `; those there are can be chosen beside “Hear”.` : "; avview makes beams with the sound of all microphones.");
+});
+const identity = text => { const known = [...tracker.labels.keys()]; return known.find(id => String(id) === text); };
 function mute() { $("speaker").muted = !$("speaker").muted; $("mute").textContent = $("speaker").muted ? "Sound off" : "Sound on"; }
 function remember() {
   if (data.live != null || !run.ticks.length) return;
@@ -255,7 +299,8 @@ document.addEventListener("keydown", event => {
   else if (second) seek(run.ticks[now] + 10 * second);
   else if (/^[1-9]$/.test(event.key) && trackers()[event.key - 1]) chooseTracker(trackers()[event.key - 1]);
   else if (event.key === "c" && trackers().length > 1) setCompare(!compare);
-  else if (event.key === "m" && run.sound) mute();
+  else if (event.key === "m" && heard) mute();
+  else if (event.key === "h" && sounds().length > 1) listenTo(sounds()[(sounds().indexOf(heard) + 1) % sounds().length]);
   else if (event.key === "+" || event.key === "=") zoom(0.5);
   else if (event.key === "-") zoom(2);
   else return;

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Sequence
+import tempfile
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ _MOST_COLUMNS = 30_000  # a picture may be 65 535 px wide
 _SHORTEST_COLUMN_S = 0.01
 _BANDS, _LOW_HZ, _HIGH_HZ = 48, 80.0, 8000.0
 _WINDOW_S = 0.032
+_MOST_IN_MEMORY, _AT_ONCE = 1 << 25, 1 << 20  # samples
 _RANGE_DB = 60.0
 _MP3_RATES_HZ = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000)
 
@@ -25,12 +26,14 @@ class Track:
         start_s: time of its first sample on the run's clock, s.
         rate_hz: sample rate, Hz.
         samples: (n,) full scale at 1.
+        loudest: amplitude that is played and drawn at full scale; its own where None.
     """
 
     name: str
     start_s: float
     rate_hz: int
     samples: np.ndarray
+    loudest: float | None = None
 
     @property
     def duration_s(self) -> float:
@@ -38,20 +41,45 @@ class Track:
         return len(self.samples) / self.rate_hz
 
 
-def joined(pieces: Sequence[tuple[float, np.ndarray]], rate_hz: int, name: str) -> Track:
-    """Join pieces of one channel by their times; gaps are silent, and where pieces overlap they add up.
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """What the array hears at a track.
+
+    Attributes:
+        tracker: name of the stream of the track.
+        identity: of the track.
+        track: the sound, while the track is there.
+    """
+
+    tracker: str
+    identity: Any
+    track: Track
+
+
+class Spool:
+    """Space for samples: in memory, or, where they are many, in a file that nobody else sees and that goes by itself.
 
     Args:
-        pieces: time in s of the first sample, and (n,) samples; at least one.
-        rate_hz: sample rate, Hz.
-        name: of the track.
+        count: how many there are.
+
+    Attributes:
+        samples: (count,) float32, zeros.
     """
-    start = min(time for time, _ in pieces)
-    places = [round((time - start) * rate_hz) for time, _ in pieces]
-    samples = np.zeros(max(place + len(piece) for place, (_, piece) in zip(places, pieces, strict=True)), np.float32)
-    for place, (_, piece) in zip(places, pieces, strict=True):
-        samples[place : place + len(piece)] += piece
-    return Track(name, start, rate_hz, samples)
+
+    def __init__(self, count: int):
+        self.samples: np.ndarray
+        if count <= _MOST_IN_MEMORY:
+            self.samples = np.zeros(count, np.float32)
+        else:
+            with tempfile.TemporaryFile() as file:
+                file.truncate(4 * count)
+                self.samples = np.memmap(file, np.float32, "r+", shape=(count,))
+
+
+def loudest(samples: np.ndarray) -> float:
+    """Return the largest amplitude of samples (n,)."""
+    blocks = (samples[begin : begin + _AT_ONCE] for begin in range(0, len(samples), _AT_ONCE))
+    return max((float(np.abs(block).max(initial=0.0)) for block in blocks), default=0.0)
 
 
 def mp3(track: Track) -> bytes:
@@ -60,18 +88,20 @@ def mp3(track: Track) -> bytes:
 
     content = io.BytesIO()
     samples, rate = _playable(track)
-    loudest = float(np.abs(samples).max(initial=0.0))
-    gain = 0.89 / loudest if loudest > 0 else 1.0
+    full = loudest(samples) if track.loudest is None else track.loudest
+    gain = 0.89 / full if full > 0 else 1.0
     how = {"format": "MP3", "subtype": "MPEG_LAYER_III", "bitrate_mode": "CONSTANT", "compression_level": 0.8}
     with soundfile.SoundFile(content, "w", rate, 1, **how) as file:
-        for begin in range(0, len(samples), 1 << 20):
-            file.write(gain * samples[begin : begin + (1 << 20)])
+        for begin in range(0, len(samples), _AT_ONCE):
+            file.write(gain * samples[begin : begin + _AT_ONCE])
     return content.getvalue()
 
 
 def _playable(track: Track) -> tuple[np.ndarray, int]:
     """The samples at a rate that MP3 has: their own, a part of it, or the highest one."""
     whole = next((n for n in range(1, 9) if track.rate_hz % n == 0 and track.rate_hz // n in _MP3_RATES_HZ), None)
+    if whole == 1:
+        return track.samples, track.rate_hz
     if whole is not None:  # the mean of a few samples: what lies above half the new rate is not worth a filter
         count = len(track.samples) // whole * whole
         return track.samples[:count].reshape(-1, whole).mean(axis=1, dtype=np.float32), track.rate_hz // whole
@@ -98,38 +128,50 @@ def pictured(track: Track) -> dict[str, Any]:
     step = max(_SHORTEST_COLUMN_S, track.duration_s / _MOST_COLUMNS)
     hop = max(1, round(step * track.rate_hz))
     count = -(-len(track.samples) // hop)
-    padded = np.zeros(count * hop, np.float32)
-    padded[: len(track.samples)] = track.samples
-    peak = np.abs(padded.reshape(count, hop)).max(axis=1, initial=0.0)
-    level = _levels(padded, hop, count, track.rate_hz)
+    peak, amplitude = _columns(track.samples, hop, count, track.rate_hz)
+    own = float(peak.max(initial=0.0))
+    full = own if track.loudest is None else track.loudest
+    brightest = (
+        float(amplitude.max(initial=0.0)) * full / max(own, 1e-12) if track.loudest else amplitude.max(initial=0.0)
+    )
+    level = np.frombuffer(_scaled(amplitude, float(brightest)), np.uint8).reshape(_BANDS, count)
     picture = cv2.imencode(".png", level[::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
     return {
         "name": track.name,
         "start": round(track.start_s, 4),
         "step": hop / track.rate_hz,
-        "peak": base64.b64encode(_scaled(peak, float(peak.max(initial=0.0)))).decode(),
+        "peak": base64.b64encode(_scaled(peak, full)).decode(),
         "spectrogram": "data:image/png;base64," + base64.b64encode(picture).decode(),
         "low_hz": _LOW_HZ,
         "high_hz": min(_HIGH_HZ, track.rate_hz / 2),
     }
 
 
-def _levels(samples: np.ndarray, hop: int, count: int, rate_hz: int) -> np.ndarray:
-    """(bands, columns) uint8: the power of each band in each column, over a range of 60 dB below the loudest."""
+def _columns(samples: np.ndarray, hop: int, count: int, rate_hz: int) -> tuple[np.ndarray, np.ndarray]:
+    """The largest amplitude (columns,) of each column, and (bands, columns) that of each band in it."""
     window = 1 << (int(_WINDOW_S * rate_hz) - 1).bit_length()
     edges = np.geomspace(_LOW_HZ, min(_HIGH_HZ, rate_hz / 2), _BANDS + 1) * window / rate_hz
     low = np.minimum(np.floor(edges[:-1]).astype(int), window // 2)
     high = np.minimum(np.maximum(np.ceil(edges[1:]).astype(int), low + 1), window // 2 + 1)
-    around = np.pad(samples, (window // 2, window))
     shape = np.hanning(window).astype(np.float32)
-    power = np.empty((_BANDS, count), np.float32)
+    peak, power = np.empty(count, np.float32), np.empty((_BANDS, count), np.float32)
     for begin in range(0, count, 512):
-        starts = hop * np.arange(begin, min(begin + 512, count)) + hop // 2
+        end = min(begin + 512, count)
+        around = _padded(samples, begin * hop - window, end * hop + window)
+        peak[begin:end] = np.abs(around[window:-window].reshape(end - begin, hop)).max(axis=1)
+        starts = hop * np.arange(end - begin) + hop // 2 + window - window // 2
         spectrum = np.fft.rfft(around[starts[:, None] + np.arange(window)] * shape, axis=1)
         total = np.cumsum(np.pad(np.abs(spectrum) ** 2, ((0, 0), (1, 0))), axis=1)
-        power[:, begin : begin + len(starts)] = ((total[:, high] - total[:, low]) / (high - low)).T
-    amplitude = np.sqrt(power)
-    return np.frombuffer(_scaled(amplitude, float(amplitude.max(initial=0.0))), np.uint8).reshape(_BANDS, count)
+        power[:, begin:end] = ((total[:, high] - total[:, low]) / (high - low)).T
+    return peak, np.sqrt(power)
+
+
+def _padded(samples: np.ndarray, first: int, last: int) -> np.ndarray:
+    """The samples from one to before another, zeros where there are none."""
+    begin, end = max(first, 0), min(last, len(samples))
+    return (
+        np.pad(samples[begin:end], (begin - first, last - end)) if begin < end else np.zeros(last - first, np.float32)
+    )
 
 
 def _scaled(amplitude: np.ndarray, largest: float) -> bytes:

@@ -163,19 +163,31 @@ function drawTrack(group, one, track, seen, unit, dash) {
 }
 
 function drawPeople() {
-  const t = run.ticks[now], list = $("people"), items = [];
-  const say = (mark, text, speaks) => {
-    const item = document.createElement("li"), dot = document.createElement("i");
-    Object.assign(dot.style, mark);
-    item.append(dot, text);
-    item.classList.toggle("speaks", speaks);
-    items.push(item);
-  };
+  const t = run.ticks[now], items = [];
+  const say = (mark, text, speaks, beam) => items.push({ mark, text, speaks, beam });
   if (run.truth && layers.truth) for (const person of objectsAt(run.truth, t))
     say({ border: "2px solid var(--ink)" }, `person ${person[ID]}: ${person[X].toFixed(2)}, ${person[Y].toFixed(2)} m${person[SPEAKING] > 0.5 ? ", speaks" : ""}`, person[SPEAKING] > 0.5);
   if (tracker && layers.tracks) for (const track of objectsAt(tracker, t)) {
     const around = spread(track), sure = around ? ` ± ${(100 * Math.sqrt((around[0] + around[2]) / 2)).toFixed(0)} cm` : "";
-    say({ background: hue(tracker.labels.get(track[ID])) }, `track ${track[ID]}: ${track[X].toFixed(2)}, ${track[Y].toFixed(2)} m${sure}${track[OBSERVED] === 0 ? ", not seen now" : ""}${!run.truth && track[SPEAKING] > 0.5 ? ", speaks" : ""}`, !run.truth && track[SPEAKING] > 0.5);
+    say({ background: hue(tracker.labels.get(track[ID])) }, `track ${track[ID]}: ${track[X].toFixed(2)}, ${track[Y].toFixed(2)} m${sure}${track[OBSERVED] === 0 ? ", not seen now" : ""}${!run.truth && track[SPEAKING] > 0.5 ? ", speaks" : ""}`, !run.truth && track[SPEAKING] > 0.5, beamAt(track[ID]));
   }
-  list.replaceChildren(...items);
+  const list = $("people");  // the items stay, so that a button keeps the focus while the run plays
+  while (list.children.length > items.length) list.lastChild.remove();
+  items.forEach(({ mark, text, speaks, beam }, i) => {
+    let item = list.children[i];
+    if (!item || (item.firstChild.tagName === "BUTTON") !== Boolean(beam)) {
+      const fresh = document.createElement("li"), inner = document.createElement(beam ? "button" : "span");
+      inner.append(document.createElement("i"), document.createElement("span"));
+      if (beam) { inner.type = "button"; inner.addEventListener("click", () => listenTo(heard === inner.beam ? run.sound : inner.beam)); }
+      fresh.append(inner);
+      if (item) item.replaceWith(fresh); else list.append(fresh);
+      item = fresh;
+    }
+    const inner = item.firstChild;
+    inner.firstChild.removeAttribute("style");
+    Object.assign(inner.firstChild.style, mark);
+    inner.lastChild.textContent = text;
+    item.classList.toggle("speaks", speaks);
+    if (beam) { inner.beam = beam; inner.setAttribute("aria-pressed", heard === beam); inner.title = "listen at this track"; }
+  });
 }
