@@ -10,6 +10,8 @@
 #: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-detection bench-tracking
 #:      bench-metrics bench-calibration bench-microphones
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
+#: make datasets      MOT25A, MOT25V, MOT25AV, MOT26 in out/datasets, in MOTChallenge's layout (DATASETS_FLAGS)
+#: make bench-datasets            trackers on them: BENCH_FLAGS="--data out/datasets/MOT26"
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
@@ -55,7 +57,7 @@ NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long \
-           real-video real-audio
+           real-video real-audio datasets
 FITS := localization directions voice detection looks tracking existence
 
 # The matrices are small: threads inside BLAS cost more than they bring.
@@ -71,7 +73,8 @@ ifneq ($(filter %-audio,$(NAME)),)
 endif
 
 .PHONY: FORCE bench stress thesis study run run-all run-audio run-video run-both setup setup-bench all test lint man clean \
-        distclean help formats $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
+        distclean help formats datasets $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) \
+        $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
 	@sed -n 's/^#: \?//p' Makefile
@@ -236,6 +239,11 @@ thesis study: %: $(READY)
 
 $(FITS:%=fit-%): fit-%: $(READY)
 	$(BIN)/python tests/bench/fit_$*.py $(FIT_FLAGS)
+
+# --- data sets --------------------------------------------------------------------------------------------------------
+
+datasets: $(READY)
+	$(BIN)/python examples/datasets/build.py '$(OUT)/datasets' $(DATASETS_FLAGS)
 
 # --- tidying ----------------------------------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 Emit = Callable[[dict], None]
 Name = str | None
+_NOT_RANKED = ("experiments", "d0", "compare_thesis", "fail_under", "detections", "plot", "html", "mot", "rate")
+"""Parameters without effect on a leaderboard."""
 _FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
 _DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "DIR"}
 
@@ -37,6 +40,12 @@ _DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "D
     "--experiments",
     is_flag=True,
     help="The arguments are experiment directories: score their tracking/*_tracking.jsonl against their ground truth.",
+)
+@click.option(
+    "--leaderboard",
+    is_flag=True,
+    help="The arguments are a data set in MOTChallenge's layout and the directories of trackers, each with a file "
+    "SEQUENCE.txt or SEQUENCE.jsonl for each sequence: rank the trackers, at d0 of 2 and 0.5 m.",
 )
 @from_settings(Settings)
 @click.option(
@@ -71,6 +80,7 @@ def main(
     session: Session,
     paths: tuple[str, ...],
     experiments: bool,
+    leaderboard: bool,
     kind: str | None,
     compare_thesis: bool,
     fail_under: tuple[str, ...],
@@ -101,9 +111,13 @@ def main(
     for path in filter(None, (plot, html)):
         if not Path(path).parent.is_dir():
             session.usage(f"{path}: its directory does not exist")
-    inputs = _inputs(session, paths, experiments, detections)
     if kind is None:
         kind = "table" if session.output_path == "-" and sys.stdout.isatty() else "jsonl"
+    if leaderboard:
+        refuse_without_effect(_NOT_RANKED, "with --leaderboard")
+        _rank(session, paths, settings, kind)
+        return
+    inputs = _inputs(session, paths, experiments, detections)
     if kind == "jsonl" and not html:
         refuse_without_effect(["compare_thesis"], "with --format jsonl and without --html")
     records: list[dict] = []
@@ -128,6 +142,37 @@ def main(
         _write_page(session, Path(html), shown, records, compare_thesis)
     if missed := gates.missed_gates(least, records):
         raise GateNotMet("; ".join(missed))
+
+
+def _rank(session: Session, paths: tuple[str, ...], settings: Settings, kind: str) -> None:
+    """Write the leaderboard of a data set and the directories of trackers."""
+    from avcli.metrics import leaderboard, table
+
+    if len(paths) < 2:
+        session.usage("--leaderboard needs a data set and at least one directory of a tracker")
+    for path in paths:
+        if not Path(path).is_dir():
+            session.usage(f"{path}: no such directory")
+    dataset, *trackers = map(Path, paths)
+    names = [path.resolve().name for path in trackers]
+    if len(set(names)) < len(names):
+        session.usage("two directories of trackers have the same name")
+    with _ending(session.fail):
+        found = leaderboard.entries(dataset)
+    truths = {entry: _identified(session, str(entry.truth), entry.rate_hz) for entry in found}
+    tracks: dict[str, dict] = {}
+    for name, tracker in zip(names, trackers, strict=True):
+        files = {entry: leaderboard.file_of(tracker, entry) for entry in found}
+        if missing := [entry.name for entry, path in files.items() if path is None]:
+            session.warn(f"{name} has no file for {', '.join(missing)}: counted as missed")
+        tracks[name] = {e: _identified(session, str(path), e.rate_hz) for e, path in files.items() if path}
+    with session.output() as write, session.timing("score"), _ending(session.fail):
+        ranked = list(leaderboard.rank(truths, tracks, settings, functools.cache(session.warn)))
+        for record in ranked if kind == "jsonl" else ():
+            write(record)
+        if kind != "jsonl":
+            width = shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else None
+            write(table.render(ranked, kind, False, width))
 
 
 def _inputs(session: Session, paths: tuple[str, ...], experiments: bool, detections: tuple[str, ...]) -> list[Input]:
