@@ -3,10 +3,10 @@
 import json
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import conftest
 import cv2
 import numpy as np
 import pytest
@@ -214,11 +214,9 @@ def test_bad_files_end_in_one_line(text: str) -> None:
 
 def run(path: Path, code: int, *options: str) -> str:
     """Run avcalib convert; what it wrote, or said where it failed."""
-    done = subprocess.run(
-        [sys.executable, "-m", "avcli", "avcalib", "convert", str(path), *options], capture_output=True, text=True
-    )
+    done = conftest.run("avcalib", "convert", path, *options)
     assert done.returncode == code, done.stderr
-    return done.stderr if code else done.stdout
+    return done.stderr if code else done.stdout.decode()
 
 
 # --- YAML -------------------------------------------------------------------------------------------------------------

@@ -99,6 +99,39 @@ def test_the_width_of_edges_follows_the_blur():
     assert 1.5 < widths[2] / widths[1] < 2.2
 
 
+def corners_of(filmed, rng):
+    """The views of filmed boards, without their pictures."""
+    seen = exact(filmed, noise=0.05, rng=rng)
+    every = np.arange(len(BOARD.points))
+    patches = np.zeros((len(every), 2 * corners.PATCH + 1, 2 * corners.PATCH + 1), np.uint8)
+    pixels = seen.pixels.reshape(seen.views, -1, 2)
+    return [corners.View(every, one, patches, np.rint(one).astype(int), *SIZE) for one in pixels]
+
+
+def test_who_stays_in_the_middle_is_not_told_enough():
+    rng = np.random.default_rng(0)
+    views = corners_of(film(12, rng, aim=((960, 540), 150)), rng)
+    guide = live.Guide(FAST)
+    for count in range(4, len(views) + 1, 4):
+        guide.take(BOARD, views[:count], views[count - 1], *SIZE)
+    assert guide.quality.mean_sd_px < live.ENOUGH * SIZE[0]
+    assert guide.mean_px > 2 * live.ENOUGH * SIZE[0]
+    assert not guide.state.enough
+
+
+def test_where_no_other_place_is_left_the_best_one_is_asked_for_again(monkeypatch):
+    rng = np.random.default_rng(0)
+    views = corners_of(film(4, rng), rng)
+    guide = live.Guide(FAST)
+    guide.take(BOARD, views, views[-1], *SIZE)
+    asked = guide.proposal
+    monkeypatch.setattr(nextview, "propose", lambda *given: None if given[-1] else asked)
+    for _ in range(live._PATIENCE + 2):
+        guide.take(BOARD, views, None, *SIZE)
+    assert guide.proposal is asked
+    assert not guide._avoid
+
+
 # --- where it wants the board -----------------------------------------------------------------------------------------
 
 
@@ -156,7 +189,7 @@ def test_the_words_name_the_nearer_edge():
     nearer = R @ [0.3, 0, 0] + t, R @ [-0.3, 0, 0] + t
     side = "right" if nearer[0][2] < nearer[1][2] else "left"
     found = nextview._proposal(BOARD, lens, R, t, *SIZE, 1.0, 0.1)
-    assert f"its {side} edge nearer" in found.words
+    assert f"so that its {side} edge is nearer" in found.words
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

@@ -50,6 +50,15 @@ def test_independent_errors_alone_would_state_far_too_little():
     assert uncertainty.inflation(uncertainty.covariance(views), uncertainty.noise(views)) > 2
 
 
+def test_pooled_views_disagree_equally_in_all_directions():
+    o, solution = filmed(0, 12, 1.0)
+    views = fit.by_view(o, solution).views
+    pooled, spread = uncertainty.pooled(views), uncertainty.covariance(views)
+    ratio = np.linalg.eigvals(np.linalg.solve(pooled, spread)).real
+    assert ratio.mean() == pytest.approx(1.0)
+    assert ratio.min() < 0.5
+
+
 @pytest.mark.parametrize("shared", [0.0, 0.5])
 def test_halves_differ_by_what_they_state(shared):
     tested = [field.split_halves(*filmed(seed, 20, shared), GRID, splits=20) for seed in range(5)]

@@ -34,6 +34,13 @@ class Field:
     sd_px: np.ndarray
     sd_rad: np.ndarray
 
+    @property
+    def mean_px(self) -> float:
+        """Mean expected error over the lit picture, px; a pixel that the lens does not image counts as the worst that
+        it does; infinite where nothing is known."""
+        known = self.sd_px[self.lit]
+        return float(np.nan_to_num(known, nan=np.nanmax(known)).mean()) if np.isfinite(known).any() else np.inf
+
 
 def seen_angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""

@@ -7,6 +7,7 @@ common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 
 last.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from avcli.calibration import uncertainty
 from avcli.calibration.blocks import Blocks, damped
+from avcli.calibration.uncertainty import Views
 from avcli.lens import KannalaBrandt, Lens, variants
 
 SHAPE = 3
@@ -428,11 +430,13 @@ def error_prior(observations: Observations) -> float:
     return BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
 
 
-def covariance(observations: Observations, solution: Solution) -> tuple[np.ndarray, float]:
+def covariance(
+    observations: Observations, solution: Solution, of: Callable[[Views], np.ndarray] = uncertainty.covariance
+) -> tuple[np.ndarray, float]:
     """Covariance (P, P) of the common unknowns by views, 0 where not fitted, and a corner's error along an axis, px."""
     views = by_view(observations, solution).views
     out = np.zeros((len(solution.parameters),) * 2)
-    out[np.ix_(solution.free, solution.free)] = uncertainty.covariance(views)
+    out[np.ix_(solution.free, solution.free)] = of(views)
     return out, float(np.sqrt(views.variance))
 
 

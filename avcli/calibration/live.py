@@ -1,11 +1,11 @@
 """Hints while someone films a board: what is known, what is missing, where to hold it next, when it is enough."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration import field, fit, nextview, quality, robust
+from avcli.calibration import field, fit, nextview, quality, robust, uncertainty
 from avcli.calibration.calibrate import calibrate_views, observe
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
@@ -16,7 +16,7 @@ from avcli.formats.footage import Picture
 from avcli.lens import LENSES, KannalaBrandt
 
 ENOUGH = 1 / 6400
-"""Mean expected error that is enough, over the picture's width: 0.3 px of 1920."""
+"""Mean expected error over the lit picture that is enough, over the picture's width: 0.3 px of 1920."""
 ENOUGH_PART = 0.8
 """Part of the lit picture in which the lens must be trusted: whole boards do not get into the corners."""
 LEAST_VIEWS = 8
@@ -88,6 +88,9 @@ class Guide:
 
     Attributes:
         quality: of the fit to the views so far; None before the fourth.
+        mean_px: mean expected error over the lit picture, px; infinite before it is known. The larger of what the
+            disagreement of the views says in each direction, and of what it says on average over them: who stops as
+            soon as a figure is small meets those that are too small by chance.
         counts, lit_cells: (rows, columns) corners seen in each cell of the picture, and which of the cells light
             reaches; None before the first view.
         solution: the fit to the views so far; None before the first view.
@@ -115,6 +118,7 @@ class Guide:
         """
         self.settings = settings or FitSettings()
         self.quality: quality.Quality | None = None
+        self.mean_px = np.inf
         self.counts: np.ndarray | None = None
         self.lit_cells: np.ndarray | None = None
         self._circle: Circle | None = None
@@ -181,10 +185,13 @@ class Guide:
         self._looks, self._circle = self._looks + 1, circle
         if board != self._board:  # it has only now been recognised
             self._board, self.quality, self.solution, self._known = board, None, None, -1
+            self.mean_px = np.inf
         new = len(views) != self._known
         if new:
             self._known, self._looks = len(views), 0
             if views:
+                middle, near = views[-1].pixels.mean(0), nextview.NEAR * width
+                self._avoid = tuple(place for place in self._avoid if np.linalg.norm(place - middle) > near)
                 self._learn(board, views)
         elif self._looks > _PATIENCE and self.proposal is not None:
             self._avoid, self._looks = (*self._avoid, self.proposal.middle), 0
@@ -192,14 +199,9 @@ class Guide:
             self._propose(board, views, width, height)
         there = view is not None and self.proposal is not None and self._is_there(board, view)
         enough = self.state.enough or (new and self._is_enough(board, views, width))
-        hint = self._hint(view, there=there, enough=enough)
+        hint = self._hint(view, width, there=there, enough=enough)
         self.state = State(hint, len(views), self._bars(views, width), view is not None, there, enough)
         return f"{_count(len(views))}, {self._covered_text()}: {hint}" if new and views else None
-
-    @property
-    def mean_px(self) -> float:
-        """Mean expected error where the lens is trusted, px; infinite before it is known."""
-        return self.quality.mean_sd_px if self.quality else float("inf")
 
     def _learn(self, board: Board, views: list[View]) -> None:
         """Fit the views so far: from the fit before where there is one, since only one view is new."""
@@ -220,6 +222,9 @@ class Guide:
             return
         some = seen.of_corners(self._good)
         self.quality = quality.assess(some, self.solution, width, height, float("nan"), self._circle, 0)
+        pooled = replace(self.solution, covariance=fit.covariance(some, self.solution, uncertainty.pooled)[0])
+        fields = self.quality.field, field.measured(some, pooled, width, height, self._circle)
+        self.mean_px = max(one.mean_px for one in fields)
 
     def _with_newest(self, seen: fit.Observations) -> tuple[fit.Solution, np.ndarray]:
         """Fit the views again from the fit of all but the newest."""
@@ -239,10 +244,17 @@ class Guide:
             self.proposal = nextview.first(board, lens, width, height)
             return
         seen = observe(board, views).of_corners(self._good)
-        circle = self._circle
-        self.proposal = nextview.propose(
-            board, self.solution, seen, width, height, lambda pixels: field.lit(pixels, circle), self._avoid
-        )
+        circle, solution = self._circle, self.solution
+
+        def propose() -> nextview.Proposal | None:
+            return nextview.propose(
+                board, solution, seen, width, height, lambda pixels: field.lit(pixels, circle), self._avoid
+            )
+
+        self.proposal = propose()
+        if self.proposal is None and self._avoid:  # none was reached: begin again with the best one
+            self._avoid = ()
+            self.proposal = propose()
 
     def _is_there(self, board: Board, view: View) -> bool:
         assert self.proposal is not None
@@ -256,26 +268,37 @@ class Guide:
     # --- when it is enough
 
     def _is_enough(self, board: Board, views: list[View], width: int) -> bool:
-        """Tell whether the lens is known well enough; what it will be used for, the whole fit, confirms it."""
+        """Tell whether the filming can end; what the lens will be used for, the whole fit, confirms it."""
         q = self.quality
         if q is None or q.refusals or self._known < self._confirm_at:
             return False
-        saturated = self._known >= 3 * LEAST_VIEWS and (self.proposal is None or self.proposal.gain < _SMALL_GAIN)
-        if not saturated and (self.mean_px > self._limit_px(width) or q.trusted_part < ENOUGH_PART):
+        limit = self._limit_px(width)
+        known = self.mean_px <= limit and q.trusted_part >= ENOUGH_PART
+        if not known and not self._is_saturated:
             return False
-        if calibrate_views(board, views, self.settings, self._circle).quality.refusals:
+        whole = calibrate_views(board, views, self.settings, self._circle).quality
+        if whole.refusals or (known and whole.field.mean_px > limit):
             self._confirm_at = self._known + 3
             return False
         return True
+
+    @property
+    def _is_saturated(self) -> bool:
+        """Whether no place for the board would still teach much, those included that the person did not reach."""
+        gain = 0.0 if self.proposal is None else self.proposal.gain
+        return self._known >= 3 * LEAST_VIEWS and not self._avoid and gain < _SMALL_GAIN
 
     def _limit_px(self, width: int) -> float:
         return self._enough_px or ENOUGH * width
 
     # --- in words
 
-    def _hint(self, view: View | None, *, there: bool, enough: bool) -> str:
+    def _hint(self, view: View | None, width: int, *, there: bool, enough: bool) -> str:
         if enough:
-            return f"enough: the expected error is {self.mean_px:.2f} px"
+            error = f"the mean expected error over the picture is {self.mean_px:.2f} px"
+            if self.mean_px <= self._limit_px(width):
+                return f"enough: {error}"
+            return f"you can stop, since more views would hardly help: {error}, {self._limit_px(width):.2f} was wanted"
         if view is not None and self._why == "blurred":
             return "hold the board still: the picture is blurred, or bring more light"
         if there and self._why == "moving":
@@ -295,11 +318,12 @@ class Guide:
             near = float(away.max() / max(float(away.min()), 1e-12))
         limit, mean = self._limit_px(width), self.mean_px
         sharp = self._width_px if views and np.isfinite(self._width_px) else np.nan
+        far = f"farthest {max(near, 1.0):.1f} times the nearest"
         return (
             Bar("coverage", min(covered / ENOUGH_PART, 1.0), f"corners in {100 * covered:.0f} % of the picture"),
             Bar("trust", min(trusted / ENOUGH_PART, 1.0), f"known in {100 * trusted:.0f} % of the picture"),
-            Bar("tilt", min(tilt / 25.0, 1.0), f"± {tilt:.0f}°"),
-            Bar("distance", min(np.log(max(near, 1.0)) / np.log(2.0), 1.0), f"1 : {max(near, 1.0):.1f}"),
+            Bar("tilt", min(tilt / 25.0, 1.0), f"± {tilt:.0f}° from the mean direction"),
+            Bar("distance", min(np.log(max(near, 1.0)) / np.log(2.0), 1.0), far),
             Bar(
                 "sharpness",
                 0.0 if np.isnan(sharp) else float(np.clip((9.0 - sharp) / 6.0, 0.0, 1.0)),
@@ -308,7 +332,7 @@ class Guide:
             Bar(
                 "certainty",
                 float(np.clip(limit / mean, 0.0, 1.0)) if mean > 0 else 1.0,
-                f"± {mean:.2f} px, wanted {limit:.2f}" if np.isfinite(mean) else "not known yet",
+                f"expected error {mean:.2f} px, wanted {limit:.2f}" if np.isfinite(mean) else "not known yet",
             ),
         )
 

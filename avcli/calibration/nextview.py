@@ -28,6 +28,8 @@ _LEAST_SPACING = 8.0 / 960.0
 """px between corners over the picture's width below which boards are not found well."""
 _NEW = 0.3
 """Fraction by which corners where none were seen yet count as lowering the variance."""
+NEAR = 0.15
+"""Distance in the picture, over its width, within which two places for the board are one."""
 _LINES = 6
 """Lines that a drawn board has along each side."""
 _BEND = 1e-3
@@ -194,7 +196,7 @@ def propose(
     rotations, translations = places(lens, board, width, height, lit)
     if len(avoid):
         aimed = lens.project(translations)
-        near = np.min([np.linalg.norm(aimed - place, axis=1) for place in avoid], axis=0) < 0.15 * width
+        near = np.min([np.linalg.norm(aimed - place, axis=1) for place in avoid], axis=0) < NEAR * width
         rotations, translations = rotations[~near], translations[~near]
     if not len(rotations):
         return None
@@ -286,7 +288,8 @@ def _words(outline: np.ndarray, R: np.ndarray, t: np.ndarray, lens: Lens, width:
     )
     place = " ".join(place.split())
     share = 100 * float(np.ptp(outline[:, 0])) / width
-    words = [f"at the {place}" if place else "in the middle", f"{max(5 * round(share / 5), 5)} % of the picture wide"]
+    where = f"at the {place}" if place else "in the middle"
+    words = [where, f"as wide as {max(5 * round(share / 5), 5)} % of the picture"]
     ray = t / np.linalg.norm(t)
     slant = np.degrees(np.arccos(np.clip(R[:, 2] @ ray, -1, 1)))
     if slant > 12:
@@ -295,5 +298,5 @@ def _words(outline: np.ndarray, R: np.ndarray, t: np.ndarray, lens: Lens, width:
         nearest = t - 0.1 * np.linalg.norm(t) * R[:, :2] @ (depth[:2] / max(float(np.linalg.norm(depth[:2])), 1e-12))
         du, dv = (lens.project(nearest[None]) - lens.project(t[None]))[0]
         side = ("right" if du > 0 else "left") if abs(du) > abs(dv) else ("lower" if dv > 0 else "upper")
-        words.append(f"its {side} edge nearer to the camera by {5 * round(slant / 5):.0f}°")
+        words.append(f"turned by {5 * round(slant / 5):.0f}° so that its {side} edge is nearer to the camera")
     return ", ".join(words)

@@ -78,6 +78,16 @@ def covariance(views: Views) -> np.ndarray:
     return np.where(known[..., None, None], _symmetric(to_unit @ spread @ _turned(to_unit)), np.inf)
 
 
+def pooled(views: Views) -> np.ndarray:
+    """Covariance (p, p) if views disagree equally in all directions: that of independent corners, times `inflation`².
+
+    Few views tell the disagreement in one direction poorly, and may agree in it by chance; they tell its mean over all
+    directions better.
+    """
+    independent = noise(views)
+    return max(inflation(covariance(views), independent), 1.0) ** 2 * independent
+
+
 def inflation(spread: np.ndarray, independent: np.ndarray) -> float:
     """Root of the mean ratio of variances between a covariance (p, p) and that of independent errors, over all axes."""
     if not len(spread) or not (np.isfinite(spread).all() and np.isfinite(independent).all()):
