@@ -38,12 +38,14 @@ def test_records_are_sorted_by_their_keys():
     recording.add(record(0.1, [{"position": [1, 2, 1.5]}], sensor="ring"), "b")
     recording.add(record(0.2, [person]), "groundtruth")
     recording.add(record(0.2, [person]), "plain")
+    recording.add(record(0.2, [{**person, "velocity": [1, 0, 0]}]), "scene")  # one pipe carries both
     kinds = [(stream.kind, stream.name, stream.sensor, len(stream.rows)) for stream in recording.streams]
     assert kinds == [
         (TRACKS, "a", None, 2),
         (TRUTH, "truth", None, 2),
         (DETECTIONS, "ring", "microphones", 1),
         (TRACKS, "plain", None, 1),
+        (TRACKS, "scene", None, 1),
     ]
     assert recording.frames == [(0.1, "f.png")]
 
@@ -329,15 +331,26 @@ def test_a_live_page_follows_the_run(made):
         if CHROMIUM:
             page = Browser(url)
             page.wait("run.ticks.length === 10 && now === 9")
+        truth = (made / "s3/groundtruth_sources.jsonl").read_bytes().splitlines(keepends=True)
         process.stdin.write(b"".join(rows[10:]))
+        process.stdin.write(b"".join(truth))
         frame = {"timestamp": 4.0, "frame": {"rgb": experiments.Layout.rgb(4.0)}}
         process.stdin.write(json.dumps(frame).encode() + b"\n")
         process.stdin.close()
-        assert process.stdout.read().startswith(b"".join(rows))  # and it ends, so that the next filter can
+        assert process.stdout.read().startswith(b"".join(rows + truth))  # and it ends, so that the next filter can
         if CHROMIUM:
             page.wait("run.ticks.length === 41 && now === 40")
             page.wait("document.getElementById('frame').naturalWidth > 0")
             page.wait("document.getElementById('about').textContent.includes('ended')")
+            page.wait("run.scores && run.scores.tracks.error.cm.length === 41 && run.sound.peaks.length === 200")
+            assert page.run("run.sound.brightest") == pytest.approx(255 + 40 * math.log10(0.3), abs=8)  # a tone of 0.3
+            page.run("play()")
+            page.wait("stream && stream.next > 1")
+            page.run("stop(); listenTo(run.beams[0])")
+            heard = (
+                "fetch('sound?of=' + heard.id + '&from=1&to=1.5').then(a => a.arrayBuffer()).then(a => a.byteLength)"
+            )
+            assert page.run(heard) == 4 * 8000
             assert page.complaints(url) == []
     finally:
         if page:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -17,10 +19,14 @@ import click
 from avcli.commands.filter import Filter, Session, common
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from avcli.formats.experiment import Camera, Config
+    from avcli.formats.media import AudioForm
+    from avcli.formats.records import Identified
     from avcli.localization.beam import Beams
     from avcli.view.experiment import Recorded
-    from avcli.view.live import Live
+    from avcli.view.live import Heard, Live
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
     from avcli.view.sound import Beam
@@ -28,6 +34,8 @@ if TYPE_CHECKING:
 _FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
 _SHORTEST_BEAM_S, _LONGEST_BEAMS_S = 1.0, 1200.0
 """Beams are made of tracks that last longer, if they do not last longer than this in all."""
+_AROUND_S = 3.0
+"""So much of a path before and after a piece of sound is known to the beam of a live page."""
 _BEAM = "the beam at track {}"
 _LYING: dict[str, Any] = {"type": click.Path(exists=True, dir_okay=False), "metavar": "FILE"}
 
@@ -246,6 +254,8 @@ def _shown(
             begun = True
             _surround(session, run, options, shown)
             live = watch and watch(shown)
+            if live is not None:
+                live.follow(_heard(session, run, options, recording))
         add = partial(recording.add, record, source, bad, stated)
         if live is None:
             add()
@@ -322,8 +332,47 @@ def _beams(session: Session, run: Run, options: Options, recording: Recording, r
     ]
 
 
+def _time(people: Identified) -> float:
+    return people.timestamp
+
+
+def _heard(session: Session, run: Run, options: Options, recording: Recording) -> Heard:
+    """The sound of a run that goes on: of the file that is named, or of the records that have come."""
+    from avcli.view.experiment import Recorded, recorded
+    from avcli.view.live import Heard
+
+    known: dict[Path, AudioForm] = {}
+
+    def now() -> Recorded | None:
+        if options.sound:
+            return Recorded([(options.start, Path(options.sound))], growing=True)
+        return recorded(run.root, list(recording.chunks), known)
+
+    def beam(identity: str, begin: float, end: float) -> tuple[np.ndarray, int]:
+        import numpy as np
+
+        sound = now()
+        anyone = dataclasses.replace(options, beam=())
+        around = begin - _AROUND_S, end + _AROUND_S
+        listener = sound and _listener(session, run, anyone, recording, sound, around)
+        if not listener or sound is None:
+            raise ValueError("there is no array to listen with")
+        beams = listener[1]
+        name = next((name for name in beams.names if str(name) == identity), None)
+        first, last = (round((time - sound.start_s) * beams.rate_hz) for time in (begin, end))
+        heard = beams.hear(first, last, [name])
+        return heard.get(name, np.zeros(last - first, np.float32)), beams.rate_hz
+
+    return Heard(now, options.microphone, None if "none" in options.beam else beam)
+
+
 def _listener(
-    session: Session, run: Run, options: Options, recording: Recording, recorded: Recorded
+    session: Session,
+    run: Run,
+    options: Options,
+    recording: Recording,
+    recorded: Recorded,
+    between: tuple[float, float] = (-inf, inf),
 ) -> tuple[str, Beams] | None:
     """The name of the tracker that is shown first, and what listens at its tracks; None if nothing can."""
     from avcli.view.recording import TRACKS
@@ -339,7 +388,8 @@ def _listener(
             many = len(config.microphones.positions)
             why = f"the sound has {recorded.channels} channels, and config.json {many} microphones"
             if many == recorded.channels > 1:
-                people = sorted(recording.people[TRACKS, trackers[-1]], key=lambda one: one.timestamp)
+                tracks = recording.people[TRACKS, trackers[-1]]
+                people = sorted((one for one in tracks if between[0] <= one.timestamp <= between[1]), key=_time)
                 beams = Beams.of(config, people, recorded.start_s, recorded.rate_hz, recorded.read)
                 return trackers[-1], beams
     if options.beam and options.beam != ("none",):

@@ -19,13 +19,14 @@ def is_named(handler: BaseHTTPRequestHandler) -> bool:
     return is_local(handler.headers.get("Host", "").rpartition(":")[0].strip("[]"))
 
 
-def send(handler: BaseHTTPRequestHandler, kind: str, content: bytes | None) -> None:
+def send(handler: BaseHTTPRequestHandler, kind: str, content: bytes | None, rate_hz: int | None = None) -> None:
     """Answer a request.
 
     Args:
         handler: of the request.
         kind: the content's media type.
         content: of the answer; None: it follows in parts that the caller writes.
+        rate_hz: sample rate, which goes into the header "X-Rate", where the content is sound.
 
     Raises:
         OSError: whoever asked is gone.
@@ -34,6 +35,8 @@ def send(handler: BaseHTTPRequestHandler, kind: str, content: bytes | None) -> N
     handler.send_header("Content-Type", kind)
     handler.send_header("Cache-Control", "no-store")
     handler.send_header("Referrer-Policy", "no-referrer")
+    if rate_hz is not None:
+        handler.send_header("X-Rate", str(rate_hz))
     if content is not None:
         handler.send_header("Content-Length", str(len(content)))
     handler.end_headers()

@@ -74,7 +74,7 @@ function drawLanes() {
 const spectrograms = new Map();
 const bytesOf = sound => sound.bytes || (sound.bytes = Uint8Array.from(atob(sound.peak), c => c.charCodeAt(0)));
 function drawSound() {
-  const sound = heard || run.sound;
+  const sound = heard && !heard.live ? heard : run.sound;  // of a live run the microphone is drawn
   $("sound-chart").hidden = !sound;
   if (!sound) return;
   const { pen, width, height, left, x } = canvas("sound", 150), waves = 54;
@@ -92,17 +92,18 @@ function drawSound() {
     const tall = most / 255 * (waves - 6);
     pen.fillRect(px, waves / 2 - tall / 2, 1, Math.max(tall, most ? 1 : 0));
   }
-  if (!spectrograms.has(sound)) {
+  if (!sound.live && !spectrograms.has(sound)) {
     const image = new Image();
     image.onload = () => { spectrograms.set(sound, coloured(image)); drawSound(); };
     image.src = sound.spectrogram;
     spectrograms.set(sound, null);
   }
-  const picture = spectrograms.get(sound), top = waves + 4, tall = height - top - 4;
+  const live = sound.live ? liveSpectrogram(sound) : null, first = live ? live.start : sound.start;
+  const picture = sound.live ? live && live.picture : spectrograms.get(sound), top = waves + 4, tall = height - top - 4;
   if (picture) {
-    const a = (view[0] - sound.start) / sound.step, b = (view[1] - sound.start) / sound.step, from = Math.max(0, a), to = Math.min(picture.width, b);
+    const a = (view[0] - first) / sound.step, b = (view[1] - first) / sound.step, from = Math.max(0, a), to = Math.min(picture.width, b);
     pen.imageSmoothingEnabled = b - a < 4 * width;
-    if (to > from) pen.drawImage(picture, from, 0, to - from, picture.height, x(sound.start + from * sound.step), top, (to - from) * sound.step / per, tall);
+    if (to > from) pen.drawImage(picture, from, 0, to - from, picture.height, x(first + from * sound.step), top, (to - from) * sound.step / per, tall);
   }
   pen.fillStyle = ink("--soft");
   const place = hz => top + tall * (1 - Math.log(hz / sound.low_hz) / Math.log(sound.high_hz / sound.low_hz));
@@ -194,6 +195,7 @@ function peakNear(node, clientX) {
 function key(text, look) {
   const item = document.createElement("span"), mark = document.createElementNS(SVG, "svg");
   mark.setAttribute("viewBox", "0 0 28 8");
+  mark.setAttribute("aria-hidden", "true");
   add(mark, "line", { x1: 1, x2: 27, y1: 4, y2: 4, stroke: look.color, "stroke-width": 3, "stroke-dasharray": look.dash.join(" ") });
   item.append(mark, text);
   return item;

@@ -70,6 +70,7 @@ class Recorded:
     Args:
         files: (time in s of the first sample, path); gaps between them are silent, and where they overlap they add up.
         growing: whether somebody still writes the files.
+        known: how files are made that were looked at before; those that are not in it are added.
 
     Attributes:
         start_s: time of the first sample, s.
@@ -81,10 +82,19 @@ class Recorded:
         MediaError: a file cannot be read, or has another rate or other channels than the first.
     """
 
-    def __init__(self, files: Sequence[tuple[float, Path]], *, growing: bool = False):
-        files = sorted(files)
-        self._growing, self._files = growing, files
-        forms = [media.audio_form(path, growing=growing) for _, path in files]
+    def __init__(
+        self,
+        files: Sequence[tuple[float, Path]],
+        *,
+        growing: bool = False,
+        known: dict[Path, media.AudioForm] | None = None,
+    ):
+        files, known = sorted(files), {} if known is None else known
+        self._files = files
+        for _, path in files:
+            if growing or path not in known:
+                known[path] = media.audio_form(path, growing=growing)
+        forms = [known[path] for _, path in files]
         self.start_s, self.rate_hz, self.channels = files[0][0], forms[0].rate_hz, forms[0].channels
         for (_, path), form in zip(files, forms, strict=True):
             if (form.rate_hz, form.channels) != (self.rate_hz, self.channels):
@@ -127,19 +137,22 @@ class Recorded:
         return sound.Track(f"microphone {microphone}", self.start_s, self.rate_hz, spool.samples)
 
 
-def recorded(root: Path, chunks: Sequence[AudioChunk]) -> Recorded | None:
+def recorded(
+    root: Path, chunks: Sequence[AudioChunk], known: dict[Path, media.AudioForm] | None = None
+) -> Recorded | None:
     """Return the sound that records name or, where they name none, that lies in the experiment's directory, if any.
 
     Args:
         root: the experiment's directory.
         chunks: as the records name them.
+        known: as of `Recorded`.
 
     Raises:
         MediaError: it cannot be read.
     """
     found = [(chunk.start_sample / chunk.sample_rate_hz, root / chunk.path) for chunk in chunks]
     found = found or _timed(root / "audio/wav", _SOUND)
-    return Recorded(found) if found else None
+    return Recorded(found, known=known) if found else None
 
 
 def _timed(folder: Path, name: re.Pattern[str]) -> list[tuple[float, Path]]:

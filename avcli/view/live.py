@@ -1,16 +1,24 @@
 """A page on this machine that follows a run: new records reach it as server-sent events."""
 
+import base64
 import contextlib
 import functools
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
+
 from avcli.formats.media import MediaError
 from avcli.formats.serving import is_named, send
+from avcli.view import sound
+from avcli.view.errors import Errors
+from avcli.view.experiment import Recorded
 from avcli.view.page import Shown, Words, described, page
 from avcli.view.pictures import Read, jpeg
 from avcli.view.recording import Row
@@ -19,6 +27,72 @@ _QUIET_S = 10.0
 """After this time without news a comment keeps the connection open."""
 _KEPT = 64
 """Small pictures that are kept; others are made again when they are looked at."""
+
+
+_LOOK_S = 0.25
+"""So often it is looked whether there is more sound."""
+_STEP_S = 0.02
+_ERROR_KEYS = ("t", "cm", "missed", "false")
+_LONGEST_S = 5.0
+
+
+@dataclass
+class Heard:
+    """The sound of a run that goes on.
+
+    Attributes:
+        recorded: returns the sound that is there now, None where there is none yet.
+        microphone: that is drawn, and heard first, counted from 1.
+        beam: returns what is heard at a track, by its identity as text, between two times in s, and its sample rate;
+            None where there is no array.
+    """
+
+    recorded: Callable[[], Recorded | None]
+    microphone: int
+    beam: Callable[[str, float, float], tuple[np.ndarray, int]] | None = None
+    _columns: int = field(default=0, init=False)
+
+    def news(self) -> dict[str, Any] | None:
+        """Describe the sound that came since the last call, in whole columns; None where there is none."""
+        recorded = self.recorded()
+        hop = 0 if recorded is None else round(_STEP_S * recorded.rate_hz)
+        columns = 0 if recorded is None else recorded.length // hop
+        if recorded is None or columns <= self._columns:
+            return None
+        columns = min(columns, self._columns + round(60 / _STEP_S))
+        samples = recorded.read(self._columns * hop, columns * hop)[:, self.microphone - 1]
+        peak, bands = sound.decibels(samples, recorded.rate_hz, _STEP_S)
+        self._columns = columns
+        return {
+            "name": f"microphone {self.microphone}",
+            "start": recorded.start_s,
+            "step": hop / recorded.rate_hz,
+            "bands": bands.shape[1],
+            "low_hz": sound.LOW_HZ,
+            "high_hz": min(sound.HIGH_HZ, recorded.rate_hz / 2),
+            "peak": base64.b64encode(peak.tobytes()).decode(),
+            "levels": base64.b64encode(bands.tobytes()).decode(),
+            "beams": self.beam is not None,
+        }
+
+    def part(self, of: str | None, begin: float, end: float) -> tuple[bytes, int]:
+        """Return float32 samples between two times in s, of the microphone or of the beam at a track, and their rate.
+
+        Raises:
+            ValueError: too much is asked for, or nobody can listen there.
+            MediaError: it cannot be read.
+        """
+        recorded = self.recorded()
+        if recorded is None or not 0 < end - begin <= _LONGEST_S:
+            raise ValueError("no such sound")
+        if of is not None:
+            if self.beam is None:
+                raise ValueError("no such beam")
+            samples, rate = self.beam(of, begin, end)
+        else:
+            first, last = (round((time - recorded.start_s) * recorded.rate_hz) for time in (begin, end))
+            samples, rate = recorded.read(first, last)[:, self.microphone - 1], recorded.rate_hz
+        return samples.astype("<f4").tobytes(), rate
 
 
 class Live:
@@ -39,6 +113,8 @@ class Live:
         self._log: list[dict[str, Any]] = []
         self._streams, self._ended = len(shown.recording.streams), False
         self._reads: list[Read] = []
+        self._errors, self._compared = Errors(), dict[tuple[str, str], int]()
+        self._heard: Heard | None = None
         self._jpeg = functools.lru_cache(maxsize=_KEPT)(lambda number: jpeg(self._reads[number]()))
 
     def tell(self, add: Callable[[], Sequence[tuple[int, Row]]], pictures: Sequence[tuple[float, Read]] = ()) -> None:
@@ -55,10 +131,35 @@ class Live:
                 self._log.append({"stream": about})
             self._streams = len(self._shown.recording.streams)
             self._log += [{"to": number, "row": row} for number, row in rows]
+            self._log += [{"error": each} for each in self._new_errors()]
             for time, read in pictures:
                 self._log.append({"picture": [round(time, 4), f"picture/{len(self._reads)}"]})
                 self._reads.append(read)
             self._news.notify_all()
+
+    def _new_errors(self) -> Iterator[dict[str, Any]]:
+        for key, people in self._shown.recording.people.items():
+            for one in people[self._compared.get(key, 0) :]:
+                yield from self._errors.add(*key, one)
+            self._compared[key] = len(people)
+
+    def follow(self, heard: Heard) -> None:
+        """Follow the sound of a run in a thread of its own, as long as the page is served."""
+        self._heard = heard
+        threading.Thread(target=self._follow, daemon=True).start()
+
+    def _follow(self) -> None:
+        assert self._heard is not None
+        while True:
+            try:
+                new = self._heard.news()
+            except MediaError:  # somebody writes it just now
+                new = None
+            if new:
+                with self._news:
+                    self._log.append({"sound": new})
+                    self._news.notify_all()
+            time.sleep(_LOOK_S)
 
     def end(self) -> None:
         """Say that nothing more comes; the page stays."""
@@ -68,9 +169,17 @@ class Live:
 
     def _page(self) -> bytes:
         with self._news:
+            scores: dict[str, Any] = {}
             told = [each["picture"] for each in self._log if "picture" in each]
+            for each in self._log:
+                if "error" in each:
+                    error = scores.setdefault(each["error"]["of"], {"error": {k: [] for k in _ERROR_KEYS}})["error"]
+                    for key in _ERROR_KEYS:
+                        error[key].append(each["error"][key])
+            sounds = [each["sound"] for each in self._log if "sound" in each]
             film = {"t": [time for time, _ in told], "jpegs": [address for _, address in told]} if told else None
-            return page([described(self._shown, film)], self._words, live=len(self._log)).encode()
+            run = {**described(self._shown, film), "scores": self._shown.scores or scores or None, "sounds": sounds}
+            return page([run], self._words, live=len(self._log)).encode()
 
     def _events(self, first: int) -> Iterator[bytes]:
         while True:
@@ -101,6 +210,10 @@ class Live:
                 for part in self._events(int(first) if first.isdecimal() else 0):
                     handler.wfile.write(part)
                     handler.wfile.flush()
+            elif what == "sound" and self._heard is not None:
+                query = {key: values[-1] for key, values in parse_qs(asked.query).items()}
+                content, rate = self._heard.part(query.get("of"), float(query["from"]), float(query["to"]))
+                send(handler, "application/octet-stream", content, rate)
             elif (number := what.removeprefix("picture/")).isdecimal() and int(number) < len(self._reads):
                 send(handler, "image/jpeg", self._jpeg(int(number)))
             else:
@@ -119,7 +232,7 @@ class Live:
             def do_GET(self) -> None:
                 try:
                     live.answer(self)
-                except MediaError:
+                except (MediaError, KeyError, ValueError):
                     self.send_error(404)
 
             def log_message(self, *_: object) -> None:

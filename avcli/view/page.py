@@ -18,7 +18,7 @@ from avcli.view.recording import Recording
 LARGEST_PAGE_MB = 20
 """A page that would be larger gets a folder beside it."""
 _PICTURE_BYTES, _SOUND_BYTES_S, _ROW_BYTES = 32_000, 6_000, 130  # about what they take inside a page
-_SCRIPTS = ("camera.js", "streams.js", "charts.js", "stage.js", "player.js")
+_SCRIPTS = ("camera.js", "streams.js", "charts.js", "stage.js", "listen.js", "player.js")
 
 
 @dataclass

@@ -108,6 +108,7 @@ function keepSounding(t) {
   else if (!on && !speaker.paused) speaker.pause();
 }
 function stop() {
+  stopStream();
   cancelAnimationFrame(playing);
   playing = 0;
   $("speaker").pause();
@@ -116,23 +117,24 @@ function stop() {
 }
 function play() {
   if (playing) { stop(); remember(); return; }
-  if (now >= run.ticks.length - 1) show(0);
+  if (now >= run.ticks.length - 1 && !follow) show(0);
   $("play").textContent = "Pause";
   let t = run.ticks[now], before = performance.now();
   playing = 1;
   cue();
   if (run.film && run.film.src) { $("film").playbackRate = speed; $("film").play().catch(() => {}); }
-  keepSounding(t);
+  if (run.sound && run.sound.live) startStream(); else keepSounding(t);
   const advance = at => {
     t += speed * Math.min(0.5, (at - before) / 1000);
     before = at;
     const speaker = $("speaker");
     if (heard && !speaker.paused && speaker.readyState > 1) { const at = speaker.currentTime + heard.start; if (Math.abs(at - t) < 0.5) t = at; }
-    keepSounding(t);
+    if (stream) t = streamTime(); else keepSounding(t);
     let next = now;
     while (next < run.ticks.length - 1 && run.ticks[next + 1] <= t + 1e-3) next++;
+    if (stream && run.ticks[next] > t) next = frameAt(t);
     if (next !== now) show(next);
-    if (now >= run.ticks.length - 1) return stop();
+    if (now >= run.ticks.length - 1 && !stream) return stop();
     playing = requestAnimationFrame(advance);
   };
   playing = requestAnimationFrame(advance);
@@ -175,9 +177,10 @@ function listenTo(which) {
 }
 const beamAt = id => tracker && (run.beams || []).find(beam => beam.tracker === tracker.name && beam.id === id);
 function sayHeard() {
-  const where = heard && heard.id !== undefined && !sounding(run.ticks[now]) ? "; the track is not there now, so it is silent" : "";
-  const text = heard ? `You hear ${heard.name}${heard.id === undefined ? "" : ": all microphones, steered at its path, with the other tracks damped"}${where}.` : "";
+  const where = heard && !heard.live && heard.id !== undefined && !sounding(run.ticks[now]) ? "; the track is not there now, so it is silent" : "";
+  const text = heard ? `You hear ${heard.name}${heard.id === undefined ? "" : ": all microphones, steered at its path, with the other tracks damped"}${where}.${data.live != null && heard !== run.sound ? ` Drawn below: ${run.sound.name}.` : ""}` : data.live != null ? "No sound has come yet; --sound or audio records bring it." : "";
   if ($("hearing").textContent !== text) $("hearing").textContent = text;
+  $("behind").textContent = !stream ? "" : stream.context.state === "suspended" ? "The browser holds the sound back; click into the page." : `Sound and picture are ${Math.max(0, soundEnd() - streamTime()).toFixed(1)} s behind the newest sound.`;
 }
 function chooseRun(which) {
   stop();
@@ -213,7 +216,7 @@ function controls() {
   for (const box of [$("trackers"), $("layers")]) box.replaceChildren(box.querySelector("legend"));
   trackers().forEach((t, k) => {
     const score = run.scores && run.scores[t.name] && run.scores[t.name].score;
-    button($("trackers"), t.name, score == null ? t.name : `${t.name} ${percent(score)}`, t === tracker, () => chooseTracker(t)).title = k < 9 ? `key ${k + 1}` : "";
+    button($("trackers"), t.name, score == null ? t.name : `${t.name}: HOTA ${percent(score)}`, t === tracker, () => chooseTracker(t)).title = k < 9 ? `key ${k + 1}` : "";
   });
   if (trackers().length > 1) button($("trackers"), "all together", "all together", compare, () => setCompare(!compare)).title = "key C";
   $("heard").replaceChildren(...sounds().map((one, i) => new Option(one.name, i)));
@@ -266,7 +269,7 @@ for (const id of ["room", "boxes"]) $(id).addEventListener("click", event => {
   else $("hearing").textContent = `There is no beam at track ${who} of ${tracker.name}` + (run.beams ? `; those there are can be chosen beside “Hear”.` : "; avview makes beams with the sound of all microphones.");
 });
 const identity = text => { const known = [...tracker.labels.keys()]; return known.find(id => String(id) === text); };
-function mute() { $("speaker").muted = !$("speaker").muted; $("mute").textContent = $("speaker").muted ? "Sound off" : "Sound on"; }
+function mute() { $("speaker").muted = !$("speaker").muted; if (stream) stream.gain.gain.value = $("speaker").muted ? 0 : 0.6 / stream.loudest; $("mute").textContent = $("speaker").muted ? "Sound off" : "Sound on"; }
 function remember() {
   if (data.live != null || !run.ticks.length) return;
   const part = `t=${(run.ticks[now] - origin).toFixed(2)}` + (data.runs.length > 1 ? `&run=${encodeURIComponent(run.name)}` : "");
@@ -318,7 +321,7 @@ function listen() {
   const source = new EventSource(`events?from=${data.live}`);
   source.onmessage = event => {
     const said = JSON.parse(event.data);
-    if (said.ended) { source.close(); $("about").textContent += "; the run has ended"; return; }
+    if (said.ended) { source.close(); ended = true; $("about").textContent += "; the run has ended"; return; }
     if (said.stream) { run.streams.push(said.stream); prepare(said.stream); run.truth = run.streams.find(s => s.kind === "truth"); run.sensors = run.streams.filter(s => s.kind === "detections"); tracker = tracker || trackers()[0] || null; controls(); }
     if (said.row) {
       const stream = run.streams[said.to], last = stream.rows[stream.rows.length - 1];
@@ -328,12 +331,19 @@ function listen() {
       const t = said.row[0];
       if (!run.ticks.length || t > end() + 2e-3) run.ticks.push(t);
     }
+    if (said.error) addError(said.error);
+    if (said.sound) addSound(said.sound);
     if (said.picture) {
       run.film = run.film || { t: [], rows: [], jpegs: [] };
       run.film.t.push(said.picture[0]); run.film.rows.push([said.picture[0]]); run.film.jpegs.push(said.picture[1]);
     }
     if (!stale) { stale = true; setTimeout(() => { stale = false; refresh(); }, 100); }
   };
+}
+function addError({ of, ...values }) {
+  run.scores = run.scores || {};
+  const { error } = run.scores[of] = run.scores[of] || { error: { t: [], cm: [], missed: [], false: [] } };
+  for (const key in values) error[key].push(values[key]);
 }
 let refreshed = 0;
 function refresh() {
@@ -346,12 +356,19 @@ function refresh() {
     if (!run.room) { measure(run); drawRoom(); }
     about();
     tell();
+    liveBeams();
     if (follow) view = [Math.max(run.ticks[0], end() - wide), Math.max(run.ticks[0] + 10, end())];
     drawCharts();
   }
-  if (follow) show(run.ticks.length - 1);
+  if (follow && !stream) show(run.ticks.length - 1);
 }
 run = data.runs[0];
 chooseRun(run);
 recall();
-if (data.live != null) listen();
+if (data.live != null) {
+  for (const news of run.sounds || []) addSound(news);
+  liveBeams();
+  drawCharts();
+  sayHeard();
+  listen();
+}

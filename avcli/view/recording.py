@@ -91,7 +91,7 @@ class Recording:
             return []
         if record.get("sensor") is not None or record.get("kind") is not None or _lacks_identities(record):
             return [self.add_detections(records.detections(record, bad))]
-        kind = stated or self._known.get(source) or _kind_of_people(record, source)
+        kind = stated or _kind_of_people(record, source) or self._known.get(source)  # one pipe may carry both
         if kind is None and record["objects"] == []:
             self._pending.setdefault(source, []).append(record["timestamp"])
             return []
@@ -146,7 +146,7 @@ def _is_list(record: Mapping[str, Any]) -> bool:
 
 
 def _kind_of_people(record: Mapping[str, Any], source: str) -> str | None:
-    """Tell ground truth from tracks, None where nothing tells it yet."""
+    """Tell ground truth from tracks, None where nothing tells it."""
     if record.get("frame") is not None or record.get("activity") is not None or "truth" in source:
         return TRUTH
     objects = record["objects"] if _is_list(record) else []
@@ -155,7 +155,7 @@ def _kind_of_people(record: Mapping[str, Any], source: str) -> str | None:
         return TRACKS
     if keys & _TRUE_KEYS or any(isinstance(item, dict) and item.get("speaking") in (True, False) for item in objects):
         return TRUTH
-    return TRACKS if keys else None
+    return None
 
 
 def _people(people: records.Identified) -> list[Row]:

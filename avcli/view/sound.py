@@ -10,7 +10,7 @@ import numpy as np
 
 _MOST_COLUMNS = 30_000  # a picture may be 65 535 px wide
 _SHORTEST_COLUMN_S = 0.01
-_BANDS, _LOW_HZ, _HIGH_HZ = 48, 80.0, 8000.0
+_BANDS, LOW_HZ, HIGH_HZ = 48, 80.0, 8000.0
 _WINDOW_S = 0.032
 _MOST_IN_MEMORY, _AT_ONCE = 1 << 25, 1 << 20  # samples
 _RANGE_DB = 60.0
@@ -142,15 +142,19 @@ def pictured(track: Track) -> dict[str, Any]:
         "step": hop / track.rate_hz,
         "peak": base64.b64encode(_scaled(peak, full)).decode(),
         "spectrogram": "data:image/png;base64," + base64.b64encode(picture).decode(),
-        "low_hz": _LOW_HZ,
-        "high_hz": min(_HIGH_HZ, track.rate_hz / 2),
+        "low_hz": LOW_HZ,
+        "high_hz": min(HIGH_HZ, track.rate_hz / 2),
     }
+
+
+def _window(rate_hz: int) -> int:
+    return 1 << (int(_WINDOW_S * rate_hz) - 1).bit_length()
 
 
 def _columns(samples: np.ndarray, hop: int, count: int, rate_hz: int) -> tuple[np.ndarray, np.ndarray]:
     """The largest amplitude (columns,) of each column, and (bands, columns) that of each band in it."""
-    window = 1 << (int(_WINDOW_S * rate_hz) - 1).bit_length()
-    edges = np.geomspace(_LOW_HZ, min(_HIGH_HZ, rate_hz / 2), _BANDS + 1) * window / rate_hz
+    window = _window(rate_hz)
+    edges = np.geomspace(LOW_HZ, min(HIGH_HZ, rate_hz / 2), _BANDS + 1) * window / rate_hz
     low = np.minimum(np.floor(edges[:-1]).astype(int), window // 2)
     high = np.minimum(np.maximum(np.ceil(edges[1:]).astype(int), low + 1), window // 2 + 1)
     shape = np.hanning(window).astype(np.float32)
@@ -164,6 +168,25 @@ def _columns(samples: np.ndarray, hop: int, count: int, rate_hz: int) -> tuple[n
         total = np.cumsum(np.pad(np.abs(spectrum) ** 2, ((0, 0), (1, 0))), axis=1)
         power[:, begin:end] = ((total[:, high] - total[:, low]) / (high - low)).T
     return peak, np.sqrt(power)
+
+
+def decibels(samples: np.ndarray, rate_hz: int, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Describe sound as it arrives, on a scale that does not depend on what follows.
+
+    Args:
+        samples: (n,) full scale at 1.
+        rate_hz: sample rate, Hz.
+        step_s: length of a column, s; only whole columns are described.
+
+    Returns:
+        uint8: the largest amplitude (columns,) of each, and (columns, bands) of each band, 255 at full scale and less
+        by one for each half dB.
+    """
+    hop = round(step_s * rate_hz)
+    peak, amplitude = _columns(samples, hop, len(samples) // hop, rate_hz)
+    amplitude *= 2 / np.hanning(_window(rate_hz)).sum()  # a tone of full scale is 1
+    scaled = (np.clip(255 + 40 * np.log10(np.maximum(part, 1e-7)), 0, 255) for part in (peak, amplitude.T))
+    return tuple(part.astype(np.uint8) for part in scaled)
 
 
 def _padded(samples: np.ndarray, first: int, last: int) -> np.ndarray:
