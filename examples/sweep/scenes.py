@@ -13,10 +13,12 @@ milliseconds in place of a third of a second. This process itself draws nothing 
 
 import argparse
 import contextlib
+import ctypes
 import gc
 import importlib
 import os
 import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -42,6 +44,10 @@ def run(command: str, *arguments: object) -> None:
     sys.stdout.flush()
     child = os.fork()
     if not child:
+        if sys.platform == "linux":
+            ctypes.CDLL(None).prctl(
+                1, signal.SIGKILL
+            )  # PR_SET_PDEATHSIG: no child outlives a killed worker
         sys.argv = [command, *map(str, arguments)]
         status = 70
         try:
