@@ -45,9 +45,7 @@ def run(command: str, *arguments: object) -> None:
     child = os.fork()
     if not child:
         if sys.platform == "linux":
-            ctypes.CDLL(None).prctl(
-                1, signal.SIGKILL
-            )  # PR_SET_PDEATHSIG: no child outlives a killed worker
+            ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: no child outlives a killed worker
         sys.argv = [command, *map(str, arguments)]
         status = 70
         try:
