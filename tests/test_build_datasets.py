@@ -61,6 +61,19 @@ def test_the_checksums_are_those_of_the_files(heard):
     assert (entry["path"], entry["level"], entry["seen"]) == ("test/tiny-s1", "easy", False)
 
 
+def test_mot25v_is_mot25av_without_its_sound(tmp_path):
+    twin = tmp_path / "MOT25AV-s1"
+    for name in ("img1/000001.png", "audio/wav/a.wav", "det/det.txt", "det/audio.txt", "audio.jsonl"):
+        (twin / name).parent.mkdir(parents=True, exist_ok=True)
+        (twin / name).write_text(name)
+    (twin / "seqinfo.ini").write_text("[Sequence]\nname=MOT25AV-s1\n")
+    build.without_sound(twin, tmp_path / "MOT25V-s1.part")
+    made = {str(path.relative_to(tmp_path / "MOT25V-s1.part")) for path in (tmp_path / "MOT25V-s1.part").rglob("*.*")}
+    assert made == {"img1/000001.png", "det/det.txt", "seqinfo.ini"}
+    assert "name=MOT25V-s1\n" in (tmp_path / "MOT25V-s1.part/seqinfo.ini").read_text()
+    assert "name=MOT25AV-s1\n" in (twin / "seqinfo.ini").read_text()
+
+
 def test_the_worlds_of_mot26_do_not_depend_on_how_many_there_are():
     few, many = build.mot26(1, 6.0), build.mot26(3, 6.0)
     assert len(many) == 27

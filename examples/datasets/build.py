@@ -189,6 +189,18 @@ def build(world: World, folder: Path, media: bool) -> None:
             path.unlink(missing_ok=True)
 
 
+def without_sound(twin: Path, folder: Path) -> None:
+    """Make a sequence of MOT25V of that of MOT25AV: the same files, linked, but for what was heard."""
+    heard = {"audio", "audio.jsonl", "audio.txt", "audio_localizations.jsonl"}
+    shutil.copytree(twin, folder, dirs_exist_ok=True, copy_function=os.link, ignore=lambda _, names: heard & set(names))
+    about = folder / "seqinfo.ini"
+    text = about.read_text(encoding="utf-8").replace(
+        f"name={twin.name}\n", f"name={folder.name.removesuffix('.part')}\n"
+    )
+    about.unlink()  # not the twin's
+    about.write_text(text, encoding="utf-8")
+
+
 def sums(folder: Path) -> str:
     """Return the SHA-256 of all files below a folder, as sha256sum writes them, in the order of their names."""
     found = []
@@ -209,7 +221,11 @@ def save(name: str, worlds: list[World], out: Path, media: bool) -> None:
         part = folder.with_name(folder.name + ".part")
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
-        build(world, part, media)
+        twin = Path(str(folder).replace("MOT25V", "MOT25AV"))
+        if name == "MOT25V" and twin.exists() and (twin / "img1").exists() == media:
+            without_sound(twin, part)
+        else:
+            build(world, part, media)
         part.rename(folder)
     entries = []
     for world in worlds:
@@ -228,7 +244,7 @@ def save(name: str, worlds: list[World], out: Path, media: bool) -> None:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    known = ("MOT25A", "MOT25V", "MOT25AV", "MOT26")
+    known = ("MOT25AV", "MOT25A", "MOT25V", "MOT26")
     parser.add_argument("out", type=Path)
     parser.add_argument("--sets", nargs="+", choices=known, default=known)
     parser.add_argument("--worlds", type=int, default=1, help="MOT26: sequences of each split and level")

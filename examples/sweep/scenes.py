@@ -3,9 +3,9 @@
 
     python scenes.py --scenario s1 --t60 0.3 --noise 30 --seeds 0-24 --seconds 1 --out OUT/…/noise~30
 
-Each scene has a directory OUT/…/noise~30/seed~0/. It holds config.json, ground truth, localizations, tracks
-and metrics.jsonl, whose bytes are those that `make s1-audio` (with --video: `make s1`) makes with the same options;
-sound and pictures are deleted as soon as they were used. A scene whose metrics.jsonl is there is not made again.
+Each scene has a directory OUT/…/noise~30/seed~0/. It holds config.json, ground truth, localizations and tracks, whose
+bytes are those that `make s1-audio` (with --video: `make s1`) makes with the same options, and metrics.jsonl; sound and
+pictures are deleted as soon as they were used. A scene whose metrics.jsonl is there is not made again.
 
 The commands run one after the other in children of this process, which has loaded the libraries: a start costs
 milliseconds in place of a third of a second. This process itself draws nothing and starts no thread.
@@ -13,10 +13,12 @@ milliseconds in place of a third of a second. This process itself draws nothing 
 
 import argparse
 import contextlib
+import ctypes
 import gc
 import importlib
 import os
 import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -42,6 +44,8 @@ def run(command: str, *arguments: object) -> None:
     sys.stdout.flush()
     child = os.fork()
     if not child:
+        if sys.platform == "linux":
+            ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: no child outlives a killed worker
         sys.argv = [command, *map(str, arguments)]
         status = 70
         try:
