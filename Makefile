@@ -75,7 +75,7 @@ ifneq ($(filter %-audio,$(NAME)),)
 endif
 
 .PHONY: FORCE bench stress thesis study run run-all run-audio run-video run-both setup setup-bench all test lint man clean \
-        distclean help formats datasets $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) \
+        distclean help formats datasets setup-docs docs tutorial $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) \
         $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
@@ -230,8 +230,8 @@ docs: setup-docs
 	$(BIN)/python examples/site/check_links.py $(OUT)/site
 	@echo 'the site: $(OUT)/site/index.html'
 
-tutorial: $(READY)
-	$(BIN)/python tests/documented.py examples/tutorial/[01]*.md examples/how-to/[a-z]*.md
+tutorial: $(OUT)/s1/metrics.jsonl
+	$(BIN)/python tests/documented.py --s1 $(<D) examples/tutorial/[01]*.md examples/how-to/[a-z]*.md
 
 # --- benchmarks -------------------------------------------------------------------------------------------------------
 

@@ -143,11 +143,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
     parser.add_argument("--write", action="store_true", help="write what was printed into the pages")
+    parser.add_argument("--s1", type=Path, metavar="DIR", help="a finished S1, as the how-tos use it")
     parser.add_argument("--quick", action="store_true", help="leave out what is marked as slow, as the tests do")
     options = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     failed = False
     with tempfile.TemporaryDirectory(prefix="avcli-pages-") as directory:
+        if options.s1:
+            (Path(directory) / "out").mkdir()
+            (Path(directory) / "out" / "s1").symlink_to(options.s1.resolve())
         for page in options.pages:
             start = time.monotonic()
             try:

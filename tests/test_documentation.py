@@ -8,6 +8,7 @@ import pytest
 from conftest import ROOT
 
 TUTORIAL = sorted((ROOT / "examples" / "tutorial").glob("[01]*.md"))
+HOW_TO = sorted((ROOT / "examples" / "how-to").glob("[a-z]*.md"))
 CHAINS = [TUTORIAL[:3], *([page] for page in TUTORIAL[3:])]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "examples").rglob("*.md")])
 
@@ -19,6 +20,15 @@ def test_the_tutorial_prints_what_it_shows(pages, tmp_path):
         if tools := documented.missing_tools(page):
             pytest.skip(f"{', '.join(tools)} not installed")
         documented.run_page(page, tmp_path)
+
+
+@pytest.mark.slow
+def test_the_how_tos_print_what_they_show(finished_s1, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "s1").symlink_to(finished_s1)
+    for page in HOW_TO:
+        if not documented.missing_tools(page):
+            documented.run_page(page, tmp_path)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

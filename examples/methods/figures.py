@@ -33,7 +33,7 @@ def hota() -> None:
             places = np.array([[1 + t, 1.0, 0.0], [1 + t, 5.0, 0.0]])
             truth.append(Identified(t, np.array([0, 1]), places))
             ids = np.array([0, 1]) if t < exchanged_at else np.array([1, 0])
-            tracks.append(Identified(t, ids, places + [0, offset, 0]))
+            tracks.append(Identified(t, ids, places + np.array([0, offset, 0])))
         return 100 * (avcli.score(truth, tracks)["HOTA"] or 0.0)
 
     offsets = np.arange(0, 2.01, 0.05)
