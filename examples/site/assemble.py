@@ -18,12 +18,7 @@ SECTIONS = {
     "Tutorial": ["examples/tutorial/README"],
     "How to": ["examples/how-to/README"],
     "Methods": ["examples/methods/README"],
-    "Longer examples": [
-        "examples/README",
-        "examples/real-room/README",
-        "examples/calibrate/README",
-        "examples/train-detector/README",
-    ],
+    "Longer examples": ["examples/README"],
     "Reference": ["examples/site/manuals", "examples/site/library"],
     "Measured": ["examples/site/benchmarks"],
     "Project": ["CHANGELOG", "CONTRIBUTING"],
@@ -113,6 +108,9 @@ def main() -> None:
         readme = target / "examples" / folder / "README.md"
         names = sorted(page.stem for page in (ROOT / "examples" / folder).glob("*.md") if page.stem != "README")
         readme.write_text(readme.read_text() + toctree(names))
+    own = {"tutorial", "how-to", "methods", "site"}
+    longer = sorted(page.parent for page in pages if page.name == "README.md" and len(page.parts) == 3)
+    SECTIONS["Longer examples"] += [f"{folder}/README" for folder in longer if folder.name not in own]
     index = (target / "README.md").read_text()
     (target / "README.md").unlink()
     (target / "index.md").write_text(index + "".join(toctree(names, title) for title, names in SECTIONS.items()))
