@@ -75,8 +75,8 @@ ifneq ($(filter %-audio,$(NAME)),)
 endif
 
 .PHONY: FORCE bench stress thesis study run run-all run-audio run-video run-both setup setup-bench all test lint man clean \
-        distclean help formats datasets setup-docs docs tutorial $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) \
-        $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
+        distclean help formats datasets setup-docs docs tutorial $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) \
+        $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
 	@sed -n 's/^#: \?//p' Makefile
