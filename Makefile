@@ -6,6 +6,8 @@
 #: make test          the tests
 #: make lint          the checks of style, types and imports
 #: make man           the manual pages, checked, and as HTML in out/man/
+#: make docs          the site: tutorial, how-tos, methods, manuals, in out/site/index.html
+#: make tutorial      runs every command of the tutorial and the how-tos, and compares what they print with the pages
 #: make formats       the schemas and the key lists of the manual, from the one description of each format
 #: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-detection bench-tracking
 #:      bench-metrics bench-calibration bench-microphones
@@ -73,8 +75,8 @@ ifneq ($(filter %-audio,$(NAME)),)
 endif
 
 .PHONY: FORCE bench stress thesis study run run-all run-audio run-video run-both setup setup-bench all test lint man clean \
-        distclean help formats datasets $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) $(SCENARIOS:%=%-audio) \
-        $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
+        distclean help formats datasets setup-docs docs tutorial $(SCENARIOS) $(BENCHES:%=bench-%) $(FITS:%=fit-%) \
+        $(SCENARIOS:%=%-audio) $(SCENARIOS:%=%-video) $(SCENARIOS:%=%-both)
 
 help:
 	@sed -n 's/^#: \?//p' Makefile
@@ -214,6 +216,22 @@ man: | $(READY)
 	  mandoc -T html -O 'man=%N.%S.html' "$$page" >"$(OUT)/man/$$(basename "$$page").html"; \
 	done
 	@echo 'manual pages as HTML: $(OUT)/man/'
+
+# --- documentation ----------------------------------------------------------------------------------------------------
+
+setup-docs: $(READY)
+	@$(BIN)/python -c 'import furo, matplotlib, myst_parser' 2>/dev/null || $(BIN)/pip install -q -e '.[docs]'
+
+docs: setup-docs
+	@command -v mandoc >/dev/null || { echo 'make docs: mandoc is missing (Debian: apt-get install mandoc)' >&2; exit 1; }
+	$(BIN)/python examples/site/assemble.py $(OUT)/site-source
+	$(BIN)/python examples/methods/figures.py $(OUT)/site-source/examples/methods
+	$(BIN)/sphinx-build -q -W --keep-going -E -c examples/site $(OUT)/site-source $(OUT)/site
+	$(BIN)/python examples/site/check_links.py $(OUT)/site
+	@echo 'the site: $(OUT)/site/index.html'
+
+tutorial: $(OUT)/s1/metrics.jsonl
+	$(BIN)/python tests/documented.py --s1 $(<D) examples/tutorial/[01]*.md examples/how-to/[a-z]*.md
 
 # --- benchmarks -------------------------------------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from avcli.scene.film import simulate as simulate
     from avcli.tracking.fusion import track as track
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _DOOR = {
     "simulate": "avcli.scene.film",

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from forked import HANG_S, run_forked
+from forked import COMMANDS, HANG_S, run_forked
 from hypothesis import HealthCheck, settings
 
 # On a busy machine examples take long to make; that is no fault of a test.
@@ -28,7 +28,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores i
 
 ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent
-COMMANDS = ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval", "avcalib", "avview"]
 
 
 @pytest.fixture(scope="session")

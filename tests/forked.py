@@ -4,6 +4,7 @@ That process has drawn nothing and started no thread, so its children are as goo
 """
 
 import contextlib
+import fcntl
 import functools
 import gc
 import importlib
@@ -37,6 +38,23 @@ _LOADED_LATE = [
     "soundfile",
     "trimesh",
 ]
+COMMANDS = ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval", "avcalib", "avview"]
+_SHIM = """\
+import array, json, os, signal, socket, sys
+name, *args = sys.argv
+request = {"command": os.path.basename(name), "args": args, "cwd": os.getcwd(), "env": dict(os.environ)}
+reply, its_reply = os.pipe()
+rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [0, 1, 2, its_reply]))
+socket.socket(fileno=int(os.environ["AVCLI_NURSERY"])).sendmsg([json.dumps(request).encode()], [rights])
+os.close(its_reply)
+answer = open(reply)
+child = int(answer.readline())
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, lambda number, frame: os.kill(child, number))
+os.close(0), os.close(1)
+status = int(answer.readline())
+os._exit(status if status >= 0 else 128 - status)
+"""
 
 
 def run_forked(
@@ -80,6 +98,21 @@ def run_forked(
     for thread in threads:
         thread.join()
     return subprocess.CompletedProcess([command, *args], status, read[0], read[1].decode())
+
+
+def write_shims(folder: Path) -> tuple[dict[str, str], int]:
+    """Write one small program for each command, so that a shell runs the commands as `run_forked` does.
+
+    Returns:
+        The environment whose PATH finds them first, and a descriptor that the shell must inherit.
+    """
+    descriptor = fcntl.fcntl(_nursery()[0].fileno(), fcntl.F_DUPFD, 200)
+    folder.mkdir(parents=True, exist_ok=True)
+    for command in COMMANDS:
+        (folder / command).write_text(f"#!{sys.executable} -IS\n{_SHIM}")
+        (folder / command).chmod(0o755)
+    path = f"{folder}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "AVCLI_NURSERY": str(descriptor)}, descriptor
 
 
 @functools.cache
@@ -132,7 +165,7 @@ def _serve(requests: socket.socket) -> None:
             os.write(descriptors[3], b"%d\n" % child)
 
 
-def _run(files, command, args, cwd, env, largest_file):
+def _run(files, command, args, cwd, env, largest_file=None):
     status = 99
     try:
         signal.set_wakeup_fd(-1)

@@ -12,6 +12,8 @@ import sys
 import pytest
 from conftest import BIN, COMMANDS, ROOT, run
 
+import avcli
+
 SOURCES = sorted((ROOT / "avcli").rglob("*.py"))
 HEAVY = {"numpy", "scipy", "cv2", "onnxruntime", "moderngl", "trimesh", "soundfile", "matplotlib", "torch", "orjson"}
 STARTED = {"click", "avcli"}
@@ -169,6 +171,39 @@ def test_no_path_of_one_machine_is_committed():
             text = path.read_bytes()
             assert str(ROOT).encode() + b"/" not in text, name
             assert len(home) < 4 or home + b"/" not in text, name
+
+
+# --- what is installed beside the package -----------------------------------------------------------------------------
+
+COMPLETIONS = ROOT / "avcli" / "commands" / "completions"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_shell_completes_the_command(command):
+    variable = f"_{command.upper().replace('-', '_')}_COMPLETE"
+    bash = (COMPLETIONS / "bash-completion" / "completions" / command).read_text()
+    fish = (COMPLETIONS / "fish" / "vendor_completions.d" / f"{command}.fish").read_text()
+    assert bash == f'eval "$({variable}=bash_source {command})"\n'
+    assert fish == f"{variable}=fish_source {command} | source\n"
+    assert command in (COMPLETIONS / "zsh" / "site-functions" / "_avcli").read_text().splitlines()[0].split()
+
+
+@pytest.mark.skipif(not shutil.which("bash"), reason="bash is not installed")
+def test_bash_completes_the_trackers():
+    script = (
+        f"source {COMPLETIONS}/bash-completion/completions/avfuse; "
+        "COMP_WORDS=(avfuse --tracker ''); COMP_CWORD=2; _avfuse_completion avfuse; echo ${COMPREPLY[@]}"
+    )
+    path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
+    result = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env={**os.environ, "PATH": path})
+    assert result.stdout.split() == ["ms-glmb", "lmb", "gnn", "jpda"]
+
+
+def test_the_version_is_the_same_everywhere():
+    assert f"\nversion: {avcli.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {avcli.__version__} (" in (ROOT / "CHANGELOG.md").read_text()
+    for page in PAGES:
+        assert f"\n.Os avcli {avcli.__version__}\n" in page.read_text(), page.name
 
 
 def test_usage_errors_are_one_line():

@@ -1,0 +1,1 @@
+_AVCALIB_COMPLETE=fish_source avcalib | source

@@ -1,0 +1,1 @@
+_AVDETECT_AUDIO_COMPLETE=fish_source avdetect-audio | source

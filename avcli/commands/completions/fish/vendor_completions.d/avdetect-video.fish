@@ -1,0 +1,1 @@
+_AVDETECT_VIDEO_COMPLETE=fish_source avdetect-video | source

@@ -1,0 +1,1 @@
+_AVEVAL_COMPLETE=fish_source aveval | source

@@ -1,0 +1,1 @@
+_AVFUSE_COMPLETE=fish_source avfuse | source

@@ -1,0 +1,1 @@
+_AVSIM_AUDIO_COMPLETE=fish_source avsim-audio | source

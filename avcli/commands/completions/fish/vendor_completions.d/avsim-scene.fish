@@ -1,0 +1,1 @@
+_AVSIM_SCENE_COMPLETE=fish_source avsim-scene | source

@@ -1,0 +1,1 @@
+_AVVIEW_COMPLETE=fish_source avview | source
