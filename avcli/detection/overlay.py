@@ -42,10 +42,29 @@ def draw(picture: np.ndarray, people: list[Person], view: View) -> np.ndarray:
         heights = np.linspace(0.0, person.height or MID_BODY_M, 9)
         axis = np.column_stack([np.tile(person.position[:2], (9, 1)), heights])
         _polyline(out, view.project(axis), (255, 255, 255), thick)
-        text = f"{person.position[0]:.2f} {person.position[1]:.2f} m  {person.score:.2f}"
-        text += f"  {person.height:.2f} m" if person.height else ""
-        cv2.putText(out, text, (x0, max(y0 - 6, 14)), cv2.FONT_HERSHEY_SIMPLEX, 0.7 * scale, colour, thick, cv2.LINE_AA)
+        _label(out, _words(person), (x0, y0), colour, scale)
     return out
+
+
+def _words(person: Person) -> list[str]:
+    x, y = person.position[:2].tolist()
+    tall = f"{person.height:.2f} m tall, " if person.height else ""
+    return [f"x {x:.2f}, y {y:.2f} m", f"{tall}score {person.score:.2f}"]
+
+
+def _label(out: np.ndarray, lines: list[str], at: tuple[int, int], colour: tuple, scale: float) -> None:
+    """Write lines on a dark ground above a point, or as near to it as the picture has room."""
+    import cv2
+
+    font, size, thick = cv2.FONT_HERSHEY_SIMPLEX, 0.8 * scale, max(round(2 * scale), 1)
+    wide = max(cv2.getTextSize(line, font, size, thick)[0][0] for line in lines)
+    step = round(30 * scale)
+    pad = round(6 * scale)
+    x = min(max(at[0], pad), max(out.shape[1] - wide - pad, pad))
+    y = min(max(at[1] - step * len(lines) - pad, 0), out.shape[0] - step * len(lines) - pad)
+    cv2.rectangle(out, (x - pad, y), (x + wide + pad, y + step * len(lines) + pad), (20, 22, 26), -1)
+    for number, line in enumerate(lines, 1):
+        cv2.putText(out, line, (x, y + step * number - pad // 2), font, size, colour, thick, cv2.LINE_AA)
 
 
 def _polyline(out: np.ndarray, pixels: np.ndarray, colour: tuple, thick: int) -> None:

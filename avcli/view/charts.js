@@ -180,7 +180,7 @@ function drawError() {
     });
   }
   timeAxis({ pen, width, left, x }, height - 9);
-  $("error-legend").replaceChildren(...shown.map(one => key(one.name, { ...trackerLook(one), ...(one === tracker ? { dash: [] } : {}) })));
+  $("error-legend").replaceChildren(...shown.map(one => key(one.name, { ...trackerLook(one), ...(one === tracker ? { dash: [] } : {}) })), shown.length > 1 && score ? `missed and false: of ${tracker.name}` : "");
 }
 // The moment of the largest error near a place of the error chart.
 function peakNear(node, clientX) {
