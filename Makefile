@@ -226,6 +226,7 @@ docs: setup-docs
 	@command -v mandoc >/dev/null || { echo 'make docs: mandoc is missing (Debian: apt-get install mandoc)' >&2; exit 1; }
 	$(BIN)/python examples/site/assemble.py $(OUT)/site-source
 	$(BIN)/python examples/methods/figures.py $(OUT)/site-source/examples/methods
+	@rm -rf '$(OUT)/site'
 	$(BIN)/sphinx-build -q -W --keep-going -E -c examples/site $(OUT)/site-source $(OUT)/site
 	$(BIN)/python examples/site/check_links.py $(OUT)/site
 	@echo 'the site: $(OUT)/site/index.html'

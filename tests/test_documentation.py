@@ -1,6 +1,9 @@
 """The pages of the documentation: their commands run, and print what the pages show; their links lead somewhere."""
 
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import documented
@@ -36,6 +39,18 @@ def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text()):
         drawn = page.parent.name == "methods" and target.endswith(".svg")  # by make docs
         assert target.startswith("https://") or drawn or (page.parent / target).exists(), target
+
+
+@pytest.mark.skipif(not shutil.which("mandoc"), reason="mandoc is not installed")
+def test_every_page_is_in_the_navigation_of_the_site(tmp_path):
+    subprocess.run([sys.executable, ROOT / "examples" / "site" / "assemble.py", tmp_path / "site"], check=True)
+    pages = {page.resolve().with_suffix("") for page in (tmp_path / "site").rglob("*.md")}
+    listed = set()
+    for page in (tmp_path / "site").rglob("*.md"):
+        for tree in re.findall(r"```{toctree}\n(.*?)```", page.read_text(), re.DOTALL):
+            entries = [line for line in tree.splitlines() if line and not line.startswith(":")]
+            listed |= {(page.parent / f"{entry}.md").resolve().with_suffix("") for entry in entries}
+    assert listed == pages - {tmp_path / "site" / "index"}
 
 
 def page_of(tmp_path, text) -> Path:

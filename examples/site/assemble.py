@@ -14,11 +14,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path("examples/site")
-SECTIONS = {
+SECTIONS: dict[str, list[str]] = {
     "Tutorial": ["examples/tutorial/README"],
     "How to": ["examples/how-to/README"],
     "Methods": ["examples/methods/README"],
-    "Longer examples": ["examples/README"],
+    "Longer examples": [],
     "Reference": ["examples/site/manuals", "examples/site/library"],
     "Measured": ["examples/site/benchmarks"],
     "Project": ["CHANGELOG", "CONTRIBUTING"],
@@ -106,11 +106,12 @@ def main() -> None:
     (target / HERE / "benchmarks.md").write_text("# Benchmarks\n" + toctree(measured, "", False))
     for folder in ("tutorial", "how-to", "methods"):
         readme = target / "examples" / folder / "README.md"
-        names = sorted(page.stem for page in (ROOT / "examples" / folder).glob("*.md") if page.stem != "README")
-        readme.write_text(readme.read_text() + toctree(names))
-    own = {"tutorial", "how-to", "methods", "site"}
-    longer = sorted(page.parent for page in pages if page.name == "README.md" and len(page.parts) == 3)
-    SECTIONS["Longer examples"] += [f"{folder}/README" for folder in longer if folder.name not in own]
+        text = readme.read_text()
+        readme.write_text(text + toctree(re.findall(r"\]\(([\w-]+)\.md\)", text)))
+    listed_above = {"tutorial", "how-to", "methods", "site", "benchmarks"}
+    longer = [page for page in pages if page.parts[0] == "examples" and page.parent.name not in listed_above]
+    by_folder = sorted(longer, key=lambda page: (page.parent, page.name != "README.md", page.name))
+    SECTIONS["Longer examples"] = [str(page.with_suffix("")) for page in by_folder]
     index = (target / "README.md").read_text()
     (target / "README.md").unlink()
     (target / "index.md").write_text(index + "".join(toctree(names, title) for title, names in SECTIONS.items()))
