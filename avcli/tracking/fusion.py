@@ -343,7 +343,7 @@ class Fusion:
             timestamp=origin + time,
             ids=np.array([numbers[one.label] for one in tracks], np.int64),
             positions=positions,
-            speaking=np.array(speaking),
+            speaking=np.minimum(speaking, 1.0),  # a sum of weights may end an ulp above
             velocities=velocities,
             covariances=covariances,
             existence=np.array([one.existence for one in tracks]),
