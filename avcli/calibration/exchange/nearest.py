@@ -115,6 +115,8 @@ def field(source: Projection, size: tuple[int, int], theta_max: float = np.inf) 
     area = np.abs(along[..., 0] * around[..., 1] - along[..., 1] * around[..., 0])
     area[:, -1] = 0.0  # the rim, which has no width
     area = np.where(inside & np.isfinite(area.ravel()), area.ravel(), 0.0)
+    if not area.any():
+        raise ValueError("the lens images hardly a pixel of the picture; check its numbers and the picture's size")
     flat = angles.ravel()[inside]
     return Field(rays[inside], pixels[inside], area[inside] / area.sum(), flat, float(flat.max()))
 
