@@ -41,6 +41,13 @@ def test_the_figures_of_all_scenarios():
         assert measured(metrics, row.lower()) == pytest.approx(stated(row), abs=0.11)
 
 
+def test_the_page_of_results_has_the_same_figures():
+    results = (ROOT / "examples" / "benchmarks" / "results.md").read_text()
+    rows = ("S1", "S2", "S3", "S4", "combined")
+    for column, ours in enumerate(re.findall(r"^\| \| ours \|(.*)\|$", results, re.MULTILINE)):
+        assert [float(cell) for cell in ours.split("|")] == [stated(row)[column] for row in rows]
+
+
 def test_the_readme_is_one_screen():
     assert len(README.splitlines()) < 100
     assert (ROOT / "examples" / "avview.jpg").stat().st_size < 150_000

@@ -10,8 +10,30 @@ sys.path.insert(0, str(Path(__file__).parent / "bench"))
 import stress
 from stress_kinds import KINDS, wrong_records
 
-COUNTS = {"files": 5, "detections": 3, "order": 2, "sounds": 4, "pictures": 4, "lens": 40, "worlds": 2, "disk": 3}
+COUNTS = {
+    "files": 5,
+    "detections": 3,
+    "order": 2,
+    "sounds": 4,
+    "pictures": 4,
+    "lens": 40,
+    "cameras": 4,
+    "rooms": 4,
+    "scores": 3,
+    "view": 2,
+    "worlds": 2,
+    "disk": 3,
+}
 """`values` is what test_fuzz.py does; `ending` and `hour` take their time."""
+
+
+FOUND = [("cameras", 106), ("sounds", 17), ("rooms", 6)]
+"""Trials that were lost when they were first tried."""
+
+
+@pytest.mark.parametrize(("kind", "seed"), FOUND)
+def test_what_was_lost_once_is_not_lost_again(kind, seed):
+    assert not stress.tried(kind, seed, longest_s=1800).lost
 
 
 @pytest.mark.parametrize("kind", COUNTS)

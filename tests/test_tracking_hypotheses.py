@@ -244,3 +244,11 @@ def test_who_stands_at_a_wall_leaves_less_readily_than_who_walks_there():
     still, walks, amid, through = Population(stay=100.0, pass_by=10.0).leaving(states)
     assert walks == pytest.approx(0.1)
     assert still == amid == through == pytest.approx(0.01)
+
+
+def test_existence_is_at_most_one_where_the_shares_add_up_to_more_by_rounding():
+    several = cluster({(0,): 0.3, (1,): 0.1, (2,): 0.6})
+    several.shares = [0.3, 0.1, 0.6000000000000002]
+    certain = np.ones(3)
+    assert several.existences(certain) == [1.0]
+    assert several.marginals(0, certain)[1] == 1.0

@@ -14,6 +14,9 @@ CELLS = 1 << 13
 RATIO = 1.1127756842787055
 """root of x⁷ = x + 1; its powers spread pairs of places evenly (R. L. Kronecker's sequence in six dimensions)."""
 
+LEAST_ABSORPTION = 1e-6
+"""Walls that absorb less decay over more images than can be counted."""
+
 
 def image_absorption(
     room_dimensions_m: ArrayLike,
@@ -33,7 +36,8 @@ def image_absorption(
         speed_of_sound_m_s: m/s.
 
     Raises:
-        ValueError: walls that absorb nearly everything reverberate longer, or rt60_s is not above 0.
+        ValueError: walls that absorb nearly everything reverberate longer, walls that absorb nearly nothing reverberate
+            less (a room that is very flat), or rt60_s is not above 0.
     """
     if not rt60_s > 0:
         raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
@@ -44,6 +48,10 @@ def image_absorption(
     low, high = 0.0, np.inf  # walls that absorb too little and too much
     power, last = -1.0, (0.0, 0.0)  # T60 is about proportional to the absorption to this power
     while high - low > 1e-4 * scale:
+        if scale < LEAST_ABSORPTION:
+            raise ValueError(
+                f"T60 {rt60_s:g} s is too long for this room; its image sources decay sooner at any absorption"
+            )
         time = decay.time(scale * weights)
         here = np.log(scale), np.log(max(time, 1e-9) / rt60_s)
         if abs(here[1]) < 1e-3:

@@ -336,7 +336,7 @@ class Fusion:
         for k, one in enumerate(tracks):
             numbers.setdefault(one.label, len(numbers))
             if ears and one.detectable:
-                speaking[k] = max([one.detectable.get(name, 0.0) for name in ears])
+                speaking[k] = min(max([one.detectable.get(name, 0.0) for name in ears]), 1.0)  # but for rounding
         covariances[:, 1, 0], covariances[:, 2, 2] = covariances[:, 0, 1], HEIGHT_VARIANCE
         last = [one.last_seen for one in tracks]
         return Identified(

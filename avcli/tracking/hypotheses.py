@@ -54,14 +54,15 @@ class Cluster:
         for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
             row = hypothesis[at]
             shares[row] = shares.get(row, 0.0) + share
-        return shares, math.fsum(share * existence[row] for row, share in shares.items() if row >= 0)
+        return shares, min(1.0, math.fsum(share * existence[row] for row, share in shares.items() if row >= 0))
 
     def existences(self, existence: np.ndarray) -> list[float]:
         """Return the probability that each label exists, given that of each row."""
         if len(self.hypotheses) == 1:
             return [existence.item(row) if row >= 0 else 0.0 for row in self.hypotheses[0]]
         rows = np.array(self.hypotheses)
-        return (np.array(self.shares) @ np.where(rows >= 0, existence.take(rows), 0.0)).tolist()
+        found = np.array(self.shares) @ np.where(rows >= 0, existence.take(rows), 0.0)
+        return np.minimum(found, 1.0).tolist()  # shares add up to 1 but for rounding
 
     def replaced(self, labels: list[int], hypotheses: Sequence[Joint]) -> Cluster:
         """Return the cluster of other hypotheses, one for each of this one's; equal ones become one."""

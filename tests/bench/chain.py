@@ -3,7 +3,6 @@
 import importlib
 import json
 import math
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -37,12 +36,6 @@ def heard(folder: Path, scenario: str | dict, *options: object, drawn: Sequence[
     seen(folder, scenario, "--no-video", *drawn)
     made("avsim-audio", folder / "audio.jsonl", "-C", folder, folder / "scene.jsonl", *options)
     return folder
-
-
-def without_media(folder: Path) -> None:
-    """Remove pictures and sound, which detections have been made of."""
-    for media in ("video/rgb", "audio"):
-        shutil.rmtree(folder / media, ignore_errors=True)
 
 
 def scored(truth: Path, tracks: Path, d0: float) -> float:

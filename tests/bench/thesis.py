@@ -26,9 +26,9 @@ from avcli.metrics import thesis as printed_results
 PARTS = {
     "camera": "division lens, 8-bit depth",
     "sound": "switched every 10 ms",
-    "3D-SSL": "3D-SSL in place of SRP",
-    "pixel": "depth at one pixel of the box",
-    "tracker": "the settings of Table 5.5",
+    "localization": "3D-SSL",
+    "position": "the depth at one pixel of the box",
+    "tracker": "as its Table 5.5",
 }
 ALL = frozenset(PARTS)
 Which = frozenset[str]
@@ -61,10 +61,10 @@ def score_of(
     eye = chain.seen(base / f"eye-{word('camera')}", scenario, *picture)
     ear = chain.heard(base / f"ear-{word('sound')}", scenario, "--seed", seed, *noise, *preset("sound", which))
     found = {
-        "audio": chain.made("avdetect-audio", base / f"audio-{word('sound', '3D-SSL')}.jsonl", "-C", ear,
-                            ear / "audio.jsonl", *preset("3D-SSL", which)),
-        "video": chain.made("avdetect-video", base / f"video-{word('camera', 'pixel')}.jsonl", "-C", eye,
-                            eye / "scene.jsonl", *preset("pixel", which)),
+        "audio": chain.made("avdetect-audio", base / f"audio-{word('sound', 'localization')}.jsonl", "-C", ear,
+                            ear / "audio.jsonl", *preset("localization", which)),
+        "video": chain.made("avdetect-video", base / f"video-{word('camera', 'position')}.jsonl", "-C", eye,
+                            eye / "scene.jsonl", *preset("position", which)),
     }  # fmt: skip
     return chain.tracked(eye, found, base / f"tracks-{word(*PARTS)}", *preset("tracker", which))
 

@@ -115,6 +115,8 @@ def field(source: Projection, size: tuple[int, int], theta_max: float = np.inf) 
     area = np.abs(along[..., 0] * around[..., 1] - along[..., 1] * around[..., 0])
     area[:, -1] = 0.0  # the rim, which has no width
     area = np.where(inside & np.isfinite(area.ravel()), area.ravel(), 0.0)
+    if not area.any():
+        raise ValueError("the lens images hardly a pixel of the picture; check its numbers and the picture's size")
     flat = angles.ravel()[inside]
     return Field(rays[inside], pixels[inside], area[inside] / area.sum(), flat, float(flat.max()))
 
@@ -356,6 +358,10 @@ def stereographic(points: np.ndarray) -> np.ndarray:
         return 2 * points[:, :2] / (length + points[:, 2])[:, None]
 
 
+_MOST_ROWS = 150
+"""of knots, with 30 in each: a view five times as high as it is wide."""
+
+
 def splined(source: Projection, seen: Field, across: int = 30) -> tuple[Splined, float, float]:
     """mrcal's splined model of a lens, by linear least squares, and its distance from it (`distance`).
 
@@ -363,6 +369,9 @@ def splined(source: Projection, seen: Field, across: int = 30) -> tuple[Splined,
         source: the lens.
         seen: where it is known, from `field`.
         across: knots along x.
+
+    Raises:
+        ValueError: the view is so much higher than wide that the knots would be too many.
     """
     near = source.project(np.array([[1e-4, 0.0, 1.0], [0.0, 1e-4, 1.0], [0.0, 0.0, 1.0]]))
     core = np.array([(near[0, 0] - near[2, 0]) / 1e-4, (near[1, 1] - near[2, 1]) / 1e-4, *near[2]])
@@ -370,6 +379,10 @@ def splined(source: Projection, seen: Field, across: int = 30) -> tuple[Splined,
     fov_deg = int(np.ceil(np.rad2deg(4 * np.arctan(reach[0] / 2)) + 0.5))
     shape = Splined(core, np.zeros((4, across, 2)), fov_deg)
     rows = int(np.ceil(2 * reach[1] * shape.per_unit * 1.01)) + 3
+    if rows > _MOST_ROWS:
+        raise ValueError(
+            f"mrcal's splined model would need {rows} rows of knots; the view is too high and narrow for it"
+        )
     shape = replace(shape, knots=np.zeros((rows, across, 2)))
     # Three points an interval of the knots.
     u, v = (np.linspace(-side, side, int(6 * side * shape.per_unit) + 6) for side in reach)
