@@ -87,7 +87,7 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
         return None
     if board.markers:
         coarse = markers.find(grey, board)
-        found = coarse and (coarse[0], _subpixel(grey, *coarse[1:]))
+        found = coarse and (coarse[0], _subpixel(grey, *coarse[1:])[0])
     elif board.has_circles:
         found = circles.find(grey, board)
     else:
@@ -117,12 +117,17 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 def _find_checkerboard(
     grey: np.ndarray, inner: tuple[int, int], thorough: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    found = saddles.find_board(grey, inner, thorough=thorough)
-    if found is None:
-        return None
-    ids, pixels, error = found
-    spacing = _spacing(ids, pixels, inner)
-    return (ids, _subpixel(grey, pixels, spacing, max(error, 1.5))) if (spacing > 1.5).all() else None
+    for quickly in (True, False):
+        found = saddles.find_board(grey, inner, thorough=thorough, quickly=quickly)
+        if found is None:
+            return None
+        spacing = _spacing(found.ids, found.pixels, inner)
+        if not (spacing > 1.5).all():
+            return None
+        pixels, lost = _subpixel(grey, found.pixels, spacing, max(found.error, 1.5))
+        if not (found.quickly and lost.any()):
+            break
+    return found.ids, pixels
 
 
 def shrunk(grey: np.ndarray) -> np.ndarray:
@@ -144,11 +149,13 @@ def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.
     return nearest.ravel()[ids]
 
 
-def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach: float = np.inf) -> np.ndarray:
-    """Förstner's corner (cv2.cornerSubPix) in a window that suits each corner.
+def _subpixel(
+    grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach: float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Förstner's corner (cv2.cornerSubPix) in a window that suits each corner, and which corners are lost, (n,) bool.
 
     A fixed window of 11 px, as in every tutorial, walks onto the neighbours near the rim. A corner that walks further
-    than `reach` px, or out of its window, stays where it was.
+    than `reach` px, or out of its window, is lost: it stays where it was.
     """
     import cv2
 
@@ -161,7 +168,7 @@ def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach:
         refined[rows] = cv2.cornerSubPix(grey, points, (int(window), int(window)), (-1, -1), criteria)[:, 0]
     lost = np.linalg.norm(refined - corners, axis=1) > np.minimum(windows, reach)
     refined[lost] = corners[lost]
-    return refined
+    return refined, lost
 
 
 def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
