@@ -182,16 +182,18 @@ def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -
     turn = 2 * np.pi * np.arange(_RING) / _RING
     ring = relief.sample(pixels[:, :1] + radius * np.cos(turn), pixels[:, 1:] + radius * np.sin(turn))
     # Opposite samples agree around a saddle; their mean is free of a slope of the light.
-    both = (ring[:, : _RING // 2] + ring[:, _RING // 2 :]) / 2
+    opposite = ring[:, _RING // 2 :]
+    both = (ring[:, : _RING // 2] + opposite) / 2
     low, high = both.min(1), both.max(1)
-    level = (low + high)[:, None] / 2
+    contrast = high - low
+    skew = np.abs(ring[:, : _RING // 2] - opposite).mean(1)
+    index = np.flatnonzero((contrast > _LEAST_CONTRAST) & (skew < 0.45 * contrast))
+    ring, level = ring[index], (low[index] + high[index])[:, None] / 2
     bright = ring > level
-    rising = ~bright & np.roll(bright, -1, 1)
-    falling = bright & np.roll(~bright, -1, 1)
-    skew = np.abs(ring[:, : _RING // 2] - ring[:, _RING // 2 :]).mean(1)
-    good = (rising.sum(1) == 2) & (falling.sum(1) == 2) & (high - low > _LEAST_CONTRAST)
-    good &= skew < 0.45 * (high - low)
-    ring, level, rising, falling = ring[good], level[good], rising[good], falling[good]
+    following = np.roll(bright, -1, 1)
+    rising, falling = ~bright & following, bright & ~following
+    good = (rising.sum(1) == 2) & (falling.sum(1) == 2)
+    index, ring, level, rising, falling = (part[good] for part in (index, ring, level, rising, falling))
     n = len(ring)
 
     def crossings(where: np.ndarray) -> np.ndarray:
@@ -208,9 +210,8 @@ def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -
     straight = (np.abs(_turned(arms[:, 0] + np.pi - arms[:, 2])) < 0.5) & (
         np.abs(_turned(arms[:, 1] + np.pi - arms[:, 3])) < 0.5
     )
-    index = np.flatnonzero(good)[straight]
     chosen = np.zeros(len(pixels), bool)
-    chosen[index] = True
+    chosen[index[straight]] = True
     return _Corners(pixels[chosen], arms[straight]), chosen
 
 
