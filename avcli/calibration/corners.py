@@ -115,18 +115,17 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 
 
 def _find_checkerboard(
-    grey: np.ndarray, inner: tuple[int, int], thorough: bool
+    grey: np.ndarray, inner: tuple[int, int], thorough: bool, quickly: bool = True
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    for quickly in (True, False):
-        found = saddles.find_board(grey, inner, thorough=thorough, quickly=quickly)
-        if found is None:
-            return None
-        spacing = _spacing(found.ids, found.pixels, inner)
-        if not (spacing > 1.5).all():
-            return None
-        pixels, lost = _subpixel(grey, found.pixels, spacing, max(found.error, 1.5))
-        if not (found.quickly and lost.any()):
-            break
+    found = saddles.find_board(grey, inner, thorough=thorough, quickly=quickly)
+    if found is None:
+        return None
+    spacing = _spacing(found.ids, found.pixels, inner)
+    if not (spacing > 1.5).all():
+        return None
+    pixels, lost = _subpixel(grey, found.pixels, spacing, max(found.error, 1.5))
+    if found.quickly and lost.any():  # a larger picture may show better where they are
+        return _find_checkerboard(grey, inner, thorough, quickly=False)
     return found.ids, pixels
 
 

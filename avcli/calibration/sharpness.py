@@ -163,13 +163,16 @@ def _width(
 
     s = np.linspace(-1.0, 1.0, _SAMPLES)
     lines = middles[:, None] + _LINES[:, None] * along[:, None]
-    at = (lines[:, :, None] + (reach[:, None] * s)[:, None, :, None] * normal[:, None, None]).reshape(
-        len(middles), -1, 2
+    away = reach[:, None] * s
+    x, y = (
+        (lines[:, :, axis, None] + (away * normal[:, axis, None])[:, None]).astype(np.float32).reshape(len(middles), -1)
+        for axis in (0, 1)
     )
-    value = cv2.remap(
-        grey, at[..., 0].astype(np.float32), at[..., 1].astype(np.float32), cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT, borderValue=0,
-    ).reshape(-1, _SAMPLES).astype(float)  # fmt: skip
+    value = (
+        cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        .reshape(-1, _SAMPLES)
+        .astype(float)
+    )
     value *= np.where(value[:, -6:].mean(1) < value[:, :6].mean(1), -1.0, 1.0)[:, None]
     low, high = value[:, :6].mean(1, keepdims=True), value[:, -6:].mean(1, keepdims=True)
     step = (value - low) / np.maximum(high - low, 1e-9)
