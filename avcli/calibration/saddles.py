@@ -41,6 +41,8 @@ _WIDTHS = (640, 1280, 320)
 _QUICK_WIDTH, _LARGE = 320, 7.0
 """px; a whole board is looked for in a picture of this width first, and taken if its corners are so far apart there. It
 costs a quarter. Of nearer corners one board of derlunz was misread."""
+_UPRIGHT = 0.05
+"""Sine of a row's angle to the vertical up to which it is close whether the row leads to the right or to the left."""
 _MOST_BENT = 0.25
 """What `_bend` gives at most for a board, or a group of corners is no board: it is at most 0.14 on derlunz, dyf and
 fish_1, and mostly more than 0.25 in blotches."""
@@ -496,7 +498,7 @@ def find_board(
         small, scale = reduced(grey, _QUICK_WIDTH)
         known[scale] = _sized_grids(small, inner)
         best = _largest(known[scale], inner, scale)
-        if best is not None and len(best.ids) == total and _least_step(best.pixels) >= _LARGE * scale:
+        if best is not None and len(best.ids) == total and _is_clear(best, inner[0], scale):
             return replace(best, error=scale / 2, quickly=True)
         best = None
     for small, scale in _reduced(grey):
@@ -524,12 +526,14 @@ def _largest(grids: list[Grid], inner: tuple[int, int], scale: float) -> Found |
     return Found(ids, (pixels + 0.5) * scale - 0.5, scale)
 
 
-def _least_step(pixels: np.ndarray) -> float:
-    """Distance of the nearest two of (n, 2) px."""
-    x, y = pixels.T
+def _is_clear(found: Found, columns: int, scale: float) -> bool:
+    """Whether the corners are far apart, and which way the rows lead is not close: the board may be alike both ways."""
+    x, y = found.pixels.T
     squared = np.square(np.subtract.outer(x, x)) + np.square(np.subtract.outer(y, y))
     np.fill_diagonal(squared, np.inf)
-    return float(np.sqrt(squared.min()))
+    column = found.ids % columns
+    way = (column - column.mean()) @ found.pixels
+    return bool(squared.min() >= (_LARGE * scale) ** 2 and abs(way[0]) > _UPRIGHT * np.hypot(*way))
 
 
 def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
