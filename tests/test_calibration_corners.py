@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from calibration_boards import BOARD, THESIS, exact, film, photograph
 
-from avcli.calibration import calibrate, corners, drawing, fit, gather, robust, sharpness, shutter, target
+from avcli.calibration import calibrate, corners, drawing, fit, gather, robust, saddles, sharpness, shutter, target
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
@@ -35,9 +35,27 @@ def error(found, true):
     return min(np.sqrt(((found - true) ** 2).mean()), np.sqrt(((found[::-1] - true) ** 2).mean()))
 
 
+def draw_upright():
+    """A board (480, 640) that faces the camera, its rows to the right."""
+    cells = np.add.outer(np.arange(BOARD.rows), np.arange(BOARD.columns)) % 2
+    picture = np.full((480, 640), 220, np.uint8)
+    picture[40:440, 170:470] = np.kron(np.where(cells == 0, 30, 220), np.ones((50, 50)))
+    return picture
+
+
 def test_corners_are_found_to_a_few_hundredths_of_a_pixel(shots):
     for picture, true in zip(*shots[1:], strict=True):
         assert error(corners.find(picture, BOARD).pixels, true) < 0.06
+
+
+def test_a_very_small_picture_gives_the_same_corners_unless_it_may_turn_the_board(shots):
+    picture = shots[1][0]
+    quick, slow = (saddles.find_board(picture, BOARD.inner, quickly=quickly) for quickly in (True, False))
+    assert quick.quickly
+    assert not slow.quickly
+    assert np.linalg.norm(quick.pixels - slow.pixels, axis=1).max() < quick.error
+    steep = cv2.resize(np.rot90(draw_upright()), None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+    assert not saddles.find_board(np.ascontiguousarray(steep), BOARD.inner).quickly
 
 
 def test_polish_halves_the_error_and_knows_what_is_left(shots):

@@ -19,8 +19,12 @@ LEAST_GUESSED = 16
 """Inner corners of a checkerboard whose size is guessed: noise may look like a smaller one."""
 _AT_ONCE = 96
 """Corners that are polished at once: what they need stays in the processor's cache."""
+_PLANES = 19
+"""Numbers a pixel while corners are polished. Their memory is used again: new memory would cost half the time."""
 PATCH = 12
 """px; half the side of the square around each corner that is kept for `polish`."""
+_STEEP = 1.2
+"""An edge that is blurred by a Gaussian of sd 1 rises about as tanh(1.2 t)."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
         return None
     if board.markers:
         coarse = markers.find(grey, board)
-        found = coarse and (coarse[0], _subpixel(grey, *coarse[1:]))
+        found = coarse and (coarse[0], _subpixel(grey, *coarse[1:])[0])
     elif board.has_circles:
         found = circles.find(grey, board)
     else:
@@ -111,14 +115,18 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 
 
 def _find_checkerboard(
-    grey: np.ndarray, inner: tuple[int, int], thorough: bool
+    grey: np.ndarray, inner: tuple[int, int], thorough: bool, quickly: bool = True
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    found = saddles.find_board(grey, inner, thorough=thorough)
+    found = saddles.find_board(grey, inner, thorough=thorough, quickly=quickly)
     if found is None:
         return None
-    ids, pixels, error = found
-    spacing = _spacing(ids, pixels, inner)
-    return (ids, _subpixel(grey, pixels, spacing, max(error, 1.5))) if (spacing > 1.5).all() else None
+    spacing = _spacing(found.ids, found.pixels, inner)
+    if not (spacing > 1.5).all():
+        return None
+    pixels, lost = _subpixel(grey, found.pixels, spacing, max(found.error, 1.5))
+    if found.quickly and lost.any():  # a larger picture may show better where they are
+        return _find_checkerboard(grey, inner, thorough, quickly=False)
+    return found.ids, pixels
 
 
 def shrunk(grey: np.ndarray) -> np.ndarray:
@@ -140,11 +148,13 @@ def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.
     return nearest.ravel()[ids]
 
 
-def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach: float = np.inf) -> np.ndarray:
-    """Förstner's corner (cv2.cornerSubPix) in a window that suits each corner.
+def _subpixel(
+    grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach: float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Förstner's corner (cv2.cornerSubPix) in a window that suits each corner, and which corners are lost, (n,) bool.
 
     A fixed window of 11 px, as in every tutorial, walks onto the neighbours near the rim. A corner that walks further
-    than `reach` px, or out of its window, stays where it was.
+    than `reach` px, or out of its window, is lost: it stays where it was.
     """
     import cv2
 
@@ -157,7 +167,7 @@ def _subpixel(grey: np.ndarray, corners: np.ndarray, spacing: np.ndarray, reach:
         refined[rows] = cv2.cornerSubPix(grey, points, (int(window), int(window)), (-1, -1), criteria)[:, 0]
     lost = np.linalg.norm(refined - corners, axis=1) > np.minimum(windows, reach)
     refined[lost] = corners[lost]
-    return refined
+    return refined, lost
 
 
 def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
@@ -219,21 +229,23 @@ def polish(
     """
     n = len(pixels)
     out, sd = pixels.copy(), np.full(n, np.inf)
+    room = np.empty(_PLANES * min(n, _AT_ONCE) * _powers(PATCH).shape[1], np.float32)
     for begin in range(0, n, _AT_ONCE):
         part: slice | np.ndarray = slice(begin, begin + _AT_ONCE)
         out[part], sd[part] = _polish_some(
-            patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.02
+            room, patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.02
         )
     slow = np.flatnonzero(~np.isfinite(sd))
     for begin in range(0, len(slow), _AT_ONCE):
         part = slow[begin : begin + _AT_ONCE]
         out[part], sd[part] = _polish_some(
-            patches[part], pixels[part], origins[part], to_board[part], reach, clear, (PATCH,) * 5, 0.05
+            room, patches[part], pixels[part], origins[part], to_board[part], reach, clear, (PATCH,) * 5, 0.05
         )
     return out, sd
 
 
 def _polish_some(
+    room: np.ndarray,
     patches: np.ndarray,
     pixels: np.ndarray,
     origins: np.ndarray,
@@ -245,77 +257,91 @@ def _polish_some(
 ) -> tuple[np.ndarray, np.ndarray]:
     n = len(pixels)
     # Single precision is enough for grey levels; what is solved is double.
-    base = (origins - pixels).astype(np.float32)
-    shift, blur = np.zeros((n, 2), np.float32), np.full(n, 0.8, np.float32)
-    coefficients = np.moveaxis(to_board.astype(np.float32), 2, 0)[..., None]  # (5, n, 2, 1)
-    slope = np.hypot(*coefficients[:2])
+    base, coefficients = origins - pixels, np.moveaxis(to_board, 0, 1)
+    shift, blur = np.zeros((n, 2)), np.full(n, 0.8)
+    slope = np.hypot(to_board[:, :, 0], to_board[:, :, 1]).T  # (2, n)
     half = 0
     for size in rounds:
-        a = _offsets(size)[0] + (base - shift)[:, :1]
-        b = _offsets(size)[1] + (base - shift)[:, 1:]
-        edges = []
-        for axis in (0, 1):
-            c, d, cc, cd, dd = coefficients[:, :, axis]
-            by_a, by_b = c + 2 * cc * a + cd * b, d + cd * a + 2 * dd * b
-            place = (a * (by_a + c) + b * (by_b + d)) / 2  # Euler: of a polynomial of first and second degree
-            edges.append((place, by_a, by_b, blur[:, None] * slope[:, axis]))
-        (x, x_a, x_b, x_width), (y, y_a, y_b, y_width) = edges
+        # How far a pixel is from the edges, in widths of their slope, and how that follows its place: (2, n, pixels).
+        width = blur * slope / _STEEP
+        polynomials = _polynomials(coefficients, base - shift) / width[..., None]
+        powers = _powers(size)
+        count = powers.shape[1]
+        planes = room[: _PLANES * n * count].reshape(_PLANES, n, count)
+        at, by_a, by_b, edge, rise = planes[:10].reshape(5, 2, n, count)
+        mask, columns = planes[10], planes[11:].reshape(n, 8, count)
+        np.matmul(polynomials.astype(np.float32).reshape(-1, 6), powers, out=planes[:6].reshape(-1, count))
         if size != half:
             half, middle = size, slice(PATCH - size, PATCH + size + 1)
+            (x, y), limit = np.abs(at, out=rise), reach / width[..., None].astype(np.float32)
+            inside = (x < limit[0]) & (y < limit[1])
+            if clear < reach:
+                limit *= clear / reach
+                inside &= (x < limit[0]) | (y < limit[1])
+            mask[:] = inside
             # Columns: 1, a, b, saddle, its derivatives to the shift and to the blur, grey; all 0 where masked.
-            columns = np.empty((n, 8, a.shape[1]), np.float32)
-            near, far = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
-            mask = columns[:, 0] = (far < reach) & (near < clear)
+            np.multiply(powers[:3], mask[:, None], out=columns[:, :3])
             grey = patches[:, middle, middle].reshape(n, -1)
-            level = grey.mean(1, dtype=np.float32, keepdims=True)
-            np.multiply(grey - level, mask, out=columns[:, 7])
-        x /= x_width
-        y /= y_width
-        (ex, gx), (ey, gy) = _edge(x), _edge(y)
-        gx *= ey * mask
-        gy *= ex * mask
-        np.multiply(a, mask, out=columns[:, 1])
-        np.multiply(b, mask, out=columns[:, 2])
-        np.multiply(ex * ey, mask, out=columns[:, 3])
-        np.add(gx * x, gy * y, out=columns[:, 6])
-        gx /= -x_width
-        gy /= -y_width
-        np.add(gx * x_a, gy * y_a, out=columns[:, 4])
-        np.add(gx * x_b, gy * y_b, out=columns[:, 5])
+            np.subtract(grey, grey.mean(1, dtype=np.float32, keepdims=True), out=columns[:, 7])
+            columns[:, 7] *= mask
+        np.tanh(at, out=edge)
+        np.multiply(edge, edge, out=rise)
+        np.subtract(1, rise, out=rise)
+        edge *= mask
+        rise *= edge[::-1]
+        np.multiply(edge[0], edge[1], out=columns[:, 3])
+        for column, follows in ((4, by_a), (5, by_b), (6, at)):
+            follows *= rise
+            np.add(follows[0], follows[1], out=columns[:, column])
         normal = (columns @ columns.transpose(0, 2, 1)).astype(float)
         light = normal[:, :4, :4] + 1e-9 * np.eye(4)
-        gain = np.linalg.solve(light, normal[:, :4, 7:])[..., 0]
+        followed = np.linalg.solve(light, normal[:, :4, 4:])
+        gain, normal = followed[..., 3], normal[:, 4:, 4:] - normal[:, 4:, :4] @ followed
         # The derivatives are those of the saddle; the picture's are as many times larger as its contrast.
-        scale = np.ones((n, 8))
-        scale[:, 4:7] = gain[:, 3:]
-        scale[:, 6] /= -blur
-        normal *= scale[:, :, None] * scale[:, None]
-        rest = normal[:, :7, 7] - (normal[:, :7, :4] @ gain[..., None])[..., 0]
-        normal = normal[:, :7, :7]
-        normal += (1e-9 * np.einsum("naa->na", normal)[..., None] + 1e-9) * np.eye(7)
-        step = np.linalg.solve(normal, rest[..., None])[..., 0]
-        shift += np.clip(step[:, 4:6], -0.5, 0.5).astype(np.float32)
-        blur = np.clip(blur + np.clip(step[:, 6], -0.3, 0.3), 0.3, 4.0).astype(np.float32)
-    left = columns[:, 7] - (gain[:, None].astype(np.float32) @ columns[:, :4])[:, 0]
-    count = mask.sum(1).astype(float)
-    noise = np.sqrt((left**2).sum(1) / np.maximum(count - 7, 1))
-    settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, 4:6], axis=1) < still)
-    clear_enough = (count >= 24) & (np.abs(gain[:, 3]) > 3 * noise)
-    inverse = np.linalg.inv(normal)
-    sd = noise * np.sqrt((inverse[:, 4, 4] + inverse[:, 5, 5]) / 2)
+        scale = -gain[:, 3, None] * np.stack([np.ones(n), np.ones(n), 1 / blur], -1)
+        rest, normal = normal[:, :3, 3] * scale, normal[:, :3, :3] * (scale[:, :, None] * scale[:, None])
+        normal += (1e-9 * np.einsum("naa->na", normal)[..., None] + 1e-9) * np.eye(3)
+        inverse = np.linalg.inv(normal)
+        step = (inverse @ rest[..., None])[..., 0]
+        shift += np.clip(step[:, :2], -0.5, 0.5)
+        blur = np.clip(blur + np.clip(step[:, 2], -0.3, 0.3), 0.3, 4.0)
+    left, used = edge[0], mask.sum(1)
+    np.matmul(gain[:, None].astype(np.float32), columns[:, :4], out=left[:, None])
+    left -= columns[:, 7]
+    noise = np.sqrt(np.einsum("np,np->n", left, left) / np.maximum(used - 7, 1))
+    settled = (np.linalg.norm(shift, axis=1) < 1.5) & (np.linalg.norm(step[:, :2], axis=1) < still)
+    clear_enough = (used >= 24) & (np.abs(gain[:, 3]) > 3 * noise)
+    sd = noise * np.sqrt((inverse[:, 0, 0] + inverse[:, 1, 1]) / 2)
     good = np.isfinite(sd) & settled & clear_enough
     return np.where(good[:, None], pixels + shift, pixels), np.where(good, sd, np.inf)
 
 
-def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A blurred edge from -1 to 1 (tanh in place of the error function) and its slope."""
-    value = np.tanh(1.2 * t)
-    return value, 1.2 * (1 - value * value)
+def _polynomials(to_board: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """The board offset of a pixel, and its derivatives to the pixel's place, as polynomials about another middle.
+
+    Args:
+        to_board: (2, n, 5), along each axis of the board, as in `polish`.
+        offset: (n, 2) px, of the new middle from the corner.
+
+    Returns:
+        (3, 2, n, 6): the offset, its derivatives to a and to b; of each the coefficients of `_powers`.
+    """
+    c, d, cc, cd, dd = np.moveaxis(to_board, 2, 0)
+    a, b = offset.T
+    by_a, by_b, none = c + 2 * cc * a + cd * b, d + cd * a + 2 * dd * b, np.zeros_like(c)
+    middle = (a * (by_a + c) + b * (by_b + d)) / 2  # Euler: of a polynomial of first and second degree
+    return np.stack(
+        [
+            np.stack([middle, by_a, by_b, cc, cd, dd], -1),
+            np.stack([by_a, 2 * cc, cd, none, none, none], -1),
+            np.stack([by_b, cd, 2 * dd, none, none, none], -1),
+        ]
+    )
 
 
 @cache
-def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets of the pixels of a patch along u and v, (pixels,) each."""
+def _powers(half: int) -> np.ndarray:
+    """The powers 1, a, b, a², ab, b² of the offsets of a patch's pixels along u and v, (6, pixels)."""
     span = np.arange(-half, half + 1)
-    dv, du = (a.ravel().astype(np.float32) for a in np.meshgrid(span, span, indexing="ij"))
-    return du, dv
+    b, a = (grid.ravel().astype(np.float32) for grid in np.meshgrid(span, span, indexing="ij"))
+    return np.stack([np.ones_like(a), a, b, a * a, a * b, b * b])

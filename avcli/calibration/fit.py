@@ -224,35 +224,37 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
 # --- one step ---------------------------------------------------------------------------------------------------------
 
 
-def _linearise(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whitened residuals (n, 2) and their derivatives to the common unknowns (n, 2, P) and to the pose (n, 2, 6)."""
+def _linearise(observations: Observations, solution: Solution) -> np.ndarray:
+    """Whitened derivatives to the k free common unknowns and to the pose, and residuals, (n, 2, k + 6 + 1)."""
     o, s = observations, solution
     R = s.rotations[o.view]
-    turned = (R @ places(o, s)[:, :, None])[:, :, 0]
+    turned = np.einsum("nij,nj->ni", R, places(o, s))
     pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])
-    residual = o.pixels - pixels
-    own = np.empty((len(turned), 2, 6))
-    own[:, :, 3:] = by_point
-    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):  # the cross product of the point with the derivative
-        own[:, :, axis] = turned[:, None, i] * by_point[:, :, j] - turned[:, None, j] * by_point[:, :, i]
-    common = np.zeros((len(turned), 2, by_lens.shape[2] + SHAPE))
-    common[:, :, :-SHAPE] = by_lens
-    if s.free[-SHAPE:].any():
+    of_lens, of_shape = s.free[:-SHAPE], s.free[-SHAPE:]
+    first, k = int(of_lens.sum()), int(s.free.sum())
+    columns = np.empty((len(turned), 2, k + 7))
+    columns[:, :, :first] = by_lens if of_lens.all() else by_lens[:, :, of_lens]
+    if of_shape.any():
         u, v = (o.points / o.half_extent).T
         bend = np.stack([R[:, :, 2] * (1 - u**2)[:, None], R[:, :, 2] * (1 - v**2)[:, None]], -1)
-        common[:, :, -SHAPE:-1] = by_point @ bend
-        common[:, :, -1] = (by_point @ R[:, :, 1:2])[:, :, 0] * o.points[:, 1:]
-    if not np.isfinite(residual.sum() + own.sum() + by_lens.sum()):
-        unseen = ~(np.isfinite(residual).all(1) & np.isfinite(own).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
-        residual[unseen], common[unseen], own[unseen] = [_UNSEEN_PX, 0.0], 0.0, 0.0
-    scale = 1.0 / o.sigma
-    return residual * scale[:, None], common * scale[:, None, None], own * scale[:, None, None]
+        longer = (by_point @ R[:, :, 1:2]) * o.points[:, None, 1:]
+        columns[:, :, first:k] = np.concatenate([by_point @ bend, longer], 2)[:, :, of_shape]
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1)), k):  # the cross product of the point with the derivative
+        columns[:, :, axis] = turned[:, None, i] * by_point[:, :, j] - turned[:, None, j] * by_point[:, :, i]
+    columns[:, :, k + 3 : -1] = by_point
+    np.subtract(o.pixels, pixels, out=columns[:, :, -1])
+    if not np.isfinite(columns.sum()):
+        unseen = ~np.isfinite(columns).all((1, 2))
+        columns[unseen] = 0.0
+        columns[unseen, 0, -1] = _UNSEEN_PX
+    columns /= o.sigma[:, None, None]
+    return columns
 
 
 def by_pose(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (n, 2) px, and how the projections follow a turn (rad) and a shift (m) of the board, (n, 2, 6)."""
-    residual, _, own = _linearise(replace(observations, sigma=np.ones(len(observations.sigma))), solution)
-    return residual, own
+    columns = _linearise(replace(observations, sigma=np.ones(len(observations.sigma))), solution)
+    return columns[:, :, -1], columns[:, :, -7:-1]
 
 
 def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -274,11 +276,10 @@ def blocks(observations: Observations, solution: Solution, used: np.ndarray | No
         held: 1 / m²; where it is above 0 the corners' places on the board are unknown too, held at the print's.
     """
     o = observations
-    residual, common, own = _linearise(o, solution)
-    cost, weight = _huber(residual, solution.delta_px)
+    columns = _linearise(o, solution)
+    cost, weight = _huber(columns[:, :, -1], solution.delta_px)
     if used is not None:
         cost, weight = cost * used, weight * used
-    columns = np.concatenate([common[:, :, solution.free], own, residual[:, :, None]], 2)
     columns *= np.sqrt(weight)[:, None, None]
     counts = 2.0 * (np.bincount(o.view, used, o.views) if used is not None else np.bincount(o.view))
     size, corners = columns.shape[2], 0
@@ -385,9 +386,9 @@ def refine_poses(
     damping = np.full(observations.views, 1e-3)
 
     def normal(trial: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        residual, _, own = _linearise(observations, trial)
-        cost, weight = _huber(residual, delta)
-        columns = np.concatenate([own, residual[:, :, None]], 2) * np.sqrt(weight)[:, None, None]
+        columns = _linearise(observations, trial)
+        cost, weight = _huber(columns[:, :, -1], delta)
+        columns *= np.sqrt(weight)[:, None, None]
         G = observations.gram(columns)
         return observations.per_view(cost), G[:, :6, :6], G[:, :6, 6]
 
@@ -496,7 +497,7 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     return refine_poses(observations, start_from_rays(observations, lens), 6, gain=1e-3)
 
 
-def _thinned(observations: Observations, most: int = 16) -> Observations:
+def _thinned(observations: Observations, most: int = 9) -> Observations:
     """At most so many corners of each view, spread over the board."""
     keep = np.zeros(len(observations.view), bool)
     for start, count in zip(observations.starts, np.bincount(observations.view), strict=True):

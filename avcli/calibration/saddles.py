@@ -9,7 +9,7 @@ with one (compare Geiger et al. 2012, who grow boards from corner prototypes, an
 import itertools
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,11 @@ _BEYOND = 3
 """Corners by which a grid, with clutter beside it, may be longer than the board that is wanted and is still grown."""
 _WIDTHS = (640, 1280, 320)
 """px; boards are looked for in pictures reduced to these widths: small ones are quick, and hide blur and noise."""
+_QUICK_WIDTH, _LARGE = 320, 7.0
+"""px; a whole board is looked for in a picture of this width first, and taken if its corners are so far apart there. It
+costs a quarter. Of nearer corners one board of derlunz was misread."""
+_UPRIGHT = 0.05
+"""Sine of a row's angle to the vertical up to which it is close whether the row leads to the right or to the left."""
 _MOST_BENT = 0.25
 """What `_bend` gives at most for a board, or a group of corners is no board: it is at most 0.14 on derlunz, dyf and
 fish_1, and mostly more than 0.25 in blotches."""
@@ -179,16 +184,18 @@ def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -
     turn = 2 * np.pi * np.arange(_RING) / _RING
     ring = relief.sample(pixels[:, :1] + radius * np.cos(turn), pixels[:, 1:] + radius * np.sin(turn))
     # Opposite samples agree around a saddle; their mean is free of a slope of the light.
-    both = (ring[:, : _RING // 2] + ring[:, _RING // 2 :]) / 2
+    opposite = ring[:, _RING // 2 :]
+    both = (ring[:, : _RING // 2] + opposite) / 2
     low, high = both.min(1), both.max(1)
-    level = (low + high)[:, None] / 2
+    contrast = high - low
+    skew = np.abs(ring[:, : _RING // 2] - opposite).mean(1)
+    index = np.flatnonzero((contrast > _LEAST_CONTRAST) & (skew < 0.45 * contrast))
+    ring, level = ring[index], (low[index] + high[index])[:, None] / 2
     bright = ring > level
-    rising = ~bright & np.roll(bright, -1, 1)
-    falling = bright & np.roll(~bright, -1, 1)
-    skew = np.abs(ring[:, : _RING // 2] - ring[:, _RING // 2 :]).mean(1)
-    good = (rising.sum(1) == 2) & (falling.sum(1) == 2) & (high - low > _LEAST_CONTRAST)
-    good &= skew < 0.45 * (high - low)
-    ring, level, rising, falling = ring[good], level[good], rising[good], falling[good]
+    following = np.roll(bright, -1, 1)
+    rising, falling = ~bright & following, bright & ~following
+    good = (rising.sum(1) == 2) & (falling.sum(1) == 2)
+    index, ring, level, rising, falling = (part[good] for part in (index, ring, level, rising, falling))
     n = len(ring)
 
     def crossings(where: np.ndarray) -> np.ndarray:
@@ -205,9 +212,8 @@ def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -
     straight = (np.abs(_turned(arms[:, 0] + np.pi - arms[:, 2])) < 0.5) & (
         np.abs(_turned(arms[:, 1] + np.pi - arms[:, 3])) < 0.5
     )
-    index = np.flatnonzero(good)[straight]
     chosen = np.zeros(len(pixels), bool)
-    chosen[index] = True
+    chosen[index[straight]] = True
     return _Corners(pixels[chosen], arms[straight]), chosen
 
 
@@ -457,33 +463,77 @@ def find_grids(
     return sorted(out, key=lambda grid: -len(grid.pixels))
 
 
+@dataclass(frozen=True)
+class Found:
+    """A board in a picture.
+
+    Attributes:
+        ids: (n,) of its corners, ascending.
+        pixels: (n, 2) px.
+        error: px, how far they may be off.
+        quickly: whether it was found in a very small picture.
+    """
+
+    ids: np.ndarray
+    pixels: np.ndarray
+    error: float
+    quickly: bool = False
+
+
 def find_board(
-    grey: np.ndarray, inner: tuple[int, int], *, thorough: bool = True
-) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Find a checkerboard of `inner` corners along a row and a column; None where there is none.
+    grey: np.ndarray, inner: tuple[int, int], *, thorough: bool = True, quickly: bool = True
+) -> Found | None:
+    """Find a checkerboard of `inner` corners along a row and a column, at least four fifths of it; None without one.
 
     Args:
         grey: (height, width) uint8.
         inner: of the whole board: a part of a larger one is not taken for it.
         thorough: look for small, oblique and blurred boards even where nothing speaks for one.
-
-    Returns:
-        ids (n,) of the board's corners, ascending, at least four fifths of them; pixels (n, 2); and how far they may be
-        off, px: one pixel of the reduced picture.
+        quickly: take a large board, wholly seen, from a very small picture.
     """
-    best: tuple[np.ndarray, np.ndarray, float] | None = None
+    best: Found | None = None
     total = inner[0] * inner[1]
+    known: dict[float, list[Grid]] = {}
+    if quickly:
+        small, scale = reduced(grey, _QUICK_WIDTH)
+        known[scale] = _sized_grids(small, inner)
+        best = _largest(known[scale], inner, scale)
+        if best is not None and len(best.ids) == total and _is_clear(best, inner[0], scale):
+            return replace(best, error=scale / 2, quickly=True)
+        best = None
     for small, scale in _reduced(grey):
-        grids = find_grids(small, least=max(6, total // 4), most=max(inner) + _BEYOND)
-        for grid in grids:
-            found = grid.as_board(inner)
-            if found is not None and (best is None or len(found[0]) > len(best[0])):
-                best = found[0], (found[1] + 0.5) * scale - 0.5, scale
-        if best is not None and len(best[0]) == total:
+        grids = known[scale] if scale in known else _sized_grids(small, inner)
+        found = _largest(grids, inner, scale)
+        if found is not None and (best is None or len(found.ids) > len(best.ids)):
+            best = found
+        if best is not None and len(best.ids) == total:
             break
         if not thorough and not grids:
             break
     return best
+
+
+def _sized_grids(small: np.ndarray, inner: tuple[int, int]) -> list[Grid]:
+    return find_grids(small, least=max(6, inner[0] * inner[1] // 4), most=max(inner) + _BEYOND)
+
+
+def _largest(grids: list[Grid], inner: tuple[int, int], scale: float) -> Found | None:
+    """The most complete board of `inner` corners among grids of a picture that was reduced by `scale`."""
+    boards = [board for grid in grids if (board := grid.as_board(inner)) is not None]
+    if not boards:
+        return None
+    ids, pixels = max(boards, key=lambda board: len(board[0]))
+    return Found(ids, (pixels + 0.5) * scale - 0.5, scale)
+
+
+def _is_clear(found: Found, columns: int, scale: float) -> bool:
+    """Whether the corners are far apart, and which way the rows lead is not close: the board may be alike both ways."""
+    x, y = found.pixels.T
+    squared = np.square(np.subtract.outer(x, x)) + np.square(np.subtract.outer(y, y))
+    np.fill_diagonal(squared, np.inf)
+    column = found.ids % columns
+    way = (column - column.mean()) @ found.pixels
+    return bool(squared.min() >= (_LARGE * scale) ** 2 and abs(way[0]) > _UPRIGHT * np.hypot(*way))
 
 
 def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -123,20 +124,35 @@ def advice(views: Sequence[HasBlur], names: Sequence[str]) -> list[str]:
 def _edges(cells: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middles of the edges between neighbours, the way along each, and the way across to the next edge, (m, 2) px."""
     low = cells.min(0)
-    grid = np.full((*(cells.max(0) - low + 1), 2), np.nan)
-    grid[tuple((cells - low).T)] = pixels
+    columns, rows = (cells.max(0) - low + 1).tolist()
+    grid = np.full((columns * rows + 1, 2), np.nan)
+    grid[(cells - low) @ (rows, 1)] = pixels
+    # (m, 3, 2, 2): an edge, the one after it and the one before it; both ends of each.
+    ends = grid[_beside(columns, rows)]
+    middles = (ends[:, :, 0] + ends[:, :, 1]) / 2
+    after, before = middles[:, 1] - middles[:, 0], middles[:, 0] - middles[:, 2]
+    nearer = np.nan_to_num((after**2).sum(-1), nan=np.inf) <= np.nan_to_num((before**2).sum(-1), nan=np.inf)
+    across = np.where(nearer[:, None], after, before)
+    along = ends[:, 0, 1] - ends[:, 0, 0]
+    good = np.isfinite(along[:, 0] + across[:, 0])
+    return middles[good, 0], along[good], across[good]
+
+
+@lru_cache(64)
+def _beside(columns: int, rows: int) -> np.ndarray:
+    """Of a grid the edges between neighbours, each with the next and the last edge beside it, and the ends of each.
+
+    Returns:
+        (edges, 3, 2), places of corners in the grid, column by column; the one after the last where there is none.
+    """
+    places = np.full((columns + 2, rows + 2), columns * rows)
+    places[1:-1, 1:-1] = np.arange(columns * rows).reshape(columns, rows)
     found = []
-    for lattice in (grid, grid.swapaxes(0, 1)):  # edges along the first axis; their neighbours are along the second
-        here, there = lattice[:-1], lattice[1:]
-        across = np.diff((here + there) / 2, axis=1)
-        gap = np.full((len(here), 1, 2), np.nan)
-        before, after = np.concatenate([gap, -across], 1), np.concatenate([across, gap], 1)
-        nearer = np.nan_to_num((after**2).sum(-1), nan=np.inf) <= np.nan_to_num((before**2).sum(-1), nan=np.inf)
-        edges = np.stack([(here + there) / 2, there - here, np.where(nearer[..., None], after, before)], -2)
-        edges = edges.reshape(-1, 3, 2)
-        found.append(edges[np.isfinite(edges).all((1, 2))])
-    middles, along, across = np.moveaxis(np.concatenate(found), 1, 0)
-    return middles, along, across
+    for lattice in (places, places.T):  # edges along the first axis; their neighbours are along the second
+        here, there = lattice[1:-2], lattice[2:-1]
+        ends = np.stack([here, there], -1)
+        found.append(np.stack([ends[:, 1:-1], ends[:, 2:], ends[:, :-2]], 2).reshape(-1, 3, 2))
+    return np.concatenate(found)
 
 
 def _width(
@@ -147,17 +163,20 @@ def _width(
 
     s = np.linspace(-1.0, 1.0, _SAMPLES)
     lines = middles[:, None] + _LINES[:, None] * along[:, None]
-    at = (lines[:, :, None] + (reach[:, None] * s)[:, None, :, None] * normal[:, None, None]).reshape(
-        len(middles), -1, 2
+    away = reach[:, None] * s
+    x, y = (
+        (lines[:, :, axis, None] + (away * normal[:, axis, None])[:, None]).astype(np.float32).reshape(len(middles), -1)
+        for axis in (0, 1)
     )
-    value = cv2.remap(
-        grey, at[..., 0].astype(np.float32), at[..., 1].astype(np.float32), cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT, borderValue=0,
-    ).reshape(-1, _SAMPLES).astype(float)  # fmt: skip
+    value = (
+        cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        .reshape(-1, _SAMPLES)
+        .astype(float)
+    )
     value *= np.where(value[:, -6:].mean(1) < value[:, :6].mean(1), -1.0, 1.0)[:, None]
     low, high = value[:, :6].mean(1, keepdims=True), value[:, -6:].mean(1, keepdims=True)
     step = (value - low) / np.maximum(high - low, 1e-9)
-    quarter, middle, last = (_crossing(step, level) for level in (0.25, 0.5, 0.75))
+    quarter, middle, last = _crossings(step, np.array([0.25, 0.5, 0.75]))
     fine = (high - low)[:, 0] > _LEAST_CONTRAST
     fine &= (np.abs(middle - (_SAMPLES - 1) / 2) < 0.3 * _SAMPLES) & (last > quarter)
     width = np.sort(np.where(fine, last - quarter, np.nan).reshape(len(middles), -1), axis=1)
@@ -165,16 +184,15 @@ def _width(
     return median * 2 * reach / (_SAMPLES - 1) / _GAUSSIAN
 
 
-def _crossing(step: np.ndarray, level: float) -> np.ndarray:
-    """Where each row (n, m), noisy but rising, passes a level, in samples: the mean of its first and last passage."""
-    above = step > level
+def _crossings(step: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Where each row (n, m), noisy but rising, passes levels (k,), (k, n) samples: mean of first and last passage."""
+    above = step > levels[:, None, None]
     m = step.shape[1]
-    first = np.clip(above.argmax(1), 1, m - 1)
-    last = np.clip(m - 1 - (~above[:, ::-1]).argmax(1), 0, m - 2)
+    first = np.clip(above.argmax(2), 1, m - 1)
+    last = np.clip(m - 1 - (~above[:, :, ::-1]).argmax(2), 0, m - 2)
+    index = np.stack([first - 1, last])
     rows = np.arange(len(step))
-
-    def between(index: np.ndarray) -> np.ndarray:
-        a, b = step[rows, index], step[rows, index + 1]
-        return index + np.clip((level - a) / np.where(np.abs(b - a) < 1e-9, 1e-9, b - a), 0.0, 1.0)
-
-    return (between(first - 1) + between(last)) / 2
+    a, b = step[rows, index], step[rows, index + 1]
+    rise = b - a
+    part = (levels[:, None] - a) / np.where(np.abs(rise) < 1e-9, 1e-9, rise)
+    return (index + np.clip(part, 0.0, 1.0)).sum(0) / 2
