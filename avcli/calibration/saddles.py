@@ -41,6 +41,8 @@ _WIDTHS = (640, 1280, 320)
 _QUICK_WIDTH, _LARGE = 320, 7.0
 """px; a whole board is looked for in a picture of this width first, and taken if its corners are so far apart there. It
 costs a quarter. Of nearer corners one board of derlunz was misread."""
+_CROWD = 3
+"""Times a board's corners that may be in that picture: of more it costs too much to tell them from clutter."""
 _UPRIGHT = 0.05
 """Sine of a row's angle to the vertical up to which it is close whether the row leads to the right or to the left."""
 _MOST_BENT = 0.25
@@ -421,7 +423,13 @@ def _is_cut(every: np.ndarray, left: np.ndarray) -> bool:
 
 
 def find_grids(
-    grey: np.ndarray, *, blur: float = 1.2, radius: float = 4.0, least: int = 9, most: float = np.inf
+    grey: np.ndarray,
+    *,
+    blur: float = 1.2,
+    radius: float = 4.0,
+    least: int = 9,
+    most: float = np.inf,
+    crowd: float = np.inf,
 ) -> list[Grid]:
     """Find the checkerboards in a picture, the largest first; parts of a board count as boards.
 
@@ -431,12 +439,15 @@ def find_grids(
         radius: px, of the circle around a corner on which dark and bright must take turns twice.
         least: corners of a grid.
         most: corners along a grid from which it is not made longer.
+        crowd: corners in the picture beyond which no grid is looked for.
     """
     relief = _Relief(grey, blur)
     peaks = relief.peaks()
     if len(peaks) < least:
         return []
     corners, _ = _verified(relief, relief.settled(peaks), radius)
+    if len(corners.pixels) > crowd:
+        return []
     out: list[Grid] = []
     largest = 0
     for found in _labelled(*_neighbours(corners))[:_GRIDS]:
@@ -493,16 +504,14 @@ def find_board(
     """
     best: Found | None = None
     total = inner[0] * inner[1]
-    known: dict[float, list[Grid]] = {}
     if quickly:
         small, scale = reduced(grey, _QUICK_WIDTH)
-        known[scale] = _sized_grids(small, inner)
-        best = _largest(known[scale], inner, scale)
+        best = _largest(_sized_grids(small, inner, _CROWD * total), inner, scale)
         if best is not None and len(best.ids) == total and _is_clear(best, inner[0], scale):
             return replace(best, error=scale / 2, quickly=True)
         best = None
     for small, scale in _reduced(grey):
-        grids = known[scale] if scale in known else _sized_grids(small, inner)
+        grids = _sized_grids(small, inner)
         found = _largest(grids, inner, scale)
         if found is not None and (best is None or len(found.ids) > len(best.ids)):
             best = found
@@ -513,8 +522,8 @@ def find_board(
     return best
 
 
-def _sized_grids(small: np.ndarray, inner: tuple[int, int]) -> list[Grid]:
-    return find_grids(small, least=max(6, inner[0] * inner[1] // 4), most=max(inner) + _BEYOND)
+def _sized_grids(small: np.ndarray, inner: tuple[int, int], crowd: float = np.inf) -> list[Grid]:
+    return find_grids(small, least=max(6, inner[0] * inner[1] // 4), most=max(inner) + _BEYOND, crowd=crowd)
 
 
 def _largest(grids: list[Grid], inner: tuple[int, int], scale: float) -> Found | None:
