@@ -15,6 +15,7 @@
 #: make datasets      MOT25A, MOT25V, MOT25AV, MOT26 in out/datasets, in MOTChallenge's layout (DATASETS_FLAGS)
 #: make bench-datasets            trackers on them: BENCH_FLAGS="--data out/datasets/MOT26"
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
+#: make bench-pipe                one experiment as one pipe: wall time, and the share of each stage
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
@@ -58,8 +59,8 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long \
-           real-video real-audio datasets
+BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live pipe \
+           long real-video real-audio datasets
 FITS := localization directions voice detection looks tracking existence
 
 # The matrices are small: threads inside BLAS cost more than they bring.

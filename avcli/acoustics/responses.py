@@ -39,6 +39,7 @@ class Responses:
         fresh: bool = False,
     ):
         self._surroundings, self._length, self._rng, self._fresh = surroundings, length, rng, fresh
+        self._error_db = error_db
         lowpass, edge = _lowpass(length, band, error_db)
         self._spectrum = DelaySpectrum(length, edge, error_db)
         self.bins = self._spectrum.bins
@@ -152,7 +153,7 @@ class Responses:
             kept = audible(delays, loudness * far, s.error_db)
             images, gains, amplitudes = images[kept], gains[kept], amplitudes[kept]
         self._walls.append(gains[:, self._used])
-        return images
+        return images.in_precision_for(self._error_db)
 
     def _arrivals(
         self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray
@@ -183,7 +184,8 @@ class Responses:
                 towards = s.bands.towards(-(heading[:, None] * away).sum(axis=0))
         # Sound that is emitted in ds is heard in (1 − n·v_source/c) / (1 − n·v_microphone/c) ds, and is louder the
         # shorter that is; the motion of a microphone does not change the pressure at its position.
-        amplitudes /= 1 - receding
+        if not np.isscalar(receding):
+            amplitudes /= 1 - receding
         distances *= s.samples_per_m
         return distances, amplitudes, towards
 
