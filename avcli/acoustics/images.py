@@ -20,7 +20,7 @@ NEAREST_M = 0.001
 WHOLE_DB = -55.0
 """dB; for a smaller error all images are taken, which costs less than a choice among them."""
 SINGLE_DB = -60.0
-"""dB; for an error that is not smaller, single precision is enough: in S1 it leaves -88 dB, from 8 to 11 kHz -77 dB."""
+"""dB; for a larger error single precision is enough: in S1 it leaves -88 dB, from 8 to 11 kHz -77 dB."""
 MOST_IMAGES = 10_000_000
 """images of one microphone; beyond them a response would take gigabytes and seconds."""
 
@@ -60,7 +60,7 @@ class Images:
 
     def in_precision_for(self, error_db: float) -> "Images":
         """Return the images in single precision where that leaves a smaller error than this, dB."""
-        if error_db < SINGLE_DB:
+        if error_db <= SINGLE_DB:
             return self
         return Images(self.positions.astype(np.float32), self.gains.astype(np.float32), self.mirrored)
 
@@ -289,7 +289,7 @@ class DelaySpectrum:
         fractions = (np.arange(self.ROWS) + 0.5) / self.ROWS
         taps = [kernel(1 + k - width / 2 - fractions) for k in range(width)] + [np.zeros(self.ROWS)] * (width % 2)
         # Two taps that are neighbours are spread at once, as the parts of a complex number.
-        pair = np.complex64 if error_db >= SINGLE_DB else np.complex128
+        pair = np.complex64 if error_db > SINGLE_DB else np.complex128
         self._taps = [(one + 1j * other).astype(pair) for one, other in zip(taps[::2], taps[1::2], strict=True)]
         nodes, weights = np.polynomial.legendre.leggauss(32 + 4 * width)
         cells = nodes * width / 2
