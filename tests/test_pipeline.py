@@ -314,7 +314,7 @@ def copy_beginning(experiment: Path, copy: Path, seconds: float) -> None:
 def test_the_examples_of_the_manual_run(finished_s1, tmp_path, command):
     from test_house import examples_of, page_of
 
-    copy_beginning(finished_s1, tmp_path / "out" / "s1", 0.5)
+    copy_beginning(finished_s1, tmp_path / "out" / "s1", 1.5)
     environment, nursery = write_shims(tmp_path / "bin")
     for block in examples_of(page_of(command)):
         if re.search(r"\bjq\b", block) and not shutil.which("jq"):
