@@ -64,7 +64,7 @@ BENCHES := scene sensor audio localization faults detection tracking metrics cal
 FITS := localization directions voice detection looks tracking existence
 
 # The stages that do not wait for each other run at once, unless make -j1; what measures time runs alone.
-ifeq ($(filter bench-% fit-%,$(MAKECMDGOALS)),)
+ifeq ($(filter bench% fit-% stress thesis study,$(MAKECMDGOALS)),)
 MAKEFLAGS += -j2
 endif
 
