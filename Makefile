@@ -1,6 +1,6 @@
 #: make s1            one experiment: simulate, detect, fuse, score; prints a table, writes out/s1/report.html
 #: make s1-audio      the same with microphones alone (nothing is rendered); s1-video camera alone; s1-both fused alone
-#: make all           s1 s2 s3 s4 and the combined table (make -j2 all uses two cores)
+#: make all           s1 s2 s3 s4 and the combined table (two stages at once; make -j4 all uses four cores)
 #: make run SCENARIO=mine.json [MODALITIES=all|audio|video|both]      your own scenario, in out/mine
 #: make setup         the virtual environment with everything that the targets need; each target calls it
 #: make test          the tests
@@ -15,6 +15,7 @@
 #: make datasets      MOT25A, MOT25V, MOT25AV, MOT26 in out/datasets, in MOTChallenge's layout (DATASETS_FLAGS)
 #: make bench-datasets            trackers on them: BENCH_FLAGS="--data out/datasets/MOT26"
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
+#: make bench-pipe                one experiment as one pipe: wall time, and the share of each stage
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
@@ -58,9 +59,14 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live long \
-           real-video real-audio datasets
+BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live pipe \
+           long real-video real-audio datasets
 FITS := localization directions voice detection looks tracking existence
+
+# The stages that do not wait for each other run at once, unless make -j1; what measures time runs alone.
+ifeq ($(filter bench% fit-% stress thesis study,$(MAKECMDGOALS)),)
+MAKEFLAGS += -j2
+endif
 
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1

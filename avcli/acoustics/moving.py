@@ -67,6 +67,8 @@ class MovingSource:
         self._last: float = np.inf  # the last node
         self._heading = np.asarray(heading, dtype=float)
 
+        self._origin = 0  # the first sample
+        self._spectra: dict[int, np.ndarray] = {}  # number of a block of the signal -> what is heard of it so far
         self._pending_begin, self._pending = 0, np.zeros(0)
         self._pending_place: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # position, heading, microphones
         self._transfer: np.ndarray | None = None
@@ -85,7 +87,7 @@ class MovingSource:
             ValueError: the time does not increase, or `dry` has another length.
         """
         if self._way.time is None:
-            self._begin = self._pending_begin = first_sample(time_s, self._surroundings.sample_rate_hz)
+            self._begin = self._origin = self._pending_begin = first_sample(time_s, self._surroundings.sample_rate_hz)
             self._heard = Heard(len(self._surroundings.microphones_m), self._begin - self._margin)
         for part in self._way.to(time_s, position_m, dry):
             self._go(part)
@@ -102,12 +104,16 @@ class MovingSource:
             )
             self._render()
             self._convolve(len(self._pending))
+            self._settle(np.inf)
         self._last = -np.inf
 
     @property
     def settled(self) -> float:
         """The sample before which the sound does not change any more; infinite when all is settled."""
-        return np.inf if self._last == -np.inf else self._pending_begin - self._margin
+        if self._last == -np.inf:
+            return np.inf
+        next_block = (self._pending_begin - self._origin) // self._block
+        return self._origin + min([*self._spectra, next_block]) * self._block - self._margin
 
     @property
     def bounded(self) -> bool:
@@ -204,30 +210,49 @@ class MovingSource:
                 )
             # Sound before the next node's reach is complete.
             reached = int(np.searchsorted(self._path, self._node + 1 - nodes.half_width, side="right"))
-            complete = self._begin + reached - self._pending_begin
-            while complete >= self._block:
-                self._convolve(self._block)
-                complete -= self._block
+            while (left := self._left_of_block()) <= self._begin + reached - self._pending_begin:
+                self._convolve(left)
             self._dry, self._path, self._begin = self._dry[reached:], self._path[reached:], self._begin + reached
             self._node += 1
             self.passed += 1
+        self._settle(self._pending_begin)
+
+    def _left_of_block(self) -> int:
+        """Return how many samples are left of the block in which the first pending sample is."""
+        return self._block - (self._pending_begin - self._origin) % self._block
 
     def _convolve(self, count: int) -> None:
         """Send the first `count` pending samples through the room."""
-        for start in range(0, count, self._block):
-            block = self._pending[start : min(start + self._block, count)]
-            sounding = np.flatnonzero(block)
-            if len(sounding) == 0:
-                continue
-            if self._transfer is None:
-                assert self._pending_place is not None  # pending sound has a position
-                self._transfer = self._responses.at(*self._pending_place)
-                self.computed += 1
-            emitted = np.fft.rfft(block, self._length)[: self._responses.bins]
-            count_heard = len(block) + self._surroundings.longest_delay + 2 * self._margin
-            sound = np.fft.irfft(emitted * self._transfer, self._length)[:, :count_heard]
-            self._heard.add(slice(None), self._pending_begin + start - self._margin, sound)
-        self._pending, self._pending_begin = self._pending[count:], self._pending_begin + count
+        while count > 0:
+            length = min(count, self._left_of_block())
+            self._emit(self._pending[:length])
+            self._pending, self._pending_begin = self._pending[length:], self._pending_begin + length
+            count -= length
+
+    def _emit(self, sound: np.ndarray) -> None:
+        """Add what is heard of the first pending samples to the spectra of their block."""
+        if not sound.any():
+            return
+        if self._transfer is None:
+            assert self._pending_place is not None  # pending sound has a position
+            self._transfer = self._responses.at(*self._pending_place)
+            self.computed += 1
+        number, offset = divmod(self._pending_begin - self._origin, self._block)
+        block = np.zeros(self._length)
+        block[offset : offset + len(sound)] = sound
+        heard = np.fft.rfft(block)[: self._responses.bins] * self._transfer
+        if number in self._spectra:
+            self._spectra[number] += heard
+        else:
+            self._spectra[number] = heard
+
+    def _settle(self, before: float) -> None:
+        """Turn the spectra of the blocks that end before a sample into sound: positions that overlap share one FFT."""
+        for number in list(self._spectra):
+            begin = self._origin + number * self._block
+            if begin + self._block <= before:
+                sound = np.fft.irfft(self._spectra.pop(number), self._length)
+                self._heard.add(slice(None), begin - self._margin, sound)
 
 
 def first_sample(time_s: float, sample_rate_hz: float) -> int:

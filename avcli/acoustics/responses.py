@@ -39,6 +39,7 @@ class Responses:
         fresh: bool = False,
     ):
         self._surroundings, self._length, self._rng, self._fresh = surroundings, length, rng, fresh
+        self._error_db = error_db
         lowpass, edge = _lowpass(length, band, error_db)
         self._spectrum = DelaySpectrum(length, edge, error_db)
         self.bins = self._spectrum.bins
@@ -47,6 +48,7 @@ class Responses:
         self._images: list[Images] = []
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
+        self._continued = self._tail_end > self._tail_begin  # by noise
         self._rt60_s = np.array([surroundings.rt60_s]) if surroundings.bands is None else surroundings.bands.rt60_s
         self._levels = np.zeros((len(self._rt60_s), len(surroundings.microphones_m)))
         self.bounded = False
@@ -70,7 +72,7 @@ class Responses:
         for delays, _ in impulses:
             delays += self._surroundings.margin
         spectra = self.joined(self._spectrum(impulses))
-        if self._rng is not None and self._tail_end > self._tail_begin:
+        if self._rng is not None and self._continued:
             if self._tail is None or self._fresh:
                 self._tail = (self._drawn(self._rng) * self._levels[:, :, None]).sum(axis=0)
             spectra += self._tail
@@ -143,16 +145,18 @@ class Responses:
             images = Images(images.positions, np.sign(images.gains), images.mirrored)
         delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, np.zeros((1, 3)))
         heard = gains if towards is None else gains * towards
-        reference = TAIL_REFERENCE_S * s.sample_rate_hz
-        last = delays > self._tail_begin - reference
-        self._levels[:, microphone] = np.sqrt(np.sum((amplitudes[last, None] * heard[last]) ** 2, axis=0) / reference)
+        if self._continued:
+            reference = TAIL_REFERENCE_S * s.sample_rate_hz
+            last = delays > self._tail_begin - reference
+            energies = np.sum((amplitudes[last, None] * heard[last]) ** 2, axis=0)
+            self._levels[:, microphone] = np.sqrt(energies / reference)
         if s.error_db is not None:
             far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
             loudness = amplitudes if s.bands is None else amplitudes * np.sqrt(np.mean(heard**2, axis=1))
             kept = audible(delays, loudness * far, s.error_db)
             images, gains, amplitudes = images[kept], gains[kept], amplitudes[kept]
         self._walls.append(gains[:, self._used])
-        return images
+        return images.in_precision_for(self._error_db)
 
     def _arrivals(
         self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray
@@ -183,7 +187,8 @@ class Responses:
                 towards = s.bands.towards(-(heading[:, None] * away).sum(axis=0))
         # Sound that is emitted in ds is heard in (1 − n·v_source/c) / (1 − n·v_microphone/c) ds, and is louder the
         # shorter that is; the motion of a microphone does not change the pressure at its position.
-        amplitudes /= 1 - receding
+        if not np.isscalar(receding):
+            amplitudes /= 1 - receding
         distances *= s.samples_per_m
         return distances, amplitudes, towards
 

@@ -210,11 +210,11 @@ def _raw_picture(content: bytes, path: str | os.PathLike) -> np.ndarray:
     try:
         version = np.lib.format.read_magic(stream)
         head = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, kind = head(stream)
-        # The header is checked first, since NumPy makes room for what it states.
+        shape, by_columns, kind = head(stream)
         if kind.hasobject or math.prod(shape) * kind.itemsize != len(content) - stream.tell():
             raise ValueError(f"its header states {kind} {shape}, which is not what follows")
-        return np.load(io.BytesIO(content), allow_pickle=False)
+        pixels: np.ndarray = np.frombuffer(content, kind, offset=stream.tell())
+        return pixels.reshape(shape, order="F" if by_columns else "C")
     except (ValueError, EOFError) as error:
         raise MediaError(f"{path}: a broken .npy file: {error}") from None
 

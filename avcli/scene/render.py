@@ -102,20 +102,23 @@ class Renderer:
         self.canvas = Canvas(camera, room, samples, context)
         if dressed is not None:
             self.canvas.surroundings |= dressed.uniforms
-        self.room_seen, self._room_surface, self._room_colour, self._probes = self._room(
-            solids, cache if colour else None
-        )
+        cache, begin = cache if colour else None, perf_counter()
+        known = cache.load(self.canvas.drawn_by, self.canvas.size) if cache else None
+        self.room_seen, self._room_surface, self._room_colour, self._probes = self._room(solids, known)
+        took_s = perf_counter() - begin
         self._make_targets()
         self._make_programs()
         width, height = self.canvas.size
         self._outlines, self._index = self.prepare(people.pose([], np.zeros(1))), 0
         everywhere = np.ones((-(-height // TILE), -(-width // TILE)), bool)
-        self._stale = everywhere, everywhere
-        self._paint(self._outlines, 0, *self._stale)
+        self._stale = ~everywhere, ~everywhere
+        self._paint(self._outlines, 0, everywhere, ~everywhere)
         rgb = np.zeros((height, width, 3), np.uint8) if colour else None
         depth, ids = np.zeros((height, width), np.uint16), np.zeros((height, width), np.uint8)
         self._frame = self._read(Frame(rgb, depth, ids, [], self.depth_step), everywhere)
         self.room_depth = self._frame.depth
+        if cache and known is None and self._frame.rgb is not None:
+            cache.store(self.canvas.drawn_by, self._frame.rgb, took_s)
 
     def prepare(self, bodies: people.Bodies, still_px: float = 0.0) -> Outlines:
         """Compute what the card needs to draw bodies at n times; their frames are then drawn by index.
@@ -154,16 +157,12 @@ class Renderer:
         self.drawn_share += (painted | dimmed).mean()
         return self._frame
 
-    def _room(self, solids: furniture.Solids, cache: RoomCache | None) -> RoomPicture:
-        """Draw the empty room, or take its colours from the cache."""
-        canvas, begin = self.canvas, perf_counter()
-        known = cache.load(canvas.drawn_by, canvas.size) if cache else None
-        picture = draw_room(canvas, solids, self._dressed, colour=self.colour and known is None)
+    def _room(self, solids: furniture.Solids, known: np.ndarray | None) -> RoomPicture:
+        """Draw the empty room, of which the colours (height, width, 3) uint8 may be known."""
+        picture = draw_room(self.canvas, solids, self._dressed, colour=self.colour and known is None)
         if known is not None:
             picture.colour.write(np.dstack([known, np.full(known.shape[:2], 255, np.uint8)]).tobytes())
-        elif cache:
-            pixels = np.frombuffer(picture.colour.read(), np.uint8).reshape(*canvas.size[::-1], 4)
-            cache.store(canvas.drawn_by, np.ascontiguousarray(pixels[..., :3]), perf_counter() - begin)
+        self.canvas.wait()
         return picture
 
     def _make_targets(self) -> None:
