@@ -65,6 +65,7 @@ class Prior:
         sd_m: of each coordinate.
         speed_of_sound, speed_sd: m/s.
         late: (m,) bool, the channels that are late by more than the others, as the survey found.
+        adrift: (m,) bool, those of them whose delay grows.
     """
 
     positions: np.ndarray
@@ -72,6 +73,7 @@ class Prior:
     speed_of_sound: float
     speed_sd: float
     late: np.ndarray
+    adrift: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,7 @@ def measure(
     said = again(heard.times, rough.path, rough.predicted)
     free = fitted(said)
     off = prior.late | (np.abs(free.delays - np.median(free.delays)) > SYNCHRONOUS * free.delay_sd)
-    adrift = prior.late | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)
+    adrift = prior.adrift | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)
     delay, drift = np.where(off | adrift, 1e-3, TIGHT_S), np.where(adrift, 2e-5, TIGHT_DRIFT)
     best = fitted(said, delay_s=delay, drift=drift)
     part = np.floor(said.times / 5.0).astype(int) % 2 == 0

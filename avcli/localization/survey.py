@@ -44,6 +44,8 @@ NEAR_S = 5e-4
 CLEAR = 6.0
 """How many standard deviations of its correlation a channel must stand out by at its delay."""
 
+SYNCHRONOUS_S, STEADY = 3e-5, 5e-7
+"""How late a channel may be, s, and by how much it may drift, that still is taken for synchronous."""
 DOUBTED = 0.7
 """The share of the usual agreement below which a channel is left out: what is wrong with it is not known for sure."""
 
@@ -117,6 +119,24 @@ class Channels:
             for channel, sign, delay, drift, level, usable in zip(
                 self.order, self.sign, self.delay, self.drift, self.level_db, self.usable, strict=True
             )
+        ]
+
+    def wiring(self, delays: np.ndarray, drifts: np.ndarray) -> list[dict[str, Any]] | None:
+        """Return microphone_config.channels of a config.json; None where nothing is wrong.
+
+        A channel that drifts is not used: its delay will be another one in the next recording.
+
+        Args:
+            delays: (m,) s by which the channels are late beside what was found here, at time 0.
+            drifts: (m,) likewise.
+        """
+        late = np.where(self.late | (np.abs(delays) > SYNCHRONOUS_S), self.delay + delays, 0.0)
+        usable = self.usable & (np.abs(self.drift + drifts) < STEADY)
+        if usable.all() and not (self.faults() or late.any()):
+            return None
+        return [
+            {"channel": int(channel) + 1, "polarity": int(sign), "delay_s": float(delay), "usable": bool(used)}
+            for channel, sign, delay, used in zip(self.order, self.sign, late, usable, strict=True)
         ]
 
     @property
