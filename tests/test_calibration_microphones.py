@@ -175,9 +175,14 @@ def test_the_command_writes_a_corrected_config(recording, tmp_path):
     (tmp_path / "places.csv").write_text(places)
     new = tmp_path / "new.json"
     result = CliRunner().invoke(
-        main, ["microphones", "-C", str(tmp_path), "--places", str(tmp_path / "places.csv"), "-o", str(new)]
-    )
+        main, ["microphones", "-C", str(tmp_path), "--places", str(tmp_path / "places.csv"), "-o", str(new), "--html",
+         str(tmp_path / "page.html")],
+    )  # fmt: skip
     assert result.exit_code == 0, result.output
+    page = (tmp_path / "page.html").read_text()
+    assert "The positions are measured, in the room too." in page
+    assert page.count('<ellipse class="light"') == 8
+    assert "nan" not in page.lower()
     written = json.loads(new.read_text())
     assert written["room_config"] == raw["room_config"]
     found = np.array(written["microphone_config"]["mic_positions_m"])

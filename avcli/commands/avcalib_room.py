@@ -149,8 +149,9 @@ def pose_command(
     "--write",
     "into_config",
     is_flag=True,
-    help="Write the found positions, and what is wrong with channels, into config.json.",
+    help="Write the positions and the faults of channels into config.json.",
 )
+@click.option("--html", metavar="FILE", help="Write a report with a plan of the room as one HTML file.")
 @common()
 def microphones_command(
     session: Session,
@@ -158,6 +159,7 @@ def microphones_command(
     audio: tuple[str, ...],
     places: str | None,
     into_config: bool,
+    html: str | None,
     **values: Any,
 ) -> None:
     """Measure the microphones by sound: some minutes of one person who walks and talks, or claps, in the room.
@@ -166,7 +168,8 @@ def microphones_command(
     with one person (tracks, or ground truth). With -o FILE the output is the whole config.json with the positions that
     were found. The exit status is 3, and nothing is changed, if the recording cannot tell.
     """
-    from avcli.calibration import camera, microphones
+    from avcli.calibration import camera, microphone_page, microphones
+    from avcli.formats.atomic import write_bytes
     from avcli.formats.experiment import write_config
     from avcli.numeric import TooLittle
 
@@ -189,13 +192,17 @@ def microphones_command(
             raise GateNotMet(str(error)) from None
         except ValueError as error:
             session.fail(str(error))
+    channels = channels.refined(found.fit.delays, found.fit.drifts)
     for line in [*channels.words(), *found.words()]:
         session.warn(line)
+    if html:
+        report = microphone_page.page(found, channels.record(), channels.words(), session.config.room.dimensions)
+        write_bytes(html, report.encode())
     if found.refusal:
         raise GateNotMet(found.refusal)
     record = {**found.record(), "channels": channels.record()}
     sd = float(found.fit.position_sd.max())
-    wiring = channels.wiring(found.fit.delays, found.fit.drifts)
+    wiring = channels.wiring()
     for one in wiring or ():
         if not one["usable"]:
             session.warn(f"channel {one['channel']} is not used any more: no fixed correction puts it right")

@@ -121,22 +121,26 @@ class Channels:
             )
         ]
 
-    def wiring(self, delays: np.ndarray, drifts: np.ndarray) -> list[dict[str, Any]] | None:
+    def refined(self, delays: np.ndarray, drifts: np.ndarray) -> "Channels":
+        """Return the channels with what a fit found beside: delays (m,) s at time 0 and drifts (m,)."""
+        off, adrift = np.abs(delays) > SYNCHRONOUS_S, np.abs(self.drift + drifts) > STEADY
+        return replace(
+            self,
+            delay=np.where(self.late | off | adrift, self.delay + delays, 0.0),
+            drift=np.where(adrift, self.drift + drifts, 0.0),
+        )
+
+    def wiring(self) -> list[dict[str, Any]] | None:
         """Return microphone_config.channels of a config.json; None where nothing is wrong.
 
         A channel that drifts is not used: its delay will be another one in the next recording.
-
-        Args:
-            delays: (m,) s by which the channels are late beside what was found here, at time 0.
-            drifts: (m,) likewise.
         """
-        late = np.where(self.late | (np.abs(delays) > SYNCHRONOUS_S), self.delay + delays, 0.0)
-        usable = self.usable & (np.abs(self.drift + drifts) < STEADY)
-        if usable.all() and not (self.faults() or late.any()):
+        usable = self.usable & (self.drift == 0.0)
+        if usable.all() and not self.faults():
             return None
         return [
             {"channel": int(channel) + 1, "polarity": int(sign), "delay_s": float(delay), "usable": bool(used)}
-            for channel, sign, delay, used in zip(self.order, self.sign, late, usable, strict=True)
+            for channel, sign, delay, used in zip(self.order, self.sign, self.delay, usable, strict=True)
         ]
 
     @property
