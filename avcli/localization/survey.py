@@ -378,18 +378,10 @@ class _Listener:
         heard = np.zeros((count, count))
         best = np.zeros((count, count, 3))  # sign, delay, drift
         centre, some = middles.mean(), max(1, width // 2)
-        # From one drift to the next, neither end of the recording moves by more than half of that.
-        steps = int(np.ceil(STEEPEST * np.ptp(middles) / HEARD_S)) if np.ptp(middles) > 2 * STRETCH_S else 0
-        drifts = np.linspace(-STEEPEST, STEEPEST, 2 * steps + 1) if steps else np.zeros(1)
         for channel in range(count):
             for microphone in range(count):
                 rows = np.array([np.convolve(row, smooth, "same") for row in scaled[:, channel, microphone]])
-                peaks = [
-                    np.abs(_together(rows[:, ::some], rate * (middles - centre), some * self.step)).max()
-                    for rate in drifts
-                ]
-                peaks[steps] *= 1.02  # most channels do not drift
-                drift = float(drifts[int(np.argmax(peaks))])
+                drift = _drift(rows[:, ::some], middles - centre, some * self.step)
                 total = _together(rows, drift * (middles - centre), self.step)
                 at = int(np.argmax(np.abs(total)))
                 value, lag = float(total[at]), at - reach
@@ -442,6 +434,30 @@ class _Listener:
         around = [np.take_along_axis(gcc, at + offset, axis=1) for offset in (0, 1, 2)]
         lag = at + 1 - lags + correlation.interpolate_peak(*around)
         return np.where(np.isfinite(found), lag * self.step, np.nan)
+
+
+def _drift(rows: np.ndarray, times: np.ndarray, step: float) -> float:
+    """Return the drift at which rows of correlations (n, lags) of times (n,) s agree best; 0 where that is as good.
+
+    Coarse steps come first, over lags that are summed by four; fine ones follow around the two best of them.
+    """
+    span = float(np.ptp(times))
+    if span <= 2 * STRETCH_S:
+        return 0.0
+    # From one drift to the next, neither end of the recording moves by more than half of what a channel is heard over.
+    fine = HEARD_S / span
+    steps = int(np.ceil(STEEPEST / fine))
+    drifts = fine * np.arange(-steps, steps + 1)
+    wide = rows[:, : rows.shape[1] // 4 * 4].reshape(len(rows), -1, 4).sum(axis=2)
+
+    def peak(rows: np.ndarray, drift: float, step: float) -> float:
+        return float(np.abs(_together(rows, drift * times, step)).max())
+
+    coarse = drifts[steps % 4 :: 4]
+    best = coarse[np.argsort([-peak(wide, drift, 4 * step) for drift in coarse])[:2]]
+    near = drifts[np.abs(drifts[:, None] - best).min(axis=1) < 3.5 * fine]
+    peaks = [peak(rows, drift, step) for drift in near]
+    return float(near[np.argmax(peaks)]) if max(peaks) > 1.02 * peak(rows, 0.0, step) else 0.0
 
 
 def _together(rows: np.ndarray, late: np.ndarray, step: float) -> np.ndarray:
