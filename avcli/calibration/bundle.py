@@ -163,6 +163,7 @@ def adjust(
     priors: Priors | None = None,
     way: Way | None = None,
     clock: float = 0.0,
+    doubt_echoes: bool = False,
 ) -> Fit:
     """Find the array and the path that explain the delays.
 
@@ -177,6 +178,7 @@ def adjust(
         priors: how well these are known.
         way: where the voice was, if that is known.
         clock: s, roughly, to add to a time of the sound to get one of the way.
+        doubt_echoes: whether delays count for less where many of them do not fit.
 
     Raises:
         TooLittle: too few windows have delays.
@@ -203,7 +205,7 @@ def adjust(
         problem.inflation *= problem.clustered(scale)
         for _ in range(4):
             problem.step(scale)
-    if way is None and share < CLEAR_SHARE:
+    if doubt_echoes and share < CLEAR_SHARE:
         problem.inflation *= float(np.exp(ECHOING * (CLEAR_SHARE - share)))
         for _ in range(4):
             problem.step(scale)

@@ -223,7 +223,7 @@ def measure(
             prior.speed_of_sound, bundle.Priors(
                 position_m=1e-6 if given else prior.sd_m, speed_m_s=prior.speed_sd,
                 clock_s=0.0 if is_clock_known else CLOCK_SD_S, **priors,
-            ), way_used, clock,
+            ), way_used, clock, doubt_echoes=way is None and said is not heard,
         )  # fmt: skip
 
     way_used = None
