@@ -11,6 +11,8 @@ from localization_rooms import MICROPHONES, heard, noisy, voice
 
 from avcli.calibration import bundle, camera, microphones
 from avcli.commands.avcalib import main
+from avcli.commands.avdetect_audio import main as detect_audio
+from avcli.formats.experiment import Config, ConfigError
 from avcli.formats.records import Identified
 from avcli.localization.survey import Listening
 
@@ -60,7 +62,7 @@ def said(true, t, path, rng, *, late=0.0, drift=0.0, noise=2e-5, offset=0.0, wro
 
 
 def measured(heard, given, way=None, **known):
-    prior = microphones.Prior(given, 0.04, SPEED, 2.0, np.zeros(len(given), bool))
+    prior = microphones.Prior(given, 0.04, SPEED, 2.0, *np.zeros((2, len(given)), bool))
     return microphones.measure(heard, lambda *_: heard, prior, way, **known)
 
 
@@ -173,15 +175,53 @@ def test_the_command_writes_a_corrected_config(recording, tmp_path):
     (tmp_path / "places.csv").write_text(places)
     new = tmp_path / "new.json"
     result = CliRunner().invoke(
-        main, ["microphones", "-C", str(tmp_path), "--places", str(tmp_path / "places.csv"), "-o", str(new)]
-    )
+        main, ["microphones", "-C", str(tmp_path), "--places", str(tmp_path / "places.csv"), "-o", str(new), "--html",
+         str(tmp_path / "page.html")],
+    )  # fmt: skip
     assert result.exit_code == 0, result.output
+    page = (tmp_path / "page.html").read_text()
+    assert "The positions are measured, in the room too." in page
+    assert page.count('<ellipse class="light"') == 8
+    assert "nan" not in page.lower()
     written = json.loads(new.read_text())
     assert written["room_config"] == raw["room_config"]
     found = np.array(written["microphone_config"]["mic_positions_m"])
     assert np.median(np.linalg.norm(found - MICROPHONES, axis=1)) < 0.02
     assert written["microphone_config"]["calibration"]["sd_m"] < 0.04
     assert json.loads((tmp_path / "config.json").read_text()) == raw
+
+
+def test_what_is_wrong_with_channels_goes_into_config_and_detection_puts_it_right(recording, tmp_path):
+    samples, fs, places = recording
+    faulty = samples * np.where(np.arange(8) == 1, -1.0, 1.0)
+    faulty[:, 6] = np.roll(faulty[:, 6], 80)
+    experiment(tmp_path, faulty, fs, MICROPHONES)
+    (tmp_path / "places.csv").write_text(places)
+    call = ["microphones", "-C", str(tmp_path), "--places", str(tmp_path / "places.csv"), "--write"]
+    result = CliRunner().invoke(main, call)
+    assert result.exit_code == 0, result.output
+    channels = json.loads((tmp_path / "config.json").read_text())["microphone_config"]["channels"]
+    assert [one["channel"] for one in channels] == list(range(1, 9))
+    assert [one["polarity"] for one in channels] == [1, -1, 1, 1, 1, 1, 1, 1]
+    assert channels[6]["delay_s"] == pytest.approx(0.005, abs=1e-4)
+    assert sum(one["delay_s"] != 0 for one in channels) == 1
+    assert all(one["usable"] for one in channels)
+    wav = next((tmp_path / "audio" / "wav").iterdir())
+    result = CliRunner().invoke(detect_audio, ["-C", str(tmp_path), str(wav)])
+    assert result.exit_code == 0, result.output
+    assert "channel" not in result.stderr
+    first = json.loads(result.stdout.splitlines()[0])
+    assert {(fault["channel"], fault["fault"]) for fault in first["channel_faults"]} == {(2, "polarity"), (7, "late")}
+
+
+@pytest.mark.parametrize(
+    ("channels", "words"),
+    [([{"channel": 1}], "a list of 8"), ([{"channel": 1}] * 8, "each channel from 1 to 8 once")],
+)
+def test_channels_in_config_that_make_no_sense_are_refused(channels, words):
+    raw = {"microphone_config": {"mic_positions_m": MICROPHONES.tolist(), "channels": channels}}
+    with pytest.raises(ConfigError, match=words):
+        _ = Config(raw).microphones
 
 
 def test_the_command_changes_nothing_where_the_recording_cannot_tell(recording, tmp_path):
@@ -244,7 +284,7 @@ def test_sound_follows_on_or_starts_at_the_time_in_its_name(tmp_path):
         list(microphones.sounds([], tmp_path / "empty"))
 
 
-def test_found_positions_go_into_a_config_and_all_else_stays(tmp_path):
+def test_found_positions_go_into_a_config_and_all_else_stays():
     raw = {
         "session_id": "a",
         "microphone_config": {
@@ -252,8 +292,8 @@ def test_found_positions_go_into_a_config_and_all_else_stays(tmp_path):
             "mic_positions_m": [{"object_id": 1, "position": [0, 0, 0]}, [1, 1, 1]],
         },
     }
-    camera.write_microphones(tmp_path / "config.json", raw, [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3]], 0.004)
-    assert json.loads((tmp_path / "config.json").read_text()) == {
+    raw["microphone_config"]["channels"] = [{"channel": 2}, {"channel": 1}]  # of a measurement before
+    assert camera.with_microphones(raw, [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3]], 0.004, None) == {
         "session_id": "a",
         "microphone_config": {
             "audio_bit_depth": 24,

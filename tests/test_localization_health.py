@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
+from avcli.formats.experiment import Wiring
 from avcli.localization.array import Array
-from avcli.localization.settings import SteeredSettings
+from avcli.localization.settings import ClosedFormSettings, SteeredSettings
+from avcli.localization.ssl3d import ClosedFormLocalizer
 from avcli.localization.steered import SteeredLocalizer
 from avcli.localization.stream import Block
 
@@ -90,3 +92,21 @@ def test_faults_are_records_and_sentences(talk):
     decision = localize(turned(talk, 2))[-1]
     assert [fault.record() for fault in decision.faults] == [{"channel": 3, "fault": "polarity", "corrected": True}]
     assert str(decision.faults[0]) == "channel 3 has the wrong polarity; this is corrected"
+
+
+def test_channels_that_config_json_names_are_right_from_the_first_sample(talk):
+    broken = turned(late(talk[:, [0, 3, 2, 1, 4, 5, 6, 7]], 1, 51), 4)
+    broken[:, 6] = np.random.default_rng(3).standard_normal(len(broken)) * 0.01
+    delay = np.where(np.arange(8) == 3, 51 / FS, 0.0)  # microphone 4 is on channel 2, which is late
+    sign = np.where(np.arange(8) == 4, -1.0, 1.0)
+    wiring = Wiring(np.array([0, 3, 2, 1, 4, 5, 6, 7]), sign, delay, np.arange(8) != 6)
+    array = Array(MICROPHONES, FS, ROOM, 343.0, wiring)
+    steered = list(SteeredLocalizer(array, SteeredSettings(), np.random.default_rng(0)).localize([Block(broken)]))
+    closed = list(ClosedFormLocalizer(array, ClosedFormSettings()).localize([Block(broken)]))
+    for decisions, metres in ((steered, 0.1), (closed, 0.5)):
+        found = [d.positions[0] for d in decisions if len(d.positions)]
+        assert len(found) >= 15
+        assert np.median(np.hypot(*(np.array(found) - PLACE)[:, :2].T)) < metres
+    assert not any(decision.notices for decision in steered)
+    kinds = {(fault.channel, fault.kind) for fault in steered[0].faults}
+    assert kinds == {(2, "swapped"), (4, "swapped"), (2, "late"), (5, "polarity"), (7, "unexplained")}

@@ -21,6 +21,10 @@ BLOCK_S = 3.0
 """The time after which errors of delays are taken to be new ones, s."""
 COARSE_S, TURN_S, FINE_S = 4e-4, 5e-5, 1e-5
 """The robust scale of a delay's error at the beginning of the fit, from where on it is estimated, and the least, s."""
+CLEAR_SHARE, ECHOING = 0.9, 10.0
+"""By sound alone: the share of delays that fit in a clear recording, and by how much the logarithm of their variance
+grows with what is missing to it. Where echoes take many delays, they bend those that fit as well, all alike, and no
+comparison of windows shows it. Decided on seven rooms of pyroomacoustics (examples/benchmarks/microphones.md)."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,7 @@ def adjust(
     priors: Priors | None = None,
     way: Way | None = None,
     clock: float = 0.0,
+    doubt_echoes: bool = False,
 ) -> Fit:
     """Find the array and the path that explain the delays.
 
@@ -173,6 +178,7 @@ def adjust(
         priors: how well these are known.
         way: where the voice was, if that is known.
         clock: s, roughly, to add to a time of the sound to get one of the way.
+        doubt_echoes: whether delays count for less where many of them do not fit.
 
     Raises:
         TooLittle: too few windows have delays.
@@ -197,6 +203,10 @@ def adjust(
     share = float((np.abs(residuals) < 3.0 * scale).sum()) / max(int(np.isfinite(delays).any(axis=2).sum()), 1)
     for _ in range(2):
         problem.inflation *= problem.clustered(scale)
+        for _ in range(4):
+            problem.step(scale)
+    if doubt_echoes and share < CLEAR_SHARE:
+        problem.inflation *= float(np.exp(ECHOING * (CLEAR_SHARE - share)))
         for _ in range(4):
             problem.step(scale)
     return problem.fit(scale, share)

@@ -115,16 +115,21 @@ def write_camera(path: Path, found: Mapping[str, Any]) -> None:
     experiment.write_config(path, raw)
 
 
-def with_microphones(raw: Mapping[str, Any], positions: list[list[float]], sd_m: float) -> dict[str, Any]:
-    """Return a config.json that reads `raw` with new positions (m, 3) m, and how well they are known."""
-    section = raw["microphone_config"]
+def with_microphones(
+    raw: Mapping[str, Any], positions: list[list[float]], sd_m: float, channels: list[dict[str, Any]] | None
+) -> dict[str, Any]:
+    """Return a config.json that reads `raw` with microphones as they were measured.
+
+    Args:
+        raw: what the file has.
+        positions: (m, 3) m.
+        sd_m: how well they are known.
+        channels: what is wrong with the channels, as microphone_config.channels has it; None: nothing.
+    """
+    section = {key: value for key, value in raw["microphone_config"].items() if key != "channels"}
     listed = [
         {**old, "position": new} if isinstance(old, Mapping) else new
         for old, new in zip(section["mic_positions_m"], positions, strict=True)
     ]
-    return {**raw, "microphone_config": {**section, "mic_positions_m": listed, "calibration": {"sd_m": sd_m}}}
-
-
-def write_microphones(path: Path, raw: Mapping[str, Any], positions: list[list[float]], sd_m: float) -> None:
-    """Write positions (m, 3) m of the microphones into a config.json that reads `raw`."""
-    experiment.write_config(path, with_microphones(raw, positions, sd_m))
+    section |= {"mic_positions_m": listed, "calibration": {"sd_m": sd_m}}
+    return {**raw, "microphone_config": section | ({"channels": channels} if channels else {})}

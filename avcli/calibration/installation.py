@@ -228,6 +228,8 @@ def _microphones(config: Config, folder: Path) -> tuple[str, str]:
     text = f"{len(positions)} microphones, {known.sample_rate_hz} Hz"
     if len(positions) < 4:
         text += "; fewer than four do not tell a place"
+    if known.wiring:
+        text += f"; channels are put right, {int((~known.wiring.usable).sum())} are not used"
     found = values.get("calibration")
     if not isinstance(found, Mapping):
         return "stated", f"{text}; avcalib microphones measures the positions by sound"

@@ -65,6 +65,7 @@ class Prior:
         sd_m: of each coordinate.
         speed_of_sound, speed_sd: m/s.
         late: (m,) bool, the channels that are late by more than the others, as the survey found.
+        adrift: (m,) bool, those of them whose delay grows.
     """
 
     positions: np.ndarray
@@ -72,6 +73,7 @@ class Prior:
     speed_of_sound: float
     speed_sd: float
     late: np.ndarray
+    adrift: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,13 @@ class Measured:
         return self.fit.positions - self.prior.positions
 
     @property
+    def covariances(self) -> np.ndarray:
+        """(m, 3, 3) m², of the positions."""
+        count = len(self.fit.positions)
+        whole = self.fit.covariance[: 3 * count, : 3 * count].reshape(count, 3, count, 3)
+        return whole[np.arange(count), :, np.arange(count), :]
+
+    @property
     def ways(self) -> int:
         """In how many ways the array can be deformed: 3 m less the rigid motions."""
         return self.fit.positions.size - 6
@@ -128,7 +137,6 @@ class Measured:
     def record(self) -> dict[str, Any]:
         """What was found, as avcalib writes it."""
         fit = self.fit
-        covariances = _blocks(fit.covariance[: fit.positions.size, : fit.positions.size])
         return {
             "speed_of_sound_m_s": fit.speed_of_sound,
             "clock_offset_s": fit.clock,
@@ -151,7 +159,7 @@ class Measured:
                 for position, shift, covariance, shape, delay, delay_sd, drift, drift_sd in zip(
                     fit.positions,
                     self.shifts,
-                    covariances,
+                    self.covariances,
                     fit.shape_sd,
                     fit.delays,
                     fit.delay_sd,
@@ -165,8 +173,7 @@ class Measured:
     def words(self) -> list[str]:
         """Describe it in sentences without a full stop."""
         fit, lines = self.fit, list[str]()
-        covariances = _blocks(fit.covariance[: fit.positions.size, : fit.positions.size])
-        for number, (shift, covariance) in enumerate(zip(self.shifts, covariances, strict=True), 1):
+        for number, (shift, covariance) in enumerate(zip(self.shifts, self.covariances, strict=True), 1):
             size, sd = float(np.linalg.norm(shift)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
             elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
             say = "is not where it was measured" if elsewhere else "agrees with its measured position"
@@ -188,12 +195,6 @@ class Measured:
         if not self.placed:  # one of four rooms of another simulator was such a case (examples/benchmarks)
             lines.append("by sound alone the error can be twice what is stated: give TRACKS or --places to make sure")
         return lines
-
-
-def _blocks(covariance: np.ndarray) -> np.ndarray:
-    """The (3, 3) blocks on the diagonal of a covariance (3 m, 3 m), (m, 3, 3)."""
-    count = len(covariance) // 3
-    return covariance.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count), :]
 
 
 def measure(
@@ -222,7 +223,7 @@ def measure(
             prior.speed_of_sound, bundle.Priors(
                 position_m=1e-6 if given else prior.sd_m, speed_m_s=prior.speed_sd,
                 clock_s=0.0 if is_clock_known else CLOCK_SD_S, **priors,
-            ), way_used, clock,
+            ), way_used, clock, doubt_echoes=way is None and said is not heard,
         )  # fmt: skip
 
     way_used = None
@@ -233,7 +234,7 @@ def measure(
     said = again(heard.times, rough.path, rough.predicted)
     free = fitted(said)
     off = prior.late | (np.abs(free.delays - np.median(free.delays)) > SYNCHRONOUS * free.delay_sd)
-    adrift = prior.late | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)
+    adrift = prior.adrift | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)
     delay, drift = np.where(off | adrift, 1e-3, TIGHT_S), np.where(adrift, 2e-5, TIGHT_DRIFT)
     best = fitted(said, delay_s=delay, drift=drift)
     part = np.floor(said.times / 5.0).astype(int) % 2 == 0

@@ -1,19 +1,18 @@
 """The report on a calibration as one HTML page that needs nothing else: verdict first, on phones too, light or dark."""
 
 from base64 import b64encode
-from collections.abc import Iterable
 from html import escape
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
-from avcli.calibration import fit, report, undistort
+from avcli.calibration import fit, report, sheet, undistort
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.circle import Circle
 from avcli.calibration.gather import Seen
 from avcli.calibration.quality import Quality
 from avcli.calibration.settings import ProjectionSettings
+from avcli.calibration.sheet import listed, section, table
 from avcli.formats.media import encode_picture
 
 _REASONS = {
@@ -39,40 +38,15 @@ def page(result: Calibration, seen: Seen) -> str:
     kind = "no" if q.refusals else "yes" if "whole picture" in q.verdict and not q.advice else "partly"
     said = report.words(result, seen)[:-1]
     sections = [
-        _section("What to film next", _list(q.advice) if q.advice else "<p>Nothing: more pictures are not needed.</p>"),
-        _section("Figures", _figures(result, seen)),
-        _section("Over the picture", f'<div class="maps">{"".join(_maps(result))}</div>'),
-        _section("Pictures", _pictures(result, seen)),
-        _section("Lens", _parameters(result)),
-        _section("A straightened picture", _straightened(result, seen.sample)),
-        _section("In words", _list(said)),
+        section("What to film next", listed(q.advice) if q.advice else "<p>Nothing: more pictures are not needed.</p>"),
+        section("Figures", _figures(result, seen)),
+        section("Over the picture", f'<div class="maps">{"".join(_maps(result))}</div>'),
+        section("Pictures", _pictures(result, seen)),
+        section("Lens", _parameters(result)),
+        section("A straightened picture", _straightened(result, seen.sample)),
+        section("In words", listed(said)),
     ]
-    style = resources.files(__package__).joinpath("page.css").read_text()
-    return f"""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Camera calibration</title>
-<style>
-{style}</style>
-<main>
-<h1>Camera calibration</h1>
-<p class="verdict {kind}">{escape(_sentence(q.verdict))}</p>
-{"".join(section for section in sections if section)}</main>
-</html>
-"""
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section>\n<h2>{title}</h2>\n{body}\n</section>\n" if body else ""
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}." if text else ""
-
-
-def _list(lines: Iterable[str]) -> str:
-    return "<ul>\n" + "".join(f"<li>{escape(_sentence(line))}</li>\n" for line in lines) + "</ul>"
+    return sheet.document("Camera calibration", kind, q.verdict, sections)
 
 
 def _figures(result: Calibration, seen: Seen) -> str:
@@ -91,7 +65,7 @@ def _figures(result: Calibration, seen: Seen) -> str:
         ("The lens is trusted up to", f"{np.rad2deg(q.theta_max_trusted):.1f}°"),
         ("The picture reaches", f"{np.rad2deg(q.theta_max_picture):.1f}°"),
     ]
-    return _table(rows)
+    return table(rows)
 
 
 def _halves(q: Quality) -> str:
@@ -110,12 +84,7 @@ def _parameters(result: Calibration) -> str:
         if is_free:
             unit, digits = (" px", 2) if name in ("fx", "fy", "cx", "cy") else ("", 5)
             rows.append((name, f"{value:.{digits}f} ± {sd:.{digits}f}{unit}"))
-    return _table(rows)
-
-
-def _table(rows: list[tuple[str, str]]) -> str:
-    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>\n" for name, value in rows)
-    return f"<table>\n{cells}</table>"
+    return table(rows)
 
 
 # --- over the picture -------------------------------------------------------------------------------------------------

@@ -145,7 +145,13 @@ def pose_command(
     help="Where somebody spoke or clapped, measured in the room: lines begin,end,x,y,z in s and m.",
 )
 @from_settings(settings.MicrophoneSettings)
-@click.option("--write", "into_config", is_flag=True, help="Write the found positions into config.json.")
+@click.option(
+    "--write",
+    "into_config",
+    is_flag=True,
+    help="Write the positions and the faults of channels into config.json.",
+)
+@click.option("--html", metavar="FILE", help="Write a report with a plan of the room as one HTML file.")
 @common()
 def microphones_command(
     session: Session,
@@ -153,6 +159,7 @@ def microphones_command(
     audio: tuple[str, ...],
     places: str | None,
     into_config: bool,
+    html: str | None,
     **values: Any,
 ) -> None:
     """Measure the microphones by sound: some minutes of one person who walks and talks, or claps, in the room.
@@ -161,7 +168,9 @@ def microphones_command(
     with one person (tracks, or ground truth). With -o FILE the output is the whole config.json with the positions that
     were found. The exit status is 3, and nothing is changed, if the recording cannot tell.
     """
-    from avcli.calibration import camera, microphones
+    from avcli.calibration import camera, microphone_page, microphones
+    from avcli.formats.atomic import write_bytes
+    from avcli.formats.experiment import write_config
     from avcli.numeric import TooLittle
 
     given = settings_from(settings.MicrophoneSettings, values)
@@ -174,7 +183,8 @@ def microphones_command(
         listening = _listening(session, audio, given)
     known = session.config.microphones.positions
     speed, speed_sd = _speed_of_sound(session, given)
-    prior = microphones.Prior(known, given.position_sd_m, speed, speed_sd, listening.channels.late)
+    channels = listening.channels
+    prior = microphones.Prior(known, given.position_sd_m, speed, speed_sd, channels.late, channels.drift != 0.0)
     with session.timing("fit"):
         try:
             found = microphones.measure(listening.heard(), listening.again, prior, way, is_clock_known=not tracks)
@@ -182,19 +192,25 @@ def microphones_command(
             raise GateNotMet(str(error)) from None
         except ValueError as error:
             session.fail(str(error))
-    for line in [*listening.channels.words(), *found.words()]:
+    channels = channels.refined(found.fit.delays, found.fit.drifts)
+    for line in [*channels.words(), *found.words()]:
         session.warn(line)
+    if html:
+        report = microphone_page.page(found, channels.record(), channels.words(), session.config.room.dimensions)
+        write_bytes(html, report.encode())
     if found.refusal:
         raise GateNotMet(found.refusal)
-    if listening.channels.faults() and (into_config or session.output_path != "-"):
-        session.warn("config.json keeps positions only: put the channels right at the recorder, in the config's order")
-    record = {**found.record(), "channels": listening.channels.record()}
+    record = {**found.record(), "channels": channels.record()}
     sd = float(found.fit.position_sd.max())
-    changed = camera.with_microphones(session.config.raw, found.fit.positions.tolist(), sd)
+    wiring = channels.wiring()
+    for one in wiring or ():
+        if not one["usable"]:
+            session.warn(f"channel {one['channel']} is not used any more: no fixed correction puts it right")
+    changed = camera.with_microphones(session.config.raw, found.fit.positions.tolist(), sd, wiring)
     with session.output() as write:
         write(record if session.output_path == "-" else changed)
     if into_config:
-        camera.write_microphones(session.config_path, session.config.raw, found.fit.positions.tolist(), sd)
+        write_config(session.config_path, changed)
 
 
 def _way(session: Session, tracks: str | None, places: str | None, given: settings.MicrophoneSettings) -> Way | None:

@@ -112,6 +112,8 @@ def main(
         chosen = localizer(sound.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
+        if sound.microphones.wiring:
+            session.note("the channels are put right as microphone_config.channels in config.json says")
         if isinstance(chosen, SteeredLocalizer) and chosen.compact:
             session.note("the microphones are close together: directions are told, distances are not known")
         skips = stack.enter_context(Skips(session, "time steps"))

@@ -271,6 +271,11 @@ def _recorder(
 ) -> Recorder:
     from avcli.acoustics.recorder import Recorder
 
+    if session.config.microphones.wiring:
+        session.warn(
+            "the simulated channels have no faults, but microphone_config.channels in config.json states some: "
+            "remove it, or avdetect-audio puts right what is not wrong"
+        )
     room = session.config.room
     stated = settings.rt60_s is not None or settings.absorption is not None
     if stated or room.surfaces is None:

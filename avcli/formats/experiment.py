@@ -20,6 +20,7 @@ from avcli.formats import atomic, bounds, room_keys
 from avcli.formats.descriptions import PROBABILITY, Format
 from avcli.formats.records import format_timestamp
 from avcli.formats.schema import (
+    Boolean,
     Choice,
     Either,
     Invalid,
@@ -165,6 +166,20 @@ _MICROPHONES = Object(
         "orientations": Key(
             _one_each(bounds.VECTOR), "direction that each microphone faces, a vector of any length; default: down"
         ),
+        "channels": Key(
+            _one_each(
+                Object(
+                    {
+                        "channel": Key(bounds.CHANNELS, "which channel of the sound it is, from 1", required=True),
+                        "polarity": Key(Choice((1, -1)), "-1: the sound is turned over", default=1),
+                        "delay_s": Key(Number(-0.1, most=0.1), "by how much it is late, s", default=0.0),
+                        "usable": Key(Boolean(), "whether the channel is used", default=True),
+                    }
+                )
+            ),
+            "the channel of each microphone, as avcalib microphones found it; avdetect-audio puts the sound right. By "
+            "default each has its own channel without a fault",
+        ),
     }
 )
 _ROOM = Object(
@@ -261,6 +276,23 @@ class Camera:
 
 
 @dataclass(frozen=True)
+class Wiring:
+    """Which channel of the sound is each microphone's, and what is wrong with it.
+
+    Attributes:
+        order: (m,) the channel, from 0.
+        sign: (m,) its polarity, 1 or -1.
+        delay: (m,) s by which it is late.
+        usable: (m,) bool.
+    """
+
+    order: np.ndarray
+    sign: np.ndarray
+    delay: np.ndarray
+    usable: np.ndarray
+
+
+@dataclass(frozen=True)
 class Microphones:
     """The microphones of an experiment.
 
@@ -270,6 +302,7 @@ class Microphones:
         bit_depth: bits of a sample.
         directivities: (m,) a of the pattern a + (1 − a) cos θ; 1 is omnidirectional.
         orientations: (m, 3) unit vectors in which each microphone looks.
+        wiring: their channels, None where each has its own without a fault.
     """
 
     positions: np.ndarray
@@ -277,6 +310,7 @@ class Microphones:
     bit_depth: int
     directivities: np.ndarray
     orientations: np.ndarray
+    wiring: Wiring | None = None
 
 
 @dataclass(frozen=True)
@@ -364,8 +398,10 @@ class Config:
         patterns, looks = values["directivities"], values["orientations"]
         patterns = [values["mic_directivity"]] * len(listed) if patterns is None else patterns
         orientations = np.array([[0.0, 0.0, -1.0]] * len(listed) if looks is None else looks)
-        for key, given in (("directivities", patterns), ("orientations", orientations)):
-            if len(given) != len(listed):
+        channels = values["channels"]
+        each = (("directivities", patterns), ("orientations", orientations), ("channels", channels))
+        for key, given in each:
+            if given is not None and len(given) != len(listed):
                 reason = f"must be a list of {len(listed)}, one for each microphone, found {len(given)}"
                 raise self._error(Invalid(reason, ("microphone_config", key)))
         lengths = np.linalg.norm(orientations, axis=1, keepdims=True)
@@ -379,7 +415,17 @@ class Config:
             bit_depth=values["audio_bit_depth"],
             directivities=np.array([DIRECTIVITIES[kind] for kind in patterns]),
             orientations=orientations / lengths,
+            wiring=None if channels is None else self._wiring(channels),
         )
+
+    def _wiring(self, channels: list[dict[str, Any]]) -> Wiring:
+        """Return the channels of the microphones."""
+        order = np.array([one["channel"] for one in channels]) - 1
+        if sorted(order) != list(range(len(order))):
+            reason = f"must name each channel from 1 to {len(order)} once"
+            raise self._error(Invalid(reason, ("microphone_config", "channels")))
+        sign, delay, usable = (np.array([one[key] for one in channels]) for key in ("polarity", "delay_s", "usable"))
+        return Wiring(order, sign.astype(float), delay.astype(float), usable)
 
     @functools.cached_property
     def sensors(self) -> dict[str, str]:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from avcli.formats.experiment import Config
+from avcli.formats.experiment import Config, Wiring
 from avcli.formats.features import Feature
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
@@ -23,12 +23,14 @@ class Array:
         sample_rate: Hz.
         room: (3,) m, the far corner of a room whose near corner is the origin.
         speed_of_sound: m/s.
+        wiring: the microphones' channels, None where each has its own without a fault.
     """
 
     microphones: np.ndarray
     sample_rate: float
     room: np.ndarray
     speed_of_sound: float = SPEED_OF_SOUND_M_S
+    wiring: Wiring | None = None
 
     @classmethod
     def of(cls, config: Config, temperature_c: float | None = None) -> "Array":
@@ -39,7 +41,7 @@ class Array:
         """
         microphones, room = config.microphones, config.room
         speed = room.speed_of_sound_m_s if temperature_c is None else speed_of_sound(temperature_c)
-        return cls(microphones.positions, microphones.sample_rate_hz, room.dimensions, speed)
+        return cls(microphones.positions, microphones.sample_rate_hz, room.dimensions, speed, microphones.wiring)
 
     @cached_property
     def spread(self) -> np.ndarray:

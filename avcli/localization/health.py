@@ -106,6 +106,9 @@ class Health:
         count = len(array.microphones)
         self.order, self.sign, self.delay = np.arange(count), np.ones(count), np.zeros(count)
         self.doubted, self.held, self.faulty = np.zeros((3, count), bool)
+        if array.wiring:
+            self.order, self.sign, self.delay = array.wiring.order, array.wiring.sign, array.wiring.delay
+            self.faulty = ~array.wiring.usable
         self.level, self.loud, self.silent = np.zeros((3, count))
         self.size = round(self.band.size * self.band.oversampling)
         self.step = 1.0 / (array.sample_rate * self.band.oversampling)

@@ -92,7 +92,7 @@ class SteeredLocalizer:
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
         self.windows = self.silent = 0  # so far, and those of them without a voice
-        self.named: set[tuple[int, str]] = set()
+        self.named = {(fault.channel, fault.kind) for fault in self.health.faults}
         self._noise: NoiseLaw | None = None
 
     @property

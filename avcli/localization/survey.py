@@ -31,8 +31,10 @@ TOLD_S = 0.0005
 """The least delay that is told from a microphone that hangs up to 17 cm from where the config says, s."""
 STEEPEST = 150e-6
 """The largest drift of a channel against the others that is looked for."""
-STRETCH_S = 15.0
-"""The time over which a drift hardly moves a channel."""
+STRETCH_S, STRETCHES = 5.0, 60
+"""The time over which a drift hardly moves a channel, s, and how many such stretches a recording has at most."""
+HEARD_S = 0.0003
+"""The time over which a channel is heard: microphones hang some centimetres beside their places."""
 CANDIDATES = 4
 """Peaks of a pair's GCC that are kept."""
 MARGIN_M = 0.3
@@ -44,6 +46,8 @@ NEAR_S = 5e-4
 CLEAR = 6.0
 """How many standard deviations of its correlation a channel must stand out by at its delay."""
 
+SYNCHRONOUS_S, STEADY = 3e-5, 5e-7
+"""How late a channel may be, s, and by how much it may drift, that still is taken for synchronous."""
 DOUBTED = 0.7
 """The share of the usual agreement below which a channel is left out: what is wrong with it is not known for sure."""
 
@@ -117,6 +121,28 @@ class Channels:
             for channel, sign, delay, drift, level, usable in zip(
                 self.order, self.sign, self.delay, self.drift, self.level_db, self.usable, strict=True
             )
+        ]
+
+    def refined(self, delays: np.ndarray, drifts: np.ndarray) -> "Channels":
+        """Return the channels with what a fit found beside: delays (m,) s at time 0 and drifts (m,)."""
+        off, adrift = np.abs(delays) > SYNCHRONOUS_S, np.abs(self.drift + drifts) > STEADY
+        return replace(
+            self,
+            delay=np.where(self.late | off | adrift, self.delay + delays, 0.0),
+            drift=np.where(adrift, self.drift + drifts, 0.0),
+        )
+
+    def wiring(self) -> list[dict[str, Any]] | None:
+        """Return microphone_config.channels of a config.json; None where nothing is wrong.
+
+        A channel that drifts is not used: its delay will be another one in the next recording.
+        """
+        usable = self.usable & (self.drift == 0.0)
+        if usable.all() and not self.faults():
+            return None
+        return [
+            {"channel": int(channel) + 1, "polarity": int(sign), "delay_s": float(delay), "usable": bool(used)}
+            for channel, sign, delay, used in zip(self.order, self.sign, self.delay, usable, strict=True)
         ]
 
     @property
@@ -314,7 +340,7 @@ class _Listener:
         travel = np.linalg.norm(places[:, None] - self.microphones, axis=2) / self.speed
         corrected = self.corrected(times, spectra, before) * before.usable[:, None]
         steered = corrected * self.frame.turned(travel)
-        stretch = np.floor((times - times[0]) / STRETCH_S).astype(int)
+        stretch = np.floor((times - times[0]) / max(STRETCH_S, 1.001 * np.ptp(times) / STRETCHES)).astype(int)
         reach = min(int(LONGEST_S / self.step), size * self.finer // 2 - 2)
         sums = np.zeros((stretch.max() + 1, count, count, 2 * reach + 1))  # stretch, channel, microphone, lag
         whole = steered.sum(axis=1)
@@ -345,25 +371,20 @@ class _Listener:
             middles: (stretches,) s.
         """
         count, reach = sums.shape[1], sums.shape[3] // 2
-        # Microphones hang some centimetres beside their places: a channel is heard over a few tenths of a millisecond.
-        width = max(1, round(0.0003 / self.step))
+        width = max(1, round(HEARD_S / self.step))
         smooth = np.ones(width) / np.sqrt(width)
         noise = np.sqrt(np.median(sums**2, axis=3, keepdims=True) / 0.455)
         scaled = sums / np.maximum(noise, 1e-30)
         heard = np.zeros((count, count))
         best = np.zeros((count, count, 3))  # sign, delay, drift
-        drifts = np.linspace(-STEEPEST, STEEPEST, 61) if np.ptp(middles) > 2 * STRETCH_S else np.zeros(1)
-        centre = middles.mean()
+        centre, some = middles.mean(), max(1, width // 2)
         for channel in range(count):
             for microphone in range(count):
                 rows = np.array([np.convolve(row, smooth, "same") for row in scaled[:, channel, microphone]])
-                value, drift, lag = 0.0, 0.0, 0
-                for rate in drifts:
-                    shift = np.rint(rate * (middles - centre) / self.step).astype(int)
-                    total = sum(np.roll(row, -by) for row, by in zip(rows, shift, strict=True)) / np.sqrt(len(rows))
-                    at = int(np.argmax(np.abs(total)))
-                    if abs(total[at]) > abs(value) * (1.0 if drift else 1.02):
-                        value, drift, lag = float(total[at]), float(rate), at - reach
+                drift = _drift(rows[:, ::some], middles - centre, some * self.step)
+                total = _together(rows, drift * (middles - centre), self.step)
+                at = int(np.argmax(np.abs(total)))
+                value, lag = float(total[at]), at - reach
                 heard[channel, microphone] = abs(value)
                 best[channel, microphone] = np.sign(value) or 1.0, lag * self.step - drift * centre, drift
         # A channel is taken for another microphone's only where that is clear.
@@ -413,6 +434,36 @@ class _Listener:
         around = [np.take_along_axis(gcc, at + offset, axis=1) for offset in (0, 1, 2)]
         lag = at + 1 - lags + correlation.interpolate_peak(*around)
         return np.where(np.isfinite(found), lag * self.step, np.nan)
+
+
+def _drift(rows: np.ndarray, times: np.ndarray, step: float) -> float:
+    """Return the drift at which rows of correlations (n, lags) of times (n,) s agree best; 0 where that is as good.
+
+    Coarse steps come first, over lags that are summed by four; fine ones follow around the two best of them.
+    """
+    span = float(np.ptp(times))
+    if span <= 2 * STRETCH_S:
+        return 0.0
+    # From one drift to the next, neither end of the recording moves by more than half of what a channel is heard over.
+    fine = HEARD_S / span
+    steps = int(np.ceil(STEEPEST / fine))
+    drifts = fine * np.arange(-steps, steps + 1)
+    wide = rows[:, : rows.shape[1] // 4 * 4].reshape(len(rows), -1, 4).sum(axis=2)
+
+    def peak(rows: np.ndarray, drift: float, step: float) -> float:
+        return float(np.abs(_together(rows, drift * times, step)).max())
+
+    coarse = drifts[steps % 4 :: 4]
+    best = coarse[np.argsort([-peak(wide, drift, 4 * step) for drift in coarse])[:2]]
+    near = drifts[np.abs(drifts[:, None] - best).min(axis=1) < 3.5 * fine]
+    peaks = [peak(rows, drift, step) for drift in near]
+    return float(near[np.argmax(peaks)]) if max(peaks) > 1.02 * peak(rows, 0.0, step) else 0.0
+
+
+def _together(rows: np.ndarray, late: np.ndarray, step: float) -> np.ndarray:
+    """Return the sum (lags,) of rows (n, lags) that are late by so many s (n,), in standard deviations of noise."""
+    shift = np.rint(late / step).astype(int)
+    return sum(np.roll(row, -by) for row, by in zip(rows, shift, strict=True)) / np.sqrt(len(rows))
 
 
 def _between(at: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
