@@ -10,7 +10,6 @@ import math
 import os
 import stat
 import struct
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -249,54 +248,10 @@ def decode_picture(content: bytes, *, grey: bool = False) -> np.ndarray | None:
     try:
         only = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         kind = only if grey and content.startswith(b"\xff\xd8") else cv2.IMREAD_UNCHANGED
-        with _SILENCE:
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), kind)
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), kind)
     except cv2.error:
         return None
     return None if image is None else swapped(image)
-
-
-class _Silence:
-    """Holds stderr back while pictures are decoded, and leaves out what libpng and libjpeg write there by themselves.
-
-    Those two know no other way to complain, and our own error says what is wrong with a file. What others write
-    meanwhile goes on when the last of the threads that decode is done. Where stderr is closed, nothing happens.
-    """
-
-    _CHATTER = (b"libpng ", b"Corrupt JPEG data", b"Premature end of JPEG", b"Invalid SOS parameters")
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._inside = 0
-        self._stderr = self._held = -1
-
-    def __enter__(self) -> None:
-        with self._lock:
-            self._inside += 1
-            if self._inside > 1:
-                return
-            with contextlib.suppress(OSError, AttributeError):  # AttributeError: memfd_create is of Linux alone
-                self._held = os.memfd_create("stderr") if self._held < 0 else self._held
-                self._stderr = os.dup(2)
-                os.dup2(self._held, 2)
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside or self._stderr < 0:
-                return
-            os.dup2(self._stderr, 2)
-            os.close(self._stderr)
-            self._stderr = -1
-            if size := os.fstat(self._held).st_size:
-                lines = os.pread(self._held, size, 0).splitlines(keepends=True)
-                os.ftruncate(self._held, 0)
-                os.lseek(self._held, 0, os.SEEK_SET)
-                with contextlib.suppress(OSError):
-                    os.write(2, b"".join(line for line in lines if not line.startswith(self._CHATTER)))
-
-
-_SILENCE = _Silence()
 
 
 def encode_picture(image: np.ndarray, suffix: str) -> bytes:

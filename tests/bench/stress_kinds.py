@@ -68,6 +68,10 @@ def wrong_records(data: bytes) -> str:
     return ""
 
 
+DECODERS = ("libpng ", "Corrupt JPEG data", "Premature end of JPEG", "Invalid SOS parameters")
+"""How lines begin that libpng and libjpeg write for damaged pictures, beside ours."""
+
+
 def ended(
     command: str, arguments: Sequence[object], folder: Path, stdin: bytes = b"", **how: Any
 ) -> tuple[Trial, bytes]:
@@ -84,7 +88,7 @@ def ended(
     lost = ""
     if end.returncode not in (0, *REFUSALS):
         lost = f"exit {end.returncode}: {end.stderr[-300:]}"
-    elif not all(line.startswith(f"{command}: ") for line in said):
+    elif not all(line.startswith((f"{command}: ", *DECODERS)) for line in said):
         lost = f"a line that is none of ours: {end.stderr[:400]}"
     elif end.returncode and not said:
         lost = f"exit {end.returncode} without a word"
