@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from avcli.formats.experiment import Config
 from avcli.formats.records import Identified
 from avcli.localization.array import Array
 from avcli.localization.beam import Beams, paths
@@ -69,3 +70,29 @@ def test_silence_stays_silence_and_one_microphone_is_no_array():
     assert not listener(np.zeros((2 * RATE, len(CORNERS)))).hear(0, RATE)["b"].any()
     with pytest.raises(ValueError, match="two microphones"):
         Beams(Array(CORNERS[:1], RATE, ROOM), {}, lambda first, last: np.zeros((last - first, 1)))
+
+
+def test_channels_that_config_names_as_faulty_are_put_right_for_the_beam():
+    sound = sum(arriving(name, voice(seed)) for seed, name in enumerate("ab"))
+    faulty = sound[:, [0, 2, 1, 3, 4, 5, 6, 7]] * np.where(np.arange(8) == 4, -1.0, 1.0)
+    faulty[:, 5] = np.roll(faulty[:, 5], 40)
+    faulty[:, 7] = 0.0
+    channels = [{"channel": c + 1} for c in (0, 2, 1, 3, 4, 5, 6, 7)]
+    channels[4]["polarity"], channels[5]["delay_s"], channels[7]["usable"] = -1, 40 / RATE, False
+
+    def heard(samples, microphones, known):
+        section = {"mic_positions_m": microphones.tolist(), "audio_sample_rate_hz": RATE, **known}
+        config = Config({"microphone_config": section, "room_config": {"room_dimensions_m": ROOM.tolist()}})
+
+        def read(first, last):
+            at = np.arange(first, last)
+            known = (at >= 0) & (at < len(samples))
+            return samples[np.clip(at, 0, len(samples) - 1)] * known[:, None]
+
+        records = [Identified(t, np.array([0]), np.array([[*BODIES["a"], 0.0]])) for t in np.arange(0, 2.05, 0.1)]
+        return Beams.of(config, records, 0.0, RATE, read).hear(0, 2 * RATE)[0]
+
+    healthy = heard(sound[:, :7], CORNERS[:7], {})
+    mended = heard(faulty, CORNERS, {"channels": channels})
+    inside = slice(RATE // 4, -RATE // 4)  # the last samples of the late channel were never recorded
+    assert np.abs(mended - healthy)[inside].max() < 0.02 * np.abs(healthy).max()

@@ -142,6 +142,7 @@ def _check_options(session: Session, values: dict[str, Any]) -> None:
         session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}, {AUTO}")
     if plot and not plot.lower().endswith((".png", ".svg", ".pdf")):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
+    session.check_outputs({f"--{name}": values[name] for name in ("html", "plot", "details")})
 
 
 def _finish(session: Session, seen: Seen, values: dict[str, Any]) -> None:

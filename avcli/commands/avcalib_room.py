@@ -176,6 +176,7 @@ def microphones_command(
     given = settings_from(settings.MicrophoneSettings, values)
     if tracks and places:
         session.usage("give TRACKS or --places, not both")
+    session.check_outputs({"--html": html}, [*audio, *filter(None, (tracks, places))])
     if not tracks:
         refuse_without_effect(["mouth_height_m", "track_sd_m"], "without TRACKS")
     way = _way(session, tracks, places, given)
@@ -202,11 +203,7 @@ def microphones_command(
         raise GateNotMet(found.refusal)
     record = {**found.record(), "channels": channels.record()}
     sd = float(found.fit.position_sd.max())
-    wiring = channels.wiring()
-    for one in wiring or ():
-        if not one["usable"]:
-            session.warn(f"channel {one['channel']} is not used any more: no fixed correction puts it right")
-    changed = camera.with_microphones(session.config.raw, found.fit.positions.tolist(), sd, wiring)
+    changed = camera.with_microphones(session.config.raw, found.fit.positions.tolist(), sd, channels.wiring())
     with session.output() as write:
         write(record if session.output_path == "-" else changed)
     if into_config:

@@ -108,9 +108,7 @@ def main(
         least = [gates.parse_gate(text) for text in fail_under]
     if plot and Path(plot).suffix.lower() not in (".png", ".svg", ".pdf"):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
-    for path in filter(None, (plot, html)):
-        if not Path(path).parent.is_dir():
-            session.usage(f"{path}: its directory does not exist")
+    session.check_outputs({"--plot": plot, "--html": html})
     if kind is None:
         kind = "table" if session.output_path == "-" and sys.stdout.isatty() else "jsonl"
     if leaderboard:

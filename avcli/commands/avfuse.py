@@ -193,7 +193,8 @@ def main(
     from avcli.tracking.glmb import GLMB
 
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
-    _check_outputs(session, [path for _, path in sources], {"--explain": explain, "--learn": learn, "--map": map})
+    outputs = {"--explain": explain, "--learn": learn, "--map": map}
+    session.check_outputs(outputs, [path for _, path in sources])
     inputs = _Inputs(session, sources, live)
     with session.output() as write, _accounts(explain) as account:
         first = inputs.until_first_record()  # then config.json is complete
@@ -240,16 +241,6 @@ def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> N
     refuse_without_effect(foreign, f"with --motion {settings.motion}")
     if not has_config:
         refuse_without_effect(["room_margin"], "without a config.json (-C or -c), which gives the room's size")
-
-
-def _check_outputs(session: Session, inputs: list[str], outputs: dict[str, str | None]) -> None:
-    """End with a usage error where a file that is to be written is an input, or has no directory."""
-    read = {os.path.realpath(path) for path in inputs}
-    for option, path in outputs.items():
-        if path and os.path.realpath(path) in read:
-            session.usage(f"{option} {path}: this file is an input; name another one")
-        if path and not os.path.isdir(os.path.dirname(path) or "."):
-            session.usage(f"{option} {path}: there is no such directory")
 
 
 def _recall(session: Session, fusion: Fusion, path: str) -> None:

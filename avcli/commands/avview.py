@@ -131,9 +131,7 @@ def main(
     options = Options(**values)
     if not (html or mp4 or rrd or serve):
         session.usage("nothing to do: give --html FILE, --mp4 FILE, --rrd FILE or --serve")
-    for path in filter(None, (html, mp4, rrd)):
-        if not Path(path).parent.is_dir():
-            session.usage(f"{path}: its directory does not exist")
+    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd})
     runs = list(_runs(session, paths, options))
     if (serve or mp4 or rrd) and len(runs) > 1:
         session.usage("--serve, --mp4 and --rrd show one run; --html shows several")

@@ -226,6 +226,24 @@ class Session:
         """End with one line on stderr and exit 2."""
         raise click.UsageError(text, click.get_current_context(silent=True))
 
+    def check_outputs(self, outputs: Mapping[str, str | None], inputs: Iterable[str] = ()) -> None:
+        """End with a usage error, before any work, where a file that is to be written is an input, or has no directory,
+        or has the name of another output.
+
+        Args:
+            outputs: by option, beside that of --output.
+            inputs: files that are read.
+        """
+        taken = {os.path.realpath(path): "this file is an input; name another one" for path in inputs}
+        for option, path in {"": self.output_path, **outputs}.items():
+            if not path or path == "-" or (os.path.exists(path) and not os.path.isfile(path)):  # a device takes several
+                continue
+            if option and os.path.realpath(path) in taken:
+                self.usage(f"{option} {path}: {taken[os.path.realpath(path)]}")
+            if option and not os.path.isdir(os.path.dirname(path) or "."):
+                self.usage(f"{option} {path}: there is no such directory")
+            taken[os.path.realpath(path)] = "two outputs have the same name"
+
     def note_skipped(self, what: str, count: int, total: int, why: str, stage: str = "") -> None:
         """Say under -v how much was not computed, why, and what that saved.
 

@@ -13,12 +13,15 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from avcli.formats import atomic
 from avcli.formats.bounds import LARGEST_PICTURE_FILE, MOST_CHANNELS, MOST_PIXELS
+
+if TYPE_CHECKING:
+    import soundfile
 
 FLAC_CHANNELS = 8
 """The most channels that a FLAC file can have (RFC 9639, 9.1.3)."""
@@ -506,11 +509,12 @@ def read_audio(path: str | os.PathLike) -> tuple[np.ndarray, int]:
     return np.concatenate(blocks), rate
 
 
-def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator[tuple[np.ndarray, int]]:
-    """Yield a sound file's samples, (≤ block_size, channels) float64, each with the sample rate in Hz.
+@contextlib.contextmanager
+def _sound_file(path: str | os.PathLike) -> Iterator[tuple["soundfile.SoundFile", int]]:
+    """Open a sound file, and tell its size in bytes.
 
     Raises:
-        MediaError: the file is missing, empty, cut short or not sound.
+        MediaError: the file is missing, empty or not sound, or what is done with it fails.
     """
     import soundfile
 
@@ -522,23 +526,34 @@ def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator
         with soundfile.SoundFile(path) as file:
             if file.channels > MOST_CHANNELS:
                 raise MediaError(f"{path}: sound has at most {MOST_CHANNELS} channels, and this has {file.channels}")
-            expected, found = file.frames, 0
-            block_size = max(min(block_size, (1 << 24) // file.channels), 1)
-            while True:
-                block = file.read(block_size, dtype="float64", always_2d=True)
-                found += len(block)
-                if len(block) == 0:
-                    break
-                yield block, file.samplerate
-            stated = _stated_wav_bytes(path)
-            if found < expected or (stated is not None and stated > size):
-                raise MediaError(f"{path}: cut short: it has {found} samples, and its header states more")
-            if found == 0:
-                raise MediaError(f"{path}: there are no samples in it")
+            yield file, size
     except OSError as error:
         raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except soundfile.LibsndfileError as error:
         raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
+
+
+def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield a sound file's samples, (≤ block_size, channels) float64, each with the sample rate in Hz.
+
+    Raises:
+        MediaError: the file is missing, empty, cut short or not sound.
+    """
+    with _sound_file(path) as (file, size):
+        found, block_size = 0, max(min(block_size, (1 << 24) // file.channels), 1)
+        while len(block := file.read(block_size, dtype="float64", always_2d=True)):
+            found += len(block)
+            yield block, file.samplerate
+        _refuse_short(path, size, found, file.frames)
+
+
+def _refuse_short(path: str | os.PathLike, size: int, found: int, expected: int) -> None:
+    """Refuse a sound file of so many bytes with fewer samples than its header states, or with none."""
+    stated = _stated_wav_bytes(path)
+    if found < expected or (stated is not None and stated > size):
+        raise MediaError(f"{path}: cut short: it has {found} samples, and its header states more")
+    if found == 0:
+        raise MediaError(f"{path}: there are no samples in it")
 
 
 @dataclass(frozen=True)
@@ -566,27 +581,10 @@ def audio_form(path: str | os.PathLike, *, growing: bool = False) -> AudioForm:
     Raises:
         MediaError: the file is missing, empty, cut short or not sound.
     """
-    import soundfile
-
-    try:
-        with _open_regular(path) as stream:
-            size = os.fstat(stream.fileno()).st_size
-        if size == 0:
-            raise MediaError(f"{path}: the file is empty")
-        with soundfile.SoundFile(path) as file:
-            form = AudioForm(file.frames, file.channels, file.samplerate)
-        if form.channels > MOST_CHANNELS:
-            raise MediaError(f"{path}: sound has at most {MOST_CHANNELS} channels, and this has {form.channels}")
-        stated = _stated_wav_bytes(path)
-        if stated is not None and stated > size and not growing:
-            raise MediaError(f"{path}: cut short: it has {form.samples} samples, and its header states more")
-        if form.samples == 0 and not growing:
-            raise MediaError(f"{path}: there are no samples in it")
-        return form
-    except OSError as error:
-        raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except soundfile.LibsndfileError as error:
-        raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
+    with _sound_file(path) as (file, size):
+        if not growing:
+            _refuse_short(path, size, file.frames, file.frames)
+        return AudioForm(file.frames, file.channels, file.samplerate)
 
 
 def audio_part(path: str | os.PathLike, first: int, count: int) -> np.ndarray:
@@ -595,16 +593,9 @@ def audio_part(path: str | os.PathLike, first: int, count: int) -> np.ndarray:
     Raises:
         MediaError: it cannot be read.
     """
-    import soundfile
-
-    try:
-        with soundfile.SoundFile(path) as file:
-            file.seek(min(first, file.frames))
-            return file.read(count, dtype="float32", always_2d=True)
-    except OSError as error:
-        raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except soundfile.LibsndfileError as error:
-        raise MediaError(f"{path}: not a sound file that can be read: {error.error_string}") from None
+    with _sound_file(path) as (file, _):
+        file.seek(min(first, file.frames))
+        return file.read(count, dtype="float32", always_2d=True)
 
 
 def _stated_wav_bytes(path: str | os.PathLike) -> int | None:

@@ -1,7 +1,7 @@
 """The microphone array in its room, and what a localizer says about one time step."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from avcli.formats.features import Feature
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
 from avcli.localization.faults import Fault
-from avcli.numeric import SPEED_OF_SOUND_M_S, speed_of_sound
+from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length, speed_of_sound
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,13 @@ class Array:
         microphones, room = config.microphones, config.room
         speed = room.speed_of_sound_m_s if temperature_c is None else speed_of_sound(temperature_c)
         return cls(microphones.positions, microphones.sample_rate_hz, room.dimensions, speed, microphones.wiring)
+
+    @property
+    def usable(self) -> "Array":
+        """The microphones whose channels are used, in sound that `put_right` gives."""
+        if self.wiring is None:
+            return self
+        return replace(self, microphones=self.microphones[self.wiring.usable], wiring=None)
 
     @cached_property
     def spread(self) -> np.ndarray:
@@ -76,6 +83,21 @@ class Array:
         """Return the mean travel time in s from the middle of a volume with corners (3,) m to the microphones."""
         middle = 0.5 * (np.asarray(low) + np.asarray(high))
         return float(np.linalg.norm(self.microphones - middle, axis=1).mean() / self.speed_of_sound)
+
+
+def put_right(samples: np.ndarray, wiring: Wiring, sample_rate: float) -> np.ndarray:
+    """Return the sound (n, m) of the usable microphones, (n, u): in their order, of one polarity, none late.
+
+    Where a channel is late, its last samples are zeros.
+    """
+    samples = samples[:, wiring.order[wiring.usable]] * wiring.sign[wiring.usable]
+    delay, size = wiring.delay[wiring.usable], len(samples)
+    if not delay.any() or not size:
+        return samples
+    padded = fft_length(size + int(np.ceil(np.abs(delay).max() * sample_rate)) + 16)
+    frequency = np.fft.rfftfreq(padded, 1.0 / sample_rate)
+    advanced = np.fft.rfft(samples, padded, axis=0) * np.exp(2j * np.pi * frequency[:, None] * delay)
+    return np.fft.irfft(advanced, padded, axis=0)[:size]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from avcli.formats.experiment import Config
 from avcli.formats.records import Identified
-from avcli.localization.array import Array
+from avcli.localization.array import Array, put_right
 from avcli.localization.correlation import pairs
 
 BLOCK_S = 10.0
@@ -115,10 +115,16 @@ class Beams:
             ValueError: the array has fewer than two microphones, or a key of the config is missing or wrong.
         """
         every = max(n for n in range(1, max(1, rate_hz // _LEAST_RATE_HZ) + 1) if rate_hz % n == 0)
-        array = replace(Array.of(config), sample_rate=rate_hz // every)
+        array = Array.of(config)
+        wiring, margin = array.wiring, 0
+        if wiring is not None:
+            margin = int(np.ceil(np.abs(wiring.delay).max() * rate_hz)) + 16
+        array = replace(array.usable, sample_rate=rate_hz // every)
 
         def reduced(first: int, last: int) -> np.ndarray:
-            samples = read(first * every, last * every)
+            samples = read(first * every - margin, last * every + margin)
+            if wiring is not None:
+                samples = put_right(samples, wiring, rate_hz)[margin : len(samples) - margin]
             return samples.reshape(last - first, every, -1).mean(axis=1)
 
         return cls(array, paths(people, start_s), reduced)

@@ -4,17 +4,15 @@ It needs the whole recording, since its threshold is a share of the largest ener
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.formats.experiment import Wiring
 from avcli.localization import correlation, events, multilateration, uncertainty
-from avcli.localization.array import Array, Decision, Talker, time_steps
+from avcli.localization.array import Array, Decision, Talker, put_right, time_steps
 from avcli.localization.settings import ClosedFormSettings
 from avcli.localization.stream import Block, stretches
 from avcli.localization.windows import finite
-from avcli.numeric import fft_length
 
 RT60_S = 0.35
 """s, the reverberation time of the thesis's room."""
@@ -58,8 +56,7 @@ class ClosedFormLocalizer:
         law: uncertainty.Law | None = None,
     ):
         self.wiring = array.wiring
-        if self.wiring:
-            array = replace(array, microphones=array.microphones[self.wiring.usable], wiring=None)
+        array = array.usable
         array.require(count=settings.combination + 1, dimensions=3)
         self.array, self.settings, self.law = array, settings, law or uncertainty.fitted_law()
         # The thesis gives T60 times the window; we take the window in samples and the product as samples.
@@ -80,7 +77,7 @@ class ClosedFormLocalizer:
             heard, _, notices = finite(np.concatenate([block.samples for block in read]).T)
             samples = np.ascontiguousarray(heard.T)
             if self.wiring:
-                samples = _put_right(samples, self.wiring, fs)
+                samples = put_right(samples, self.wiring, fs)
             steps = self.steps(samples, first)
             for step in time_steps(first, len(samples), fs, rate, read[-1].tail):
                 yield Decision.of(step / rate, [self.mean(steps[step])] if step in steps else [], notices)
@@ -166,13 +163,3 @@ class ClosedFormLocalizer:
             float(np.median([event.valid for event in found])),
             len(found) * self.settings.rate / 10.0,
         )
-
-
-def _put_right(samples: np.ndarray, wiring: Wiring, sample_rate: float) -> np.ndarray:
-    """Return the sound (n, m) of the usable microphones (n, u), of which nothing is late or turned over."""
-    samples = samples[:, wiring.order[wiring.usable]] * wiring.sign[wiring.usable]
-    delay, size = wiring.delay[wiring.usable], len(samples)
-    padded = fft_length(size + int(np.ceil(np.abs(delay).max(initial=0.0) * sample_rate)) + 16)
-    frequency = np.fft.rfftfreq(padded, 1.0 / sample_rate)
-    advanced = np.fft.rfft(samples, padded, axis=0) * np.exp(2j * np.pi * frequency[:, None] * delay)
-    return np.fft.irfft(advanced, padded, axis=0)[:size]

@@ -92,7 +92,7 @@ class Channels:
                 found.append(Fault(number, "swapped", microphone=microphone + 1))
             if self.sign[microphone] < 0.0:
                 found.append(Fault(number, "polarity"))
-            if self.late[microphone]:
+            if self.delay[microphone] and not self.drift[microphone]:
                 found.append(Fault(number, "late", delay_s=float(self.delay[microphone])))
             if abs(self.level_db[microphone]) > UNUSUAL_DB:
                 found.append(Fault(number, "level", level_db=float(self.level_db[microphone])))
@@ -101,7 +101,8 @@ class Channels:
     def words(self) -> list[str]:
         """Describe what is wrong in sentences without a full stop."""
         drifting = [
-            f"channel {channel + 1} drifts by {1e6 * drift:.1f} ppm"
+            f"channel {channel + 1} drifts by {1e6 * drift:.1f} ppm; config.json will not use it, since no fixed delay "
+            "puts it right"
             for channel, drift in zip(self.order, self.drift, strict=True)
             if drift
         ]
@@ -138,7 +139,7 @@ class Channels:
         A channel that drifts is not used: its delay will be another one in the next recording.
         """
         usable = self.usable & (self.drift == 0.0)
-        if usable.all() and not self.faults():
+        if usable.all() and not self.delay.any() and (self.sign > 0.0).all() and (np.diff(self.order) == 1).all():
             return None
         return [
             {"channel": int(channel) + 1, "polarity": int(sign), "delay_s": float(delay), "usable": bool(used)}
