@@ -18,7 +18,7 @@ BOARD_GAIN = 0.02
 """The board's shape is fitted only where held-out views improve by at least this fraction."""
 
 _WORTH_A_TEST = 1 - BOARD_GAIN / 2
-"""What the shape or the errors promise (robust.promised) at least, or they are not fitted and tested. On derlunz, dyf
+"""What the shape or the errors promise (robust.foretold) at least, or they are not fitted and tested. On derlunz, dyf
 and fish_1 a promise of more than 2 % was off by at most 0.06, one of less by 0.03 to the worse."""
 
 LEAST_FOR_ERRORS = 8
@@ -45,7 +45,7 @@ class Calibration:
         shutter: what a rolling shutter explains.
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried, and `shaped_px` only
-            foretold (robust.promised) where that is no better.
+            foretold (robust.foretold) where that is no better.
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN or foretold likewise.
         tried: the lens models that were tried, the best first; empty where the model was given.
     """
@@ -226,7 +226,8 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
     flat = chosen = robust.held_out(everything, solution, good)
     flat_px, shaped_px, printed_px = flat.rms_px, float("nan"), float("nan")
     if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
-        promised = robust.promised(everything, solution, good, board_shape=True)
+        plain = robust.foretold(everything, solution, good)
+        promised = robust.foretold(everything, solution, good, board_shape=True) / plain
         shaped_px = promised * flat_px
         if settings.board_shape == "yes" or promised < _WORTH_A_TEST:
             # From all corners again: a flat board may have made good ones of a bowed board look bad.
@@ -236,9 +237,10 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
             flat_px, shaped_px = flat.of(good & bent_good), shaped.of(good & bent_good)
             if settings.board_shape == "yes" or shaped_px < (1 - BOARD_GAIN) * flat_px:
                 solution, good, chosen = bent, bent_good, shaped
-    board_errors = False
+                plain = robust.foretold(everything, solution, good)
+    board_errors = False  # with 8 views the shape was tried, so that `plain` is known
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
-        promised = robust.promised(everything, solution, good, board_errors=True)
+        promised = robust.foretold(everything, solution, good, board_errors=True) / plain
         printed_px = promised * chosen.rms_px
         if promised < _WORTH_A_TEST:
             printed = robust.held_out(everything, solution, good, board_errors=True)

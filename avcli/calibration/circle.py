@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration.pyramid import reduced
+from avcli.calibration.pyramid import Pyramid
 
 _WIDTH = 320
 """Longest side of the mean picture in which the circle is searched, px."""
@@ -45,9 +45,9 @@ class Light:
         self._count = 0
         self._scale = 1.0
 
-    def take(self, grey: np.ndarray) -> None:
+    def take(self, picture: np.ndarray | Pyramid) -> None:
         """Add a picture (height, width) uint8; one of another size than the first is left out."""
-        small, self._scale = reduced(grey, _WIDTH)
+        small, self._scale = Pyramid.of(picture).reduced(_WIDTH)
         if not self._count:
             self._sum = np.zeros(small.shape)
         if small.shape == self._sum.shape:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from avcli.calibration import circles, markers, saddles, sharpness
-from avcli.calibration.pyramid import reduced
+from avcli.calibration.pyramid import Pyramid
 from avcli.calibration.sharpness import Blur
 from avcli.calibration.target import Board
 
@@ -17,7 +17,7 @@ _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
 LEAST_GUESSED = 16
 """Inner corners of a checkerboard whose size is guessed: noise may look like a smaller one."""
-_AT_ONCE = 96
+_AT_ONCE = 40
 """Corners that are polished at once: what they need stays in the processor's cache."""
 _PLANES = 19
 """Numbers a pixel while corners are polished. Their memory is used again: new memory would cost half the time."""
@@ -74,15 +74,17 @@ def _grey_of_rgb(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_RGB2GRAY)
 
 
-def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | None:
+def find(picture: np.ndarray | Pyramid, board: Board, *, thorough: bool = True) -> View | None:
     """Find a board's corners; None where there is no board.
 
     Args:
-        grey: (height, width) uint8.
+        picture: (height, width) uint8.
         board: a checkerboard must be in the picture with its four sides, up to a fifth of its corners hidden; a grid
             of circles wholly; of a board with markers six corners are enough.
         thorough: see saddles.find_board.
     """
+    picture = Pyramid.of(picture)
+    grey = picture.grey
     if min(grey.shape) < 32:
         return None
     if board.markers:
@@ -91,7 +93,7 @@ def find(grey: np.ndarray, board: Board, *, thorough: bool = True) -> View | Non
     elif board.has_circles:
         found = circles.find(grey, board)
     else:
-        found = _find_checkerboard(grey, board.inner, thorough)
+        found = _find_checkerboard(picture, board.inner, thorough)
     if not found:
         return None
     view = view_of(grey, *found)
@@ -105,9 +107,15 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
     """Make a view of corners (n, 2) px with the picture around each."""
     height, width = grey.shape
     origins = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(int)
-    span = np.arange(-PATCH, PATCH + 1)
-    columns, rows = (np.clip(origins[:, i, None] + span, 0, limit - 1) for i, limit in ((0, width), (1, height)))
-    patches = grey[rows[:, :, None], columns[:, None, :]]
+    columns, rows = origins.T
+    side = 2 * PATCH + 1
+    if min(origins.min(0)) >= PATCH and max(columns) < width - PATCH and max(rows) < height - PATCH:
+        windows = np.lib.stride_tricks.sliding_window_view(grey, (side, side))
+        patches = windows[rows - PATCH, columns - PATCH]
+    else:
+        span = np.arange(-PATCH, PATCH + 1)
+        columns, rows = (np.clip(at[:, None] + span, 0, limit - 1) for at, limit in ((columns, width), (rows, height)))
+        patches = grey[rows[:, :, None], columns[:, None, :]]
     return View(ids, pixels, patches, origins, width, height)
 
 
@@ -115,23 +123,23 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 
 
 def _find_checkerboard(
-    grey: np.ndarray, inner: tuple[int, int], thorough: bool, quickly: bool = True
+    picture: Pyramid, inner: tuple[int, int], thorough: bool, quickly: bool = True
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    found = saddles.find_board(grey, inner, thorough=thorough, quickly=quickly)
+    found = saddles.find_board(picture, inner, thorough=thorough, quickly=quickly)
     if found is None:
         return None
     spacing = _spacing(found.ids, found.pixels, inner)
     if not (spacing > 1.5).all():
         return None
-    pixels, lost = _subpixel(grey, found.pixels, spacing, max(found.error, 1.5))
+    pixels, lost = _subpixel(picture.grey, found.pixels, spacing, max(found.error, 1.5))
     if found.quickly and lost.any():  # a larger picture may show better where they are
-        return _find_checkerboard(grey, inner, thorough, quickly=False)
+        return _find_checkerboard(picture, inner, thorough, quickly=False)
     return found.ids, pixels
 
 
-def shrunk(grey: np.ndarray) -> np.ndarray:
+def shrunk(picture: Pyramid) -> np.ndarray:
     """The picture at a size at which the size of a board can be guessed later."""
-    return reduced(grey, _KEEP_WIDTH)[0]
+    return picture.reduced(_KEEP_WIDTH)[0]
 
 
 def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:

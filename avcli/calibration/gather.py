@@ -12,6 +12,7 @@ from avcli.calibration import corners, recognise
 from avcli.calibration.circle import Light
 from avcli.calibration.corners import View
 from avcli.calibration.fit import NoFit
+from avcli.calibration.pyramid import Pyramid
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
@@ -34,8 +35,8 @@ _NAMED = 5
 
 Found = View | Board | None
 """The view of the board in a picture; as long as the board is unknown, the board that it shows."""
-Look = tuple[Picture, np.ndarray, Found]
-"""A picture, the same in grey (height, width) uint8, and what was found in it."""
+Look = tuple[Picture, Pyramid, Found]
+"""A picture, the same in grey, and what was found in it."""
 
 
 class Seen:
@@ -66,21 +67,21 @@ class Seen:
         """Count the pictures."""
         return len(self._pictures)
 
-    def take(self, name: str, timestamp: float, grey: np.ndarray, view: View | None, why: str | None = None) -> None:
-        """Add a picture (height, width) uint8 and the view in it, which is left out if there is a reason `why`."""
-        size = grey.shape[1], grey.shape[0]
+    def take(self, name: str, timestamp: float, picture: Pyramid, view: View | None, why: str | None = None) -> None:
+        """Add a picture and the view in it, which is left out if there is a reason `why`."""
+        size = picture.grey.shape[1], picture.grey.shape[0]
         self.size = self.size or size
-        self.lights.setdefault(size, Light()).take(grey)
+        self.lights.setdefault(size, Light()).take(picture)
         if view is None:
             why = "no board"
             if len(self.misses) < _MISSES:
-                self.misses.append(corners.shrunk(grey))
+                self.misses.append(corners.shrunk(picture))
         elif why is None and is_duplicate(view, self.views):
             why = "duplicate"
         elif why is None:
             self.views.append(view)
             self.names.append(name)
-            self.samples.setdefault(size, grey)
+            self.samples.setdefault(size, picture.grey)
         index = None if why else len(self.views) - 1
         self._pictures.append({"timestamp": timestamp, "picture": name, "why": why, "view": index, "size": size})
 
@@ -259,7 +260,7 @@ def collect(
     try:
         for picture, grey, found in search.look_ahead(pictures):
             view = search.take(picture, grey, found)
-            if after(search.seen, grey, view):
+            if after(search.seen, grey.grey, view):
                 break
     except MediaError as error:
         if not search.seen.views:
@@ -324,7 +325,7 @@ class _Search:
         """The board to look for, or what is known of it."""
         return self.seen.board if self.seen.is_known or self.wanted is None else self.wanted
 
-    def take(self, picture: Picture, grey: np.ndarray, found: Found) -> View | None:
+    def take(self, picture: Picture, grey: Pyramid, found: Found) -> View | None:
         """Add a picture and return the view in it; after some of them, recognise the board or try another size."""
         view = found if isinstance(found, View) else None
         known = self.seen.is_known
@@ -346,7 +347,7 @@ class _Search:
                 self.first = []
         return view if known else self.seen.last_view
 
-    def _add(self, picture: Picture, grey: np.ndarray, view: View | None) -> None:
+    def _add(self, picture: Picture, grey: Pyramid, view: View | None) -> None:
         self.seen.take(picture.name, picture.timestamp, grey, view, self.reason(self.seen, picture, view))
 
     def recognise(self, *, at_last: bool = False) -> None:
@@ -411,8 +412,8 @@ class _Search:
             f"{other.inner[0]}x{other.inner[1]}; continuing with a board of {other} squares"
         )
 
-    def _again(self, picture: Picture, board: Board | None = None) -> tuple[np.ndarray, View | None]:
-        grey = corners.to_grey(picture.image)
+    def _again(self, picture: Picture, board: Board | None = None) -> tuple[Pyramid, View | None]:
+        grey = Pyramid(corners.to_grey(picture.image))
         return grey, corners.find(grey, board or self.seen.board, thorough=self.thorough)
 
     def is_thorough(self, number: int) -> bool:
@@ -458,9 +459,9 @@ class _Search:
                 raise failure
 
 
-def look(image: np.ndarray, board: Board | Wanted | None, thorough: bool) -> tuple[np.ndarray, Found]:
+def look(image: np.ndarray, board: Board | Wanted | None, thorough: bool) -> tuple[Pyramid, Found]:
     """Look at a picture as a camera gives it: the picture in grey, and the view of the board, or the board it shows."""
-    grey = corners.to_grey(image)
+    grey = Pyramid(corners.to_grey(image))
     if board is None:
         return grey, None
     if isinstance(board, Wanted):

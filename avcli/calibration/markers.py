@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from avcli.calibration.pyramid import reduced
+from avcli.calibration.pyramid import Pyramid
 from avcli.calibration.target import Board, Kind, dictionary_of
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _find_tags(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray, 
 
 def _reduced(grey: np.ndarray) -> tuple[np.ndarray, float]:
     """A picture in which tags are searched, and the factor back to the full one."""
-    return (grey, 1.0) if max(grey.shape) < 1.25 * _SEARCH_WIDTH else reduced(grey, _SEARCH_WIDTH)
+    return (grey, 1.0) if max(grey.shape) < 1.25 * _SEARCH_WIDTH else Pyramid(grey).reduced(_SEARCH_WIDTH)
 
 
 def _quads(grey: np.ndarray, *, touching: bool) -> np.ndarray:

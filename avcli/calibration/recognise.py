@@ -8,7 +8,7 @@ import numpy as np
 
 from avcli.calibration import circles, markers, saddles
 from avcli.calibration.corners import LEAST_GUESSED, View
-from avcli.calibration.pyramid import reduced
+from avcli.calibration.pyramid import Pyramid
 from avcli.calibration.target import KINDS, Board, Kind
 
 _NOMINAL_M = 0.095
@@ -86,21 +86,22 @@ def largest_of(dictionary: str) -> str:
     return f"{family}_250" if count.isdigit() and int(count) < 250 else dictionary
 
 
-def look(grey: np.ndarray, wanted: Wanted, *, thorough: bool = True) -> Board | None:
+def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True) -> Board | None:
     """Tell which board a picture (height, width) uint8 shows; None where there is none, or not the wanted kind.
 
     Without `thorough`, markers and circles are looked for in a picture of 960 px, which misses small ones.
     """
     kind = wanted.kind
-    small = grey if thorough else reduced(grey, _QUICK_WIDTH)[0]
+    picture = Pyramid.of(picture)
+    small = picture.grey if thorough else picture.reduced(_QUICK_WIDTH)[0]
     if kind in (None, "charuco", "aprilgrid"):
         found = markers.recognise(small, kind, wanted.dictionary)
         if found is not None or kind is not None:
             return found
     if kind in (None, "checkerboard"):
-        if wanted.size and saddles.find_board(grey, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
+        if wanted.size and saddles.find_board(picture, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
             return Board(*wanted.size, scaled=False)
-        for inner in saddles.sizes(grey, LEAST_GUESSED, _MOST_BENT)[:1]:
+        for inner in saddles.sizes(picture, LEAST_GUESSED, _MOST_BENT)[:1]:
             if min(inner) < 3:
                 break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)

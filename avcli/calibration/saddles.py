@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from avcli.calibration.pyramid import reduced
+from avcli.calibration.pyramid import Pyramid
 
 _MOST = 1500
 """Saddle points that are looked at: the strongest ones."""
@@ -457,11 +457,13 @@ def find_grids(
         start = cells[(0, 0)]
         if any((np.abs(grid.pixels - start).max(1) < 2).any() for grid in out):
             continue
-        if _bend(cells) > _MOST_BENT:
+        bend, joined = _bend(cells), set(cells)
+        if bend > _MOST_BENT:
             continue
         _grown(relief, cells, radius, most)
         cells, is_cut = _trimmed(cells)
-        bend = _bend(cells)
+        if cells.keys() != joined:
+            bend = _bend(cells)
         if len(cells) < least or bend > _MOST_BENT:
             continue
         largest = max(largest, len(cells))
@@ -492,25 +494,25 @@ class Found:
 
 
 def find_board(
-    grey: np.ndarray, inner: tuple[int, int], *, thorough: bool = True, quickly: bool = True
+    picture: np.ndarray | Pyramid, inner: tuple[int, int], *, thorough: bool = True, quickly: bool = True
 ) -> Found | None:
     """Find a checkerboard of `inner` corners along a row and a column, at least four fifths of it; None without one.
 
     Args:
-        grey: (height, width) uint8.
+        picture: (height, width) uint8.
         inner: of the whole board: a part of a larger one is not taken for it.
         thorough: look for small, oblique and blurred boards even where nothing speaks for one.
         quickly: take a large board, wholly seen, from a very small picture.
     """
     best: Found | None = None
-    total = inner[0] * inner[1]
+    picture, total = Pyramid.of(picture), inner[0] * inner[1]
     if quickly:
-        small, scale = reduced(grey, _QUICK_WIDTH)
+        small, scale = picture.reduced(_QUICK_WIDTH)
         best = _largest(_sized_grids(small, inner, _CROWD * total), inner, scale)
         if best is not None and len(best.ids) == total and _is_clear(best, inner[0], scale):
             return replace(best, error=scale / 2, quickly=True)
         best = None
-    for small, scale in _reduced(grey):
+    for small, scale in _reduced(picture):
         grids = _sized_grids(small, inner)
         found = _largest(grids, inner, scale)
         if found is not None and (best is None or len(found.ids) > len(best.ids)):
@@ -545,23 +547,23 @@ def _is_clear(found: Found, columns: int, scale: float) -> bool:
     return bool(squared.min() >= (_LARGE * scale) ** 2 and abs(way[0]) > _UPRIGHT * np.hypot(*way))
 
 
-def _reduced(grey: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+def _reduced(picture: Pyramid) -> Iterator[tuple[np.ndarray, float]]:
     """The picture at each of the widths, and the factor back to the full one."""
     done: set[float] = set()
     for longest in _WIDTHS:
-        small, scale = reduced(grey, longest)
+        small, scale = picture.reduced(longest)
         if scale not in done:
             done.add(scale)
             yield small, scale
 
 
-def sizes(grey: np.ndarray, least: int = 9, bend: float = _MOST_BENT) -> list[tuple[int, int]]:
+def sizes(picture: np.ndarray | Pyramid, least: int = 9, bend: float = _MOST_BENT) -> list[tuple[int, int]]:
     """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first.
 
     A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count; nor
     does one that is bent by `bend` or more (see `_bend`).
     """
-    for small, _ in _reduced(grey):
+    for small, _ in _reduced(Pyramid.of(picture)):
         whole = [g for g in find_grids(small, least=least) if len(g.pixels) == g.columns * g.rows >= least]
         whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut and g.bend < bend]
         if whole:
