@@ -30,10 +30,10 @@ class Shown:
         surroundings: as `avcli.view.surroundings.surroundings` describes them.
         pictures: of the camera, in order of time, and how many they are.
         rate_hz: of the camera.
-        film: where the pictures come from, if it is one film, and the time of its first picture in s.
         track: sound, None where there is none.
         beams: what is heard at each track, of the tracker that is shown first.
         scores: tracker -> "score" (fraction), "hota" (curves over alpha), "error" ("t" in s, "cm", "missed", "false").
+        film: where the pictures come from, if it is one film, and the time of its first picture in s.
     """
 
     recording: Recording
@@ -41,10 +41,10 @@ class Shown:
     pictures: Iterable[Timed] = ()
     picture_count: int = 0
     rate_hz: float = 10.0
-    film: tuple[Path, float] | None = None
     track: sound.Track | None = None
     beams: Sequence[sound.Beam] = ()
     scores: Mapping[str, Any] | None = None
+    film: tuple[Path, float] | None = None
 
     def bytes_inside(self) -> int:
         """Reckon how much it takes inside a page."""
