@@ -152,6 +152,24 @@ def test_a_large_page_has_a_folder(made):
         page.close()
 
 
+@pytest.mark.parametrize(("name", "codec"), [("film.webm", "VP80"), ("film.mp4", "mp4v"), ("film.avi", "MJPG")])
+def test_a_film_that_browsers_play_is_copied_beside_a_page(made, name, codec):
+    import cv2
+
+    writer = cv2.VideoWriter(str(made / name), cv2.VideoWriter.fourcc(*codec), 10, (64, 48))
+    for level in range(0, 250, 50):
+        writer.write(np.full((48, 64, 3), level, np.uint8))
+    writer.release()
+    rows = (made / "s3/tracking/video_tracking.jsonl").read_bytes()
+    result = run("avview", "--film", name, "--largest-mb", "0", "--html", f"{name}.html", stdin=rows, cwd=made)
+    assert result.returncode == 0, result.stderr
+    beside = made / f"{name}.html.files/film-0.webm"
+    assert (beside.read_bytes() == (made / name).read_bytes()) == (codec == "VP80")
+    film = cv2.VideoCapture(str(beside))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 5
+    film.release()
+
+
 @pytest.fixture(scope="module")
 def browser(made):
     if not CHROMIUM:

@@ -272,6 +272,7 @@ def _shown(
     with session.timing("pictures"):
         if options.film:
             shown.pictures, shown.picture_count = experiment.film(options.film, shown.rate_hz, options.start)
+            shown.film = Path(options.film), options.start
         else:
             found = experiment.frames(run.root, recording.frames)
             shown.pictures, shown.picture_count = found, len(found)

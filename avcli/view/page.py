@@ -33,6 +33,7 @@ class Shown:
         track: sound, None where there is none.
         beams: what is heard at each track, of the tracker that is shown first.
         scores: tracker -> "score" (fraction), "hota" (curves over alpha), "error" ("t" in s, "cm", "missed", "false").
+        film: where the pictures come from, if it is one film, and the time of its first picture in s.
     """
 
     recording: Recording
@@ -43,6 +44,7 @@ class Shown:
     track: sound.Track | None = None
     beams: Sequence[sound.Beam] = ()
     scores: Mapping[str, Any] | None = None
+    film: tuple[Path, float] | None = None
 
     def bytes_inside(self) -> int:
         """Reckon how much it takes inside a page."""
@@ -172,13 +174,23 @@ def _beside(one: Shown, folder: Path, number: int, say: Callable[[str], None]) -
         return f"{folder.name}/{name}.mp3"
 
     heard = _heard(one, lambda track, which: store(track, f"sound-{number}{which}"))
-    film = None
-    if one.picture_count:
-        film = pictures.film(
-            one.pictures, pictures.rate(one.pictures, one.rate_hz), folder / f"film-{number}.webm", say
-        )
-        film = film and {**film, "src": f"{folder.name}/{film['src']}"}
+    film = _film(one, folder / f"film-{number}", say)
+    film = film and {**film, "src": f"{folder.name}/{film['src']}"}
     return described(one, film, *heard)
+
+
+def _film(one: Shown, path: Path, say: Callable[[str], None]) -> dict | None:
+    """The film beside a page: as it is if browsers play it, else encoded."""
+    played = one.film and pictures.as_browsers_play(one.film[0])
+    if one.film and played:
+        for _, read in one.pictures:
+            read()  # who wraps the reader is told of pictures of a wrong size
+            break
+        source, start_s = one.film
+        return pictures.copied(source, path.with_suffix(played), start_s, one.rate_hz)
+    if not one.picture_count:
+        return None
+    return pictures.film(one.pictures, pictures.rate(one.pictures, one.rate_hz), path.with_suffix(".webm"), say)
 
 
 def _heard(one: Shown, store: Callable[[sound.Track, str], str]) -> tuple[dict | None, list[dict]]:

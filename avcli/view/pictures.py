@@ -1,6 +1,7 @@
 """The camera's pictures for a page: small JPEGs inside it, or a film beside it."""
 
 import base64
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +13,8 @@ from avcli.formats import atomic
 from avcli.formats.media import MediaError, quiet_decoders
 
 _WIDTH_PX = 720
-_FILM_WIDTH_PX = 960
+_PLAYED = {".webm": {"VP80", "VP90", "AV01"}, ".mp4": {"H264", "AVC1", "VP09", "VP90", "AV01"}}
+"""Codecs (FourCC) that browsers play, by the container."""
 
 Read = Callable[[], np.ndarray]
 """Reads one picture (h, w, 3) uint8 RGB; raises MediaError."""
@@ -69,7 +71,7 @@ def film(pictures: Iterable[Timed], rate_hz: float, path: Path, say: Callable[[s
     writer, start, written, last = None, 0.0, 0, None
     with atomic.replacing(path, path.suffix) as temporary:
         for time, image in _read(pictures, say):
-            small = cv2.cvtColor(_reduced(image, _FILM_WIDTH_PX), cv2.COLOR_RGB2BGR)
+            small = cv2.cvtColor(_reduced(image, _WIDTH_PX), cv2.COLOR_RGB2BGR)
             if writer is None:
                 start = time
                 quiet_decoders()
@@ -90,6 +92,48 @@ def film(pictures: Iterable[Timed], rate_hz: float, path: Path, say: Callable[[s
         path.unlink()
         return None
     return {"src": path.name, "start": start, "rate": rate_hz}
+
+
+def copied(source: Path, path: Path, start_s: float, rate_hz: float) -> dict[str, Any]:
+    """Copy a film that browsers play beside a page; return what `film` returns.
+
+    Args:
+        source: the film.
+        path: of the copy.
+        start_s: time of its first picture.
+        rate_hz: pictures in a second.
+
+    Raises:
+        OSError: it cannot be copied.
+    """
+    with atomic.replacing(path, path.suffix) as temporary:
+        shutil.copyfile(source, temporary)
+    return {"src": path.name, "start": start_s, "rate": rate_hz}
+
+
+def as_browsers_play(path: Path) -> str | None:
+    """Return the extension of a film that browsers play and that is shown as the sensor saw it; None of others.
+
+    H.264, VP8, VP9 or AV1 with 4:2:0 pixels of 8 bits, in WebM or MP4, without a note that it is to be turned or
+    stretched: a lens is known for the pixels as they are.
+    """
+    with open(path, "rb") as file:
+        head = file.read(64)
+    is_mp4 = head[4:8] == b"ftyp" and head[8:12] != b"qt  "
+    container = ".mp4" if is_mp4 else ".webm" if head[:4] == b"\x1aE\xdf\xa3" and b"webm" in head else None
+    if container is None:
+        return None
+    import cv2
+
+    quiet_decoders()
+    capture = cv2.VideoCapture(str(path))
+    kinds = [int(capture.get(kind)) for kind in (cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)]
+    codec, pixels = (kind.to_bytes(4, "little").decode("latin-1").upper() for kind in kinds)
+    turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+    across, down = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
+    capture.release()
+    plain = not turned and across in (0, down) and pixels in ("I420", "YV12")
+    return container if plain and codec in _PLAYED[container] else None
 
 
 def _reduced(image: np.ndarray, width: int) -> np.ndarray:
