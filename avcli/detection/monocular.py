@@ -82,24 +82,40 @@ FEET_HIDDEN = 0.25
 furniture (seed 720000, which decided nothing) 0.08 gains 0.018 nats a box, with a standard error of 0.010."""
 
 
-class _Hypotheses:
-    """Kinds of bodies, each seen whole and, if they are upright, also with the side of the feet hidden."""
+HEAD_TOLD = 0.7
+"""Share of the people with hidden feet whose head a network's point marks. Of the others all points lie as those of a
+smaller body that is seen whole. Chosen of 0.3, 0.5, 0.7 and 1 on 409 detections among large panels (seed 730000): 0.059
+nats better than 1; who is seen by less than 0.3 is 21 cm off instead of 28. On 105 others (seed 740000, which
+decided nothing) it gains 0.092 nats, and the mean squared error in standard deviations falls from 3.4 to 2.6."""
 
-    def __init__(self, kinds: tuple[Kind, ...], *, upright: bool):
+
+class _Hypotheses:
+    """Kinds of bodies, each seen whole and, if they are upright, also with the side of the feet hidden.
+
+    Where a network gives points, those of whom the feet are hidden have a head that is marked, or one that is not.
+    """
+
+    def __init__(self, kinds: tuple[Kind, ...], *, upright: bool, points: bool = False):
         self.upright = upright
-        pairs = [(kind, hiding) for kind in range(len(kinds)) for hiding in ((False, True) if upright else (False,))]
-        self.kind, self.hiding = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+        shares = {(False, True): 1 - FEET_HIDDEN if upright else 1.0}
+        if upright:
+            shares[True, True] = FEET_HIDDEN * (HEAD_TOLD if points else 1.0)
+        if upright and points:
+            shares[True, False] = FEET_HIDDEN * (1 - HEAD_TOLD)
+        self.kind = np.repeat(np.arange(len(kinds)), len(shares))
+        self.hiding, self.told = (np.tile(column, len(kinds)) for column in np.array(list(shares)).T)
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
-        seen = np.where(self.hiding, FEET_HIDDEN, 1 - FEET_HIDDEN)
-        self.log_share = np.log([kinds[kind].share for kind in self.kind]) + np.log(seen)
+        self.log_share = np.log([kinds[kind].share for kind in self.kind])
+        self.log_share += np.tile(np.log(list(shares.values())), len(kinds))
 
     def __len__(self) -> int:
         return len(self.kind)
 
 
-_MOST, _REST = _Hypotheses(KINDS, upright=True), _Hypotheses(LYING, upright=False)
+_MOST, _MOST_BY_POINTS = (_Hypotheses(KINDS, upright=True, points=points) for points in (False, True))
+_REST = _Hypotheses(LYING, upright=False)
 
 _LEVELS = np.arange(0.1, 1.75, 0.2)
 """m; where what a box shows of somebody may be."""
@@ -151,8 +167,9 @@ def locate_boxes(
     boxes = np.asarray(boxes, float).reshape(-1, 4)
     if not len(boxes):
         return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool))
-    fits = _fitted(boxes, view, parts, turns, law, _MOST)
-    loose = np.flatnonzero(np.where(fits.good & ~_MOST.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
+    most = _MOST if parts is None else _MOST_BY_POINTS
+    fits = _fitted(boxes, view, parts, turns, law, most)
+    loose = np.flatnonzero(np.where(fits.good & ~most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
     if len(loose):
         lying = _fitted(
             boxes[loose],
@@ -255,7 +272,8 @@ class _Fits:
         self.outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
         self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
         head = np.repeat([False, True, False], 2)
-        self.silent = np.where(self.hiding[:, None], ~head, not hypotheses.upright)  # of the parts
+        marked = head & np.tile(hypotheses.told, repeat)[:, None]
+        self.silent = np.where(self.hiding[:, None], ~marked, not hypotheses.upright)  # of the parts
         self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
         turns = np.zeros(rows) if turns is None else turns
         self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2

@@ -104,17 +104,27 @@ def main() -> None:
     parser.add_argument("--judge", type=int, default=200, help="pictures that the score is calibrated on")
     parser.add_argument("--weights", type=Path, help="save the weights alone, in half precision, for train.py --start")
     parser.add_argument("--seed", type=int, default=900_000, help="of those pictures")
+    parser.add_argument("--panoramas", type=Path, help="photographed rooms for every second of them (backdrops.py)")
+    parser.add_argument("--towards", type=float, default=1.0, help="how far to go from --start to the checkpoint")
+    parser.add_argument("--start", type=Path, help="weights that the training began with, for --towards")
     options = parser.parse_args()
     torch.set_num_threads(1)
     state = torch.load(options.checkpoint, map_location="cpu")
     detector = Detector().eval()
-    detector.load_state_dict(state["average"])
+    weights = state["average"]
+    if options.start:  # weights between the two keep what the first knew (Wortsman et al., 2022)
+        first = torch.load(options.start, map_location="cpu")
+        weights = {
+            k: first[k].to(v.dtype) + options.towards * (v - first[k].to(v.dtype)) if v.dtype.is_floating_point else v
+            for k, v in weights.items()
+        }
+    detector.load_state_dict(weights)
     if options.weights:
-        half = {k: v.half() if v.dtype.is_floating_point else v for k, v in state["average"].items()}
+        half = {k: v.half() if v.dtype.is_floating_point else v for k, v in weights.items()}
         torch.save(half, options.weights)
     metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": "16", "iou": "0.5",
                 "imgsz": "[368, 640]"}  # fmt: skip
-    samples = pictures_to_judge(options.seed, options.judge)
+    samples = pictures_to_judge(options.seed, options.judge, panoramas=options.panoramas)
     raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
     slope, shift = platt(raw.scores, raw.right > 0)
     content = to_onnx(detector, slope, shift, metadata | {"steps": str(state["step"])})

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from backdrops import Backdrops, blend, dimmed
 
 from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
@@ -61,7 +62,8 @@ class Cones:
 class Sample:
     """A picture (HEIGHT, WIDTH, 3) uint8 RGB and its people.
 
-    boxes (n, 4), parts (n, 3, 2): torso, head, foot, anchors (n, 2): where the score belongs, all px; visible (n,).
+    boxes (n, 4), parts (n, 3, 2): torso, head, foot, anchors (n, 2): where the score belongs, all px; visible (n,);
+    people (HEIGHT, WIDTH) uint8: 1 where a person is seen, where that is known.
     """
 
     picture: np.ndarray
@@ -69,6 +71,7 @@ class Sample:
     parts: np.ndarray
     anchors: np.ndarray
     visible: np.ndarray
+    people: np.ndarray | None = None
 
 
 def anchor(rows: np.ndarray, columns: np.ndarray, torso: np.ndarray) -> np.ndarray:
@@ -109,7 +112,7 @@ def body_bank(rng: np.random.Generator, count: int) -> list[Cones]:
     while len(bank) < count:
         height = float(np.clip(rng.normal(1.71, 0.11), 1.2, 2.0))
         look = random_look(rng, height)
-        kind = rng.choice(["walk", "stand", "sit"], p=[0.6, 0.25, 0.15])
+        kind = rng.choice(["walk", "stand", "sit"], p=[0.5, 0.25, 0.25])
         speed = rng.uniform(0.4, 1.8) if kind == "walk" else 0.0
         times = np.array([0.0, 10.0])
         motion = Motion(
@@ -176,6 +179,8 @@ def random_camera(rng: np.random.Generator) -> Camera:
     width, height = [(640, 360), (640, 360), (640, 360), (512, 384), (384, 384), (640, 384)][rng.integers(6)]
     focal = rng.uniform(0.32, 0.62) * width if width == 640 else rng.uniform(0.32, 0.5) * width
     cx, cy = width / 2 + rng.normal(0, 12), height / 2 + rng.normal(0, 8)
+    if width == 640 and rng.random() < 0.4:  # a part of a square picture, with the lens's circle
+        height, focal, cy = HEIGHT, rng.uniform(0.28, 0.36) * width, HEIGHT / 2 + rng.uniform(-140, 140)
     kind = rng.random()
     if kind < 0.2:
         focal = rng.uniform(0.24, 0.42) * width
@@ -330,13 +335,23 @@ def _hulls(view: View, cones: Cones, light: np.ndarray) -> list[tuple]:
     return out
 
 
-def draw(rng: np.random.Generator, bank: list[Cones], textures: list[np.ndarray], camera: Camera) -> Sample:
-    """Draw one picture."""
+def draw(
+    rng: np.random.Generator,
+    bank: list[Cones],
+    textures: list[np.ndarray],
+    camera: Camera,
+    backdrops: Backdrops | None,
+    empty: bool,
+) -> Sample:
+    """Draw one picture; three in four have a photographed room where there are any."""
     view = camera.view
     picture, walls = _room(rng, camera, textures)
+    if backdrops and rng.random() < 0.75:
+        picture = backdrops.furnished(rng, camera.rays, view.origin[2], walls, view.size)
     light = np.array([*rng.normal(0, 0.5, 2), 1.0])
     light /= np.linalg.norm(light)
     crowd = int(rng.choice([0, 1, 2, 3, 4, 5, 7], p=[0.12, 0.2, 0.2, 0.2, 0.13, 0.1, 0.05]))
+    crowd = 0 if empty else crowd
     spots, things = [], []
     for _ in range(crowd):
         for _ in range(10):
@@ -377,7 +392,7 @@ def draw(rng: np.random.Generator, bank: list[Cones], textures: list[np.ndarray]
                 if owner:
                     fill(alone[owner - 1], hull, 1, shift=4)
     whole = np.array([mask.sum() for mask in alone], float)
-    return _labelled(rng, picture, owners, whole, bodies, spots, camera)
+    return _labelled(rng, picture, owners, whole, bodies, spots, camera, worse=backdrops is not None)
 
 
 def _fill(picture, hull, colour, shift):
@@ -399,7 +414,7 @@ def _shadows(rng, picture: np.ndarray, view: View, spots: list) -> None:
     picture *= 1 - mask[..., None]
 
 
-def _labelled(rng, picture, owners, whole, bodies, spots, camera: Camera) -> Sample:
+def _labelled(rng, picture, owners, whole, bodies, spots, camera: Camera, worse: bool) -> Sample:
     """Finish the picture as a camera would and read the labels off the map of owners."""
     view = camera.view
     boxes, parts, anchors, visible = [], [], [], []
@@ -422,7 +437,7 @@ def _labelled(rng, picture, owners, whole, bodies, spots, camera: Camera) -> Sam
         parts.append(points)
         anchors.append(anchor(rows, columns, points[0]))
         visible.append(len(rows) / max(whole[index], 1) * min(cut / max(spread, 1), 1.0))
-    picture = _camera_effects(rng, picture)
+    picture = _camera_effects(rng, dimmed(rng, picture) if worse else picture)
     out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
     out[camera.top : camera.top + size[1], camera.left : camera.left + size[0]] = picture
     shift = np.array([camera.left, camera.top])
@@ -458,11 +473,21 @@ class Generator:
 
     Args:
         seed: of all chance.
+        backdrops: photographed rooms, or None.
+        empty: draw no people.
         bodies, cameras, textures: how many of each are made at a time; they are replaced one by one.
     """
 
-    def __init__(self, seed: int, bodies: int = 600, cameras: int = 60, textures: int = 40):
-        self.rng = np.random.default_rng(seed)
+    def __init__(
+        self,
+        seed: int,
+        backdrops: Backdrops | None = None,
+        empty: bool = False,
+        bodies: int = 600,
+        cameras: int = 60,
+        textures: int = 40,
+    ):
+        self.rng, self.backdrops, self.empty = np.random.default_rng(seed), backdrops, empty
         self.bank = body_bank(self.rng, bodies)
         self.cameras = [random_camera(self.rng) for _ in range(cameras)]
         self.textures = [_texture(self.rng) for _ in range(textures)]
@@ -475,19 +500,30 @@ class Generator:
         if rng.random() < 0.05:
             start = 6 * rng.integers(len(self.bank) // 6)
             self.bank[start : start + 6] = body_bank(rng, 6)
-        sample = draw(rng, self.bank, self.textures, self.cameras[rng.integers(len(self.cameras))])
-        return _flipped(rng, sample)
+        camera = self.cameras[rng.integers(len(self.cameras))]
+        return _flipped(rng, draw(rng, self.bank, self.textures, camera, self.backdrops, self.empty))
+
+    def moved(self, sample: Sample) -> Sample:
+        """The people of a picture in a photographed room, in another light."""
+        rng, camera = self.rng, self.cameras[self.rng.integers(len(self.cameras))]
+        walls = rng.uniform(1.4, 4.5, 4)
+        height = camera.view.origin[2]
+        behind = self.backdrops.furnished(rng, camera.rays, height, walls, (WIDTH, HEIGHT))
+        blend(behind, sample.picture.astype(np.float32) / 255, sample.people)
+        picture = _camera_effects(rng, dimmed(rng, behind))
+        return Sample(picture, sample.boxes, sample.parts, sample.anchors, sample.visible)
 
 
 def _flipped(rng, sample: Sample) -> Sample:
     """Mirror the picture, or turn its colours into others, now and then."""
     picture, boxes = sample.picture, sample.boxes.copy()
-    parts, anchors = sample.parts.copy(), sample.anchors.copy()
+    parts, anchors, people = sample.parts.copy(), sample.anchors.copy(), sample.people
     if rng.random() < 0.5:
         picture = picture[:, ::-1]
+        people = None if people is None else people[:, ::-1]
         boxes[:, [0, 2]] = WIDTH - boxes[:, [2, 0]]
         parts[..., 0] = WIDTH - parts[..., 0]
         anchors[:, 0] = WIDTH - anchors[:, 0]
     if rng.random() < 0.15:
         picture = picture[..., rng.permutation(3)]
-    return Sample(np.ascontiguousarray(picture), boxes, parts, anchors, sample.visible)
+    return Sample(np.ascontiguousarray(picture), boxes, parts, anchors, sample.visible, people)

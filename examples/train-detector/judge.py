@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generate import HEIGHT, WIDTH, Sample
+from backdrops import Backdrops
+from generate import HEIGHT, WIDTH, Generator, Sample
 from renders import Library
 
 from avcli.detection.network import Network
@@ -33,11 +34,18 @@ class Verdict:
     empty_pictures: int
 
 
-def pictures_to_judge(seed: int, count: int, *, effects: bool = False, people: int | None = None) -> Iterator[Sample]:
-    """Yield `count` rendered pictures with their labels: two of each scene, one of each that has no people."""
+def pictures_to_judge(
+    seed: int, count: int, *, effects: bool = False, people: int | None = None, panoramas: Path | None = None
+) -> Iterator[Sample]:
+    """Yield `count` rendered pictures with their labels: two of each scene, one of each that has no people.
+
+    With a folder of panoramas every second one shows its people in a photographed room, in another light.
+    """
     library = Library(seed, each=1 if people == 0 else 2, plain=not effects, people=people)
-    for _ in range(count):
-        yield library()
+    generator = Generator(seed, Backdrops(panoramas), bodies=6, textures=1) if panoramas else None
+    for index in range(count):
+        sample = library()
+        yield generator.moved(sample) if generator and index % 2 else sample
 
 
 def judge(content: bytes, samples: Iterable[Sample], confidence: float = 0.02, iou: float | None = None) -> Verdict:
@@ -94,9 +102,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=800_000)
     parser.add_argument("--rooms", type=int, default=100)
     parser.add_argument("--effects", action="store_true")
+    parser.add_argument("--panoramas", type=Path, help="put every second picture's people into photographed rooms")
     options = parser.parse_args()
     content = options.model.read_bytes()
-    verdict = judge(content, pictures_to_judge(options.seed, options.pictures, effects=options.effects))
+    given = {"effects": options.effects, "panoramas": options.panoramas}
+    verdict = judge(content, pictures_to_judge(options.seed, options.pictures, **given))
     order = np.argsort(-verdict.scores, kind="stable")
     right = np.cumsum(verdict.right[order])
     precision, recall = right / np.arange(1, len(right) + 1), right / verdict.people
@@ -108,7 +118,7 @@ def main() -> None:
     print(f"at score 0.5: precision {found.mean():.3f}, recall {found.sum() / verdict.people:.3f}")
     print(f"torso: median error {np.nanmedian(verdict.torso[working]):.1f} px")
     print(f"{verdict.empty} detections in the {verdict.empty_pictures} pictures without people")
-    rooms = judge(content, pictures_to_judge(options.seed + 1, options.rooms, effects=options.effects, people=0))
+    rooms = judge(content, pictures_to_judge(options.seed + 1, options.rooms, people=0, **given))
     print(f"{rooms.empty} detections in {rooms.empty_pictures} empty rooms")
 
 

@@ -90,7 +90,8 @@ class Shot:
     """A frame of a random scene: picture, depth (m, radial), the empty room's depth, and its people.
 
     time, s; numbers (n,) of the scene's people, places (n, 2) m, tops (n,) m, visible fractions (n,), boxes (n, 4) px,
-    parts (n, 3, 2) px, anchors (n, 2) px.
+    parts (n, 3, 2) px, anchors (n, 2) px;
+    people (height, width) uint8, 1 where one is seen.
     """
 
     picture: np.ndarray
@@ -105,6 +106,7 @@ class Shot:
     boxes: np.ndarray
     parts: np.ndarray
     anchors: np.ndarray
+    people: np.ndarray
 
 
 def seen_people(frame: render.Frame, bodies: Bodies, k: int, view: View, stands: np.ndarray) -> list[tuple]:
@@ -166,6 +168,7 @@ def shots(
             np.array([row[0] for row in rows]).reshape(-1, 2), np.array([row[1] for row in rows]),
             np.array([row[2] for row in rows]), np.array([row[3] for row in rows]).reshape(-1, 4),
             np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),
+            (frame.ids > 0).astype(np.uint8),
         )  # fmt: skip
 
 
@@ -208,8 +211,10 @@ class Library:
             picture = _camera_effects(self.rng, picture.astype(np.float32) / 255)
         top, left = (HEIGHT - height) // 2, (WIDTH - width) // 2
         out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
-        out[top : top + height, left : left + width] = picture
+        place = slice(top, top + height), slice(left, left + width)
+        people = np.zeros((HEIGHT, WIDTH), np.uint8)
+        out[place], people[place] = picture, shot.people
         shift = np.array([left, top])
         boxes = shot.boxes + np.tile(shift, 2)
-        sample = Sample(out, boxes, shot.parts + shift, shot.anchors + shift, shot.visible)
+        sample = Sample(out, boxes, shot.parts + shift, shot.anchors + shift, shot.visible, people)
         return sample if self.plain else _flipped(self.rng, sample)

@@ -29,15 +29,16 @@ def of_worlds(folder: Path, rng: np.random.Generator):
     raise FileNotFoundError(f"{folder}: no worlds; draw some with worlds.py")
 
 
-def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, share: float) -> None:
+def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, share: float, panoramas) -> None:
     """Put batches of pictures and targets into the queue for ever."""
     import cv2
+    from backdrops import Backdrops
     from generate import HEIGHT, WIDTH, Generator, _flipped
 
-    os.nice(6)
+    os.nice(2)
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
-    generator = Generator(seed)
+    generator = Generator(seed, Backdrops(panoramas) if panoramas else None)
     library = None
     if renders:
         from renders import Library
@@ -47,8 +48,12 @@ def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, 
 
     def sample():
         if drawn and generator.rng.random() < share:
-            return _flipped(generator.rng, next(drawn))
-        return library() if library and generator.rng.random() < renders else generator()
+            made = _flipped(generator.rng, next(drawn))
+        elif library and generator.rng.random() < renders:
+            made = library()
+        else:
+            return generator()
+        return generator.moved(made) if panoramas and generator.rng.random() < 0.5 else made
 
     while True:
         samples = [sample() for _ in range(batch)]
@@ -57,19 +62,31 @@ def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, 
         queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
 
 
-def deceptive_rooms(queue, seed: int, weights: Path, least: float = 0.15) -> None:
-    """Put furnished rooms without people in which a network of these weights sees somebody into the queue, for ever."""
-    from generate import HEIGHT, WIDTH
+def deceptive_rooms(queue, seed: int, weights: Path, checkpoint: Path, panoramas, least: float = 0.15) -> None:
+    """Put rooms without people in which the network sees somebody into the queue, for ever.
+
+    The rooms are rendered and full of furniture, or photographed; the network is that of the last checkpoint, and of
+    `weights` before there is one.
+    """
+    import cv2
+    from backdrops import Backdrops
+    from generate import HEIGHT, WIDTH, Generator
     from renders import Library
 
-    os.nice(6)
+    os.nice(2)
+    cv2.setNumThreads(1)
     torch.set_num_threads(1)
-    network = Detector().eval()
-    network.load_state_dict({name: value.float() for name, value in torch.load(weights).items()})
+    network, known = Detector().eval(), None
     library = Library(seed, each=1, people=0, pieces=(6, 18))
+    generator = Generator(seed, Backdrops(panoramas), empty=True) if panoramas else None
     empty = [item.numpy() for item in targets([], [], [], [], HEIGHT, WIDTH)]
     while True:
-        picture = library().picture
+        written = checkpoint.stat().st_mtime if checkpoint.exists() else 0.0
+        if written != known:
+            state = torch.load(checkpoint)["average"] if written else torch.load(weights)
+            network.load_state_dict({name: value.float() for name, value in state.items()})
+            known = written
+        picture = (generator if generator and generator.rng.random() < 0.8 else library)().picture
         with torch.no_grad():
             maps = network(torch.from_numpy(picture).permute(2, 0, 1)[None].float().div_(255))
         if torch.sigmoid(maps[:, 0]).max() > least:
@@ -106,6 +123,8 @@ def main() -> None:
     )
     parser.add_argument("--worlds", type=Path, help="folder of random worlds that worlds.py drew")
     parser.add_argument("--share", type=float, default=0.5, help="of the pictures that come from --worlds")
+    parser.add_argument("--panoramas", type=Path, help="folder of photographs all round, for rooms (backdrops.py)")
+    parser.add_argument("--minutes", type=float, help="length of the schedule in time, where it comes before --steps")
     parser.add_argument("--workers", type=int, default=1, help="processes that draw")
     parser.add_argument("--echo", type=int, default=6, help="how often a picture is learnt from")
     parser.add_argument("--memory", type=int, default=2400, help="pictures that are kept for it")
@@ -134,27 +153,27 @@ def main() -> None:
     queue = multiprocessing.Queue(4)
     for number in range(options.workers):
         seed = (options.seed * 1000 + step) * options.workers + number
-        drawing = queue, seed, options.batch, options.renders, options.worlds, options.share
+        drawing = queue, seed, options.batch, options.renders, options.worlds, options.share, options.panoramas
         multiprocessing.Process(target=pictures, args=drawing, daemon=True).start()
     if options.hard:
         rooms = multiprocessing.Queue(64)
-        mining = (rooms, options.seed * 1000 + step, options.start)
+        mining = rooms, options.seed * 1000 + step, options.start, checkpoint, options.panoramas
         multiprocessing.Process(target=deceptive_rooms, args=mining, daemon=True).start()
     started, saved, sums = time.time() - spent, time.time(), np.zeros(3)
     chance, memory = np.random.default_rng([options.seed, step]), []
     badly, deceptive = [], []
-    while step < options.steps:
-        progress = step / options.steps
+    progress = step / options.steps
+    while progress < 1:
         warm = min(1.0, (step + 1) / 100)
         for group in optimizer.param_groups:
-            group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * progress)))
+            group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
         # Drawing costs as much as learning: each picture is seen `echo` times, mirrored otherwise, among others.
         if step % options.echo == 0 or len(memory) < 60 * options.batch:
             images, maps = queue.get()
             memory += [(image, [item[k] for item in maps]) for k, image in enumerate(images)]
             badly += [max(badly, default=1.0)] * options.batch
             del memory[: -options.memory], badly[: -options.memory]
-        if options.hard and (step % 8 == 0 or len(deceptive) < 30):
+        if options.hard and (step % 4 == 0 or len(deceptive) < 30):
             deceptive.append(rooms.get())
         # What was learnt badly comes more often (hard example mining, Shrivastava et al., 2016), but not by itself.
         odds = np.sqrt(badly)
@@ -188,11 +207,12 @@ def main() -> None:
                     mean.copy_(value)
         sums += [float(part.detach()) for part in parts]
         spent = time.time() - started
+        progress = max(step / options.steps, spent / (60 * options.minutes) if options.minutes else 0.0)
         if step % 50 == 0:
             print(json.dumps({"step": step, "s": round(spent), "cpu_s": round(time.process_time()),
                               "loss": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
             sums[:] = 0
-        if time.time() - saved > 120 or step == options.steps:
+        if time.time() - saved > 120 or progress >= 1:
             state = {"model": model.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
             torch.save(state | {"step": step, "spent": spent}, f"{checkpoint}.new")
             os.replace(f"{checkpoint}.new", checkpoint)

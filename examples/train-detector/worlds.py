@@ -65,7 +65,7 @@ def world(seed: int, people: int, count: int, context) -> Iterator[Sample]:
         yield cut(
             rng, picture, np.array([row[3] for row in rows]).reshape(-1, 4),
             np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),
-            np.array([row[2] for row in rows]),
+            np.array([row[2] for row in rows]), (frame.ids > 0).astype(np.uint8),
         )  # fmt: skip
 
 
@@ -83,26 +83,27 @@ def fainter(effects: Effects, rng: np.random.Generator) -> Effects:
     )
 
 
-def cut(rng, picture, boxes, parts, anchors, visible) -> Sample:
+def cut(rng, picture, boxes, parts, anchors, visible, people) -> Sample:
     """Turn a picture by a right angle where its shape allows, and take HEIGHT rows of it at random."""
     height, width = picture.shape[:2]
     if height == width:
         for _ in range(int(rng.integers(4))):
-            picture = np.rot90(picture)  # (x, y) goes to (y, width - x)
+            picture, people = np.rot90(picture), np.rot90(people)  # (x, y) goes to (y, width - x)
             boxes = np.column_stack([boxes[:, 1], width - boxes[:, 2], boxes[:, 3], width - boxes[:, 0]])
             parts, anchors = (np.stack([p[..., 1], width - p[..., 0]], axis=-1) for p in (parts, anchors))
     spare = HEIGHT - picture.shape[0]
     shift = np.array([(WIDTH - picture.shape[1]) // 2, int(rng.integers(min(spare, 0), max(spare, 0) + 1))])
-    out = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8)
+    out, mask = np.full((HEIGHT, WIDTH, 3), PAD, np.uint8), np.zeros((HEIGHT, WIDTH), np.uint8)
     top, left = max(shift[1], 0), shift[0]
-    part = picture[max(-shift[1], 0) :][:HEIGHT]
-    out[top : top + len(part), left : left + part.shape[1]] = part
+    rows = slice(max(-shift[1], 0), max(-shift[1], 0) + HEIGHT)
+    place = slice(top, top + len(picture[rows])), slice(left, left + picture.shape[1])
+    out[place], mask[place] = picture[rows], people[rows]
     boxes, parts, anchors = boxes + np.tile(shift, 2), parts + shift, anchors + shift
     clipped = np.clip(boxes, 0, [WIDTH, HEIGHT, WIDTH, HEIGHT])
     share = (clipped[:, 2:] - clipped[:, :2]).prod(axis=1) / np.maximum((boxes[:, 2:] - boxes[:, :2]).prod(axis=1), 1)
     kept = share > 0.05
     inside = np.clip(anchors, clipped[:, :2] + 0.5, clipped[:, 2:] - 0.5)
-    return Sample(out, clipped[kept], parts[kept], inside[kept], (visible * share)[kept])
+    return Sample(out, clipped[kept], parts[kept], inside[kept], (visible * share)[kept], mask)
 
 
 def write(samples: list[Sample], path: Path) -> None:
@@ -111,7 +112,7 @@ def write(samples: list[Sample], path: Path) -> None:
     for k, one in enumerate(samples):
         coded = cv2.imencode(".png", one.picture[..., ::-1])[1]
         content |= {f"picture{k}": coded, f"boxes{k}": one.boxes, f"parts{k}": one.parts, f"anchors{k}": one.anchors}
-        content[f"visible{k}"] = one.visible
+        content |= {f"visible{k}": one.visible, f"people{k}": np.packbits(one.people)}
     new = path.with_suffix(".new.npz")
     np.savez(new, **content)
     os.replace(new, path)
@@ -124,6 +125,7 @@ def read(path: Path) -> list[Sample]:
             Sample(
                 np.ascontiguousarray(cv2.imdecode(data[f"picture{k}"], cv2.IMREAD_COLOR)[..., ::-1]),
                 data[f"boxes{k}"], data[f"parts{k}"], data[f"anchors{k}"], data[f"visible{k}"],
+                np.unpackbits(data[f"people{k}"]).reshape(HEIGHT, WIDTH),
             )
             for k in range(int(data["count"]))
         ]  # fmt: skip
