@@ -124,7 +124,8 @@ def test_hard_materials_are_followed_as_far_as_is_affordable():
     around = surroundings_of(
         config(surfaces={"floor": "marble", "walls": "marble", "ceiling": "marble"}), Settings(), say=said.append
     )
-    assert "then noise" in said[0]
+    assert any("then noise" in sentence for sentence in around.described())
+    assert said == []
     assert around.end_s == pytest.approx(around.bands.rt60_s.max())
 
 
@@ -153,7 +154,7 @@ def test_what_stands_in_the_room_absorbs_too():
     stated = config(contents_absorption_m2=[4, 4, 5, 6, 7, 7, 7], reverberation_time_s=9.0)
     said = []
     bare, full = (surroundings_of(c, Settings(), say=said.append) for c in (config(), stated))
-    assert '"room_config.reverberation_time_s" is 9, but the materials and contents' in said[1]
+    assert '"room_config.reverberation_time_s" is 9, but the materials and contents' in said[0]
     np.testing.assert_allclose(full.bands.air - bare.bands.air, np.array([4, 4, 5, 6, 7, 7, 7, 7]) / 8 / ROOM.prod())
     assert (full.bands.rt60_s < bare.bands.rt60_s).all()
     number = surroundings_of(config(reverberation_time_s=0.3), Settings())

@@ -139,6 +139,9 @@ class Surroundings:
         elif ((absorption > 0) & (absorption < 1)).all():
             seconds = decay.image_rt60(room, absorption, self.speed_of_sound_m_s)
             sentences.append(f"image sources between these walls decay by 60 dB in {seconds:.3f} s (T30)")
+        if self.end_s > 0:
+            decay_db = 60 * self.reach_m / (self.rt60_s * self.speed_of_sound_m_s)
+            sentences.append(f"images are followed for {decay_db:.0f} dB, then noise decays as they would")
         images = image_count(room, self.reach_m) if (absorption < 1).all() else 1
         sentences.append(
             f"T60 {self.rt60_s:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a "
@@ -182,7 +185,7 @@ def surroundings_of(
         _compare_stated(config, float(bands.rt60_s[MIDDLE].mean()), say)
     diagonal_m = float(np.linalg.norm(room.dimensions))
     if room_has_materials and settings.ism_decay_db is None:
-        settings = _affordable(settings, room, rt60, speed, say)
+        settings = _affordable(settings, room, rt60, speed)
     followed_s = rt60 * (DECAY_HEARD_DB - settings.error_db) / 60
     if settings.ism_decay_db is not None:
         followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
@@ -307,15 +310,12 @@ def affordable_decay(
     return float(np.floor(min(15.0, 60 * reach_m / max(rt60_s * speed_of_sound_m_s, reach_m))))
 
 
-def _affordable(
-    settings: Settings, room: Room, rt60_s: float, speed_of_sound_m_s: float, say: Callable[[str], None]
-) -> Settings:
+def _affordable(settings: Settings, room: Room, rt60_s: float, speed_of_sound_m_s: float) -> Settings:
     """Return settings with which a room whose materials absorb little is affordable: noise continues its images."""
     followed_m = rt60_s * (DECAY_HEARD_DB - settings.error_db) / 60 * speed_of_sound_m_s
     decay_db = affordable_decay(room.dimensions, rt60_s, speed_of_sound_m_s, AFFORDABLE_IN_BANDS)
     if image_count(room.dimensions, followed_m) <= AFFORDABLE_IN_BANDS or decay_db < 1:
         return settings
-    say(f"these materials reverberate for {rt60_s:.1f} s; images are followed for {decay_db:g} dB, then noise")
     return replace(settings, ism_decay_db=decay_db)
 
 
