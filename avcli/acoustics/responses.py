@@ -149,7 +149,7 @@ class Responses:
         s = self._surroundings
         assert s.bands is not None
         begin = self._tail_begin / s.sample_rate_hz
-        some = np.linspace(min(times[0], 0.0), max(times[-1], 0.0), 400)
+        some = np.linspace(min(times[0], 0.0), max(times[-1], 0.0), 100)
         walls, loss = s.bands.absorption[:, band], s.bands.air[band]
         energy = np.log(energy_decay(s.room_dimensions_m, walls, loss, s.speed_of_sound_m_s, begin + some))
         return np.exp(np.interp(times, some, energy) - np.interp(0.0, some, energy))

@@ -12,7 +12,7 @@ LEAST_ABSORBED = 0.005
 """energy; a wall of some material absorbs no less of it and reflects no less."""
 MIDDLE = slice(2, 5)
 """The octave bands of 500 Hz to 2 kHz among `materials.BANDS_HZ`: the mean of their times is the time of the room."""
-DIRECTIONS = 16
+DIRECTIONS = 12
 """nodes of the mean over each of the two angles of a direction."""
 
 
@@ -63,7 +63,7 @@ def reverberation_time(
     walls = np.clip(absorption, LEAST_ABSORBED, 1 - LEAST_ABSORBED).reshape(3, 2)
     across = -np.log(1 - walls).mean(axis=1) / np.asarray(room_dimensions_m, dtype=float)
     slowest = speed_of_sound_m_s * (across.min() + 2 * loss)  # of all directions, 1/s
-    times = np.linspace(0.0, 3.8 * np.log(10) / slowest, 400)
+    times = np.linspace(0.0, 3.8 * np.log(10) / slowest, 200)
     energy = energy_decay(room_dimensions_m, absorption, loss, speed_of_sound_m_s, times)
     later = np.cumsum(((energy[1:] + energy[:-1]) / 2)[::-1])[::-1] + energy[-1] / (slowest * times[1])
     level = 10 * np.log10(later / later[0])
