@@ -88,7 +88,7 @@ def measured(responses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return t30, edt, coherence_
 
 
-def rows_of(kind: str, seed: int, pairs: int, peers: Path) -> list[dict[str, Any]]:
+def rows_of(kind: str, seed: int, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Measure one room: what is stated, rendered, and found by rays."""
     size = np.array(ROOMS[kind])
     world = load.load("random", seed=seed, wishes=Wishes(people=3, kind=kind, room=ROOMS[kind]), duration=1.0)
@@ -101,7 +101,7 @@ def rows_of(kind: str, seed: int, pairs: int, peers: Path) -> list[dict[str, Any
     rng, found = np.random.default_rng(seed), []
     places, microphones = [], []
     length = fft_length(around.longest_delay + 2 * around.margin)
-    for number in range(pairs):
+    for number in range(options.pairs):
         place, first = rng.uniform(0.4, size - 0.4, (2, 3))
         away = np.append(rng.normal(size=2), 0.0)
         two = np.array([first, first + APART_M * away / np.linalg.norm(away)])
@@ -117,14 +117,16 @@ def rows_of(kind: str, seed: int, pairs: int, peers: Path) -> list[dict[str, Any
          "coherence": np.sinc(2 * np.array(HEARD) * APART_M / C)},
         {"room": kind, "what": "rendered", **_row(np.array(found))},
     ]  # fmt: skip
-    if peers.exists():
+    if options.peers.exists():
         with tempfile.NamedTemporaryFile(suffix=".npy") as file:
             spec = {
                 "c": C, "rate": RATE, "room": size.tolist(), "bands": BANDS_HZ[:7],
                 "absorption": bands.absorption[:, :7].tolist(), "energy_loss": (2 * bands.air[:7]).tolist(),
-                "scattering": 0.1, "places": places, "microphones": microphones, "out": file.name,
+                "scattering": options.scattering, "places": places, "microphones": microphones, "out": file.name,
             }  # fmt: skip
-            subprocess.run([peers, "-c", PEER], input=json.dumps(spec), text=True, check=True, capture_output=True)
+            subprocess.run(
+                [options.peers, "-c", PEER], input=json.dumps(spec), text=True, check=True, capture_output=True
+            )
             rows.append({"room": kind, "what": "rays", **_row(np.load(file.name))})
     return rows
 
@@ -152,12 +154,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     parser.add_argument("--peers", type=Path, default=Path(".venv-bench/bin/python"), help="Python of the peers")
+    parser.add_argument("--scattering", type=float, default=0.1, help="of the walls, for the rays alone")
     parser.add_argument("--pairs", type=int, default=6, help="pairs of places in each room")
     parser.add_argument("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     kinds = [kind for kind in ROOMS if kind in options.rooms]
-    rows = [row for kind in kinds for row in rows_of(kind, list(ROOMS).index(kind), options.pairs, options.peers)]
+    rows = [row for kind in kinds for row in rows_of(kind, list(ROOMS).index(kind), options)]
     (options.out / "rooms.md").write_text(table := as_table(rows))
     sys.stdout.write(table)
 
