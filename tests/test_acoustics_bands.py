@@ -74,7 +74,7 @@ def test_each_band_decays_in_its_time(ism_decay_db):
     rng, times = np.random.default_rng(2), []
     settings = Settings(error_db=-45.0, ism_decay_db=ism_decay_db)
     around = surroundings_of(config(), settings)
-    for seed in range(4):
+    for seed in range(3):
         microphones, place = rng.uniform(0.5, ROOM - 0.5, (2, 3)), rng.uniform(0.5, ROOM - 0.5)
         here = replace(around, microphones_m=microphones, directivities=None, orientations=None)
         for sound in response(here, place, rng=np.random.default_rng(seed))[
@@ -131,7 +131,7 @@ def test_hard_materials_are_followed_as_far_as_is_affordable():
 
 def test_the_mean_decay_is_that_of_the_images():
     room, absorption, loss = np.array([8.0, 6.0, 3.0]), np.array([0.03, 0.9, 0.04, 0.03, 0.06, 0.75]), 0.0035
-    rng, edges = np.random.default_rng(0), np.arange(0.0, 265, 24)  # echoes come in clusters
+    rng, edges = np.random.default_rng(0), np.arange(0.0, 200, 24)  # echoes come in clusters
     heard = np.zeros(len(edges) - 1)
     for _ in range(20):
         places = rng.uniform(0.0, room, (2, 3))
