@@ -16,6 +16,8 @@
 #: make bench-datasets            trackers on them: BENCH_FLAGS="--data out/datasets/MOT26"
 #: make bench-live bench-long     latency with input in real time; time and memory over an hour
 #: make bench-pipe                one experiment as one pipe: wall time, and the share of each stage
+#: make bench-rooms               furnished rooms of materials: T30, EDT, coherence, beside theory and ray tracing
+#: make bench-worlds              random worlds through the whole pipeline: failures, warnings, HOTA, sheets of pictures
 #: make bench-real-video          people in real ceiling pictures that you have: BENCH_FLAGS="--data DIR --model FILE.onnx"
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
@@ -60,7 +62,7 @@ NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live pipe \
-           long real-video real-audio datasets
+           rooms worlds long real-video real-audio datasets
 FITS := localization directions voice detection looks tracking existence
 
 # The stages that do not wait for each other run at once, unless make -j1; what measures time runs alone.

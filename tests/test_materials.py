@@ -1,4 +1,4 @@
-"""Materials: the table, the six surfaces of a room, and what is refused."""
+"""Materials: the table, the six surfaces of a room, what its contents absorb, and what is refused."""
 
 import json
 
@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from avcli import materials
+from avcli.acoustics.settings import Settings
+from avcli.acoustics.surroundings import surroundings_of
 from avcli.formats import experiment
-from avcli.scene import furniture, scenario
+from avcli.formats.experiment import Config
+from avcli.scene import contents, furniture, load, scenario
+from avcli.scene.film import Film
 
 ROOM = {"room_dimensions_m": [5.0, 4.0, 3.0]}
 
@@ -93,3 +97,36 @@ def test_a_piece_of_furniture_has_the_colour_of_its_material_unless_it_states_on
     assert colour(material="leather") == list(materials.table()["leather"].look.color)
     assert colour(material="wood") == [0.62, 0.63, 0.62]
     assert colour(material="leather", color=[1, 1, 0]) == [1, 1, 0]
+
+
+def test_furniture_absorbs_by_its_surface_and_chairs_by_the_floor_that_they_cover():
+    table = materials.table()
+    floor = {"position_m": [2, 2]}
+
+    def area(*pieces, heights=()):
+        return contents.absorption_area([furniture.build(furniture.PIECE.read(p), None) for p in pieces], heights)
+
+    box = {"kind": "box", "position_m": [2, 2, 0.5], "size_m": [2, 1, 1], "material": "wood", "rotation_deg": 30}
+    np.testing.assert_allclose(area(box), np.multiply(table["wood"].absorption, 8))  # its lower side is not heard
+    rug = box | {"position_m": [2, 2, 0.005], "size_m": [2, 1, 0.01], "material": "cloth"}
+    np.testing.assert_allclose(area(rug), np.multiply(table["cloth"].absorption, 2.06))
+    ball = {"kind": "sphere", "position_m": [2, 2, 1], "radius_m": 0.5, "material": "wood"}
+    np.testing.assert_allclose(area(ball), np.multiply(table["wood"].absorption, np.pi))
+    sofa = {"kind": "sofa", "position_m": [2, 2, 0], "rotation_deg": 30}
+    np.testing.assert_allclose(area(sofa), np.multiply(table["upholstery"].absorption, 0.9 * 1.9), rtol=0.02)
+    chair = area({"kind": "chair", **floor, "material": "upholstery"})[3]
+    assert 0.1 < chair < 0.35  # 0.30 of EN 12354-6 is that of a larger one
+    np.testing.assert_allclose(area(heights=[1.75, 1.75]), 2 * np.array(contents.PERSON_M2))
+    np.testing.assert_array_equal(area(), np.zeros(7))
+
+
+def test_config_says_what_the_contents_absorb_and_what_follows():
+    scenario = load.load("random", seed=3, duration=1.0)
+    stated = Film(scenario, None).config(background=False)
+    heard = surroundings_of(Config(stated), Settings(), say=lambda text: None).bands.rt60_s
+    assert stated["room_config"]["reverberation_time_s"] == pytest.approx(heard[2:5].mean(), abs=6e-4)
+    assert min(stated["room_config"]["contents_absorption_m2"]) > 0.3
+    assert "contents_absorption_m2" not in scenario.raw["room_config"]
+    for name in ("s1", "s3"):
+        config = Film(load.load(name), None).config(background=False)
+        assert config["room_config"] == load.load(name).raw["room_config"]

@@ -26,7 +26,7 @@ class Bands:
 
     Attributes:
         absorption: (6, 8) energy that the walls x0 x1 y0 y1 z0 z1 absorb, from 0 to 1.
-        air: (8,) 1/m, the pressure decays by exp(−air · d) on a way d.
+        air: (8,) 1/m, the pressure decays by exp(−air · d) on a way d, by what stands in the room too.
         behind_db: (8,) dB by which the source is fainter behind it than in front; (1 − cos θ) / 2 of it at the angle θ.
         rt60_s: (8,) s, T30 of each band.
     """
@@ -86,28 +86,3 @@ def spectra_of_bands(length: int, bins: int, sample_rate_hz: float) -> np.ndarra
 def reach_samples(sample_rate_hz: float) -> int:
     """Return the samples before and after an impulse that `spectra_of_bands` may spread it to."""
     return int(np.ceil(REACH_S * sample_rate_hz))
-
-
-def air_absorption(
-    frequencies_hz: ArrayLike, temperature_c: float = 20.0, humidity_percent: float = 50.0
-) -> np.ndarray:
-    """Return how the air absorbs tones, (n,) dB/m, at one atmosphere (ISO 9613-1:1993, equations 3 to 5).
-
-    >>> (1000 * air_absorption([125, 1000, 8000], 20.0, 50.0)).round(2).tolist()  # dB/km; table 1 of the standard
-    [0.44, 4.66, 105.29]
-
-    Args:
-        frequencies_hz: (n,) Hz.
-        temperature_c: °C.
-        humidity_percent: relative humidity, from 0 to 100.
-    """
-    frequencies = np.asarray(frequencies_hz, dtype=float)
-    kelvin = temperature_c + 273.15
-    warm = kelvin / 293.15
-    saturation = 10 ** (-6.8346 * (273.16 / kelvin) ** 1.261 + 4.6151)
-    water = humidity_percent * saturation
-    oxygen = 24 + 4.04e4 * water * (0.02 + water) / (0.391 + water)
-    nitrogen = warm**-0.5 * (9 + 280 * water * np.exp(-4.170 * (warm ** (-1 / 3) - 1)))
-    relaxations = 0.01275 * np.exp(-2239.1 / kelvin) / (oxygen + frequencies**2 / oxygen)
-    relaxations += 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen + frequencies**2 / nitrogen)
-    return 8.686 * frequencies**2 * (1.84e-11 * warm**0.5 + warm**-2.5 * relaxations)

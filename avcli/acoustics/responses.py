@@ -6,6 +6,7 @@ from avcli.acoustics.bands import spectra_of_bands
 from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, image_microphones
 from avcli.acoustics.noise import diffuse_noise
 from avcli.acoustics.surroundings import MARGIN, MOTION_STEP_S, STRIDE_M, Surroundings
+from avcli.materials.decay import energy_decay
 from avcli.numeric import fft_length
 
 TAIL_REFERENCE_S = 0.01
@@ -49,8 +50,15 @@ class Responses:
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
         self._continued = self._tail_end > self._tail_begin  # by noise
-        self._rt60_s = np.array([surroundings.rt60_s]) if surroundings.bands is None else surroundings.bands.rt60_s
-        self._levels = np.zeros((len(self._rt60_s), len(surroundings.microphones_m)))
+        bands = 1 if surroundings.bands is None else len(surroundings.bands.rt60_s)
+        self._levels = np.zeros((bands, len(surroundings.microphones_m)))
+        self._last = TAIL_REFERENCE_S * surroundings.sample_rate_hz  # samples of the images that give its level
+        self._at_level_1 = np.array([self._last])  # energy that they have where it is 1
+        if surroundings.bands is not None and self._continued:  # a way to and fro: between echoes it is quiet
+            to_and_fro = 2 * surroundings.room_dimensions_m.max() * surroundings.samples_per_m
+            self._last = min(to_and_fro, self._tail_begin / 2)
+            before = np.arange(-self._last, 0) / surroundings.sample_rate_hz
+            self._at_level_1 = np.array([self._decay(band, before).sum() for band in range(bands)])
         self.bounded = False
         self._noise: np.ndarray | None = None
         self._tail: np.ndarray | None = None
@@ -123,15 +131,28 @@ class Responses:
                 noise = rng.logistic(scale=np.sqrt(3) / np.pi, size=(len(s.microphones_m), count))
             else:
                 noise = diffuse_noise(count, s.microphones_m, s.sample_rate_hz, s.speed_of_sound_m_s, rng)
-            self._noise = np.empty((len(self._rt60_s), len(s.microphones_m), self.bins), complex)
+            self._noise = np.empty((len(self._levels), len(s.microphones_m), self.bins), complex)
             tail = np.zeros((len(s.microphones_m), self._length))
-            for band, rt60_s in enumerate(self._rt60_s):
-                envelope = np.exp(-3 * np.log(10) / rt60_s * times)
+            for band in range(len(self._levels)):
+                if s.bands is None:
+                    envelope = np.exp(-3 * np.log(10) / s.rt60_s * times)
+                else:
+                    envelope = np.sqrt(self._decay(band, np.arange(count) / s.sample_rate_hz))
                 tail[:, self._tail_begin + s.margin :][:, :count] = envelope * noise
                 self._noise[band] = np.fft.rfft(tail)[:, : self.bins]
                 if s.bands is not None:
                     self._noise[band] *= self._of_bands[band]
         return self._noise
+
+    def _decay(self, band: int, times: np.ndarray) -> np.ndarray:
+        """Return the energy of the mean decay of a band at times since the noise begins, (n,) s, relative to then."""
+        s = self._surroundings
+        assert s.bands is not None
+        begin = self._tail_begin / s.sample_rate_hz
+        some = np.linspace(min(times[0], 0.0), max(times[-1], 0.0), 100)
+        walls, loss = s.bands.absorption[:, band], s.bands.air[band]
+        energy = np.log(energy_decay(s.room_dimensions_m, walls, loss, s.speed_of_sound_m_s, begin + some))
+        return np.exp(np.interp(times, some, energy) - np.interp(0.0, some, energy))
 
     def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> Images:
         """Choose the images that a microphone hears, and note how loud the last of all images are."""
@@ -146,10 +167,9 @@ class Responses:
         delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, np.zeros((1, 3)))
         heard = gains if towards is None else gains * towards
         if self._continued:
-            reference = TAIL_REFERENCE_S * s.sample_rate_hz
-            last = delays > self._tail_begin - reference
+            last = delays > self._tail_begin - self._last
             energies = np.sum((amplitudes[last, None] * heard[last]) ** 2, axis=0)
-            self._levels[:, microphone] = np.sqrt(energies / reference)
+            self._levels[:, microphone] = np.sqrt(energies / self._at_level_1)
         if s.error_db is not None:
             far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
             loudness = amplitudes if s.bands is None else amplitudes * np.sqrt(np.mean(heard**2, axis=1))

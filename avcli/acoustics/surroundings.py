@@ -12,12 +12,13 @@ import numpy as np
 
 from avcli.acoustics import absorption as absorptions
 from avcli.acoustics import decay
-from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, air_absorption, reach_samples
+from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, reach_samples
 from avcli.acoustics.images import MOST_IMAGES, image_count
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.trajectory import Trajectory
 from avcli.formats.experiment import DIRECTIVITIES, Config, Room
 from avcli.formats.schema import shown
+from avcli.materials.decay import LEAST_ABSORBED, MIDDLE, air_loss, contents_loss, reverberation_time
 from avcli.numeric import SPEED_OF_SOUND_M_S
 from avcli.settings import DEFAULT_RT60_S, settings_of
 
@@ -32,8 +33,8 @@ COST_S, COST_OF_IMAGE_S, COST_OF_SAMPLE_S = 0.02, 1.1e-6, 2e-6
 and for each sample of its response: measured at reverberation times from 0 to 0.9 s on one core of a server of 2023."""
 AFFORDABLE_IMAGES, AFFORDABLE_IN_BANDS = 300_000, 20_000
 """images of a microphone with which --ism-decay is advised, and with which a room of materials is followed."""
-LEAST_ABSORBED = 0.005
-"""energy; a material absorbs no less of it and reflects no less."""
+DIFFERENT = 0.1
+"""share by which a stated reverberation time may differ from that of the materials before the user is warned."""
 LONG_S, MANY_IMAGES = 20.0, 1_000_000
 """s of computing for a second of a moving voice, and images of a microphone; the user is warned of more."""
 MOST_SAMPLES = 1 << 25
@@ -138,6 +139,9 @@ class Surroundings:
         elif ((absorption > 0) & (absorption < 1)).all():
             seconds = decay.image_rt60(room, absorption, self.speed_of_sound_m_s)
             sentences.append(f"image sources between these walls decay by 60 dB in {seconds:.3f} s (T30)")
+        if self.end_s > 0:
+            decay_db = 60 * self.reach_m / (self.rt60_s * self.speed_of_sound_m_s)
+            sentences.append(f"images are followed for {decay_db:.0f} dB, then noise decays as they would")
         images = image_count(room, self.reach_m) if (absorption < 1).all() else 1
         sentences.append(
             f"T60 {self.rt60_s:g} s, absorption {np.round(absorption, 4).tolist()}, about {images:.0f} images of a "
@@ -178,9 +182,10 @@ def surroundings_of(
             bands = Bands(np.repeat(absorption[:, None], 8, axis=1), np.zeros(8), np.array(BEHIND_DB), np.full(8, rt60))
     else:
         rt60, absorption = float(bands.rt60_s.max()), bands.absorption.min(axis=1)
+        _compare_stated(config, float(bands.rt60_s[MIDDLE].mean()), say)
     diagonal_m = float(np.linalg.norm(room.dimensions))
     if room_has_materials and settings.ism_decay_db is None:
-        settings = _affordable(settings, room, rt60, speed, say)
+        settings = _affordable(settings, room, rt60, speed)
     followed_s = rt60 * (DECAY_HEARD_DB - settings.error_db) / 60
     if settings.ism_decay_db is not None:
         followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
@@ -218,23 +223,36 @@ def _refuse_beyond_settings(config: Config) -> None:
             raise ValueError(f'{config.name}: "{key}" must be from {least:g} to {most:g}, found {shown(value)}')
 
 
-def bands_of(room: Room, settings: Settings, speed_of_sound_m_s: float) -> Bands | None:
-    """Return what the materials of a room and its air do in octave bands; None where its absorption is one number.
+def _compare_stated(config: Config, found_s: float, say: Callable[[str], None]) -> None:
+    """Say where config.json states another reverberation time than its materials have."""
+    stated = config.room.reverberation_time_s
+    if stated is not None and abs(found_s - stated) > DIFFERENT * found_s:
+        say(
+            f'{config.name}: "room_config.reverberation_time_s" is {stated:g}, but the materials and contents of the '
+            f"room, which are heard, give {found_s:.2f} s from 500 Hz to 2 kHz; --rt60 {stated:g} has the other"
+        )
 
-    Materials count where neither a reverberation time nor an absorption is set.
+
+def bands_of(room: Room, settings: Settings, speed_of_sound_m_s: float) -> Bands | None:
+    """Return what a room's materials, air and contents do in octave bands; None where its absorption is one number.
+
+    Materials count where they are to be heard (`Room.heard_by_materials`) and the settings state no number.
 
     Args:
         room: of the configuration.
         settings: of the simulation.
         speed_of_sound_m_s: m/s, from which the temperature of the air follows.
     """
-    if room.surfaces is None or settings.rt60_s is not None or settings.absorption is not None:
+    stated = settings.rt60_s is not None or settings.absorption is not None
+    if stated or room.surfaces is None or not room.heard_by_materials:
         return None
-    absorption = np.clip(room.surfaces.absorption[:, [*range(7), 6]], LEAST_ABSORBED, 1 - LEAST_ABSORBED)
-    temperature = 293.15 * (speed_of_sound_m_s / 343.2) ** 2 - 273.15
-    air = air_absorption(BANDS_HZ, temperature, settings.humidity_percent) * np.log(10) / 20
+    up_to_16_khz = [*range(7), 6]
+    absorption = np.clip(room.surfaces.absorption[:, up_to_16_khz], LEAST_ABSORBED, 1 - LEAST_ABSORBED)
+    air = air_loss(BANDS_HZ, speed_of_sound_m_s, settings.humidity_percent)
+    if room.contents_absorption_m2 is not None:
+        air = air + contents_loss(room.dimensions, room.contents_absorption_m2[up_to_16_khz])
     times = [
-        decay.image_rt60(room.dimensions, of_walls, speed_of_sound_m_s, of_air)
+        reverberation_time(room.dimensions, of_walls, of_air, speed_of_sound_m_s)
         for of_walls, of_air in zip(absorption.T, air, strict=True)
     ]
     behind = np.array(BEHIND_DB) if settings.source_directivity == "voice" else np.zeros(8)
@@ -292,15 +310,12 @@ def affordable_decay(
     return float(np.floor(min(15.0, 60 * reach_m / max(rt60_s * speed_of_sound_m_s, reach_m))))
 
 
-def _affordable(
-    settings: Settings, room: Room, rt60_s: float, speed_of_sound_m_s: float, say: Callable[[str], None]
-) -> Settings:
+def _affordable(settings: Settings, room: Room, rt60_s: float, speed_of_sound_m_s: float) -> Settings:
     """Return settings with which a room whose materials absorb little is affordable: noise continues its images."""
     followed_m = rt60_s * (DECAY_HEARD_DB - settings.error_db) / 60 * speed_of_sound_m_s
     decay_db = affordable_decay(room.dimensions, rt60_s, speed_of_sound_m_s, AFFORDABLE_IN_BANDS)
     if image_count(room.dimensions, followed_m) <= AFFORDABLE_IN_BANDS or decay_db < 1:
         return settings
-    say(f"these materials reverberate for {rt60_s:.1f} s; images are followed for {decay_db:g} dB, then noise")
     return replace(settings, ism_decay_db=decay_db)
 
 

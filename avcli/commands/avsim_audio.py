@@ -278,9 +278,9 @@ def _recorder(
         )
     room = session.config.room
     stated = settings.rt60_s is not None or settings.absorption is not None
-    if stated or room.surfaces is None:
-        refuse_without_effect(("humidity_percent",), "where the room's surfaces have no materials")
-    if room.surfaces is not None and not stated:
+    if stated or not room.heard_by_materials:
+        refuse_without_effect(("humidity_percent",), "where the absorption is not that of materials")
+    if room.heard_by_materials and not stated:
         refuse_without_effect(("absorption_model", "strict"), "where the room's surfaces have materials")
     elif not stated:
         _refuse_without_effect(room.reverberation_time_s if room.absorption is None else None, room.absorption)

@@ -323,6 +323,8 @@ class Room:
         absorption: (6,) energy absorption of the walls x0 x1 y0 y1 z0 z1, None where it is not stated.
         speed_of_sound_m_s: m/s.
         surfaces: what they are made of, None where it is not stated.
+        contents_absorption_m2: (7,) m², equivalent absorption area of furniture and people in the bands
+            `materials.BANDS_HZ`, None where it is not stated.
         fittings: windows, doors, lamps, skirting and daylight.
     """
 
@@ -331,7 +333,17 @@ class Room:
     absorption: np.ndarray | None
     speed_of_sound_m_s: float
     surfaces: materials.Surfaces | None
+    contents_absorption_m2: np.ndarray | None
     fittings: room_keys.Fittings
+
+    @property
+    def heard_by_materials(self) -> bool:
+        """Whether the surfaces give the absorption, and no number does.
+
+        Of a room whose contents are stated too, the reverberation time is what follows from them.
+        """
+        told = self.reverberation_time_s is not None and self.contents_absorption_m2 is None
+        return self.surfaces is not None and self.absorption is None and not told
 
 
 class Config:
@@ -446,7 +458,7 @@ class Config:
     def room(self) -> Room:
         """The room: its size, its reverberation and its speed of sound."""
         values = self._section("room_config", _ROOM)
-        absorption = values["absorption"]
+        absorption, contents = values["absorption"], values["contents_absorption_m2"]
         try:
             fittings = room_keys.fittings(values)
         except Invalid as error:
@@ -457,6 +469,7 @@ class Config:
             absorption=None if absorption is None else np.broadcast_to(absorption, 6).astype(float),
             speed_of_sound_m_s=values["speed_of_sound_m_s"],
             surfaces=materials.surfaces(values),
+            contents_absorption_m2=None if contents is None else np.array(contents, dtype=float),
             fittings=fittings,
         )
 

@@ -68,9 +68,15 @@ _LAMP = Object(
 KEYS = {
     "surfaces": Key(
         _SURFACES,
-        "the material of each surface, by name; it sets the look, and the absorption where neither "
-        "reverberation_time_s nor absorption is stated. A surface that is left out is as in a room without this key: "
-        "dark curtains, grey vinyl tiles, a white ceiling",
+        "the material of each surface, by name; it sets the look, and the absorption where no number does: neither "
+        "absorption nor, without contents_absorption_m2, reverberation_time_s. A surface that is left out is as in a "
+        "room without this key: dark curtains, grey vinyl tiles, a white ceiling",
+    ),
+    "contents_absorption_m2": Key(
+        Numbers(7, Number(0, most=1e6)),
+        "equivalent absorption area of what stands in the room, furniture and people, in octave bands from 125 Hz to "
+        "8 kHz, m²: where the surfaces give the absorption, it absorbs too, and reverberation_time_s is only the mean "
+        "from 500 Hz to 2 kHz that follows. avsim-scene writes both where a scenario names surfaces and no number",
     ),
     "windows": Key(ListOf(_WINDOW, most=64), "windows: light falls through them, and they are glass for the sound"),
     "doors": Key(ListOf(_DOOR, most=64), "doors: people may come and go there"),

@@ -15,7 +15,7 @@ from avcli.formats.experiment import Config, Layout
 from avcli.formats.media import Shot
 from avcli.formats.records import Identified, identified
 from avcli.formats.sensors import CAMERA, MICROPHONES
-from avcli.scene import annotations, interior, load, people, render, sensor, worlds
+from avcli.scene import annotations, contents, interior, load, people, render, sensor, worlds
 from avcli.scene.room_cache import RoomCache
 from avcli.scene.scenario import Scenario
 from avcli.scene.settings import Drawing, Effects, with_sensor
@@ -141,7 +141,7 @@ class Film:
             camera |= {"depth_kind": "radial", "depth_step_m": self._renderer.depth_step}
         if background:
             camera["background_depth"] = Layout.background_depth
-        sections = {key: raw[key] for key in ("microphone_config", "room_config")}
+        sections = {"microphone_config": raw["microphone_config"], "room_config": contents.room_heard(self.scenario)}
         return {"session_id": self.scenario.name, "camera_config": camera, **sections, "sensors": _SENSORS}
 
     def frames(self) -> Iterator[Frame]:

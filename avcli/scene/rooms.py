@@ -1,16 +1,12 @@
 """Rooms drawn by chance: their kind, their size by the number of people, their surfaces and doors."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from avcli import materials
-
 Size = tuple[float, float, float]
-_LONGEST_S = 1.2
 _ENDS_M = 3.0, 30.0  # shortest and longest side
 
 
@@ -24,7 +20,6 @@ class Kind:
         height: m, least and most.
         long: longer over shorter side, least and most.
         narrow: m, most of the shorter side.
-        furnished: absorption of furniture and people, spread over the floor.
         floors, walls, ceilings: materials.
         windows: how many, least and most.
     """
@@ -33,7 +28,6 @@ class Kind:
     each: float
     height: tuple[float, float]
     long: tuple[float, float]
-    furnished: float
     floors: tuple[str, ...]
     walls: tuple[str, ...]
     ceilings: tuple[str, ...]
@@ -42,22 +36,22 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
-    "office": Kind((16, 60), 7.0, (2.5, 3.2), (1.0, 2.0), 0.12,
+    "office": Kind((16, 60), 7.0, (2.5, 3.2), (1.0, 2.0),
                    ("carpet_tile", "carpet", "linoleum", "laminate"), ("plasterboard", "plaster", "wallpaper"),
                    ("acoustic_tile", "ceiling_plaster", "perforated_gypsum"), (1, 3)),
-    "meeting": Kind((14, 40), 3.6, (2.5, 3.4), (1.0, 1.8), 0.12,
+    "meeting": Kind((14, 40), 3.6, (2.5, 3.4), (1.0, 1.8),
                     ("carpet", "carpet_tile", "parquet", "wood_floor"), ("plasterboard", "wood_panel", "plaster"),
                     ("acoustic_tile", "perforated_gypsum"), (0, 3)),
-    "corridor": Kind((18, 60), 4.0, (2.4, 3.2), (2.5, 8.0), 0.12,
+    "corridor": Kind((18, 60), 4.0, (2.4, 3.2), (2.5, 8.0),
                      ("linoleum", "vinyl_tile", "terrazzo", "ceramic_tile"), ("plaster", "brick", "painted_brick"),
                      ("acoustic_tile", "ceiling_plaster"), (0, 2), narrow=4.0),
-    "hall": Kind((70, 300), 4.0, (3.5, 8.5), (1.0, 2.0), 0.08,
+    "hall": Kind((70, 300), 4.0, (3.5, 8.5), (1.0, 2.0),
                  ("parquet", "terrazzo", "marble", "wood_floor"), ("plaster", "wood_panel", "brick", "curtain"),
                  ("ceiling_plaster", "perforated_gypsum", "metal_ceiling"), (0, 6)),
-    "workshop": Kind((25, 150), 8.0, (3.0, 6.0), (1.0, 2.2), 0.15,
+    "workshop": Kind((25, 150), 8.0, (3.0, 6.0), (1.0, 2.2),
                      ("concrete", "rough_concrete", "rubber"), ("block", "brick", "concrete", "painted_brick"),
                      ("metal_ceiling", "concrete"), (0, 4)),
-    "living": Kind((14, 45), 4.5, (2.35, 3.0), (1.0, 1.7), 0.40,
+    "living": Kind((14, 45), 4.5, (2.35, 3.0), (1.0, 1.7),
                    ("wood_floor", "laminate", "carpet", "ceramic_tile"), ("wallpaper", "plaster", "stucco"),
                    ("ceiling_plaster",), (1, 3)),
 }  # fmt: skip
@@ -134,24 +128,6 @@ def random_surfaces(
     if g.random() < 0.35:
         made["sun_deg"] = [round(float(g.uniform(0, 360)), 1), round(float(g.uniform(15, 60)), 1)]
     return made
-
-
-def reverberation(room_config: Mapping[str, Any], furnished: float) -> float:
-    """The reverberation time of a room of materials and furniture between 500 Hz and 2 kHz, s.
-
-    Args:
-        room_config: with surfaces.
-        furnished: absorption of what stands on the floor, spread over it.
-
-    Returns:
-        By Eyring (1930), no longer than 1.2 s: what is longer takes avsim-audio long to compute.
-    """
-    found = materials.surfaces(room_config)
-    x, y, z = room_config["room_dimensions_m"]
-    areas = np.array([y * z, y * z, x * z, x * z, x * y, x * y])
-    absorbed = 0.0 if found is None else float(areas @ found.absorption[:, 2:5].mean(1))
-    mean = min((absorbed + furnished * x * y) / areas.sum(), 0.9)
-    return round(float(np.clip(0.161 * x * y * z / (-areas.sum() * math.log(1 - mean)), 0.15, _LONGEST_S)), 2)
 
 
 def _windows(g: np.random.Generator, kind: Kind, size: Size, doors: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -182,6 +182,7 @@ class Scenario:
         people: in the order of the file.
         warnings: sentences on what is odd but can be simulated.
         sensor: name of one of `settings.SENSORS`.
+        pieces: the furniture among the solids, piece by piece.
     """
 
     raw: Mapping[str, Any]
@@ -192,6 +193,7 @@ class Scenario:
     people: tuple[Person, ...]
     warnings: tuple[str, ...]
     sensor: str = "clean"
+    pieces: tuple[furniture.Solids, ...] = ()
 
     @property
     def times(self) -> np.ndarray:
@@ -268,7 +270,9 @@ def _parsed(
     filled = {"name": title, "duration_s": duration, **sections}
     filled |= {key: raw.get(key) or [] for key in ("furniture", "people")}
     filled["sensor"] = values["sensor"]
-    return Scenario(filled, title, duration, config, solids, tuple(people), tuple(warnings), values["sensor"])
+    return Scenario(
+        filled, title, duration, config, solids, tuple(people), tuple(warnings), values["sensor"], tuple(pieces)
+    )
 
 
 def _with_laboratory(raw: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -11,7 +11,7 @@ from avcli.scene.cameras import random_camera
 from avcli.scene.crowd import Crowd, Ground
 from avcli.scene.layout import Layout, furnish
 from avcli.scene.looks import random_look
-from avcli.scene.rooms import KINDS, Size, random_doors, random_kind, random_size, random_surfaces, reverberation
+from avcli.scene.rooms import Size, random_doors, random_kind, random_size, random_surfaces
 from avcli.scene.talk import conversations
 
 _SEATED = {"office": 0.65, "meeting": 0.75, "corridor": 0.15, "hall": 0.5, "workshop": 0.0, "living": 0.65}
@@ -60,7 +60,6 @@ def random_world(
     doors = random_doors(g_room, size)
     camera = random_camera(g_camera, size, known, wishes.lens, wishes.camera_height)
     room = {"room_dimensions_m": [float(v) for v in size], **random_surfaces(g_room, kind, size, doors)}
-    room["reverberation_time_s"] = reverberation(room, KINDS[kind].furnished)
     eye = camera["camera_position_m"]
     layout = furnish(kind, size, wishes.people, doors, eye, g_things)
     people = [_person(number, kind, g_people) for number in range(wishes.people)]
