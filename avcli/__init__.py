@@ -12,10 +12,10 @@ used:
     print(avcli.score(scene.truth, tracks)["HOTA"])
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # as typing's. Nothing is imported here: Ctrl-C during an import would print a traceback
 if TYPE_CHECKING:
+    from typing import Any
+
     from avcli.acoustics.recorder import hear as hear
     from avcli.calibration.calibrate import calibrate as calibrate
     from avcli.detection.detector import detect as detect
@@ -44,9 +44,11 @@ _DOOR = {
 """The library's functions and the modules that they come from."""
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name not in _DOOR:
         raise AttributeError(f"module 'avcli' has no attribute {name!r}")
+    import importlib
+
     return getattr(importlib.import_module(_DOOR[name]), name)
 
 

@@ -36,7 +36,8 @@ def page(result: Calibration, seen: Seen) -> str:
     """
     q = result.quality
     kind = "no" if q.refusals else "yes" if "whole picture" in q.verdict and not q.advice else "partly"
-    said = report.words(result, seen)[:-1]
+    of_the_lens = tuple(f"{name} " for name in result.solution.names)  # the table has them
+    said = [line for line in report.words(result, seen)[:-1] if not line.startswith(of_the_lens)]
     sections = [
         section("What to film next", listed(q.advice) if q.advice else "<p>Nothing: more pictures are not needed.</p>"),
         section("Figures", _figures(result, seen)),
@@ -96,14 +97,15 @@ def _maps(result: Calibration) -> list[str]:
         _map(
             result,
             "Expected error",
-            "How far the lens may be wrong (standard deviation). It is trusted within the strong dashes.",
+            "How far the lens may be wrong (standard deviation). It is trusted within the strong dashes. Dotted rings: "
+            "every 15° from the axis.",
             _field(q),
             _scale(q.field.sd_px),
         ),
         _map(
             result,
             "Coverage",
-            "Corners that the fit used, and how many there are.",
+            "Corners that the fit used. The stronger the green of a field, the more there are.",
             _cells(result) + _dots(result.observations.pixels),
         ),
         _residuals(result),

@@ -27,6 +27,7 @@ from avcli.scene.scenario import LABORATORY
 fuzz: Any = importlib.import_module("test_fuzz")
 run: Any = importlib.import_module("forked").run_forked
 BIN = Path(sys.executable).parent
+OURS = os.fsencode(Path(media.__file__).parents[1])  # is in each line of a traceback that shows avcli's code
 REFUSALS, GATE = (1, 2, 3, 74), 3  # a gate that is not met may come with a report
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores it, and children would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -542,6 +543,8 @@ def ending(seed: int, folder: Path) -> Trial:
         process.kill()
         return Trial(f"avfuse, {kind}", lost="hangs")
     what, code = f"avfuse, {kind}", process.returncode
+    if b"Traceback" in said and kind == "SIGINT" and OURS not in said and not output.exists():
+        return Trial(what, "Ctrl-C in Python's own start, before avcli's first line")
     if b"Traceback" in said:
         return Trial(what, lost=said[-300:].decode())
     if kind == "SIGKILL":
