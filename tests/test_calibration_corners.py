@@ -107,6 +107,15 @@ def test_blotches_are_no_board():
         assert corners.find(noisy, BOARD) is None
 
 
+def test_corners_of_blotches_in_rows_are_no_board():
+    """By chance they join into grids, but the squares between them are not dark and bright in turn."""
+    for seed in (5, 14, 19, 26):
+        small = np.random.default_rng(seed).integers(0, 256, (45, 80)).astype(np.uint8)
+        blotches = cv2.resize(small, (960, 540), interpolation=cv2.INTER_CUBIC)
+        for inner in ((5, 7), (4, 5)):
+            assert saddles.find_board(blotches, inner) is None
+
+
 @pytest.mark.parametrize("part", ["5x8", "6x7", "4x6"])
 def test_a_part_of_a_larger_board_is_not_taken_for_the_board(shots, part):
     for picture in shots[1]:

@@ -189,7 +189,7 @@ def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
     """
     votes: dict[tuple[int, int], int] = {}
     for small in pictures:
-        for inner in saddles.sizes(small, LEAST_GUESSED)[:1]:
+        for inner in saddles.sizes(small, LEAST_GUESSED, thorough=False)[:1]:
             few, many = sorted((inner[0] + 1, inner[1] + 1))
             size = (many, few) if board.columns > board.rows else (few, many)
             votes[size] = votes.get(size, 0) + 1

@@ -29,7 +29,7 @@ _SELDOM = 8
 is recognised, it is searched in the pictures between them too. Where a board is known and none was found, only every
 eighth picture is searched thoroughly. So a folder without a board costs no more than one with boards."""
 _THOROUGH = 2
-"""Pictures in which an unknown board is looked for at full size."""
+"""Pictures in which an unknown board is looked for thoroughly."""
 _NAMED = 5
 """Pictures that a message names before it counts the others."""
 

@@ -13,10 +13,13 @@ from avcli.calibration.gather import Seen, is_duplicate
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.footage import Picture
-from avcli.lens import LENSES, KannalaBrandt
+from avcli.lens import LENSES, KannalaBrandt, Lens
 
 ENOUGH = 1 / 6400
 """Mean expected error over the lit picture that is enough, over the picture's width: 0.3 px of 1920."""
+ENOUGH_RAD = np.deg2rad(0.02)
+"""The same as an angle on the axis, 1 mm at 3 m, which is enough where it is more px: of a lens of long focal length
+0.3 px are less than that, and take more pictures than a person films."""
 ENOUGH_PART = 0.8
 """Part of the lit picture in which the lens must be trusted: whole boards do not get into the corners."""
 LEAST_VIEWS = 8
@@ -110,7 +113,7 @@ class Guide:
 
         Args:
             settings: of the fit that follows.
-            enough_px: mean expected error over the picture that is good enough; None: `ENOUGH` of its width.
+            enough_px: mean expected error over the picture that is good enough; None: `wanted_px`.
             say: gets each new hint.
             show: gets each picture (height, width, 3) uint8 RGB with corners, coverage and the place for the board
                 drawn into it, and the state.
@@ -289,7 +292,7 @@ class Guide:
         return self._known >= 3 * LEAST_VIEWS and not self._avoid and gain < _SMALL_GAIN
 
     def _limit_px(self, width: int) -> float:
-        return self._enough_px or ENOUGH * width
+        return self._enough_px or wanted_px(self.solution.lens if self.solution else None, width)
 
     # --- in words
 
@@ -346,6 +349,14 @@ class Guide:
     def _covered_text(self) -> str:
         known = f", expected error {self.mean_px:.2f} px" if np.isfinite(self.mean_px) else ""
         return f"{100 * self._covered:.0f} % of the picture covered{known}"
+
+
+def wanted_px(lens: Lens | None, width: int) -> float:
+    """The mean expected error over the lit picture that is enough, px, of a lens and a picture's width in px."""
+    if lens is None:
+        return ENOUGH * width
+    on_axis = lens.project_jacobian(np.array([0.0, 0.0, 1.0]))[1][:, :2]
+    return max(ENOUGH * width, ENOUGH_RAD * float(np.sqrt(np.abs(np.linalg.det(on_axis)))))
 
 
 def _count(views: int) -> str:

@@ -16,8 +16,8 @@ _NOMINAL_M = 0.095
 _AGREE = 2
 """Pictures that must show the same board; one may show a tiled floor or another print."""
 _MOST_ROWS = 40
-_QUICK_WIDTH = 960
-"""px; of pictures that are not looked at thoroughly."""
+_WIDTH, _QUICK_WIDTH = 1280, 960
+"""px; markers and circles are looked for in pictures of this width, thoroughly or not."""
 _MOST_BENT = 0.15
 """How bent the lines of a board may be that is unknown. It is at most 0.136 on derlunz, dyf and fish_1."""
 
@@ -89,19 +89,21 @@ def largest_of(dictionary: str) -> str:
 def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True) -> Board | None:
     """Tell which board a picture (height, width) uint8 shows; None where there is none, or not the wanted kind.
 
-    Without `thorough`, markers and circles are looked for in a picture of 960 px, which misses small ones.
+    Without `thorough`, the picture is looked at smaller, and for a checkerboard only where something speaks for one.
     """
     kind = wanted.kind
     picture = Pyramid.of(picture)
-    small = picture.grey if thorough else picture.reduced(_QUICK_WIDTH)[0]
+    small = picture.reduced(_WIDTH if thorough else _QUICK_WIDTH)[0]
     if kind in (None, "charuco", "aprilgrid"):
         found = markers.recognise(small, kind, wanted.dictionary)
         if found is not None or kind is not None:
             return found
     if kind in (None, "checkerboard"):
-        if wanted.size and saddles.find_board(picture, (wanted.size[0] - 1, wanted.size[1] - 1)) is not None:
-            return Board(*wanted.size, scaled=False)
-        for inner in saddles.sizes(picture, LEAST_GUESSED, _MOST_BENT)[:1]:
+        if wanted.size:
+            inner = wanted.size[0] - 1, wanted.size[1] - 1
+            if saddles.find_board(picture, inner, thorough=thorough) is not None:
+                return Board(*wanted.size, scaled=False)
+        for inner in saddles.sizes(picture, LEAST_GUESSED, _MOST_BENT, thorough=thorough)[:1]:
             if min(inner) < 3:
                 break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)

@@ -21,8 +21,6 @@ _GRIDS = 6
 """Groups of corners that are grown into grids: the largest ones."""
 _NEAREST = 20
 """Corners around a corner that may be its neighbours."""
-_MANY = 1000
-"""Corners from which the nearest ones are looked up in a tree."""
 _BY_CHANCE = 60
 """In a picture full of corners chance joins some: groups with fewer than one in so many of them are not looked at."""
 _LEAST_CONTRAST = 6.0
@@ -48,6 +46,13 @@ _UPRIGHT = 0.05
 _MOST_BENT = 0.25
 """What `_bend` gives at most for a board, or a group of corners is no board: it is at most 0.14 on derlunz, dyf and
 fish_1, and mostly more than 0.25 in blotches."""
+_TURNS = 0.95
+"""Share of the comparisons between neighbouring squares in which dark and bright take turns, in a grid. It is at least
+0.97 on derlunz, dyf and fish_1, and mostly below 0.9 in blotches."""
+_COMPARED = 0.5
+"""Share of the comparisons in a whole grid that must be right; where corners are hidden, squares are."""
+_IN_SQUARE = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
+"""Places in a square where it is compared with its neighbours, in sides."""
 _RING = 32
 """Samples on the circle around a corner."""
 
@@ -260,16 +265,11 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
 
 def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances of each of the pixels (n, 2) to the `count` nearest others, and which they are, (n, count)."""
-    if len(pixels) > _MANY:
-        from scipy.spatial import cKDTree
+    import cv2
 
-        distance, other = map(np.asarray, cKDTree(pixels).query(pixels, count + 1))
-        return distance[:, 1:], other[:, 1:]
-    x, y = pixels.T.astype(np.float32)
-    squared = np.square(np.subtract.outer(x, x)) + np.square(np.subtract.outer(y, y))
-    np.fill_diagonal(squared, np.inf)
-    other = np.argpartition(squared, count - 1, axis=1)[:, :count]
-    return np.sqrt(np.take_along_axis(squared, other, 1)), other
+    places = pixels.astype(np.float32)
+    distance, other = cv2.batchDistance(places, places, cv2.CV_32F, normType=cv2.NORM_L2, K=count + 1)
+    return distance[:, 1:], other[:, 1:]
 
 
 def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], int]]:
@@ -325,11 +325,7 @@ def _bend(cells: dict[tuple[int, int], np.ndarray]) -> float:
     """
     if len(cells) < 3:
         return 0.0
-    names = np.array(list(cells))
-    low = names.min(0)
-    grid = np.full((*(names.max(0) - low + 1), 2), np.nan)
-    grid[tuple((names - low).T)] = list(cells.values())
-    found = []
+    grid, found = _spread(cells), []
     for lines in (grid, grid.swapaxes(0, 1)):
         before, here, after = lines[:-2], lines[1:-1], lines[2:]
         apart = np.maximum(np.linalg.norm(after - before, axis=2), 1e-9)
@@ -337,6 +333,42 @@ def _bend(cells: dict[tuple[int, int], np.ndarray]) -> float:
         found.append(off[np.isfinite(off)])
     bends = np.concatenate(found)
     return float(np.median(bends)) if len(bends) else 0.0
+
+
+def _spread(cells: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
+    """The corners of a grid as an array (columns, rows, 2) px, NaN where there is none."""
+    names = np.array(list(cells))
+    low = names.min(0)
+    grid = np.full((*(names.max(0) - low + 1), 2), np.nan)
+    grid[tuple((names - low).T)] = list(cells.values())
+    return grid
+
+
+def _alternation(relief: _Relief, cells: dict[tuple[int, int], np.ndarray]) -> tuple[float, float]:
+    """Tell whether the squares between the corners are dark and bright in turn.
+
+    Returns:
+        the share of the comparisons between neighbouring squares, at five places in each, that say so; and how many
+        that are of those in a grid without a gap. A corner that is missing alone is where its square has it.
+    """
+    grid = _spread(cells)
+    columns, rows = grid.shape[0] - 1, grid.shape[1] - 1
+    if min(columns, rows) < 1:
+        return 0.0, 0.0
+    corners = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]])
+    beside, opposite = np.roll(corners, 1, 0) + np.roll(corners, -1, 0), np.roll(corners, 2, 0)
+    corners = np.where(np.isnan(corners), beside - opposite, corners)
+    u, v = _IN_SQUARE.T
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], -1)
+    x, y = (weights @ corners[..., axis].reshape(4, -1) for axis in (0, 1))
+    value = np.where(np.isnan(x), np.nan, relief.sample(np.nan_to_num(x), np.nan_to_num(y)))
+    value = value.reshape(-1, columns, rows)
+    turn = 1 - 2 * (np.add.outer(np.arange(columns), np.arange(rows)) % 2)
+    across, along = np.diff(value, axis=1) * turn[1:], np.diff(value, axis=2) * turn[:, 1:]
+    steps = np.concatenate([across.ravel(), along.ravel()])
+    compared = int(np.isfinite(steps).sum())
+    right = max(int((steps > 0).sum()), int((steps < 0).sum()))
+    return right / max(compared, 1), right / max(len(steps), 1)
 
 
 def _guessed(cells: dict[tuple[int, int], np.ndarray]) -> tuple[list[tuple[int, int]], np.ndarray, np.ndarray]:
@@ -457,14 +489,16 @@ def find_grids(
         start = cells[(0, 0)]
         if any((np.abs(grid.pixels - start).max(1) < 2).any() for grid in out):
             continue
-        bend, joined = _bend(cells), set(cells)
-        if bend > _MOST_BENT:
+        bend, turns, joined = _bend(cells), _alternation(relief, cells), set(cells)
+        if bend > _MOST_BENT or turns[0] < _TURNS:
             continue
         _grown(relief, cells, radius, most)
         cells, is_cut = _trimmed(cells)
+        if len(cells) < least:
+            continue
         if cells.keys() != joined:
-            bend = _bend(cells)
-        if len(cells) < least or bend > _MOST_BENT:
+            bend, turns = _bend(cells), _alternation(relief, cells)
+        if bend > _MOST_BENT or turns[0] < _TURNS or turns[1] < _COMPARED:
             continue
         largest = max(largest, len(cells))
         names, pixels = np.array(list(cells)), np.array(list(cells.values()))
@@ -557,15 +591,20 @@ def _reduced(picture: Pyramid) -> Iterator[tuple[np.ndarray, float]]:
             yield small, scale
 
 
-def sizes(picture: np.ndarray | Pyramid, least: int = 9, bend: float = _MOST_BENT) -> list[tuple[int, int]]:
+def sizes(
+    picture: np.ndarray | Pyramid, least: int = 9, bend: float = _MOST_BENT, *, thorough: bool = True
+) -> list[tuple[int, int]]:
     """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first.
 
     A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count; nor
-    does one that is bent by `bend` or more (see `_bend`).
+    does one that is bent by `bend` or more (see `_bend`). `thorough` is that of `find_board`.
     """
     for small, _ in _reduced(Pyramid.of(picture)):
-        whole = [g for g in find_grids(small, least=least) if len(g.pixels) == g.columns * g.rows >= least]
+        grids = find_grids(small, least=least)
+        whole = [g for g in grids if len(g.pixels) == g.columns * g.rows >= least]
         whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut and g.bend < bend]
         if whole:
             return [(g.columns, g.rows) for g in whole]
+        if not thorough and not grids:
+            break
     return []

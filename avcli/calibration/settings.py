@@ -192,7 +192,7 @@ class LiveSettings:
         unit="PX",
         above=0.0,
         flag="--enough",
-        default_text="1/6400 of the picture's width",
+        default_text="1/6400 of the picture's width, or 0.02° on the axis if that is more",
     )
     stops: bool = setting(True, "Whether to stop when it is enough, or only at Ctrl-C.", flag="--stop/--no-stop")
 
