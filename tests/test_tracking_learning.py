@@ -20,7 +20,7 @@ from avcli.tracking.learnt import LEARNT, read_learnt, write_learnt
 from avcli.tracking.model import Population
 from avcli.tracking.picture import bounds, picture, ticks
 from avcli.tracking.places import Places
-from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates
+from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates, logit, odds_of
 from avcli.tracking.settings import Settings, sensor
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))
@@ -314,6 +314,23 @@ def test_without_learning_a_run_changes_nothing_of_what_it_was_given(learnt):
     after = fusion.state()
     assert (after["exits"], after["entries"]) == (learnt["exits"], learnt["entries"])
     assert after["sensors"]["ceiling"]["errors"] == learnt["sensors"]["ceiling"]["errors"]
+
+
+def test_a_low_score_speaks_against_an_exact_detection_and_not_against_a_vague_one():
+    exact, vague = 0.01 * np.eye(2), 4.0 * np.eye(2)
+    odds = odds_of(np.array([0.3, 0.3, np.nan]), np.stack([exact, vague, exact]), 0.5)
+    assert odds[0] == pytest.approx(logit(0.3), abs=1e-3)
+    assert odds[1] > 5
+    assert np.isnan(odds[2])
+    assert odds_of(np.array([0.3]), vague[None], np.inf) == [pytest.approx(logit(0.3))]
+
+
+def test_scores_are_compared_with_their_mean():
+    rates = Rates(sensor("ceiling"))
+    for _ in range(300):
+        rates.learn_score([logit(0.9), logit(0.5), np.nan])
+    assert rates.typical == pytest.approx(logit(0.7), abs=0.01)
+    assert rates.clutter_factors([logit(0.7), logit(0.2), np.nan]) == pytest.approx([1.0, 28 / 3, 1.0], rel=0.02)
 
 
 def test_without_learning_no_history_makes_a_difference():

@@ -45,9 +45,9 @@ from avcli.tracking.hypotheses import ABSENT, Cluster
 from avcli.tracking.learning import Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
-from avcli.tracking.rates import ONSET, Rates, logit
+from avcli.tracking.rates import ONSET, Rates, logit, odds_of
 from avcli.tracking.recognition import Gallery, Left
-from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible
+from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible, strays
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
 from avcli.tracking.trust import TRUST
@@ -264,7 +264,7 @@ class GLMB:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
         self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
-        rates.learn_score(scan.odds, [1 - f for f in false])
+        rates.learn_score(scan.odds)
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)
         newborn = None if poisson else settings.newborn
@@ -310,10 +310,14 @@ class GLMB:
             z, noise, score, order = distinct(z, noise, score)
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
+        stated = noise
         z, noise, floor = self.errors.corrected(column, z, noise)
         ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
         expected = gaussian.innovation(people.mean, people.cov, ahead, between.unshared)
         gain, gain_by_model = likelihoods(people.mode, expected, z, noise)
+        astray = {}
+        if shown is None and len(z) and self.labelled_rows:
+            astray = strays(gain, self.labelled_rows, people.mode, expected, z)
         seen = None
         if shown is not None:
             seen = self._view(column, shown, cells)
@@ -321,11 +325,20 @@ class GLMB:
         evidence = None
         if features:
             features = {kind: one.take(order) for kind, one in features.items()}
-            evidence = self.features.weigh(people, self.likely_rows, self._now(), z, gain, features)
-            gain = gain if evidence is None else gain * evidence.ratio
+            anywhere = gain.copy()
+            for row, some in astray.items():
+                for j, density in some:
+                    anywhere[row, j] += density
+            evidence = self.features.weigh(people, self.likely_rows, self._now(), z, anywhere, features)
+            if evidence is not None:
+                gain = gain * evidence.ratio
+                astray = {
+                    row: [(j, density * evidence.ratio.item(row, j)) for j, density in some]
+                    for row, some in astray.items()
+                }
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         likely = possible(gain)
-        odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
+        odds = [math.nan] * len(z) if score is None else odds_of(score, stated, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
         local = self.false_places.density(column, z)
@@ -358,6 +371,7 @@ class GLMB:
             gain,
             gain_by_model,
             likely,
+            astray,
             existence,
             detectable,
             clutters,
