@@ -13,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from avcli.formats.records import Detections
+from avcli.formats.sensors import MICROPHONES
+from avcli.tracking import gaussian
 from avcli.tracking.coverage import Coverage
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.learning import Habits
@@ -20,7 +22,7 @@ from avcli.tracking.learnt import LEARNT, read_learnt, write_learnt
 from avcli.tracking.model import Population
 from avcli.tracking.picture import bounds, picture, ticks
 from avcli.tracking.places import Places
-from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates, logit, odds_of
+from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates, logit
 from avcli.tracking.settings import Settings, sensor
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))
@@ -317,20 +319,15 @@ def test_without_learning_a_run_changes_nothing_of_what_it_was_given(learnt):
 
 
 def test_a_low_score_speaks_against_an_exact_detection_and_not_against_a_vague_one():
-    exact, vague = 0.01 * np.eye(2), 4.0 * np.eye(2)
-    odds = odds_of(np.array([0.3, 0.3, np.nan]), np.stack([exact, vague, exact]), 0.5)
-    assert odds[0] == pytest.approx(logit(0.3), abs=1e-3)
-    assert odds[1] > 5
-    assert np.isnan(odds[2])
-    assert odds_of(np.array([0.3]), vague[None], np.inf) == [pytest.approx(logit(0.3))]
-
-
-def test_scores_are_compared_with_their_mean():
-    rates = Rates(sensor("ceiling"))
-    for _ in range(300):
-        rates.learn_score([logit(0.9), logit(0.5), np.nan])
-    assert rates.typical == pytest.approx(logit(0.7), abs=0.01)
-    assert rates.clutter_factors([logit(0.7), logit(0.2), np.nan]) == pytest.approx([1.0, 28 / 3, 1.0], rel=0.02)
+    near = gaussian.odds_within(np.stack([0.0 * np.eye(2), 4.0 * np.eye(2)]), 0.5)
+    assert near == pytest.approx([1.0, math.expm1(1 / 32)])
+    rates = Rates(sensor("ring", MICROPHONES))
+    rates.learn_score([logit(0.9), logit(0.1), math.nan], [1.0, 0.01, 1.0], [1.0, 1.0, 1.0])
+    assert rates.typical == pytest.approx(logit(0.9), abs=0.15)
+    exact, vague, unknown = rates.clutter_factors([logit(0.3), logit(0.3), math.nan], [1.0, 0.01, 1.0])
+    assert exact == pytest.approx(21, rel=0.2)
+    assert vague == pytest.approx(math.exp(-1))
+    assert unknown == 1
 
 
 def test_without_learning_no_history_makes_a_difference():

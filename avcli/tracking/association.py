@@ -104,7 +104,7 @@ def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluste
     wants: dict[int, int] = {}  # detection -> number of a group that may have caused it
     for number, cluster in enumerate(clusters):
         rows = {row for hypothesis in cluster.hypotheses for row in hypothesis if row >= 0}
-        wanted = {detection_of(j) for row in rows for _, j in options[row] if j != MISSED}
+        wanted = {j if j >= 0 else detection_of(j) for row in rows for _, j in options[row] if j != MISSED}
         joined.append(number)
         members = [cluster]
         rivals = {wants[j] for j in wanted if j in wants}
@@ -237,7 +237,7 @@ def _ranked_alone(
 ) -> list[Association]:
     """The same for one person, with whom nobody competes."""
     alone: list[Association] = [
-        (weight + gain, ((row, j),), _bit(j))
+        (weight + gain, ((row, j),), 1 << j if j >= 0 else _bit(j))
         for weight, (row,) in priors
         for gain, j in (options[row] if row >= 0 else ((0.0, MISSED),))
     ]

@@ -26,7 +26,7 @@ _MAP = _required(
     expected=(ListOf(ListOf(_AMOUNT)), "how often it was expected there before anything was learnt"),
 )
 _SENSOR = _required(
-    typical=(OrNull(_LOG_ODDS), "log odds of the mean score"),
+    typical=(OrNull(_LOG_ODDS), "log odds of the scores of people"),
     clutter_sum=(_AMOUNT, "false detections"),
     clutter_count=(_DIVISOR, "records in which they were counted"),
     hit_sum=(_AMOUNT, "people who were detected"),

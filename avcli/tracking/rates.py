@@ -6,15 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from avcli.formats.sensors import CAMERA
 from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
 # chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
 PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 14.0, 1.0
-SCORES, MOST_SCORES = 2.0, 200.0  # of 1/2 before the first one; of the last ones the mean is taken
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
@@ -26,7 +23,7 @@ LOST = 5.0  # records, after which a person who was not detected is lost
 
 
 class Rates:
-    """A sensor's clutter, detection probability and mean score as estimated so far.
+    """A sensor's clutter, detection probability and typical score as estimated so far.
 
     Attributes:
         clutter: false detections expected in one record.
@@ -37,8 +34,7 @@ class Rates:
 
     def __init__(self, sensor: Sensor) -> None:
         self.clutter, self.detection, self.score_nats = sensor.clutter, sensor.detection, sensor.score_nats
-        self.typical: float | None = None  # log odds of the mean score
-        self.scored = SCORES  # scores that it is of
+        self.typical: float | None = None  # log odds of the scores of people
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_PEOPLE * sensor.detection, PRIOR_PEOPLE
         self.hiding = Hiding(sensor)
@@ -70,21 +66,38 @@ class Rates:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
         self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
 
-    def learn_score(self, odds: Sequence[float]) -> None:
-        """Learn the mean score from the log odds of the J scores (NaN: unknown) of one record."""
-        known = [1 / (1 + math.exp(-odd)) for odd in odds if odd == odd]
-        if known:
-            self.scored = min(self.scored + len(known), MOST_SCORES)
-            mean = 1 / (1 + math.exp(-(self.typical or 0.0)))
-            self.typical = logit(mean + (math.fsum(known) - len(known) * mean) / max(self.scored, len(known)))
+    def learn_score(self, odds: Sequence[float], near: Sequence[float], real: Sequence[float]) -> None:
+        """Learn the typical score of people from one record.
 
-    def clutter_factors(self, odds: Sequence[float]) -> list[float]:
+        Args:
+            odds: log odds of the J scores (NaN: unknown).
+            near: see `clutter_factors`; vague detections hardly count.
+            real: probabilities that the J detections are people.
+        """
+        known = [(odd, share * q) for odd, share, q in zip(odds, real, near, strict=True) if odd == odd]
+        weight = math.fsum([share for _, share in known])
+        if weight > 1e-3:
+            share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
+            now = math.fsum(odd * real for odd, real in known) / weight
+            self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
+
+    def clutter_factors(self, odds: Sequence[float], near: Sequence[float]) -> list[float]:
         """Return how much likelier than usual each detection is clutter, by the log odds of its score (NaN: 1).
 
-        Of scores that are true probabilities, the odds are those of the mean score times the ratio of likelihoods.
+        A detection whose place is hardly known has a low score although it is of a person.
+
+        Args:
+            odds: log odds of the J scores.
+            near: J odds, at most 1, that it is as near to its person as its score asks, see `Sensor.score_within`.
         """
-        usual = self.typical or 0.0
-        return [math.exp(min(max(usual - odd, -1.0), self.score_nats)) if odd == odd else 1.0 for odd in odds]
+        typical = self.typical
+        if typical is None:
+            known = [odd for odd in odds if odd == odd]
+            typical = math.fsum(known) / len(known) if known else 0.0
+        return [
+            math.exp(min(max(typical + math.log(q) - odd, -1.0), self.score_nats)) if odd == odd else 1.0
+            for odd, q in zip(odds, near, strict=True)
+        ]
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it."""
@@ -97,8 +110,6 @@ class Rates:
         for one, values in ((self, state), (self.hiding, state["hiding"]), (self.blindness, state["blindness"])):
             for name in _LEARNT[type(one)]:
                 setattr(one, name, values[name])
-        if self.typical is not None:
-            self.scored = MOST_SCORES
         self._estimate()
 
 
@@ -140,7 +151,8 @@ class Hiding:
             sure: n probabilities that it was they.
             dt: s since its last record.
         """
-        rest, stay = self.detectable(), math.exp(-(self.hide + self.show) * dt)
+        hide, show = self.hide, self.show
+        rest, stay = show / (hide + show), math.exp(-(hide + show) * dt)
         before = [min(max((one - rest) / max(stay, 1e-300) + rest, 0.0), 1.0) for one in detectable]
         shown = [
             share * min((1 - hid) * rest * (1 - stay) / max(one, 1e-12), 1.0)
@@ -233,17 +245,3 @@ def logit(score: float) -> float:
     """Return the log odds of a probability (NaN: NaN), which is held within 0.01 % and 99.99 %."""
     score = min(max(score, 1e-4), 1 - 1e-4)
     return math.log(score / (1 - score))
-
-
-def odds_of(score: np.ndarray, noise: np.ndarray, within: float) -> list[float]:
-    """Return the log odds that n detections are of people, NaN where that is unknown.
-
-    A detection whose place is hardly known is hardly ever near a person, although it is of one.
-
-    Args:
-        score: (n,) probabilities that a detection is of a person and near to that person.
-        noise: (n, 2, 2) m², covariance of its position if it is of a person.
-        within: m, what is near.
-    """
-    near = -np.expm1(-within * within / (noise[:, 0, 0] + noise[:, 1, 1]))
-    return [logit(one) for one in (score / near).tolist()]

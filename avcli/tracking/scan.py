@@ -44,6 +44,7 @@ class Scan:
         ahead: m, how far in front of the body's axis the sensor localizes people.
         between: what its lasting errors have to do with those of the densities.
         odds: J log odds of the scores, NaN: unknown.
+        near: J odds, at most 1, that a detection is as near to its person as its score asks.
         expected: (n, M, 6) of what it should detect of the densities, see `gaussian.innovation`.
         gain: (n, J) likelihood of each detection under each density, per m²; 0 outside the gate.
         gain_by_model: (n, M, J) the same under each model of each density.
@@ -73,6 +74,7 @@ class Scan:
     ahead: float
     between: Between
     odds: list[float]
+    near: list[float]
     expected: np.ndarray
     gain: np.ndarray
     gain_by_model: np.ndarray
@@ -135,7 +137,7 @@ def possible(gain: np.ndarray) -> Likelihoods:
 
 
 def strays(
-    scan_gain: np.ndarray, rows: Sequence[int], mode: np.ndarray, expected: np.ndarray, z: np.ndarray
+    likelihoods: Likelihoods, rows: Sequence[int], mode: np.ndarray, expected: np.ndarray, z: np.ndarray
 ) -> dict[int, list[tuple[int, float]]]:
     """Find people who may have caused a detection although it lies far from them, as a detector errs now and then.
 
@@ -143,7 +145,7 @@ def strays(
     heavy tail. It matters where nothing else explains the detection, and the person is not detected otherwise.
 
     Args:
-        scan_gain: (n, J) likelihoods, see `Scan`.
+        likelihoods: n lists of detections and their likelihoods, per m².
         rows: of labelled people.
         mode: (n, M) probabilities of the models.
         expected: (n, M, 6), see `gaussian.innovation`.
@@ -153,19 +155,19 @@ def strays(
         P. J. Huber, "Robust estimation of a location parameter", Annals of Mathematical Statistics 35(1), 1964 (the
         mixture of usual noise and a broad one).
     """
-    known = scan_gain.take(rows, 0)
-    most = STRAYS / (2 * math.pi * ASTRAY * ASTRAY)
-    lost, alone = (np.maximum.reduce(known, 1) < most).nonzero()[0], (np.maximum.reduce(known, 0) < most).nonzero()[0]
-    if not len(lost) or not len(alone):
+    explained = {row: [j for j, _ in likelihoods[row]] for row in rows}
+    lost = [row for row, js in explained.items() if not js]
+    if not lost:
         return {}
-    at = [rows[k] for k in lost.tolist()]
-    broad = np.broadcast_to(ASTRAY * ASTRAY * gaussian.EYE2, (len(alone), 2, 2))
-    log, distance = gaussian.loglikelihood(expected.take(at, 0), z.take(alone, 0), broad)
-    density = STRAYS * (mode.take(at, 0)[:, None] @ np.where(distance < NEAR, np.exp(log), 0.0))[:, 0]
-    js = alone.tolist()
+    alone = sorted(set(range(len(z))).difference(*explained.values()))
+    if not alone:
+        return {}
+    broad = np.tile(ASTRAY * ASTRAY * gaussian.EYE2, (len(alone), 1, 1))
+    log, distance = gaussian.loglikelihood(expected.take(lost, 0), z.take(alone, 0), broad)
+    density = STRAYS * (mode.take(lost, 0)[:, None] @ np.where(distance < NEAR, np.exp(log), 0.0))[:, 0]
     found = {
-        row: [(j, one) for j, one in zip(js, some, strict=True) if one]
-        for row, some in zip(at, density.tolist(), strict=True)
+        row: [(j, one) for j, one in zip(alone, some, strict=True) if one]
+        for row, some in zip(lost, density.tolist(), strict=True)
     }
     return {row: some for row, some in found.items() if some}
 
