@@ -355,6 +355,27 @@ def test_doubled_detections_make_no_second_person():
         assert len(tracker.tracks(k / 10)) == 3
 
 
+@pytest.mark.parametrize("away", [(1.0, 0.0), (0.0, -0.8)])
+def test_a_detection_that_lies_far_off_is_the_persons_and_makes_no_other(away):
+    rng, tracker, journal = (
+        np.random.default_rng(7),
+        GLMB(Settings(), Population(), [sensor("video")], explain=True),
+        [],
+    )
+    for k in range(40):
+        z, noise = look(rng, walkers(k / 10, 2), sigma=0.03)
+        stray = k % 10 == 5
+        z[0] += stray * np.array(away)
+        tracker.update(k / 10, "video", z, noise)
+        tracks = sorted(tracker.tracks(k / 10), key=lambda one: one.state[1])
+        assert sorted(one.label for one in tracks) == [0, 1]
+        np.testing.assert_allclose([one.state[:2] for one in tracks], walkers(k / 10, 2), atol=0.1)
+        assert (tracks[0].last_seen < k / 10) == stray, "the position is a prediction"
+        journal += tracker.accounts()
+    assert journal[-1]["expected_clutter"] < 0.05, "it is no clutter"
+    assert sorted(one["most_likely"] for one in journal[35]["people"]) == [0, 1]
+
+
 @pytest.mark.parametrize("detection", [0.0, 1.0])
 @pytest.mark.parametrize("clutter", [0.0, 100.0])
 @pytest.mark.parametrize("sigma", [1e-6, 1e6])

@@ -13,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from avcli.formats.records import Detections
+from avcli.formats.sensors import MICROPHONES
+from avcli.tracking import gaussian
 from avcli.tracking.coverage import Coverage
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.learning import Habits
@@ -20,7 +22,7 @@ from avcli.tracking.learnt import LEARNT, read_learnt, write_learnt
 from avcli.tracking.model import Population
 from avcli.tracking.picture import bounds, picture, ticks
 from avcli.tracking.places import Places
-from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates
+from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates, logit
 from avcli.tracking.settings import Settings, sensor
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))
@@ -314,6 +316,18 @@ def test_without_learning_a_run_changes_nothing_of_what_it_was_given(learnt):
     after = fusion.state()
     assert (after["exits"], after["entries"]) == (learnt["exits"], learnt["entries"])
     assert after["sensors"]["ceiling"]["errors"] == learnt["sensors"]["ceiling"]["errors"]
+
+
+def test_a_low_score_speaks_against_an_exact_detection_and_not_against_a_vague_one():
+    near = gaussian.odds_within(np.stack([0.0 * np.eye(2), 4.0 * np.eye(2)]), 0.5)
+    assert near == pytest.approx([1.0, math.expm1(1 / 32)])
+    rates = Rates(sensor("ring", MICROPHONES))
+    rates.learn_score([logit(0.9), logit(0.1), math.nan], [1.0, 0.01, 1.0], [1.0, 1.0, 1.0])
+    assert rates.typical == pytest.approx(logit(0.9), abs=0.15)
+    exact, vague, unknown = rates.clutter_factors([logit(0.3), logit(0.3), math.nan], [1.0, 0.01, 1.0])
+    assert exact == pytest.approx(21, rel=0.2)
+    assert vague == pytest.approx(math.exp(-1))
+    assert unknown == 1
 
 
 def test_without_learning_no_history_makes_a_difference():

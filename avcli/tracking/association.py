@@ -12,6 +12,7 @@ from avcli.tracking.hypotheses import ABSENT, Cluster, Joint
 from avcli.tracking.scan import Scan
 
 MISSED = -1  # in the place of a detection: the person was not detected
+STRAY = -3  # STRAY - j in its place: detection j is the person's, and lies somewhere near: it says nothing of the place
 PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
 LOG_PRUNE = math.log(PRUNE)
 BUDGET = 3  # partial associations kept while searching, for each hypothesis that is kept in the end
@@ -20,9 +21,9 @@ SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
 
-Option = tuple[float, int]  # log weight, detection or MISSED
+Option = tuple[float, int]  # log weight, detection, MISSED, or STRAY less a detection
 Options = Mapping[int, Sequence[Option]]  # by row, best first
-Pair = tuple[int, int]  # row, detection or MISSED
+Pair = tuple[int, int]  # row, the same
 Chain = tuple[()] | tuple["Chain", Pair]  # pairs of the first labels, the last one outermost: shared, so not copied
 Association = tuple[float, tuple[Pair, ...], int]  # log weight, a pair for each label, bit set of used detections
 
@@ -77,8 +78,23 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
             for j, g in likelihoods[row]
             if present * g > least * background[j]
         ]
+        caused += [
+            (math.log(present * g / background[j]), STRAY - j)
+            for j, g in scan.strays.get(row, ())
+            if present * g > least * background[j]
+        ]
         caused_by[row] = sorted([(math.log(missed), MISSED), *caused], reverse=True)
     return caused_by
+
+
+def detection_of(option: int) -> int:
+    """Return the detection that an option uses, negative: none."""
+    return STRAY - option if option <= STRAY else option
+
+
+def _bit(option: int) -> int:
+    j = detection_of(option)
+    return 0 if j < 0 else 1 << j
 
 
 def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluster]]:
@@ -88,7 +104,7 @@ def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluste
     wants: dict[int, int] = {}  # detection -> number of a group that may have caused it
     for number, cluster in enumerate(clusters):
         rows = {row for hypothesis in cluster.hypotheses for row in hypothesis if row >= 0}
-        wanted = {j for row in rows for _, j in options[row] if j >= 0}
+        wanted = {j if j >= 0 else detection_of(j) for row in rows for _, j in options[row] if j != MISSED}
         joined.append(number)
         members = [cluster]
         rivals = {wants[j] for j in wanted if j in wants}
@@ -221,7 +237,7 @@ def _ranked_alone(
 ) -> list[Association]:
     """The same for one person, with whom nobody competes."""
     alone: list[Association] = [
-        (weight + gain, ((row, j),), 0 if j < 0 else 1 << j)
+        (weight + gain, ((row, j),), 1 << j if j >= 0 else _bit(j))
         for weight, (row,) in priors
         for gain, j in (options[row] if row >= 0 else ((0.0, MISSED),))
     ]
@@ -240,9 +256,7 @@ def _steps(
         row = hypothesis[depth]
         if row not in moves:
             best = options[row][0][0]
-            moves[row] = [
-                (gain - best, (row, j), 0 if j < 0 else 1 << j) for gain, j in options[row] if gain - best >= widest
-            ]
+            moves[row] = [(gain - best, (row, j), _bit(j)) for gain, j in options[row] if gain - best >= widest]
         steps.append(moves[row])
     return steps
 
@@ -255,10 +269,10 @@ def _greedy(weight: float, hypothesis: Joint, options: Options) -> Association:
         if row >= 0:
             for option in options[row]:
                 gain, j = option
-                if j < 0 or not used >> j & 1:
+                if not used & _bit(j):
                     break
             weight += gain
-            used |= 0 if j < 0 else 1 << j
+            used |= _bit(j)
         pairs.append((row, j))
     return weight, tuple(pairs), used
 
@@ -269,7 +283,7 @@ def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
     for group in groups:
         for row, j in group.hypotheses[0].pairs:
             if row >= 0 and scan.existence[row] > SURE:
-                if j >= 0:
+                if j != MISSED:
                     hits += 1
                 else:
                     p = scan.p_detect[row]

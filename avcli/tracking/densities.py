@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,7 @@ class Densities:
     def take(self, rows: Sequence[int]) -> Densities:
         """Return copies of the given rows, in that order."""
         at = np.array(rows, int)
-        columns: dict[str, Any] = {name: getattr(self, name).take(at, 0) for name in _ARRAYS}
+        columns: dict[str, Any] = {name: array.take(at, 0) for name, array in zip(_ARRAYS, _arrays(self), strict=True)}
         return Densities(label=[self.label[i] for i in rows], node=[self.node[i] for i in rows], **columns)
 
     @staticmethod
@@ -120,3 +121,4 @@ class Densities:
 
 
 _ARRAYS = [one.name for one in fields(Densities) if one.name not in ("label", "node")]
+_arrays = attrgetter(*_ARRAYS)

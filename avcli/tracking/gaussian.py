@@ -3,6 +3,7 @@
 Shapes: n densities of M motion models each: mean (n, M, 4), cov (n, M, 4, 4), mode (n, M) probabilities.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -214,6 +215,12 @@ def update(
     keep = cov - gain @ cov[..., :2, :]
     noise = noise[:, None] + expected[..., 5, None, None] * EYE2
     return mean, symmetric(keep + (gain @ noise - keep[..., :2]) @ gain.swapaxes(-1, -2).copy()), mode
+
+
+def odds_within(cov: np.ndarray, radius: float) -> list[float]:
+    """Return the odds that errors of covariance (n, 2, 2) m², as if isotropic, are within a radius in m; at most 1."""
+    trace = np.maximum(cov[:, 0, 0] + cov[:, 1, 1], 1e-12)
+    return np.expm1(np.minimum(radius * radius / trace, math.log(2))).tolist()
 
 
 def within(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:

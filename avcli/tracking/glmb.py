@@ -47,7 +47,7 @@ from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
-from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible
+from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible, strays
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
 from avcli.tracking.trust import TRUST
@@ -264,7 +264,7 @@ class GLMB:
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
             self._learn(groups, scan)
         self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
-        rates.learn_score(scan.odds, [1 - f for f in false])
+        rates.learn_score(scan.odds, scan.near, [1 - f for f in false])
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)
         newborn = None if poisson else settings.newborn
@@ -310,6 +310,7 @@ class GLMB:
             z, noise, score, order = distinct(z, noise, score)
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
+        stated = noise
         z, noise, floor = self.errors.corrected(column, z, noise)
         ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
         expected = gaussian.innovation(people.mean, people.cov, ahead, between.unshared)
@@ -318,18 +319,32 @@ class GLMB:
         if shown is not None:
             seen = self._view(column, shown, cells)
             gain, gain_by_model = partial.with_likelihoods(gain_by_model, seen, people, cells)
-        evidence = None
+        likely, evidence = possible(gain), None
+        astray = strays(likely, self.labelled_rows, people.mode, expected, z) if shown is None else {}
         if features:
             features = {kind: one.take(order) for kind, one in features.items()}
-            evidence = self.features.weigh(people, self.likely_rows, self._now(), z, gain, features)
-            gain = gain if evidence is None else gain * evidence.ratio
+            anywhere = gain.copy()
+            for row, some in astray.items():
+                for j, density in some:
+                    anywhere[row, j] += density
+            evidence = self.features.weigh(people, self.likely_rows, self._now(), z, anywhere, features)
+            if evidence is not None:
+                gain = gain * evidence.ratio
+                likely = possible(gain)
+                astray = {
+                    row: [(j, density * evidence.ratio.item(row, j)) for j, density in some]
+                    for row, some in astray.items()
+                }
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
-        likely = possible(gain)
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
+        near = [1.0] * len(z)
+        if sensor.score_within < math.inf:  # the score knows nothing of the floor
+            near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
         local = self.false_places.density(column, z)
-        clutters = [clutter * factor + more for factor, more in zip(rates.clutter_factors(odds), local, strict=True)]
+        factors = [1.0] * len(z) if score is None else rates.clutter_factors(odds, near)
+        clutters = [clutter * factor + more for factor, more in zip(factors, local, strict=True)]
         reach, covered = detectable, None
         if sensor.coverage and not sensor.coverage.whole:
             covered = sensor.coverage.at(people.mean[..., :2].reshape(-1, 2)).reshape(people.mode.shape)
@@ -354,10 +369,12 @@ class GLMB:
             ahead,
             between,
             odds,
+            near,
             expected,
             gain,
             gain_by_model,
             likely,
+            astray,
             existence,
             detectable,
             clutters,
@@ -464,7 +481,8 @@ class GLMB:
 
     def _know_hiding(self, column: int) -> None:
         hiding = self.rates[column].hiding
-        self.detectable[column], self.turnover[column] = hiding.detectable(), hiding.hide + hiding.show
+        hide, show = hiding.hide, hiding.show
+        self.detectable[column], self.turnover[column] = show / (hide + show), hide + show
 
     def _now(self) -> float:
         return 0.0 if self.time is None else self.time

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from avcli.tracking.association import Group
+from avcli.tracking.association import MISSED, Group, detection_of
 from avcli.tracking.rates import Rates
 from avcli.tracking.scan import Scan
 
@@ -46,7 +46,10 @@ def account(
         for at, label in enumerate(group.labels):
             people[label] = _most_likely(group, at, label)
         best = [
-            {"weight": min(math.exp(h.weight), 1.0), "detections": [None if j < 0 else j for _, j in h.pairs]}
+            {
+                "weight": min(math.exp(h.weight), 1.0),
+                "detections": [None if j == MISSED else detection_of(j) for _, j in h.pairs],
+            }
             for h in group.hypotheses[:SHOWN]
         ]
         clusters.append({"labels": list(group.labels), "count": len(group.hypotheses), "best": best})
@@ -115,7 +118,7 @@ def add_beliefs(account: dict[str, Any], rates: Rates, leaving: np.ndarray, last
 def _most_likely(group: Group, at: int, label: int) -> dict[str, Any]:
     shares: dict[int | str, float] = {}
     for hypothesis in group.hypotheses:
-        row, j = hypothesis.pairs[at]
+        row, j = hypothesis.pairs[at][0], detection_of(hypothesis.pairs[at][1])
         what = "absent" if row < 0 else "missed" if j < 0 else j
         shares[what] = shares.get(what, 0.0) + math.exp(hypothesis.weight)
     what = max(shares, key=lambda key: (shares[key], str(key)))

@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 
 from avcli.tracking import gaussian, partial
-from avcli.tracking.association import MISSED, Group, Pair
+from avcli.tracking.association import MISSED, STRAY, Group, Pair
 from avcli.tracking.births import TENTATIVE, Birth, uncertainty
 from avcli.tracking.densities import Densities
 from avcli.tracking.errors import leaning
@@ -28,6 +28,7 @@ class Needed:
     Attributes:
         missed: rows of labelled people who were not detected.
         staying: rows of tentative people who were not detected.
+        strayed: (row, STRAY less the detection) of labelled people whose detection tells nothing of their place.
         detected: (row, detection) of labelled people.
         renewed: (row, detection) of tentative people.
         fresh: detections of people detected for the first time.
@@ -35,6 +36,7 @@ class Needed:
 
     missed: list[int]
     staying: list[int]
+    strayed: list[Pair]
     detected: list[Pair]
     renewed: list[Pair]
     fresh: list[int]
@@ -43,13 +45,13 @@ class Needed:
         """Return (row before, detection) -> row after, of all but the fresh ones."""
         row_of = {(row, MISSED): k for k, row in enumerate(self.missed)}
         old = len(self.missed) + len(self.staying)
-        row_of.update((pair, old + k) for k, pair in enumerate(self.detected + self.renewed))
+        row_of.update((pair, old + k) for k, pair in enumerate(self.strayed + self.detected + self.renewed))
         row_of[ABSENT, MISSED] = ABSENT
         return row_of
 
     def fresh_rows(self) -> dict[int, int]:
         """Return detection -> row after, of the people detected for the first time."""
-        before = len(self.missed) + len(self.staying) + len(self.detected) + len(self.renewed)
+        before = len(self.missed) + len(self.staying) + len(self.strayed + self.detected + self.renewed)
         return {j: before + k for k, j in enumerate(self.fresh)}
 
 
@@ -66,8 +68,9 @@ def needed(
     if len(staying) > TENTATIVES:
         staying = sorted(sorted(staying, key=lambda i: -left[i])[:TENTATIVES])
     return Needed(
-        missed=[row for row, j in pairs if j < 0 <= row],
+        missed=[row for row, j in pairs if row >= 0 and j == MISSED],
         staying=staying,
+        strayed=[pair for pair in pairs if pair[1] <= STRAY],
         detected=[pair for pair in pairs if pair[1] >= 0],
         renewed=[(birth.source, birth.detection) for birth in births if birth.source >= 0],
         fresh=[birth.detection for birth in births if birth.source < 0],
@@ -77,20 +80,22 @@ def needed(
 def updated(scan: Scan, people: Densities, needed: Needed, time: float, features: Features) -> Densities:
     """Compute the densities after a record at a time in s, all but the fresh ones, in the order of `Needed`."""
     parents, pairs = needed.missed + needed.staying, needed.detected + needed.renewed
-    n, old, column = len(needed.missed), len(parents), scan.column
+    n, unseen, column = len(needed.missed), len(parents), scan.column
+    old = unseen + len(needed.strayed)
     existence, detectable, p_detect = scan.existence, scan.detectable, scan.p_detect
-    new = people.take(parents + [row for row, _ in pairs])
+    new = people.take(parents + [row for row, _ in needed.strayed + pairs])
     overlooked = [1 - p_detect[i] for i in parents]
     kept = [existence[i] * o for i, o in zip(parents, overlooked, strict=True)]
     exist = [e / max(1 - existence[i] + e, 1e-12) for i, e in zip(needed.missed, kept, strict=False)]
-    new.existence[:old] = exist + kept[n:]
-    new.detectable[:old, column] = [
+    new.existence[:unseen] = exist + kept[n:]
+    new.existence[unseen:old], new.detectable[unseen:old, column] = 1.0, 1.0
+    new.detectable[:unseen, column] = [
         (detectable[i] - p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
     ]
     if scan.covered is not None:  # who was missed is rather where the sensor does not see
         able = np.array([scan.p_sensor * detectable[i] for i in parents])
-        new.mode[:old] *= 1 - able[:, None] * scan.covered[parents]
-        new.mode[:old] /= new.mode[:old].sum(1, keepdims=True)
+        new.mode[:unseen] *= 1 - able[:, None] * scan.covered[parents]
+        new.mode[:unseen] /= new.mode[:unseen].sum(1, keepdims=True)
     if pairs:
         js = [j for _, j in pairs]
         rows = [row for row, _ in pairs]

@@ -66,27 +66,38 @@ class Rates:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
         self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
 
-    def learn_score(self, odds: Sequence[float], real: Sequence[float]) -> None:
+    def learn_score(self, odds: Sequence[float], near: Sequence[float], real: Sequence[float]) -> None:
         """Learn the typical score of people from one record.
 
         Args:
             odds: log odds of the J scores (NaN: unknown).
+            near: see `clutter_factors`; vague detections hardly count.
             real: probabilities that the J detections are people.
         """
-        known = [(odd, share) for odd, share in zip(odds, real, strict=True) if odd == odd]
-        weight = math.fsum(share for _, share in known)
+        known = [(odd, share * q) for odd, share, q in zip(odds, real, near, strict=True) if odd == odd]
+        weight = math.fsum([share for _, share in known])
         if weight > 1e-3:
             share = 1.0 if self.typical is None else 0.1 * min(weight, 1.0)
             now = math.fsum(odd * real for odd, real in known) / weight
             self.typical = now if self.typical is None else self.typical + share * (now - self.typical)
 
-    def clutter_factors(self, odds: Sequence[float]) -> list[float]:
-        """Return how much likelier than usual each detection is clutter, by the log odds of its score (NaN: 1)."""
+    def clutter_factors(self, odds: Sequence[float], near: Sequence[float]) -> list[float]:
+        """Return how much likelier than usual each detection is clutter, by the log odds of its score (NaN: 1).
+
+        A detection whose place is hardly known has a low score although it is of a person.
+
+        Args:
+            odds: log odds of the J scores.
+            near: J odds, at most 1, that it is as near to its person as its score asks, see `Sensor.score_within`.
+        """
         typical = self.typical
         if typical is None:
             known = [odd for odd in odds if odd == odd]
             typical = math.fsum(known) / len(known) if known else 0.0
-        return [math.exp(min(max(typical - odd, -1.0), self.score_nats)) if odd == odd else 1.0 for odd in odds]
+        return [
+            math.exp(min(max(typical + math.log(q) - odd, -1.0), self.score_nats)) if odd == odd else 1.0
+            for odd, q in zip(odds, near, strict=True)
+        ]
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it."""
@@ -140,7 +151,8 @@ class Hiding:
             sure: n probabilities that it was they.
             dt: s since its last record.
         """
-        rest, stay = self.detectable(), math.exp(-(self.hide + self.show) * dt)
+        hide, show = self.hide, self.show
+        rest, stay = show / (hide + show), math.exp(-(hide + show) * dt)
         before = [min(max((one - rest) / max(stay, 1e-300) + rest, 0.0), 1.0) for one in detectable]
         shown = [
             share * min((1 - hid) * rest * (1 - stay) / max(one, 1e-12), 1.0)

@@ -126,6 +126,7 @@ class Sensor:
             is heard by no microphones. Empty: each sensor on its own.
         mouth_offset: m, how far in front of the body's axis the point lies that it localizes (a mouth).
         offset_sd, bias_sd: m, standard deviations of that, and of a bias along x and along y.
+        score_within: m, a score is the probability that a detection is so near to a person; inf: anywhere.
         score_nats: how much a low score speaks against a detection at most, in nats. More than one record can tell if
             false detections come again in the same place, as echoes do.
         direction_sd: rad, noise of directions that carry none.
@@ -147,6 +148,7 @@ class Sensor:
     mouth_offset: float = 0.0
     offset_sd: float = 0.03
     bias_sd: float = 0.02
+    score_within: float = math.inf
     score_nats: float = 4.0
     direction_sd: float = math.radians(3.0)
     range_sd: float = 0.3
@@ -178,6 +180,7 @@ SENSORS = {
         offset_sd=0.05,
         memory=10.0,
         bias_sd=0.05,
+        score_within=0.5,
         score_nats=6.0,
         direction_sd=math.radians(5.0),
         height=1.45,
