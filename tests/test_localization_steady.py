@@ -74,3 +74,11 @@ def test_a_gap_in_the_stream_forgets_the_fan():
     localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM), SteeredSettings(), np.random.default_rng(0))
     assert list(localizer.localize([Block(samples)]))[-1].steady.shape == (1, 3)
     assert not len(next(iter(localizer.localize([Block(samples)]))).steady)
+
+
+def test_a_voice_from_the_place_of_a_hiss_is_still_a_talker():
+    spans = [(2.8, 4.2), (4.8, 6.0)]
+    decisions = decided(recorded(6.2, fans=(MOUTH,), speaks=spans))
+    assert len(decisions[-1].steady)
+    spoken = [d for d in decisions if any(begin + 0.2 < d.time < end - 0.1 for begin, end in spans)]
+    assert np.mean([len(d.positions) > 0 for d in spoken]) > 0.8

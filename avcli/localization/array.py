@@ -146,8 +146,8 @@ class Decision:
         features: name -> what tells these talkers from others.
         faults: what is known to be wrong with the channels by then.
         rays: (n,) from where in which direction, None of a talker whose range is observed too; empty: of nobody.
-        steady: (k, 3) m, where something sounds on and on, such as a fan, that is no talker; where the array is compact,
-            unit vectors of its direction.
+        steady: (k, 3) m, where something sounds on and on, such as a fan, that is no talker; unit vectors of directions
+            where the array is compact.
     """
 
     time: float

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from avcli.localization.directions import RaySearch
-from avcli.localization.masks import Masks
+from avcli.localization.directions import APART, RaySearch
+from avcli.localization.memory import level_distance
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.talkers import NOTCH_M
@@ -31,9 +31,8 @@ a talker, such as the hiss of a recorded voice, is no source."""
 MOST, BESIDE, APART_M = 3, 0.5, 0.5
 """How many sources there may be, the least response of each over that of the one before, and how far apart, in m, two
 must be that are named."""
-LOUD, COHERENT, SPOKEN = 6.0, 0.4, 0.012
-"""Somebody speaks at a source's place where more than a share of the band has so many times the floor's power, with such
-an agreement of the channels on the place. Of machines the share was up to 0.006, of talkers 0.017 in the median."""
+LOUD, SPEECH = 6.0, 0.03
+"""Power over the floor from which a bin is loud, and the share of loud bins from which somebody may speak."""
 FALSE_ALARM = 1e-4
 """Probability that noise alone makes a source, each time that one is looked for."""
 
@@ -51,7 +50,7 @@ class SteadySources:
     """
 
     def __init__(self, correlator: Correlator, search: SteeredResponse | RaySearch, hop: float):
-        self.search = search
+        self.correlator, self.search = correlator, search
         self.named = np.zeros((0, 3))
         band = correlator.band
         self.weight = band.weight / band.weight.sum()
@@ -119,22 +118,34 @@ class SteadySources:
             gcc = self.search.notch(gcc[None], places[:1], NOTCH_M)[0]
         return np.array(found).reshape(-1, 3)
 
-    def silent(self, heard: Heard, masks: Masks) -> np.ndarray:
-        """Return the places (k, 3) m of the sources at which nobody speaks in the windows around a moment."""
-        loud = np.array([_averaged(power, self.half) for power in heard.power]) > LOUD * self.floor
-        most = masks.correlator.band.weight * (len(masks.array.microphones) - 1)
-        kept = []
-        for place in self.places:
-            coherent = masks.coherence(heard.spectra, heard.offsets, place, np.zeros(3)) > COHERENT * most
-            if np.median((loud & coherent) @ self.weight) <= SPOKEN:
-                kept.append(place)
-        return np.array(kept).reshape(-1, 3)
+    def silent(self, heard: Heard) -> np.ndarray:
+        """Return the places (k, 3) m of the sources at which nobody speaks in the windows around a moment.
+
+        A loudspeaker hisses, and so do recordings: what stands out of the floor must come from elsewhere.
+        """
+        floor = LOUD * self.floor
+        loud = np.array([_averaged(power, self.half) > floor for power in heard.power]) * self.weight
+        if np.mean(loud.sum(axis=1)) < SPEECH:
+            return self.places
+        each = [
+            self.correlator.gcc(spectra, weight.astype(np.float32)) * np.float32(weight.sum())
+            for spectra, weight in zip(heard.spectra, loud, strict=True)
+        ]
+        speaker = self.search.search(np.mean(each, axis=0))[0][0]
+        return self.places[[not self._same(place, speaker) for place in self.places]]
+
+    def _same(self, one: np.ndarray, other: np.ndarray) -> bool:
+        """Tell whether two places (3,) m may be of one source."""
+        if isinstance(self.search, RaySearch):
+            one, other = one - self.search.centre, other - self.search.centre
+            return bool(one @ other > np.cos(APART) * np.linalg.norm(one) * np.linalg.norm(other))
+        return level_distance(one, other) < APART_M
 
     def news(self) -> list[str]:
         """Return a sentence about each source that has not been named yet."""
         said = []
         for place in self.places:
-            if (np.linalg.norm(self.named - place, axis=1) > APART_M).all():
+            if not any(self._same(place, one) for one in self.named):
                 self.named = np.vstack([self.named, place])
                 said.append(f"a steady source, such as a fan, sounds {self._where(place)}: it is no talker")
         return said

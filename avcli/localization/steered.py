@@ -76,12 +76,12 @@ class SteeredLocalizer:
         self.correlator = Correlator(array, self.band, response.half_lags, settings.beta)
         self.voices = VoiceMeter(array, self.band)
         self.health = Health(array, self.correlator, None if isinstance(response, RaySearch) else response)
-        self.masks = Masks(array, self.correlator)
+        masks = Masks(array, self.correlator)
         self.finder: PlaceFinder | DirectionFinder
         if isinstance(response, RaySearch):
-            self.finder = DirectionFinder(settings, response, self.masks, directions.fitted_law())
+            self.finder = DirectionFinder(settings, response, masks, directions.fitted_law())
         else:
-            self.finder = PlaceFinder(array, settings, response, self.masks, self.health, self.law)
+            self.finder = PlaceFinder(array, settings, response, masks, self.health, self.law)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
         self.windows_a_step = max(1, int(np.ceil(1.0 / (settings.rate * max(settings.context, 1e-9)) - 1e-9)))
         if settings.context <= 0.0:
@@ -198,7 +198,7 @@ class SteeredLocalizer:
                 self.memory.keep([])
             else:
                 if len(self.steady.places):
-                    heard = replace(heard, steady=self.steady.silent(heard, self.masks))
+                    heard = replace(heard, steady=self.steady.silent(heard))
                 talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
             features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, self.noise(1).deviation)
