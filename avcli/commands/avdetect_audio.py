@@ -124,8 +124,10 @@ def main(
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
             objects = _objects(decision, as_objects(decision.features, len(decision.scores)))
             faults = {"channel_faults": [fault.record() for fault in decision.faults]} if decision.faults else {}
+            at = "direction" if isinstance(chosen, SteeredLocalizer) and chosen.compact else "position"
+            steady = {"steady_sources": [{at: place} for place in decision.steady]} if len(decision.steady) else {}
             named = {"timestamp": decision.time, "sensor": "audio", "kind": "microphones"}
-            write({**named, "objects": objects, **faults})
+            write({**named, "objects": objects, **faults, **steady})
         if isinstance(chosen, SteeredLocalizer):
             session.note_skipped("searches of windows", chosen.silent, chosen.windows, "which hold no voice")
 

@@ -184,6 +184,13 @@ FAULT = Object(
         "corrected": Key(Boolean(), "whether the fault does no harm any more; else the channel is left out"),
     }
 )
+STEADY = Object(
+    {
+        "position": Key(bounds.VECTOR, "where it is, m in the room frame"),
+        "direction": Key(bounds.VECTOR, "where it is as microphones close together see it, a unit vector"),
+    },
+    needed=(("position",), ("direction",)),
+)
 LOCALIZATION = Format(
     "localization",
     "The detections of one sensor at one time (Listing .4 of the thesis, with more keys)",
@@ -197,6 +204,9 @@ LOCALIZATION = Format(
             ),
             "channel_faults": Key(
                 ListOf(FAULT), "what is known by then to be wrong with the microphones' channels", read=False
+            ),
+            "steady_sources": Key(
+                ListOf(STEADY), "what sounds on and on at one place, such as a fan, and is no talker", read=False
             ),
         }
     ),

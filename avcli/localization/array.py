@@ -146,6 +146,8 @@ class Decision:
         features: name -> what tells these talkers from others.
         faults: what is known to be wrong with the channels by then.
         rays: (n,) from where in which direction, None of a talker whose range is observed too; empty: of nobody.
+        steady: (k, 3) m, where something sounds on and on, such as a fan, that is no talker; unit vectors of directions
+            where the array is compact.
     """
 
     time: float
@@ -157,6 +159,7 @@ class Decision:
     features: Mapping[str, Feature] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
     rays: tuple[Ray | None, ...] = ()
+    steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def of(
@@ -166,6 +169,7 @@ class Decision:
         notices: Iterable[str] = (),
         features: Mapping[str, Feature] | None = None,
         faults: tuple[Fault, ...] = (),
+        steady: np.ndarray | None = None,
     ) -> "Decision":
         """Make a decision of the talkers that were found."""
         return cls(
@@ -177,6 +181,7 @@ class Decision:
             features=features or {},
             faults=faults,
             rays=tuple(talker.ray for talker in talkers) if any(talker.ray for talker in talkers) else (),
+            steady=np.zeros((0, 3)) if steady is None else steady,
         )
 
     def detections(self, sensor: str = "audio") -> Detections:

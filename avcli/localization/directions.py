@@ -244,9 +244,12 @@ class DirectionFinder:
     def bearings(self, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Bearing]:
         """Return the directions that are answered better than noise would, each without those before it."""
         found: list[Bearing] = []
-        explained = self.masks.nothing(heard)
+        explained = self.masks.explained(heard)
         gcc, free = heard.gccs.mean(axis=0), np.ones(len(self.response.rays), bool)
-        for number in range(self.settings.max_speakers):
+        for away in heard.steady - self.response.centre:
+            free &= self.response.rays @ (away / np.linalg.norm(away)) < np.cos(APART)
+        begin = len(heard.steady)
+        for number in range(begin, begin + self.settings.max_speakers):
             if number:
                 gcc = (self.masks.masked(heard.spectra, explained) * heard.gains[:, None, None]).mean(axis=0)
             values = np.where(free, self.response.responses(gcc), -np.inf)

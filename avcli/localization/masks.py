@@ -20,9 +20,11 @@ class Masks:
     def __init__(self, array: Array, correlator: Correlator):
         self.array, self.correlator = array, correlator
 
-    def nothing(self, heard: Heard) -> np.ndarray:
-        """Return what no talker explains, (windows, bins) of 0."""
-        return np.zeros((len(heard.spectra), len(self.correlator.band.weight)), np.float32)
+    def explained(self, heard: Heard) -> np.ndarray:
+        """Return what is explained before any talker is found, (windows, bins): the coherence of steady sources."""
+        nothing = np.zeros((len(heard.spectra), len(self.correlator.band.weight)), np.float32)
+        each = [self.coherence(heard.spectra, heard.offsets, place, np.zeros(3)) for place in heard.steady]
+        return np.max([nothing, *each], axis=0) if each else nothing
 
     def masked(self, spectra: np.ndarray, explained: np.ndarray) -> np.ndarray:
         """Return GCCs (windows, pairs, lags) of those times and frequencies that are not explained yet.

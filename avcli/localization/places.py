@@ -56,7 +56,8 @@ class PlaceFinder:
             noise: what noise does to as many windows.
             memory: what the decisions before found.
         """
-        judged = self.judge(self.talkers.peaks(heard, noise, memory), noise, memory)
+        peaks = self.talkers.peaks(heard, noise, memory)
+        judged = self.judge(peaks, noise, memory, beside=len(heard.steady) > 0)
         memory.keep(
             [
                 Trace(
@@ -69,14 +70,21 @@ class PlaceFinder:
         )
         return self.report(time, judged, heard, noise)
 
-    def judge(self, peaks: list[Peak], noise: NoiseLaw, memory: Memory) -> list[Judged]:
-        """Return a decision's peaks with their scores, the most probable first."""
+    def judge(self, peaks: list[Peak], noise: NoiseLaw, memory: Memory, *, beside: bool = False) -> list[Judged]:
+        """Return a decision's peaks with their scores, the most probable first.
+
+        Args:
+            peaks: in the order in which they were found.
+            noise: what noise does to as many windows.
+            memory: what the decisions before found.
+            beside: whether a steady source was taken away before, so that all of them are further ones.
+        """
         judged, left = [], memory.traces
         for number, peak in enumerate(peaks):
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
-            features = self.features(peak, number == 0, traces, noise)
+            features = self.features(peak, number == 0 and not beside, traces, noise)
             judged.append(Judged(self.law.probability(features), peak, features))
         return sorted(judged, key=lambda one: -one.score)
 

@@ -23,6 +23,7 @@ from avcli.localization.noise import NoiseLaw, draw_noise_law
 from avcli.localization.places import PlaceFinder
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
+from avcli.localization.steady import SteadySources
 from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.voice import VoiceMeter
 from avcli.localization.windows import Band, Correlator, Window, together
@@ -89,6 +90,7 @@ class SteeredLocalizer:
         self.reach = int(np.floor(settings.context / self.hop + 1e-9))
         self.offsets = np.arange(-self.reach, self.reach + 1) * self.hop
         self.gate = Gate(1.0 / self.hop)
+        self.steady = SteadySources(self.correlator, response, self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
         self.windows = self.silent = 0  # so far, and those of them without a voice
@@ -114,6 +116,7 @@ class SteeredLocalizer:
         """
         for first, stretch in stretches(blocks, begin):
             yield from self._stretch(stretch, first)
+            self.steady.forget()
             self.memory.traces.clear()  # a talker of one stretch is not expected in the next
 
     def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
@@ -150,7 +153,10 @@ class SteeredLocalizer:
         for index in range(next(reversed(windows), middle - self.reach - 1) + 1, middle + self.reach + 1):
             if self._place(index) + size > stream.end and not ended:
                 return False
-            windows[index] = self.sounding(self.heard(*stream.window(self._place(index), size)))
+            window = self.heard(*stream.window(self._place(index), size))
+            if window.correlated:
+                self.steady.take(window.correlated, self.noise)
+            windows[index] = self.sounding(window)
             stream.forget(self._place(index + 1))
         return True
 
@@ -191,13 +197,15 @@ class SteeredLocalizer:
             if heard is None:
                 self.memory.keep([])
             else:
+                if len(self.steady.places):
+                    heard = replace(heard, steady=self.steady.silent(heard))
                 talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
             features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, self.noise(1).deviation)
-            notices += self._news()
+            notices += self._news() + self.steady.news()
             if self.finder.outside(talkers):
                 notices.append("a source is on the edge of the room or outside it")
-        return Decision.of(time, talkers, notices, features, self.health.faults)
+        return Decision.of(time, talkers, notices, features, self.health.faults, self.steady.told)
 
     def _news(self) -> list[str]:
         """Return a sentence about each fault of a channel that has not been named yet."""

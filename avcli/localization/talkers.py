@@ -74,15 +74,16 @@ class TalkerSearch:
             memory: what the decisions before found.
         """
         found: list[Peak] = []
-        taken: list[np.ndarray] = []  # where the peaks so far are, (windows, 3) m or (1, 3) m each
-        gccs, explained = heard.gccs, self.masks.nothing(heard)
+        # Where steady sources and the peaks so far are, (windows, 3) m or (1, 3) m each.
+        taken = [place[None] for place in heard.steady]
+        gccs, explained = heard.gccs, self.masks.explained(heard)
         known = memory.known()
         for _ in range(self.settings.max_speakers + 1):
             if taken:
                 gccs = self.left(heard, explained, taken)
             known = [trace for trace in known if not any(_same(peak, trace, memory) for peak in found)]
             again = known.pop(0) if found and known else None
-            threshold = noise.threshold(self.settings.candidate if found else self.settings.false_alarm)
+            threshold = noise.threshold(self.settings.candidate if taken else self.settings.false_alarm)
             start = again.position if again else self.brightest(gccs, noise, threshold)
             if start is None:
                 break

@@ -1,6 +1,6 @@
 """One window of sound: its spectra, the GCC of each pair of microphones, and which channels can be believed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -72,6 +72,7 @@ class Correlated:
             was then.
         energy: mean square of the median channel, times the band's bins.
         occupancy: share of the bins within 40 dB of the strongest.
+        power: (bins,) mean over the channels of the squared spectra.
     """
 
     gcc: np.ndarray
@@ -82,6 +83,7 @@ class Correlated:
     centre: float
     energy: float
     occupancy: float
+    power: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,7 @@ class Correlator:
         gcc = self.gcc(whitened)
         good, twins = self._without_twins(gcc, good)
         alive = not dead.all()
+        mean = power[~dead].mean(axis=0) if alive else np.zeros(power.shape[1])
         heard = (tapered[believed if believed.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
         size = self.band.size
         correlated = Correlated(
@@ -183,7 +186,8 @@ class Correlator:
             part=float(np.count_nonzero(taper)) / size,
             centre=float(heard @ np.arange(size) / heard.sum() - 0.5 * (size - 1)) / self.sample_rate,
             energy=float(np.median(level[~dead])) * float(scale) ** 2 if alive else 0.0,
-            occupancy=occupancy(power[~dead].mean(axis=0)) if alive else 0.0,
+            occupancy=occupancy(mean),
+            power=mean * float(scale) ** 2,
         )
         return Window(correlated, (*notices, *found, *twins))
 
@@ -249,6 +253,8 @@ class Heard:
         gains: (windows,) float32, how much each window counts.
         offsets: (windows,) s of each from the moment.
         count: how many whole windows they amount to.
+        power: (windows, bins) mean over the channels of the squared spectra.
+        steady: (k, 3) m where something sounds that is no talker, see `steady`.
     """
 
     gccs: np.ndarray
@@ -256,6 +262,8 @@ class Heard:
     gains: np.ndarray
     offsets: np.ndarray
     count: float
+    power: np.ndarray
+    steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard | None:
@@ -265,7 +273,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         windows: each with its offset in s from the moment.
         out: (m,) bool, which channels are left out.
     """
-    gccs, spectra, shares, parts, offsets = [], [], [], [], []
+    gccs, spectra, shares, parts, offsets, powers = [], [], [], [], [], []
     first, second = correlation.pairs(len(out))
     for window, offset in windows:
         good = window.good & ~out
@@ -278,10 +286,16 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         shares.append(1.0 if whole else kept.sum() / len(kept))
         parts.append(window.part)
         offsets.append(offset)
+        powers.append(window.power)
     if not gccs:
         return None
     weights = np.array(shares) * parts
     gains = (weights / weights.mean() / shares).astype(np.float32)
     return Heard(
-        np.stack(gccs) * gains[:, None, None], np.stack(spectra), gains, np.array(offsets), float(weights.sum())
+        np.stack(gccs) * gains[:, None, None],
+        np.stack(spectra),
+        gains,
+        np.array(offsets),
+        float(weights.sum()),
+        np.stack(powers),
     )
