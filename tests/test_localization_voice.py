@@ -169,3 +169,13 @@ def test_a_wider_spread_is_found_where_errors_are_larger():
     values = np.random.default_rng(6).normal(size=(len(others), 3)) * np.exp(0.5 * others)[:, None]
     spread = fit_voice.fit_spread(looks, values)
     assert spread[1] == pytest.approx([0.0, 0.0, 1.0], abs=0.3)
+
+
+def test_channels_that_the_sound_has_not_reached_are_no_copies():
+    rng = np.random.default_rng(3)
+    band = Band.of(SteeredSettings(), FS)
+    sound, ringing = rng.normal(size=(len(MICROPHONES), band.size)), rng.normal(size=band.size)
+    for level, said in ((1e-4, False), (1.0, True)):
+        sound[[4, 5]] = level * ringing
+        notices = Correlator(ARRAY, band, 400, 1.0).correlate(sound, correlation.hann(band.size)).notices
+        assert any("channels 5 and 6 are the same" in notice for notice in notices) == said

@@ -164,16 +164,16 @@ class Correlator:
         spectra = self._spectra(tapered)
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
-        dead = level <= 1e-6 * np.median(level)
+        dead, faint = level <= 1e-6 * np.median(level), level <= 1e-6 * level.max()
         believed, found = _believed(samples, peak, dead, broken)
         good = believed
         if order is not None:
-            spectra, good = spectra[order], good[order]
+            spectra, good, faint = spectra[order], good[order], faint[order]
         if turn is not None:
             spectra = spectra * turn
         whitened = correlation.whiten(spectra, self.beta)
         gcc = self.gcc(whitened)
-        good, twins = self._without_twins(gcc, good)
+        good, twins = self._without_twins(gcc, good, faint)
         alive = not dead.all()
         mean = power[~dead].mean(axis=0) if alive else np.zeros(power.shape[1])
         heard = (tapered[believed if believed.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
@@ -194,10 +194,14 @@ class Correlator:
     def _spectra(self, tapered: np.ndarray) -> np.ndarray:
         return np.fft.rfft(tapered, axis=1)[:, self.band.bins]
 
-    def _without_twins(self, gcc: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        """Return which channels (m,) are good and no copy of another one, and a notice of each pair of copies."""
+    def _without_twins(self, gcc: np.ndarray, good: np.ndarray, faint: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """Return which channels (m,) are good and no copy of another one, and a notice of each pair of copies.
+
+        Faint channels, (m,) bool, are not compared: what rings in them before the sound itself arrives is alike.
+        """
         first, second, notices = self.first, self.second, []
-        twins = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01) & good[first] & good[second]
+        compared = good & ~faint
+        twins = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01) & compared[first] & compared[second]
         good = good.copy()
         for pair in np.flatnonzero(twins):
             notices.append(f"channels {first[pair] + 1} and {second[pair] + 1} are the same signal and left out")

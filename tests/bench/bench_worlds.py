@@ -107,12 +107,13 @@ def as_table(records: list[dict[str, Any]]) -> str:
 def sheets(pictures: list[Path], out: Path) -> None:
     """Write the pictures, side by side, into out/sheet-N.png."""
     for number in range(0, len(pictures), COLUMNS * ROWS):
-        sheet = np.full((ROWS * SIDE, COLUMNS * SIDE, 3), 40, np.uint8)
-        for place, path in enumerate(pictures[number : number + COLUMNS * ROWS]):
+        shown = pictures[number : number + COLUMNS * ROWS]
+        sheet = np.full((-(-len(shown) // COLUMNS) * SIDE, COLUMNS * SIDE, 3), 40, np.uint8)
+        for place, path in enumerate(shown):
             picture = read_image(path)
             y, x = (SIDE * index for index in divmod(place, COLUMNS))
             sheet[y : y + picture.shape[0], x : x + picture.shape[1]] = picture
-            cv2.putText(sheet, path.stem, (x + 4, y + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 255, 255), 1)
+            cv2.putText(sheet, path.stem, (x + 4, y + SIDE - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 255, 255), 1)
         cv2.imwrite(str(out / f"sheet-{number // (COLUMNS * ROWS) + 1}.png"), sheet)
 
 
