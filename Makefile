@@ -9,7 +9,7 @@
 #: make docs          the site: tutorial, how-tos, methods, manuals, in out/site/index.html
 #: make tutorial      runs every command of the tutorial and the how-tos, and compares what they print with the pages
 #: make formats       the schemas and the key lists of the manual, from the one description of each format
-#: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-detection bench-tracking
+#: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-steady bench-detection bench-tracking
 #:      bench-metrics bench-calibration bench-microphones
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
 #: make datasets      MOT25A, MOT25V, MOT25AV, MOT26 in out/datasets, in MOTChallenge's layout (DATASETS_FLAGS)
@@ -61,7 +61,7 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization faults detection tracking metrics calibration guidance microphones live pipe \
+BENCHES := scene sensor audio localization faults steady detection tracking metrics calibration guidance microphones live pipe \
            rooms worlds long real-video real-audio datasets
 FITS := localization directions voice detection looks tracking existence
 

@@ -1,6 +1,6 @@
 """Whether avdetect-audio takes steady sources, such as fans, for talkers.
 
-    make setup-bench && .venv-bench/bin/python tests/bench/bench_steady.py --noises FOLDER
+    make setup-bench bench-steady BENCH_FLAGS="--noises FOLDER"    # steady.jsonl in bench-out/: five minutes
 
 FOLDER holds recordings of machines, NAME_K_PART.wav, whose parts follow one another, such as noise_data/processed of
 github.com/Timgrau/Projektarbeit-1 (air conditioners, dishwashers, vacuum cleaners; CC0); without it the machine is
