@@ -137,6 +137,9 @@ STILL = 0.1
 HEIGHTS = (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4)
 """Heights at which a camera is tried, as parts of the stated one."""
 
+CONFIDENCE, CONFIDENCE_BEFORE_ROOM = 0.5, 0.3
+"""Least scores of a person: by the picture alone, and where the empty room's depth refuses boxes that show no more."""
+
 MOST_BOXES = 200
 """Boxes from which the height of a camera is judged."""
 
@@ -332,9 +335,19 @@ class Detector:
         chosen = self.settings
         try:
             shape = (1, 1) if chosen.windows else self._size
-            return Network(content, chosen.imgsz, chosen.confidence, chosen.iou, chosen.threads, shape)
+            return Network(content, chosen.imgsz, self._least(model is None), chosen.iou, chosen.threads, shape)
         except ModelError as error:
             raise ModelError(f"{model}: {error}") from None
+
+    def _least(self, own: bool) -> float:
+        """The least score of a person: lower where boxes of the `own` network are compared with the room's depth."""
+        if self.settings.confidence is not None:
+            return self.settings.confidence
+        return (
+            CONFIDENCE_BEFORE_ROOM
+            if own and self._background is not None and not self.settings.monocular
+            else CONFIDENCE
+        )
 
     def _metres(self, picture: np.ndarray) -> np.ndarray:
         return self.view.radial_depth(picture, self._camera.depth_step_m, self._camera.depth_kind)

@@ -17,8 +17,14 @@ class Settings:
         "How people are found: net, by a network in the colour picture; depth, as what stands before the empty room.",
         choices=("net", "depth"),
     )
-    confidence: float = setting(
-        0.5, "Least score of a person that the network finds.", unit="P", least=0.0, most=1.0, only="net"
+    confidence: float | None = setting(
+        None,
+        "Least score of a person that the network finds.",
+        unit="P",
+        least=0.0,
+        most=1.0,
+        default_text="0.5; 0.3 of the package's own network where the empty room's depth tells who is there",
+        only="net",
     )
     iou: float | None = setting(
         None,
