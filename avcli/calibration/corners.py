@@ -17,7 +17,7 @@ _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
 LEAST_GUESSED = 16
 """Inner corners of a checkerboard whose size is guessed: noise may look like a smaller one."""
-_AT_ONCE = 40
+_AT_ONCE = 96
 """Corners that are polished at once: what they need stays in the processor's cache."""
 _PLANES = 19
 """Numbers a pixel while corners are polished. Their memory is used again: new memory would cost half the time."""
