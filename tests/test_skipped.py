@@ -67,7 +67,7 @@ def test_detections_of_pictures_that_were_passed_over_are_those_of_the_network(e
     some = (folder / "v.jsonl").read_bytes().splitlines()
     for one, other in zip(map(json.loads, every), map(json.loads, some), strict=True):
         places = [np.array([person["position"][:2] for person in record["objects"]]) for record in (one, other)]
-        np.testing.assert_allclose(*places, atol=0.02)
+        np.testing.assert_allclose(*places, atol=0.05)  # as avdetect-video(1) says
 
 
 def test_sound_of_people_who_stand_is_that_of_responses_that_are_all_computed():
