@@ -82,3 +82,9 @@ def test_a_voice_from_the_place_of_a_hiss_is_still_a_talker():
     assert len(decisions[-1].steady)
     spoken = [d for d in decisions if any(begin + 0.2 < d.time < end - 0.1 for begin, end in spans)]
     assert np.mean([len(d.positions) > 0 for d in spoken]) > 0.8
+
+
+@pytest.mark.parametrize(("rate", "context"), [(2.0, 0.0), (0.5, 0.0)])
+def test_one_who_speaks_all_the_time_is_no_steady_source_at_low_rates(rate, context):
+    decisions = decided(recorded(6.0, fans=(), speaks=[(0.0, 6.0)]), rate=rate, context=context)
+    assert not any(len(d.steady) for d in decisions)

@@ -114,7 +114,9 @@ def main(
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
         if sound.microphones.wiring:
             session.note("the channels are put right as microphone_config.channels in config.json says")
+        at = "position"  # of a steady source
         if isinstance(chosen, SteeredLocalizer) and chosen.compact:
+            at = "direction"
             session.note("the microphones are close together: directions are told, distances are not known")
         skips = stack.enter_context(Skips(session, "time steps"))
         read = session.progress(_with_first(first, blocks), None if live else sound.expected(files))
@@ -124,7 +126,6 @@ def main(
                 session.warn(f"{notice} (at {decision.time:.1f} s)", kind=notice)
             objects = _objects(decision, as_objects(decision.features, len(decision.scores)))
             faults = {"channel_faults": [fault.record() for fault in decision.faults]} if decision.faults else {}
-            at = "direction" if isinstance(chosen, SteeredLocalizer) and chosen.compact else "position"
             steady = {"steady_sources": [{at: place} for place in decision.steady]} if len(decision.steady) else {}
             named = {"timestamp": decision.time, "sensor": "audio", "kind": "microphones"}
             write({**named, "objects": objects, **faults, **steady})

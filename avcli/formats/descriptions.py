@@ -206,7 +206,7 @@ LOCALIZATION = Format(
                 ListOf(FAULT), "what is known by then to be wrong with the microphones' channels", read=False
             ),
             "steady_sources": Key(
-                ListOf(STEADY), "what sounds on and on at one place, such as a fan, and is no talker", read=False
+                ListOf(STEADY), "places of sources that sound without end and are no talkers, such as a fan", read=False
             ),
         }
     ),

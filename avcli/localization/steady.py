@@ -17,6 +17,8 @@ from avcli.localization.srp import SteeredResponse
 from avcli.localization.talkers import NOTCH_M
 from avcli.localization.windows import Correlated, Correlator, Heard
 
+SPACING_S = 0.1
+"""s between the windows that are taken: nearer ones share their noise, and farther ones do not show what lasts."""
 MEMORY_S, LEAST_S, EVERY_S = 5.0, 2.0, 0.5
 """s over which the floor is taken, that must have been heard for it, and after which it is taken again."""
 QUANTILE = 0.25
@@ -43,7 +45,7 @@ class SteadySources:
     Args:
         correlator: of the array.
         search: of places, or of directions.
-        hop: s between windows.
+        hop: s between windows. If it is longer than a third of `LASTING_S`, nothing is learnt.
 
     Attributes:
         places: (k, 3) m of the sources; where the search is of directions, at some distance in these.
@@ -55,16 +57,19 @@ class SteadySources:
         band = correlator.band
         self.weight = band.weight / band.weight.sum()
         self.half = max(1, round(0.5 * SMOOTHED_HZ * band.size / correlator.sample_rate))
-        self.memory = max(2, round(MEMORY_S / hop))
-        self.least, self.every = max(1, round(LEAST_S / hop)), max(1, round(EVERY_S / hop))
-        self.lasting = max(1, round(LASTING_S / hop))
+        self.able = hop <= LASTING_S / 3.0
+        self.spacing = max(1, round(SPACING_S / hop))
+        hop *= self.spacing
+        self.memory, self.least, self.every, self.lasting = (
+            max(1, round(seconds / hop)) for seconds in (MEMORY_S, LEAST_S, EVERY_S, LASTING_S)
+        )
         self.fades = float(np.exp(-hop / COUNTS_S))
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, as after a gap in the stream."""
         self.history: deque[np.ndarray] = deque(maxlen=self.memory)
-        self.taken, self.floor = 0, np.zeros(0)
+        self.passed, self.taken, self.floor = 0, 0, np.zeros(0)
         self.run: list[np.ndarray] = []
         self.total, self.count = np.zeros(0, np.float32), 0.0
         self.places = np.zeros((0, 3))
@@ -76,7 +81,10 @@ class SteadySources:
             window: of which the stream may hold a part; then it tells nothing.
             noise: gives what noise does to so many windows.
         """
-        if window.part < 0.99:
+        if not self.able or window.part < 0.99:
+            return
+        self.passed += 1
+        if self.passed % self.spacing:
             return
         power = _averaged(window.power, self.half)
         self.history.append(power)

@@ -123,9 +123,8 @@ def likelihoods(
         close = np.where(distance < GATE, np.exp(log), 0.0)
         at = row * count + j
         gain.ravel()[at] = (mode.take(row, 0) * close).sum(1)
-        by_pair.reshape(-1, mode.shape[1])[at] = (
-            close  # a pair's models beside each other: written several times faster
-        )
+        # The models of a pair lie beside each other, which is written several times faster.
+        by_pair.reshape(-1, mode.shape[1])[at] = close
     return gain, by_pair.swapaxes(1, 2)
 
 

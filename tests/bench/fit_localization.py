@@ -530,13 +530,12 @@ def check(law: uncertainty.Law) -> dict[str, Any]:
     If it no longer gives the same, the peaks are no longer those that the law was judged on.
     """
     rows = joined(peaks([*scenes("check", 1, None, conditions=(10,)), *worlds("check", 1)], law))
-    again, loss = fit_scores(rows, law)
+    _, loss = fit_scores(rows, law)
     return {
         "peaks": len(rows),
         "right": sum(row.right for row in rows),
         "log_loss": round(log_loss(np.array([row.right for row in rows]), np.array([row.score for row in rows])), 4),
         "log_loss_of_its_own_fit": round(loss, 4),
-        "first": again.first,
     }
 
 
