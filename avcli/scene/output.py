@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from avcli import __version__
-from avcli.formats import atomic, media, records
+from avcli.formats import atomic, media, png, records
 from avcli.formats.experiment import Layout, write_config
 from avcli.formats.writer import PICTURES, earlier_files
 from avcli.scene import annotations, mesh, people
@@ -177,7 +177,7 @@ class _FrameWriter:
         """The parts of a picture's file; raw pixels are not copied."""
         picture = self.bits(picture) if picture.dtype == np.uint16 else picture
         if kind == "png":
-            return [media.encode_png(picture)]
+            return [png.encode_png(picture)]
         head = io.BytesIO()
         picture = np.ascontiguousarray(picture)
         np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(picture))
