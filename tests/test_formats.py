@@ -635,6 +635,24 @@ def test_png_is_exact_for_other_readers(height, width, kind, seed):
     np.testing.assert_array_equal(own, image)
 
 
+def test_what_is_as_in_the_picture_before_is_not_deflated_again(monkeypatch):
+    deflated = []
+    deflate = png._deflated
+    monkeypatch.setattr(png, "_deflated", lambda band: deflated.append(len(band)) or deflate(band))
+    film = np.random.default_rng(0).integers(0, 255, (5, 200, 30, 3), np.uint8)
+    film[1:] = film[0]
+    film[1, 70, 3, 1] ^= 1  # the row after it is stored as the difference to it, and both are in the second band
+    film[3, 127, 3, 1] ^= 1  # the last row of that band: the third band is other too
+    encoder, counts = png.Encoder(), []
+    for image in [*film, film[0][:190], film[0][:190, :, 0]]:
+        deflated.clear()
+        content = encoder.encode(image)
+        counts.append(len(deflated))
+        np.testing.assert_array_equal(png.decode_png(content), image)
+        assert content == png.encode_png(image)
+    assert counts == [4, 1, 1, 2, 2, 3, 3]
+
+
 @settings(deadline=None, max_examples=200)
 @given(st.data())
 def test_a_damaged_png_is_left_to_opencv(data):

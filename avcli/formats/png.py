@@ -12,6 +12,8 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 KINDS = {("uint8", 3): (8, 2), ("uint8", 1): (8, 0), ("uint16", 1): (16, 0)}
 """Type and channels of the pictures that can be written -> bit depth, colour type."""
 _UP = 2
+_BAND = 64  # rows
+_ZLIB_HEAD, _LAST_BLOCK = b"\x78\x01", b"\x03\x00"  # RFC 1950, 2.2; an empty block that is the last (RFC 1951, 3.2.3)
 _FIRST = 1024  # bytes of a deflated picture that hold its first byte: a block's tables take less than 600
 
 
@@ -21,25 +23,55 @@ def encode_png(image: np.ndarray) -> bytes:
     Args:
         image: (height, width, 3) uint8 RGB, (height, width) uint8, or (height, width) uint16.
     """
+    return Encoder().encode(image)
+
+
+class Encoder:
+    """Encodes the pictures of a film as `encode_png` does, and what is as in the picture before only once.
+
+    Bands of rows are deflated each by itself, so that those of the last picture can be taken again.
+    """
+
+    def __init__(self) -> None:
+        self._filtered = np.zeros((0, 0), np.uint8)
+        self._bands: list[bytes] = []
+
+    def encode(self, image: np.ndarray) -> bytes:
+        """Encode the next picture, in a shape and type that `encode_png` takes."""
+        from isal import isal_zlib
+
+        channels = image.shape[2] if image.ndim == 3 else 1
+        depth, colour = KINDS[image.dtype.name, channels]
+        height, width = image.shape[:2]
+        rows = np.ascontiguousarray(image.astype(">u2") if depth == 16 else image).view(np.uint8).reshape(height, -1)
+        filtered = np.empty((height, rows.shape[1] + 1), np.uint8)
+        filtered[:, 0] = _UP
+        filtered[:1, 1:] = rows[:1]
+        np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+        last, bands = self._filtered if self._filtered.shape == filtered.shape else None, []
+        for number, begin in enumerate(range(0, height, _BAND)):
+            band = filtered[begin : begin + _BAND]
+            known = last is not None and np.array_equal(band, last[begin : begin + _BAND])
+            bands.append(self._bands[number] if known else _deflated(band))
+        self._filtered, self._bands = filtered, bands
+        stream = b"".join([_ZLIB_HEAD, *bands, _LAST_BLOCK, struct.pack(">I", isal_zlib.adler32(filtered))])
+        chunks = (
+            (b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)),
+            (b"IDAT", stream),
+            (b"IEND", b""),
+        )
+        parts = [SIGNATURE]
+        for kind, content in chunks:
+            parts += [struct.pack(">I", len(content)), kind, content, struct.pack(">I", _checksum(kind, content))]
+        return b"".join(parts)
+
+
+def _deflated(band: np.ndarray) -> bytes:
+    """Deflate rows as blocks that end with a whole byte and refer to nothing before them (RFC 1951)."""
     from isal import isal_zlib
 
-    channels = image.shape[2] if image.ndim == 3 else 1
-    depth, colour = KINDS[image.dtype.name, channels]
-    height, width = image.shape[:2]
-    rows = np.ascontiguousarray(image.astype(">u2") if depth == 16 else image).view(np.uint8).reshape(height, -1)
-    filtered = np.empty((height, rows.shape[1] + 1), np.uint8)
-    filtered[:, 0] = _UP
-    filtered[0, 1:] = rows[0]
-    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)),
-        (b"IDAT", isal_zlib.compress(filtered, 1)),
-        (b"IEND", b""),
-    )
-    parts = [SIGNATURE]
-    for kind, content in chunks:
-        parts += [struct.pack(">I", len(content)), kind, content, struct.pack(">I", _checksum(kind, content))]
-    return b"".join(parts)
+    raw = isal_zlib.compressobj(1, isal_zlib.DEFLATED, -15)
+    return raw.compress(band) + raw.flush(isal_zlib.Z_FULL_FLUSH)
 
 
 def decode_png(content: bytes) -> np.ndarray | None:
