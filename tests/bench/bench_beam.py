@@ -161,13 +161,19 @@ def measured(split: str, data: Path) -> Iterator[Case]:
                     yield of_measured(people, number)
 
 
+def upright(case: Measured) -> np.ndarray:
+    """Return responses of one polarity: three of the eight in the grid are turned over, which avdetect-audio says."""
+    first = np.abs(case.responses).argmax(axis=1)
+    return case.responses * np.sign(np.take_along_axis(case.responses, first[:, None], axis=1))
+
+
 def of_measured(people: list[Measured], number: int) -> Case:
     """One measured room with a loudspeaker for each person."""
     case, rng = people[0], np.random.default_rng([7, number])
     shared = np.gcd(case.sample_rate, RATE)
     late = [round(delay(one) * RATE) for one in people]
     responses = [
-        np.roll(resample_poly(one.responses, RATE // shared, case.sample_rate // shared, axis=1), -shift, axis=1)
+        np.roll(resample_poly(upright(one), RATE // shared, case.sample_rate // shared, axis=1), -shift, axis=1)
         for one, shift in zip(people, late, strict=True)
     ]
     scale = [np.sqrt(np.mean(one**2, axis=1).max()) for one in responses]
