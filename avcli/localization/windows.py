@@ -264,6 +264,8 @@ class Heard:
         count: how many whole windows they amount to.
         power: (windows, bins) mean over the channels of the squared spectra.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
+        above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
+            no steady source is known.
     """
 
     gccs: np.ndarray
@@ -273,6 +275,7 @@ class Heard:
     count: float
     power: np.ndarray
     steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    above: np.ndarray | None = None
 
 
 def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard | None:
