@@ -82,13 +82,19 @@ def sentences(split: str, count: int, first: int) -> np.ndarray:
     return voices
 
 
-def recorded(name: str, array: Array, tracks: np.ndarray, said: np.ndarray, responses: list[np.ndarray], rng) -> Case:
+def recorded(
+    name: str,
+    array: Array,
+    tracks: np.ndarray,
+    said: np.ndarray,
+    responses: list[np.ndarray],
+    rng: np.random.Generator,
+) -> Case:
     """Convolve voices with responses (k times (m, n)), and add noise."""
-    heard = sum(
-        np.stack([fftconvolve(voice, one)[: said.shape[1]] for one in each], axis=1)
-        for voice, each in zip(said, responses, strict=True)
-    )
-    heard = heard + np.sqrt(np.mean(heard**2)) * 10 ** (-NOISE_DB / 20) * rng.standard_normal(heard.shape)
+    heard = np.zeros((said.shape[1], len(array.microphones)))
+    for voice, each in zip(said, responses, strict=True):
+        heard += np.stack([fftconvolve(voice, one)[: len(heard)] for one in each], axis=1)
+    heard += np.sqrt(np.mean(heard**2)) * 10 ** (-NOISE_DB / 20) * rng.standard_normal(heard.shape)
     return Case(name, array, tracks, said, heard)
 
 
