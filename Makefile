@@ -93,7 +93,7 @@ help:
 
 setup: $(READY)
 
-$(READY): pyproject.toml .ci/setup .ci/debian
+$(READY): pyproject.toml .ci/setup
 	@PYTHON='$(PYTHON)' .ci/setup '$(VENV)'
 
 # --- an experiment ----------------------------------------------------------------------------------------------------

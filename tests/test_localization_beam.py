@@ -79,6 +79,9 @@ def test_parts_are_the_same_as_the_whole_and_nobody_is_heard_who_is_gone():
 
 def test_silence_stays_silence_and_one_microphone_is_no_array():
     assert not listener(np.zeros((2 * RATE, len(CORNERS)))).hear(0, RATE)["b"].any()
+    broken = arriving("a", voice(3))
+    broken[RATE, 2] = np.nan
+    assert np.isfinite(listener(broken, "a").hear(0, 2 * RATE)["a"]).all()
     with pytest.raises(ValueError, match="two microphones"):
         Beams(Array(CORNERS[:1], RATE, ROOM), {}, lambda first, last: np.zeros((last - first, 1)))
 

@@ -192,6 +192,7 @@ class Beams:
         far = margin + round(np.linalg.norm(self._array.room) / self._array.speed_of_sound * rate) + 3 * hop
         begin = int(frames[0]) * hop - far
         sound = self._read(begin, int(frames[-1]) * hop + far)
+        sound = np.where(np.isfinite(sound), sound, 0.0)  # one bad sample would silence seconds
         aligned = {name: self._pointed(sound, begin, path, times) for name, path in here.items()}
         voices = {name: self._voice(one, here[name].present(times)) for name, one in aligned.items()}
         every = sum(voice for voice, _ in voices.values())

@@ -23,7 +23,8 @@ import sys
 from pathlib import Path
 
 COMMANDS = ("avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval")
-LIBRARIES = ("cv2", "moderngl", "onnxruntime", "orjson", "scipy.optimize", "scipy.signal", "scipy.special", "soundfile")
+# Not onnxruntime: it starts a thread when it is loaded, and a process of several threads must not fork.
+LIBRARIES = ("cv2", "moderngl", "orjson", "scipy.optimize", "scipy.signal", "scipy.special", "soundfile")
 
 
 def load() -> None:

@@ -91,14 +91,10 @@ def recorded(
     rng: np.random.Generator,
 ) -> Case:
     """Convolve voices with responses (k times (m, n)), and add noise."""
-    heard: np.ndarray = sum(
-        (
-            np.stack([fftconvolve(voice, one)[: said.shape[1]] for one in each], axis=1)
-            for voice, each in zip(said, responses, strict=True)
-        ),
-        start=np.zeros(1),
-    )
-    heard = heard + np.sqrt(np.mean(heard**2)) * 10 ** (-NOISE_DB / 20) * rng.standard_normal(heard.shape)
+    heard = np.zeros((said.shape[1], len(array.microphones)))
+    for voice, each in zip(said, responses, strict=True):
+        heard += np.stack([fftconvolve(voice, one)[: len(heard)] for one in each], axis=1)
+    heard += np.sqrt(np.mean(heard**2)) * 10 ** (-NOISE_DB / 20) * rng.standard_normal(heard.shape)
     return Case(name, array, tracks, said, heard)
 
 
