@@ -334,8 +334,8 @@ def _bend(cells: dict[tuple[int, int], np.ndarray]) -> float:
         apart = np.maximum(np.linalg.norm(after - before, axis=2), 1e-9)
         off = np.linalg.norm(before - 2 * here + after, axis=2) / apart
         found.append(off[np.isfinite(off)])
-    bends = np.concatenate(found)
-    return float(np.median(bends)) if len(bends) else 0.0
+    bends = np.sort(np.concatenate(found))  # np.median takes five times as long for so few
+    return float(bends[(len(bends) - 1) // 2] + bends[len(bends) // 2]) / 2 if len(bends) else 0.0
 
 
 def _spread(cells: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
