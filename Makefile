@@ -62,7 +62,7 @@ NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene sensor audio localization faults steady detection tracking metrics calibration guidance microphones live pipe \
-           rooms worlds long real-video real-audio datasets
+           rooms worlds long real-video real-audio beam datasets
 FITS := localization directions voice detection looks tracking existence
 
 # The stages that do not wait for each other run at once, unless make -j1; what measures time runs alone.
@@ -93,7 +93,7 @@ help:
 
 setup: $(READY)
 
-$(READY): pyproject.toml .ci/setup
+$(READY): pyproject.toml .ci/setup .ci/debian
 	@PYTHON='$(PYTHON)' .ci/setup '$(VENV)'
 
 # --- an experiment ----------------------------------------------------------------------------------------------------
@@ -170,8 +170,13 @@ $(OUT)/%/metrics.jsonl: $(OUT)/%/tracking/audio_tracking.jsonl $(OUT)/%/tracking
                         $(OUT)/%/tracking/audio_video_tracking.jsonl $(OUT)/%/.options/eval $(EVAL_CODE)
 	$(BIN)/aveval --experiments $(@D) --compare-thesis --html $(@D)/report.html --format jsonl $(EVAL_FLAGS) -o $@
 
-$(SCENARIOS): %: $(OUT)/%/metrics.jsonl
-	@$(BIN)/aveval --experiments $(OUT)/$@ --format table --compare-thesis $(EVAL_FLAGS)
+# The table is made while the page is: each has a processor to itself.
+$(OUT)/%/metrics.txt: $(OUT)/%/tracking/audio_tracking.jsonl $(OUT)/%/tracking/video_tracking.jsonl \
+                      $(OUT)/%/tracking/audio_video_tracking.jsonl $(OUT)/%/.options/eval $(EVAL_CODE)
+	@$(BIN)/aveval --experiments $(@D) --format table --compare-thesis $(EVAL_FLAGS) -o $@
+
+$(SCENARIOS): %: $(OUT)/%/metrics.jsonl $(OUT)/%/metrics.txt
+	@cat $(OUT)/$@/metrics.txt
 
 all: $(SCENARIOS)
 	@$(BIN)/aveval --experiments $(SCENARIOS:%=$(OUT)/%) --format table --compare-thesis --html $(OUT)/report.html \
@@ -228,10 +233,9 @@ man: | $(READY)
 # --- documentation ----------------------------------------------------------------------------------------------------
 
 setup-docs: $(READY)
-	@$(BIN)/python -c 'import furo, matplotlib, myst_parser' 2>/dev/null || $(BIN)/pip install -q -e '.[docs]'
+	@.ci/setup-docs '$(VENV)'
 
 docs: setup-docs
-	@command -v mandoc >/dev/null || { echo 'make docs: mandoc is missing (Debian: apt-get install mandoc)' >&2; exit 1; }
 	$(BIN)/python examples/site/assemble.py $(OUT)/site-source
 	$(BIN)/python examples/methods/figures.py $(OUT)/site-source/examples/methods
 	@rm -rf '$(OUT)/site'
@@ -246,7 +250,7 @@ tutorial: $(OUT)/s1/metrics.jsonl
 
 setup-bench: $(READY)
 	@test -x .venv-bench/bin/python || $(PYTHON) -m venv .venv-bench
-	.venv-bench/bin/pip install -q -e '.[plot,jpda]' pyroomacoustics rir-generator sofar
+	.venv-bench/bin/pip install -q -e '.[plot,jpda]' pyroomacoustics rir-generator sofar pystoi
 
 BENCH_PYTHON = $(BIN)/python
 bench-tracking: BENCH_PYTHON = $(if $(wildcard .venv-bench/bin/python),.venv-bench/bin/python,$(BIN)/python)

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from avcli import lens
 from avcli.formats import __main__ as written
-from avcli.formats import atomic, descriptions, experiment, media, records, sensors
+from avcli.formats import atomic, descriptions, experiment, media, png, records, sensors
 from avcli.formats import schema as schemas
 
 LISTING_1 = """
@@ -627,8 +627,49 @@ def test_png_is_exact_for_other_readers(height, width, kind, seed):
     shape = (height, width, 3) if kind == "rgb" else (height, width)
     dtype = np.uint16 if kind == "depth" else np.uint8
     image = rng.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
-    decoded = cv2.imdecode(np.frombuffer(media.encode_png(image), np.uint8), cv2.IMREAD_UNCHANGED)
+    content = png.encode_png(image)
+    decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(decoded if decoded.ndim == 2 else decoded[:, :, ::-1], image)
+    own = png.decode_png(content)
+    assert own.dtype == dtype
+    np.testing.assert_array_equal(own, image)
+
+
+def test_what_is_as_in_the_picture_before_is_not_deflated_again(monkeypatch):
+    deflated = []
+    deflate = png._deflated
+    monkeypatch.setattr(png, "_deflated", lambda band: deflated.append(len(band)) or deflate(band))
+    film = np.random.default_rng(0).integers(0, 255, (5, 200, 30, 3), np.uint8)
+    film[1:] = film[0]
+    film[1, 70, 3, 1] ^= 1  # the row after it is stored as the difference to it, and both are in the second band
+    film[3, 127, 3, 1] ^= 1  # the last row of that band: the third band is other too
+    encoder, counts = png.Encoder(), []
+    for image in [*film, film[0][:190], film[0][:190, :, 0]]:
+        deflated.clear()
+        content = encoder.encode(image)
+        counts.append(len(deflated))
+        np.testing.assert_array_equal(png.decode_png(content), image)
+        assert content == png.encode_png(image)
+    assert counts == [4, 1, 1, 2, 2, 3, 3]
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.data())
+def test_a_damaged_png_is_left_to_opencv(data):
+    content = bytearray(png.encode_png(np.random.default_rng(0).integers(0, 255, (9, 7, 3), np.uint8)))
+    if data.draw(st.booleans()):
+        content[data.draw(st.integers(0, len(content) - 13))] ^= data.draw(st.integers(1, 255))
+    else:
+        del content[data.draw(st.integers(0, len(content) - 13)) :]
+    assert png.decode_png(bytes(content)) is None
+
+
+def test_pngs_of_other_writers_are_left_to_opencv():
+    image = np.random.default_rng(0).integers(0, 255, (30, 40, 3), np.uint8)
+    for kind in (cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_STRATEGY_FIXED):
+        content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_STRATEGY, kind])[1].tobytes()
+        assert png.decode_png(content) is None
+        np.testing.assert_array_equal(media.decode_picture(content), image[:, :, ::-1])
 
 
 def test_other_pictures_are_converted(tmp_path):

@@ -1,5 +1,7 @@
 """The steered localizer on simulated streams: what it finds, what it must not find, and what it survives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
@@ -8,6 +10,7 @@ from avcli.localization.array import Array
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.steered import SteeredLocalizer
 from avcli.localization.stream import Block
+from avcli.localization.windows import Heard
 
 FS = 16000
 PLACE = np.array([1.4, 3.1, 1.55])
@@ -179,17 +182,26 @@ def test_the_mask_keeps_the_frequencies_that_another_talker_has():
     delays = np.linalg.norm(np.stack([PLACE, other])[:, None] - MICROPHONES, axis=2) / 343.0
     both = np.exp(-2j * np.pi * frequencies * delays[..., None]).astype(np.complex64)
     spectra = np.where(np.arange(len(frequencies)) // 40 % 2, both[0], both[1])[None]
-    explained = masks.coherence(spectra, np.zeros(1), PLACE, np.zeros(3))
+    one = np.ones(1, np.float32)
+    windows = Heard(np.zeros(0), spectra, one, np.zeros(1), 1.0, np.ones((1, spectra.shape[2])))
+    explained = masks.coherence(windows, PLACE, np.zeros(3))
 
     def answers(gccs):
         return localizer.finder.response.response(gccs[0], np.stack([PLACE, other]))
 
-    before = answers(masks.masked(spectra, np.zeros_like(explained)))
-    after = answers(masks.masked(spectra, explained))
+    before = answers(masks.masked(windows, np.zeros_like(explained)))
+    after = answers(masks.masked(windows, explained))
     assert min(before) > 0.4
     assert after[0] < 0.15 * before[0]
     assert after[1] > 0.8 * before[1]
-    assert not masks.masked(0 * spectra, explained).any()
+    assert not masks.masked(replace(windows, spectra=0 * spectra), explained).any()
+    # What stands at the floor of a steady source counts for nothing, and the rest as if there were no more.
+    above = replace(windows, above=(np.arange(len(frequencies)) // 40 % 2 == 0)[None].astype(np.float32))
+    alone = answers(masks.masked(above, np.zeros_like(explained)))
+    assert abs(alone[0]) < 0.15 * before[0]
+    assert alone[1] > 1.2 * before[1]
+    nothing = replace(windows, above=np.zeros((1, len(frequencies)), np.float32))
+    assert not masks.masked(nothing, np.zeros_like(explained)).any()
 
 
 def test_a_talker_is_heard_again_in_the_pauses_of_another():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import BIN, ROOT, run
 
-from avcli.formats import experiment, media, records
+from avcli.formats import experiment, media, png, records
 from avcli.scene import film, render
 
 SMALL = {
@@ -407,8 +407,8 @@ def test_what_does_not_change_is_neither_drawn_nor_encoded_again(tmp_path, monke
     from avcli.scene.settings import Drawing, Effects
 
     encoded = []
-    encode = media.encode_png
-    monkeypatch.setattr(media, "encode_png", lambda picture: encoded.append(picture.shape) or encode(picture))
+    encode = png.Encoder.encode
+    monkeypatch.setattr(png.Encoder, "encode", lambda self, one: encoded.append(one.shape) or encode(self, one))
     empty = load.build({**SMALL, "people": [], "duration_s": 2.0}, "empty")
 
     def written(name, effects):

@@ -185,7 +185,8 @@ class _Decay:
             first, last = np.searchsorted(-level, [5 - level[0], 35 - level[0]])
             decays.append(last - first >= 2 and level[first] - level[last - 1] >= 15)
             if decays[-1]:
-                times.append(-60 / np.polyfit(edges[first:last] / self._speed, level[first:last], 1)[0])
+                away = edges[first:last] - edges[first:last].mean()
+                times.append(-60 / self._speed * (away @ away) / (away @ level[first:last]))  # a straight line's slope
             else:
                 times.append(2 * (last - first) * edges[1] / self._speed)
         return np.array(times), np.array(decays)

@@ -335,7 +335,7 @@ def _check_cost(images: float, surroundings: Surroundings, settings: Settings, s
         remedy = "use a shorter reverberation time"
     if images > MOST_IMAGES:
         raise ValueError(f"{what}, about {images * BYTES_AN_IMAGE / 2**30:.1f} GiB; {remedy}")
-    samples, microphones = surroundings.longest_delay, len(np.unique(surroundings.microphones_m, axis=0))
+    samples, microphones = surroundings.longest_delay, len(set(map(tuple, surroundings.microphones_m.tolist())))
     if samples * microphones > MOST_SAMPLES:
         raise ValueError(
             f"{microphones} microphones would hear a sound for {samples / surroundings.sample_rate_hz:.3g} s in this "

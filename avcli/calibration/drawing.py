@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.calibration.target import KINDS, Board
-from avcli.formats.media import MOST_PIXELS, encode_png
+from avcli.formats.media import MOST_PIXELS
+from avcli.formats.png import encode_png
 
 PAPERS_MM = {
     "A4": (210.0, 297.0),

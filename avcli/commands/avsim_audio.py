@@ -293,8 +293,9 @@ def _recorder(
             seed=session.seed,
             say=session.warn,
         )
-    for sentence in recorder.surroundings.described():
-        session.note(sentence)
+    if session.verbose:  # the decay of the images takes a twentieth of a second
+        for sentence in recorder.surroundings.described():
+            session.note(sentence)
     return recorder
 
 

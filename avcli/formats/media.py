@@ -19,6 +19,7 @@ import numpy as np
 
 from avcli.formats import atomic
 from avcli.formats.bounds import LARGEST_PICTURE_FILE, MOST_CHANNELS, MOST_PIXELS
+from avcli.formats.png import KINDS, SIGNATURE, decode_png, encode_png
 
 if TYPE_CHECKING:
     import soundfile
@@ -62,36 +63,6 @@ class Shot:
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------
-
-_PNG_KINDS = {("uint8", 3): (8, 2), ("uint8", 1): (8, 0), ("uint16", 1): (16, 0)}  # -> bit depth, colour type
-
-
-def encode_png(image: np.ndarray) -> bytes:
-    """Encode a picture as PNG with Intel's fast deflate (RFC 2083; every row with the "up" filter).
-
-    Args:
-        image: (height, width, 3) uint8 RGB, (height, width) uint8, or (height, width) uint16.
-    """
-    from isal import isal_zlib
-
-    channels = image.shape[2] if image.ndim == 3 else 1
-    depth, colour = _PNG_KINDS[image.dtype.name, channels]
-    height, width = image.shape[:2]
-    rows = np.ascontiguousarray(image.astype(">u2") if depth == 16 else image).view(np.uint8).reshape(height, -1)
-    filtered = np.empty((height, rows.shape[1] + 1), np.uint8)
-    filtered[:, 0] = 2
-    filtered[0, 1:] = rows[0]
-    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)),
-        (b"IDAT", isal_zlib.compress(filtered, 1)),
-        (b"IEND", b""),
-    )
-    parts = [b"\x89PNG\r\n\x1a\n"]
-    for kind, content in chunks:
-        crc = isal_zlib.crc32(content, isal_zlib.crc32(kind))
-        parts += [struct.pack(">I", len(content)), kind, content, struct.pack(">I", crc)]
-    return b"".join(parts)
 
 
 def write_png(path: str | os.PathLike, image: np.ndarray) -> None:
@@ -143,7 +114,7 @@ def is_depth(path: str | os.PathLike) -> bool:
             return image.ndim == 2 and image.dtype == np.uint16
     except (OSError, ValueError):
         return False
-    return head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
+    return head.startswith(SIGNATURE) and head[24:26] == b"\x10\x00"  # bit depth 16, grey (PNG, 11.2.2)
 
 
 def read_picture(path: str | os.PathLike, *, whole: bool = False, grey: bool = False) -> np.ndarray:
@@ -184,7 +155,7 @@ def _is_cut_off(content: bytes) -> bool:
     """Whether a JPEG or PNG has no end."""
     if content.startswith(b"\xff\xd8"):
         return jpeg_end(content) < 0
-    return content.startswith(b"\x89PNG\r\n\x1a\n") and b"IEND" not in content[-4096:]
+    return content.startswith(SIGNATURE) and b"IEND" not in content[-4096:]
 
 
 def jpeg_end(content: bytes, begin: int = 0) -> int:
@@ -223,7 +194,7 @@ def _raw_picture(content: bytes, path: str | os.PathLike) -> np.ndarray:
 
 def stated_size(content: bytes) -> tuple[int, int] | None:
     """Read the width and height in px from a picture's header; None where it is not PNG or JPEG, or is broken."""
-    if content.startswith(b"\x89PNG\r\n\x1a\n") and len(content) >= 24:
+    if content.startswith(SIGNATURE) and len(content) >= 24:
         return struct.unpack(">II", content[16:24])
     if not content.startswith(b"\xff\xd8"):
         return None
@@ -243,11 +214,13 @@ def decode_picture(content: bytes, *, grey: bool = False) -> np.ndarray | None:
 
     With `grey` a JPEG gives its brightness only, (height, width).
     """
+    if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
+        return None
+    if (own := decode_png(content)) is not None:
+        return own
     quiet_decoders()
     import cv2
 
-    if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
-        return None
     try:
         only = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         kind = only if grey and content.startswith(b"\xff\xd8") else cv2.IMREAD_UNCHANGED
@@ -267,7 +240,7 @@ def encode_picture(image: np.ndarray, suffix: str) -> bytes:
     Raises:
         MediaError: there is no such format, or it does not take such a picture.
     """
-    if suffix.lower() == ".png" and (image.dtype.name, image.shape[2] if image.ndim == 3 else 1) in _PNG_KINDS:
+    if suffix.lower() == ".png" and (image.dtype.name, image.shape[2] if image.ndim == 3 else 1) in KINDS:
         return encode_png(image)
     import cv2
 

@@ -155,8 +155,10 @@ def encode(record: Mapping) -> bytes:
     """
     if "timestamp" in record:
         record = {**record, "timestamp": format_timestamp(float(record["timestamp"]))}
-    _refuse_non_finite(record, "")
-    return orjson.dumps(record, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE, default=_listed)
+    line = orjson.dumps(record, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE, default=_listed)
+    if b"null" in line:  # orjson writes it in the place of what JSON cannot hold
+        _refuse_non_finite(record, "")
+    return line
 
 
 def format_timestamp(seconds: float) -> str:

@@ -1,12 +1,12 @@
 """Listening to one of several people: the array is steered at each track, and what is stronger at another is damped.
 
 A track says where a body is; the mouth is some 15 cm before it and at an unknown height. So the beam is first turned to
-where the sound about the track comes from (steered response with phase transform, DiBiase 2000), then the channels are
-delayed and summed with weights as the inverse distance, which gives the voice as it is heard 1 m away. Microphones that
-are metres apart hear little direct sound and much reverberation, of which a sum alone keeps what other people say.
-Therefore each time and frequency is multiplied by the share that the person has in it. It is a post-filter from the
+where the sound about the track comes from (steered response with phase transform, DiBiase 2000), and the channels are
+delayed so that the voice falls together. The share that the person has in each time and frequency follows from the
 cross-power of the aligned channels (Zelinski 1988) less that of diffuse sound (McCowan & Bourlard 2003), estimated for
-every track at once, as Hioka et al. (2013) do in beamspace.
+every track at once, as Hioka et al. (2013) do in beamspace. It tells how each microphone hears the voice and how it
+hears all else, from which the weights of the sum follow: in an array of metres a far microphone holds reverberation and
+other people, and a sum by distance alone is worse than the nearest one. What is left of others is damped a little more.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,14 +28,23 @@ _CONTEXT_S = 1.5
 """Of the sound on either side of a block, which the turn of the beam rests on."""
 _WINDOW_S = 0.045
 _SPAN_S = 0.5
-_REACH_M, _STEP_M, _HEIGHTS_M = 0.3, 0.1, (1.1, 1.3, 1.5, 1.7)
+_LASTS_S = 1.0
+"""Standard deviation of the window in which a mouth's place beside the track, and sound and noise, are the same."""
+_REACH_M, _STEP_M, _HEIGHTS_M = 0.3, 0.05, (1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7)
 """Where a mouth may be about a track, and its height above the floor."""
+_MIDDLE_M = 1.5
 _BAND_HZ = (200.0, 4000.0)
 _OVERSAMPLING = 4
 _DIFFUSE = 0.1
 """Part of the whole power that is nobody's voice."""
-_FLOOR_DB = 15.0
-"""Others are damped by no more than this; more than that sounds of water."""
+_FLOOR_DB = 6.0
+"""Others are damped by no more than this after the beam; more than that sounds of water."""
+_LOADING, _TRUST = 0.1, 0.01
+"""Parts of the noise's power: what is added to each microphone's, and what the stated place counts as voice."""
+_CHOOSY = 4.0
+"""Power of the ratio of voice to noise by which the microphones count that the voice shall sound as in."""
+_AT_ONCE = 1 << 22
+"""So many complex numbers of a covariance are held at once."""
 _FADE_S = 0.02
 _LEAST_M = 0.3
 
@@ -58,7 +67,7 @@ class Path:
     def mouths(self, times: np.ndarray) -> np.ndarray:
         """Return where a mouth may be, (t, 3) m at times (t,) s; before the first and after the last it stays."""
         places = _columns(times, self.times, self.places)
-        return np.column_stack([places, np.full(len(places), _HEIGHTS_M[2])])
+        return np.column_stack([places, np.full(len(places), _MIDDLE_M)])
 
     def present(self, times: np.ndarray) -> np.ndarray:
         """Tell (t,) whether it is known then; a frame that reaches in from outside fades it in."""
@@ -96,6 +105,7 @@ class Beams:
         self._array, self._paths, self._read = array, paths, read
         half = max(8, 1 << round(np.log2(_WINDOW_S * array.sample_rate / 2)))
         self._window, self._hop = 2 * half, half
+        self._segment = max(1, round(_SPAN_S / 2 * array.sample_rate / half))
         self._shape = np.sqrt(np.hanning(2 * half + 1)[:-1])
         self._pairs = pairs(len(array.microphones))
         self._diffuse = self._coherence().sum(axis=1)
@@ -171,49 +181,106 @@ class Beams:
             By name, the samples (last - first,) float32 of whoever is there then: pressure as 1 m from the mouth.
         """
         rate, hop = self._array.sample_rate, self._hop
-        frames = np.arange(first // hop - 3, last // hop + 5)
+        margin, step = round(_CONTEXT_S * rate), self._segment
+        frames = np.arange((first - margin) // hop // step * step, -(-(last + margin) // hop // step) * step)
         times = frames * hop / rate
         here = {name: path for name, path in self._paths.items() if path.present(times).any()}
-        wanted = [name for name in here if only is None or name in only]
+        asked = times[(times >= (first - 3 * hop) / rate) & (times <= (last + 3 * hop) / rate)]
+        wanted = [name for name in here if (only is None or name in only) and here[name].present(asked).any()]
         if not wanted:
             return {}
-        margin = round(_CONTEXT_S * rate) + round(np.linalg.norm(self._array.room) / self._array.speed_of_sound * rate)
-        begin = first - margin
-        sound = self._read(begin, last + margin + 6 * hop)
+        far = margin + round(np.linalg.norm(self._array.room) / self._array.speed_of_sound * rate) + 3 * hop
+        begin = int(frames[0]) * hop - far
+        sound = self._read(begin, int(frames[-1]) * hop + far)
         aligned = {name: self._pointed(sound, begin, path, times) for name, path in here.items()}
         voices = {name: self._voice(one, here[name].present(times)) for name, one in aligned.items()}
         every = sum(voice for voice, _ in voices.values())
         heard = {}
         for name in wanted:
-            one, (voice, whole) = aligned[name], voices[name]
-            share = voice / np.maximum(every + _DIFFUSE * whole, 1e-30)
-            weight = 1 / one.distances
-            weight /= (weight**2).sum(axis=1, keepdims=True)
-            spectra = np.einsum("kfm,km->kf", one.spectra, weight) * np.maximum(share, 10 ** (-_FLOOR_DB / 20))
-            spectra *= here[name].present(times)[:, None]
+            voice, whole = voices[name]
+            share = self._share(voice, every + _DIFFUSE * whole)
+            spectra = np.einsum("kfm,kfm->kf", self._weights(aligned[name], share), aligned[name].spectra)
+            spectra *= np.maximum(np.sqrt(share), 10 ** (-_FLOOR_DB / 20)) * here[name].present(times)[:, None]
             heard[name] = self._joined(spectra, first - int(frames[0]) * hop, last - first)
         return heard
 
-    def _pointed(self, sound: np.ndarray, begin: int, path: Path, times: np.ndarray) -> _Aligned:
-        """Align the channels with where the sound about a path comes from."""
-        around = np.arange(times[0] - _CONTEXT_S, times[-1] + _CONTEXT_S, _SPAN_S / 2)
-        offsets, weights = self._offsets(sound, begin, path, around)
-        kernel = np.exp(-0.5 * ((around[:, None] - around) / _SPAN_S) ** 2) * weights
-        kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-12)
-        smooth = kernel @ offsets
-        return self._align(sound, begin, times, path.mouths(times) + _columns(times, around, smooth))
+    def _share(self, voice: np.ndarray, every: np.ndarray) -> np.ndarray:
+        """Part (frames, bins) of all power that is a voice; of the whole frame where the array is too small to tell."""
+        told = 1 - self._diffuse / len(self._pairs[0])
+        loud = (voice * told).sum(axis=1) / np.maximum((every * told).sum(axis=1), 1e-30)
+        share = told * voice / np.maximum(every, 1e-30) + (1 - told) * loud[:, None]
+        return np.clip(share, 0, 1)
 
-    def _offsets(self, sound: np.ndarray, begin: int, path: Path, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Search the mouth about a path: offsets (t, 3) m from the path at middle height, and how much each counts."""
+    def _weights(self, one: _Aligned, share: np.ndarray) -> np.ndarray:
+        """Weights (frames, bins, microphones) of least noise that leave the voice as the near microphones have it.
+
+        The filter of Souden et al. (2010) from the voice's share of each time and frequency (Higuchi et al. 2016). So a
+        microphone counts by what it hears of the voice over all else, and not by its distance alone.
+        """
+        count, step = one.spectra.shape[2], self._segment
+        parts, bins = len(one.spectra) // step, one.spectra.shape[1]
+        apart = (np.arange(parts)[:, None] - np.arange(parts)) * step * self._hop / self._array.sample_rate
+        kernel = np.exp(-0.5 * (apart / _LASTS_S) ** 2)
+        spectra = one.spectra.reshape(parts, step, bins, count).transpose(0, 2, 3, 1)
+        shares = share.reshape(parts, step, bins, 1).transpose(0, 2, 3, 1)
+        gain = 1 / one.distances.reshape(parts, step, count).mean(axis=1)
+        stated = gain[:, :, None] * gain[:, None, :] / (gain**2).sum(axis=1)[:, None, None]
+        near = self._near(spectra, shares, kernel, gain)
+        weights = np.empty((parts, bins, count), complex)
+        for k in range(0, bins, at_once := max(1, _AT_ONCE // (parts * count**2))):
+            some, part = spectra[:, k : k + at_once], shares[:, k : k + at_once]
+            noise, voice = (
+                np.tensordot(kernel, (some * weight) @ some.conj().swapaxes(2, 3), axes=1)
+                for weight in (1 - part, part)
+            )
+            level = np.einsum("sfmm->sf", noise + _LOADING * voice).real[..., None, None] / count + 1e-12
+            ratio = np.linalg.solve(noise + _LOADING * level * np.eye(count), voice + _TRUST * level * stated[:, None])
+            weights[:, k : k + at_once] = np.einsum("sfmn,sn->sfm", ratio, near)
+            weights[:, k : k + at_once] /= np.einsum("sfmm->sf", ratio).real[..., None]
+        return np.repeat(weights.conj(), step, axis=0)
+
+    def _near(self, spectra: np.ndarray, shares: np.ndarray, kernel: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """How much (parts, microphones) each counts for what the voice sounds like; (near * gain).sum(axis=1) is 1."""
+        frequency = np.fft.rfftfreq(self._window, 1 / self._array.sample_rate)
+        power = np.abs(spectra[:, (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])]) ** 2
+        part = shares[:, (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])]
+        voice, noise = (
+            np.log(np.tensordot(kernel, (power * weight).sum(axis=3), axes=1) + 1e-12).mean(axis=1)
+            for weight in (part, 1 - part)
+        )
+        clear = np.exp(_CHOOSY * (voice - noise - (voice - noise).max(axis=1, keepdims=True)))
+        near = clear * gain**2
+        return near / (near * gain).sum(axis=1, keepdims=True)
+
+    def _pointed(self, sound: np.ndarray, begin: int, path: Path, times: np.ndarray) -> _Aligned:
+        """Align the channels with where the sound about a path comes from.
+
+        A place that is searched anew would move along the line of sight, where a small array cannot tell, and with it
+        the pitch. So the time at which sound arrives on the mean stays that of the path, and the place changes slowly.
+        """
+        step = _SPAN_S / 2
+        around = step * np.arange(np.floor(times[0] / step), np.ceil(times[-1] / step) + 1)
+        maps = self._maps(sound, begin, path, around)
+        apart = around[:, None] - around
+        maps = np.exp(-0.5 * (apart / _LASTS_S) ** 2) * np.maximum(maps.max(axis=1), 0) ** 2 @ maps
+        kernel = np.exp(-0.5 * (apart / _SPAN_S) ** 2)
+        offsets = kernel @ _AROUND[maps.argmax(axis=1)] / kernel.sum(axis=1, keepdims=True)
+        stated = path.mouths(times)
+        mouths = stated + _columns(times, around, offsets)
+        later = (self._distances(mouths) - self._distances(stated)).mean(axis=1) / self._array.speed_of_sound
+        return self._align(sound, begin, times - later, mouths)
+
+    def _maps(self, sound: np.ndarray, begin: int, path: Path, around: np.ndarray) -> np.ndarray:
+        """Steered response (t, points) about a path at times (t,) s; 1 where all channels are alike."""
         places = path.mouths(around)
         rate, window = self._array.sample_rate, self._window
         frequency = np.fft.rfftfreq(window, 1 / rate)
         band = (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])
         parts = np.arange(-_SPAN_S / 2, _SPAN_S / 2 + 1e-9, self._hop / rate)
         one, other = self._pairs
-        offsets = np.zeros((len(around), 3))
-        strength = np.zeros(len(around))
         size = _OVERSAMPLING * window
+        scale = len(one) * len(parts) * band.sum() * 2 / size
+        maps = np.empty((len(around), len(_AROUND)))
         for k, (time, place) in enumerate(zip(around, places, strict=True)):
             spectra = self._align(sound, begin, time + parts, np.broadcast_to(place, (len(parts), 3))).spectra[:, band]
             spectra = spectra / np.maximum(np.abs(spectra), 1e-12)
@@ -221,12 +288,12 @@ class Beams:
             cross[:, band] = np.einsum("kfp,kfp->pf", spectra[..., one], spectra[..., other].conj())
             lagged = np.fft.irfft(cross, size, axis=1)
             lags = self._lags(place + _AROUND) - self._lags(place[None])
-            response = lagged[np.arange(len(one)), np.rint(lags * _OVERSAMPLING).astype(int) % size].sum(axis=1)
-            best = int(response.argmax())
-            offsets[k] = _AROUND[best]
-            scale = len(one) * len(parts) * band.sum() * 2 / size  # 1 where all channels are alike
-            strength[k] = response[best] / max(scale, 1e-12)
-        return offsets, np.maximum(strength, 0) ** 2 + 1e-9
+            maps[k] = lagged[np.arange(len(one)), np.rint(lags * _OVERSAMPLING).astype(int) % size].sum(axis=1) / scale
+        return maps
+
+    def _distances(self, points: np.ndarray) -> np.ndarray:
+        """(points, microphones) m."""
+        return np.maximum(np.linalg.norm(points[:, None] - self._array.microphones, axis=2), _LEAST_M)
 
     def _lags(self, points: np.ndarray) -> np.ndarray:
         """(points, pairs) samples by which sound reaches the first microphone of a pair later than the second."""
@@ -237,7 +304,7 @@ class Beams:
     def _align(self, sound: np.ndarray, begin: int, times: np.ndarray, mouths: np.ndarray) -> _Aligned:
         """Take frames about times (k,) s at mouths (k, 3) m, each channel later by its way."""
         rate, window = self._array.sample_rate, self._window
-        distances = np.maximum(np.linalg.norm(mouths[:, None] - self._array.microphones, axis=2), _LEAST_M)
+        distances = self._distances(mouths)
         arrival = times[:, None] * rate + distances / self._array.speed_of_sound * rate - begin
         whole = np.rint(arrival).astype(int)
         index = whole[:, None, :] + (np.arange(window) - window // 2)[None, :, None]
@@ -289,7 +356,7 @@ def paths(people: Sequence[Identified], start_s: float) -> dict[Any, Path]:
 
 def _around() -> np.ndarray:
     steps = np.arange(-_REACH_M, _REACH_M + 1e-9, _STEP_M)
-    x, y, z = (axis.ravel() for axis in np.meshgrid(steps, steps, np.array(_HEIGHTS_M) - _HEIGHTS_M[2], indexing="ij"))
+    x, y, z = (axis.ravel() for axis in np.meshgrid(steps, steps, np.array(_HEIGHTS_M) - _MIDDLE_M, indexing="ij"))
     points = np.stack([x, y, z], axis=1)
     return points[np.hypot(x, y) <= _REACH_M + 1e-9]
 

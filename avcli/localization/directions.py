@@ -250,15 +250,15 @@ class DirectionFinder:
             free &= self.response.rays @ (away / np.linalg.norm(away)) < np.cos(APART)
         begin = len(heard.steady)
         for number in range(begin, begin + self.settings.max_speakers):
-            if number:
-                gcc = (self.masks.masked(heard.spectra, explained) * heard.gains[:, None, None]).mean(axis=0)
+            if number or heard.above is not None:
+                gcc = self.masks.masked(heard, explained).mean(axis=0)
             values = np.where(free, self.response.responses(gcc), -np.inf)
             threshold = noise.threshold(self.settings.candidate if number else self.settings.false_alarm)
             if not free.any() or values.max() * 1.5 < threshold:
                 break
             ray, distance, curvature, response = self.response.refined(gcc, self.response.rays[int(np.argmax(values))])
             place = self.response.centre + ray * distance
-            coherence = self.masks.coherence(heard.spectra, heard.offsets, place, np.zeros(3))
+            coherence = self.masks.coherence(heard, place, np.zeros(3))
             own = float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12))
             explained = np.maximum(explained, coherence)
             free &= self.response.rays @ ray < np.cos(APART)

@@ -7,6 +7,8 @@ from avcli.localization.windows import Correlator, Heard
 
 AGREED_BY_CHANCE, AGREED_BY_A_TALKER = 0.125, 0.475
 """Agreement of the channels in a bin, up to which the mask keeps it whole, and from which it leaves nothing of it."""
+LEAST_LEFT = 0.03
+"""Share of the bins that must stand above the floor to be raised to the noise of all: a few would ring at all lags."""
 
 
 class Masks:
@@ -22,52 +24,55 @@ class Masks:
 
     def explained(self, heard: Heard) -> np.ndarray:
         """Return what is explained before any talker is found, (windows, bins): the coherence of steady sources."""
-        nothing = np.zeros((len(heard.spectra), len(self.correlator.band.weight)), np.float32)
-        each = [self.coherence(heard.spectra, heard.offsets, place, np.zeros(3)) for place in heard.steady]
-        return np.max([nothing, *each], axis=0) if each else nothing
+        each = [self.coherence(heard, place, np.zeros(3)) for place in heard.steady]
+        return np.max([np.zeros_like(heard.power, np.float32), *each], axis=0)
 
-    def masked(self, spectra: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    def masked(self, heard: Heard, explained: np.ndarray) -> np.ndarray:
         """Return GCCs (windows, pairs, lags) of those times and frequencies that are not explained yet.
 
         Speech is sparse: of two talkers one or the other is the louder in most bins (Yilmaz and Rickard 2004). A bin
         counts the less, the better the channels agree there on the peaks so far. What is left keeps its amplitude.
+        Beside a steady source it counts the less, the nearer it is to the floor (Valin, Michaud & Rouat 2007); the
+        amplitude is such that noise deviates as much as in whole windows, so that its law stays true.
 
         Args:
-            spectra: (windows, m, bins), whitened.
+            heard: the windows.
             explained: (windows, bins), see `coherence`.
         """
         whole = self.correlator.band.weight
-        agreed = explained / (whole * (spectra.shape[1] - 1))
+        agreed = explained / (whole * (heard.spectra.shape[1] - 1))
         kept = (AGREED_BY_A_TALKER - agreed) / (AGREED_BY_A_TALKER - AGREED_BY_CHANCE)
         weights = whole * np.clip(kept, 0.0, 1.0).astype(np.float32)
-        return np.stack(
-            [
-                self.correlator.gcc(each, weight) * (weight.sum() / whole.sum())
-                for each, weight in zip(spectra, weights, strict=True)
-            ]
-        )
+        totals = np.full(len(weights), whole.sum())
+        if heard.above is not None:
+            weights *= heard.above
+            left = ((whole * heard.above) ** 2).sum(axis=1) / (whole**2).sum()
+            totals *= np.sqrt(np.maximum(left, LEAST_LEFT))
+        each = [
+            self.correlator.gcc(spectra, weight) * (weight.sum() / total)
+            for spectra, weight, total in zip(heard.spectra, weights, totals, strict=True)
+        ]
+        return np.stack(each) * heard.gains[:, None, None]
 
-    def coherence(
-        self, spectra: np.ndarray, offsets: np.ndarray, position: np.ndarray, velocity: np.ndarray
-    ) -> np.ndarray:
+    def coherence(self, heard: Heard, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return how far the channels agree, bin by bin, on sound from a place that moves, (windows, bins).
 
         0 is what chance gives; neighbouring bins are averaged.
 
         Args:
-            spectra: (windows, m, bins), whitened.
-            offsets: (windows,) s.
+            heard: the windows.
             position: (3,) m.
             velocity: (3,) m/s.
         """
-        places = position + velocity * offsets[:, None]
+        spectra = heard.spectra
+        places = position + velocity * heard.offsets[:, None]
         ranges = np.linalg.norm(places[:, None] - self.array.microphones, axis=2)
         delays = (ranges - ranges.mean(axis=1, keepdims=True)) / self.array.speed_of_sound
         steered = (spectra * self.correlator.band.turned(delays, self.array.sample_rate)).sum(axis=1)
         power = (spectra.real**2 + spectra.imag**2).sum(axis=1)
         excess = steered.real**2 + steered.imag**2 - power
-        weight = self.correlator.band.weight
-        return weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
+        coherence = self.correlator.band.weight * np.maximum(_smooth(excess) / np.maximum(_smooth(power), 1e-12), 0.0)
+        return coherence if heard.above is None else coherence * heard.above
 
 
 def _smooth(rows: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ is steady alone. The room's own noise comes from everywhere; but where such wind
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -126,13 +127,18 @@ class SteadySources:
             gcc = self.search.notch(gcc[None], places[:1], NOTCH_M)[0]
         return np.array(found).reshape(-1, 3)
 
-    def silent(self, heard: Heard) -> np.ndarray:
-        """Return the places (k, 3) m of the sources at which nobody speaks in the windows around a moment.
+    def beside(self, heard: Heard) -> Heard:
+        """Return the windows around a moment with the steady sources, and with what stands above their floor."""
+        powers = np.array([_averaged(power, self.half) for power in heard.power])
+        above = 1.0 - self.floor / np.maximum(powers, np.maximum(self.floor, np.finfo(float).tiny))
+        return replace(heard, steady=self._silent(heard, powers > LOUD * self.floor), above=above.astype(np.float32))
+
+    def _silent(self, heard: Heard, loud: np.ndarray) -> np.ndarray:
+        """Return the places (k, 3) m of the sources at which nobody speaks; which bins are loud is (windows, bins).
 
         A loudspeaker hisses, and so do recordings: what stands out of the floor must come from elsewhere.
         """
-        floor = LOUD * self.floor
-        loud = np.array([_averaged(power, self.half) > floor for power in heard.power]) * self.weight
+        loud = loud * self.weight
         if np.mean(loud.sum(axis=1)) < SPEECH:
             return self.places
         each = [

@@ -198,7 +198,7 @@ class SteeredLocalizer:
                 self.memory.keep([])
             else:
                 if len(self.steady.places):
-                    heard = replace(heard, steady=self.steady.silent(heard))
+                    heard = self.steady.beside(heard)
                 talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
             features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, self.noise(1).deviation)

@@ -79,7 +79,7 @@ class TalkerSearch:
         gccs, explained = heard.gccs, self.masks.explained(heard)
         known = memory.known()
         for _ in range(self.settings.max_speakers + 1):
-            if taken:
+            if taken or heard.above is not None:
                 gccs = self.left(heard, explained, taken)
             known = [trace for trace in known if not any(_same(peak, trace, memory) for peak in found)]
             again = known.pop(0) if found and known else None
@@ -114,12 +114,13 @@ class TalkerSearch:
         Args:
             heard: the windows around the moment.
             explained: (windows, bins) the peaks' coherence, see `Masks.coherence`.
-            taken: where each peak is, see `Peak.path`.
+            taken: where the steady sources and then the peaks are, see `Peak.path`.
         """
-        gccs = self.masks.masked(heard.spectra, explained) * heard.gains[:, None, None]
+        gccs = self.masks.masked(heard, explained)
         for places in taken:
             gccs = self.response.notch(gccs, places, NOTCH_M)
-        return self.response.notch_echoes(gccs, taken[0], self.array.room, ECHO_NOTCH_M)
+        peaks = taken[len(heard.steady) :]
+        return self.response.notch_echoes(gccs, peaks[0], self.array.room, ECHO_NOTCH_M) if peaks else gccs
 
     def fitted(
         self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray
@@ -155,7 +156,7 @@ class TalkerSearch:
         misfit = differences - (ranges[steered.first] - ranges[steered.second])
         places = position + velocity * offsets[:, None]
         each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
-        coherence = self.masks.coherence(heard.spectra, offsets, position, velocity)
+        coherence = self.masks.coherence(heard, position, velocity)
         peak = Peak(
             position,
             velocity,

@@ -10,6 +10,9 @@ from avcli.localization.events import occupancy
 from avcli.localization.settings import SteeredSettings
 from avcli.numeric import fft_length
 
+_ROUNDING = 1e-8
+"""Samples of no larger magnitude, full scale at 1, are what computing leaves: no converter is so quiet."""
+
 
 @dataclass(frozen=True)
 class Band:
@@ -165,6 +168,7 @@ class Correlator:
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
         dead, faint = level <= 1e-6 * np.median(level), level <= 1e-6 * level.max()
+        faint |= scale < _ROUNDING
         believed, found = _believed(samples, peak, dead, broken)
         good = believed
         if order is not None:
@@ -197,7 +201,8 @@ class Correlator:
     def _without_twins(self, gcc: np.ndarray, good: np.ndarray, faint: np.ndarray) -> tuple[np.ndarray, list[str]]:
         """Return which channels (m,) are good and no copy of another one, and a notice of each pair of copies.
 
-        Faint channels, (m,) bool, are not compared: what rings in them before the sound itself arrives is alike.
+        Faint channels, (m,) bool, are not compared: what rings in them before the sound itself arrives is alike, and so
+        is what computing leaves after its end.
         """
         first, second, notices = self.first, self.second, []
         compared = good & ~faint
@@ -259,6 +264,8 @@ class Heard:
         count: how many whole windows they amount to.
         power: (windows, bins) mean over the channels of the squared spectra.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
+        above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
+            no steady source is known.
     """
 
     gccs: np.ndarray
@@ -268,6 +275,7 @@ class Heard:
     count: float
     power: np.ndarray
     steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    above: np.ndarray | None = None
 
 
 def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard | None:

@@ -93,7 +93,7 @@ class Interior:
 def interior(room: Room, solids: Solids) -> Interior | None:
     """Return the interior of a room, None where it states nothing and its furniture is of plain materials alone."""
     stated = room.surfaces is not None or room.fittings != type(room.fittings)()
-    patterns = {materials.table()[MATERIALS[number]].look.pattern for number in np.unique(solids.material)}
+    patterns = {materials.table()[MATERIALS[number]].look.pattern for number in set(solids.material.tolist())}
     return Interior(room, solids) if stated or patterns & set(look_shaders.PATTERNS) else None
 
 

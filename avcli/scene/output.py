@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from avcli import __version__
-from avcli.formats import atomic, media, records
+from avcli.formats import atomic, media, png, records
 from avcli.formats.experiment import Layout, write_config
 from avcli.formats.writer import PICTURES, earlier_files
 from avcli.scene import annotations, mesh, people
@@ -85,7 +85,7 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
     writer = _FrameWriter(directory, kind, bool(drawing and drawing.depth_bits == "8"), depth_too)
     background = kind != "none" and depth_too and film.background is not None
     if background and film.background is not None:
-        writer.write(Layout.background_depth, writer.encoded(film.background, "png"))
+        writer.write(Layout.background_depth, writer.encoded("background", film.background, "png"))
     written_by = {
         "command": _COMMAND, "version": __version__, "scenario": film.scenario.name, "seed": film.seed,
     }  # fmt: skip
@@ -145,6 +145,7 @@ class _FrameWriter:
     narrow: bool
     depth_too: bool
     last: dict[str, tuple[np.ndarray, list[bytes | memoryview]]] = field(default_factory=dict)
+    encoders: dict[str, png.Encoder] = field(default_factory=lambda: collections.defaultdict(png.Encoder))
 
     def pictures(self, frame: Frame, masks: bool) -> dict[str, Picture]:
         """What is to be written of a frame, by its key in the record's "frame"."""
@@ -166,18 +167,18 @@ class _FrameWriter:
             for name, (path, picture, kind) in pictures.items():
                 known = self.last.get(name)
                 if known is None or known[0] is not picture:
-                    known = self.last[name] = picture, self.encoded(picture, kind)
+                    known = self.last[name] = picture, self.encoded(name, picture, kind)
                 self.write(path, known[1])
 
     def bits(self, depth: np.ndarray) -> np.ndarray:
         """A depth picture in the bits that are written; 0 where it is too far for them."""
         return np.where(depth < 256, depth, 0).astype(np.uint8) if self.narrow else depth
 
-    def encoded(self, picture: np.ndarray, kind: str) -> list[bytes | memoryview]:
-        """The parts of a picture's file; raw pixels are not copied."""
+    def encoded(self, name: str, picture: np.ndarray, kind: str) -> list[bytes | memoryview]:
+        """The parts of a picture's file, the next of this name; raw pixels are not copied."""
         picture = self.bits(picture) if picture.dtype == np.uint16 else picture
         if kind == "png":
-            return [media.encode_png(picture)]
+            return [self.encoders[name].encode(picture)]
         head = io.BytesIO()
         picture = np.ascontiguousarray(picture)
         np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(picture))

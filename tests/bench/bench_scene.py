@@ -26,7 +26,7 @@ import numpy as np
 from figures import Row, figure, hand_over
 
 from avcli import pose
-from avcli.formats import media
+from avcli.formats import png
 from avcli.scene import mesh, people, render, scenario, worlds
 
 T = TypeVar("T")
@@ -270,8 +270,8 @@ def main() -> None:
             add("embree, 32 meridians", **labels, cpu_ms=cpu, wall_ms=wall, **reference.error(depth))
         if width == 1920 and count == 3 and lens == "kb8":
             for name, work in (
-                ("png rgb", lambda f=frame: media.encode_png(f.rgb)),
-                ("png depth", lambda f=frame: media.encode_png(f.depth)),
+                ("png rgb", lambda f=frame: png.encode_png(f.rgb)),
+                ("png depth", lambda f=frame: png.encode_png(f.depth)),
                 ("raw rgb + depth: a copy of the memory", lambda f=frame: f.rgb.tobytes() + f.depth.tobytes()),
             ):
                 cpu, wall, data = least(work, 7)
