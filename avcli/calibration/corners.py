@@ -287,6 +287,7 @@ def _polish_some(
                 limit *= clear / reach
                 inside &= (x < limit[0]) | (y < limit[1])
             mask[:] = inside
+            used = mask.sum(1)
             # Columns: 1, a, b, saddle, its derivatives to the shift and to the blur, grey; all 0 where masked.
             np.multiply(powers[:3], mask[:, None], out=columns[:, :3])
             grey = patches[:, middle, middle].reshape(n, -1)
@@ -301,7 +302,10 @@ def _polish_some(
         for column, follows in ((4, by_a), (5, by_b), (6, at)):
             follows *= rise
             np.add(follows[0], follows[1], out=columns[:, column])
-        normal = (columns @ columns.transpose(0, 2, 1)).astype(float)
+        # Not `columns` times itself: for that numpy takes BLAS's syrk, which needs four times as long for few columns.
+        normal = np.empty((n, 8, 8))
+        normal[:, :, 1:] = columns @ columns[:, 1:].transpose(0, 2, 1)
+        normal[:, 0, 0], normal[:, 1:, 0] = used, normal[:, 0, 1:]
         light = normal[:, :4, :4] + 1e-9 * np.eye(4)
         followed = np.linalg.solve(light, normal[:, :4, 4:])
         gain, normal = followed[..., 3], normal[:, 4:, 4:] - normal[:, 4:, :4] @ followed
@@ -313,7 +317,7 @@ def _polish_some(
         step = (inverse @ rest[..., None])[..., 0]
         shift += np.clip(step[:, :2], -0.5, 0.5)
         blur = np.clip(blur + np.clip(step[:, 2], -0.3, 0.3), 0.3, 4.0)
-    left, used = edge[0], mask.sum(1)
+    left = edge[0]
     np.matmul(gain[:, None].astype(np.float32), columns[:, :4], out=left[:, None])
     left -= columns[:, 7]
     noise = np.sqrt(np.einsum("np,np->n", left, left) / np.maximum(used - 7, 1))

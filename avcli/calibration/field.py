@@ -199,7 +199,10 @@ def split_halves(
 ) -> Halves:
     """Test the stated uncertainty: fit the lens to random halves of the views, compare what they differ by and state.
 
-    Each half states its uncertainty from its own views alone. The camera's turn is taken out where corners were seen.
+    Each half states its uncertainty from its own views alone. Their difference is known from both together, so that
+    Student's t has the degrees of freedom of both (Welch 1947 with equal variances); that of each half alone would make
+    true statements of four views each look 1.4 times too cautious. The camera's turn is taken out where corners were
+    seen.
 
     Args:
         observations, solution: of the kept views.
@@ -249,7 +252,7 @@ def split_halves(
             views = every.of(half)
             step = views.step
         steps.append(step[:, lens_of_free])
-        spreads.append(uncertainty.covariance(views)[:, lens_of_free][:, :, lens_of_free])
+        spreads.append(uncertainty.covariance(views, observations.views - 2)[:, lens_of_free][:, :, lens_of_free])
     difference = steps[0] - steps[1]
     actual = np.einsum("sa,ab,sb->s", difference, square, difference)
     stated = np.einsum("ab,sab->s", square, spreads[0] + spreads[1])

@@ -23,13 +23,14 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         seen: what became of each picture.
     """
     q, lens, parameters = result.quality, result.solution.lens, result.solution.parameters
+    used = int(result.kept.sum())
     held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few pictures)"
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(lens.names()[4:], parameters[4 : -fit.SHAPE], q.sd[4 : -fit.SHAPE], strict=True)
     lines = [
         f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}, "
-        f"{seen.count('duplicate')} of them as in another picture; the fit uses {int(result.kept.sum())} pictures with "
-        f"{len(result.observations.pixels)} corners",
+        f"{seen.count('duplicate')} of them as in another picture; the fit uses "
+        f"{used} picture{'s' if used != 1 else ''} with {len(result.observations.pixels)} corners",
         f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
         f"{held_out}",
         ", ".join(f"{name} {value:.2f} ± {sd:.2f}" for name, value, sd in pixels) + " px",

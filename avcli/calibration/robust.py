@@ -333,7 +333,7 @@ def held_out(
     everywhere = posed(observations, solution, good)
     kept = observations.views_of(good)
     part = np.arange(observations.views) % folds
-    held = fit.by_view(observations.of_corners(good), solution).held
+    held = fit.holding(observations.of_corners(good), solution)
     known = fit.blocks(observations, everywhere, good, held)
     squared = np.zeros(len(good))
     for fold in range(folds):

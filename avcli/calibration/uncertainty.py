@@ -51,13 +51,18 @@ def noise(views: Views) -> np.ndarray:
     return views.variance[..., None, None] * (to_unit @ _turned(to_unit))
 
 
-def covariance(views: Views) -> np.ndarray:
+def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
     """Covariance (..., p, p) of the common unknowns, each view a draw by itself; at least that of independent corners.
 
     Each view's score is set right for the part that the view itself took of the solution, so that the result is
     unbiased where the errors are independent (Bell and McCaffrey 2002, the estimator CR2). It is then multiplied by the
     variance of Student's t, since it is itself known from few views only. In the directions where independent errors of
     the corners explain more, theirs is taken.
+
+    Args:
+        views: at the solution or near it.
+        freedom: degrees of freedom of Student's t, where the result is added to that of other views and both are known
+            together; None: of these views alone, their number less one.
 
     Returns:
         infinite where there are no residuals to spare.
@@ -72,7 +77,7 @@ def covariance(views: Views) -> np.ndarray:
     )
     along = _times(_turned(axes), left @ to_unit) / np.sqrt(np.maximum(1 - share, _LEAST_LEFT))
     drawn = _times(axes, along)
-    spread = _turned(drawn) @ drawn * student(count - 1)
+    spread = _turned(drawn) @ drawn * student(count - 1 if freedom is None else freedom)
     size, direction = np.linalg.eigh(spread)
     spread = direction * np.maximum(size, variance[..., None])[..., None, :] @ _turned(direction)
     return np.where(known[..., None, None], _symmetric(to_unit @ spread @ _turned(to_unit)), np.inf)

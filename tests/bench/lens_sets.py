@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import cv2
 import lens_measures
 import numpy as np
 
-from avcli.calibration import calibrate, corners, fit, gather, opencv, robust, target
+from avcli.calibration import calibrate, corners, fit, gather, opencv, robust, target, uncertainty
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.recognise import Wanted
 from avcli.formats import footage
@@ -277,6 +278,7 @@ def _our_honesty(case: Case, splits: int) -> Row:
     views = int(found.kept.sum())
     if views < 8:
         return {"honesty": None}
+    both = partial(uncertainty.covariance, freedom=views - 2)  # the difference is known from both halves together
     actual, said = [], []
     for pair in lens_measures.halves(views, splits):
         lenses, variance = [], np.zeros(len(case.field))
@@ -286,7 +288,7 @@ def _our_honesty(case: Case, splits: int) -> Row:
                 some, solved = fit.refine_with_errors(some, start, 25, 1e-8)
             else:
                 solved = fit.refine(some, start, start.free, start.delta_px, 25)
-            solved = replace(solved, covariance=fit.covariance(some, solved)[0])
+            solved = replace(solved, covariance=fit.covariance(some, solved, both)[0])
             lenses.append(solved.lens)
             variance += _variance(solved, case.field)
         actual.append(lens_measures.apart(lenses[0], lenses[1], case.field))
