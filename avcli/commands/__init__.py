@@ -4,6 +4,9 @@ import os
 import signal
 import sys
 
+# Our matrices are small: threads of BLAS wait for each other in busy loops, and in a pipe take the other filters' time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Ctrl-C while a command is still loading its libraries ends it as it ends `cat`, without a traceback of the imports.
 _module = os.path.basename(sys.argv[0]).replace("-", "_") + ".py"
 if os.path.exists(os.path.join(__path__[0], _module)) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -30,8 +29,6 @@ from avcli.settings import settings_of
 if TYPE_CHECKING:
     from avcli.calibration.calibrate import Calibration
     from avcli.calibration.gather import Seen
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices of a fit are small: threads cost more than they bring
 
 _THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "kind": "checkerboard", "square_mm": 95.0, "rate_hz": 2.0}}
 

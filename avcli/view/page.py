@@ -1,4 +1,8 @@
-"""A page that shows runs: one file, or, for long runs, a file and a folder with film, sound and data beside it."""
+"""A page that shows runs: one file, or, for long runs, a file and a folder with film, sound and data beside it.
+
+Its scripts are our own. No library draws through a fisheye lens, a map and lanes on the clock of film and sound; one
+for the curve of the error alone (uPlot has some 50 kB) would nearly double the scripts.
+"""
 
 import html
 import json
