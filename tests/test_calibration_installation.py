@@ -68,6 +68,7 @@ def test_a_whole_installation(tmp_path):
         ("camera_config", {"pose_covariance": None}, "pose", "stated", "nothing says how"),
         ("camera_config", {"pose_covariance": None, "camera_rotation_deg": None}, "pose", "stated", "assumed"),
         ("camera_config", {"background_depth": "none.png"}, "background", "wrong", "none.png"),
+        ("camera_config", {"background_rgb": "none.png"}, "background", "wrong", "none.png"),
         ("microphone_config", {"mic_positions_m": [[9, 1, 1]]}, "microphones", "wrong", "microphone 1 is outside"),
         ("microphone_config", {"mic_positions_m": [[1, 1, 1]] * 2}, "microphones", "wrong", "in one place"),
         ("microphone_config", {"calibration": {"sd_m": 0.004}}, "microphones", "measured", "± 4 mm"),

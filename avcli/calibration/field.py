@@ -200,9 +200,9 @@ def split_halves(
     """Test the stated uncertainty: fit the lens to random halves of the views, compare what they differ by and state.
 
     Each half states its uncertainty from its own views alone. Their difference is known from both together, so that
-    Student's t has the degrees of freedom of both (Welch 1947 with equal variances); that of each half alone would make
-    true statements of four views each look 1.4 times too cautious. The camera's turn is taken out where corners were
-    seen.
+    Student's t has the degrees of freedom of both, as in the pooled test of two samples. That of each half alone would
+    make true statements of four views each look 1.4 times too cautious. The camera's turn is taken out where corners
+    were seen.
 
     Args:
         observations, solution: of the kept views.

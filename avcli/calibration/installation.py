@@ -258,14 +258,17 @@ def _doors(config: Config, _folder: Path) -> tuple[str, str]:
 
 
 def _background(config: Config, folder: Path) -> tuple[str, str]:
-    path = _section(config, "camera_config").get("background_depth")
-    if path is None:
+    camera = _section(config, "camera_config")
+    readers = {"background_rgb": media.read_picture, "background_depth": media.read_depth}
+    paths = {key: str(camera[key]) for key in readers if camera.get(key) is not None}
+    if not paths:
         return "absent", "not stated; only avdetect-video --detector depth needs it"
-    shape = media.read_depth(folder / str(path)).shape
     width, height = _size(config)
-    if shape != (height, width):
-        raise _Wrong(f"{path} is {shape[1]} × {shape[0]} px, but the camera has {width} × {height} px")
-    return "stated", str(path)
+    for key, path in paths.items():
+        shape = readers[key](folder / path).shape[:2]
+        if shape != (height, width):
+            raise _Wrong(f"{path} is {shape[1]} × {shape[0]} px, but the camera has {width} × {height} px")
+    return "stated", " and ".join(paths.values())
 
 
 def _triple(values: np.ndarray) -> str:

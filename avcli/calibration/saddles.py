@@ -223,7 +223,7 @@ def _verified(relief: _Relief, pixels: np.ndarray, radius: float | np.ndarray) -
 
 
 def _apart(angle: np.ndarray) -> np.ndarray:
-    """Size of an angle, rad, whole turns not counted; up to pi. The array is used up."""
+    """Size of an angle, rad, whole turns not counted; up to pi. The array is overwritten."""
     angle /= 2 * np.pi
     angle -= np.rint(angle)
     np.abs(angle, out=angle)

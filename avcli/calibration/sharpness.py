@@ -72,8 +72,8 @@ def blur(grey: np.ndarray, cells: np.ndarray, pixels: np.ndarray, clear: float =
     weight, both = np.ones(len(n)), np.column_stack([design, squared])
     floor, ridge = 0.05 * np.median(squared), 1e-12 * np.eye(3)
     for _ in range(5):  # least absolute deviations: glare and shadows cross some edges
-        normal = (design * weight[:, None]).T @ both
-        S = np.linalg.solve(normal[:, :3] + ridge, normal[:, 3])
+        equations = (design * weight[:, None]).T @ both
+        S = np.linalg.solve(equations[:, :3] + ridge, equations[:, 3])
         weight = 1 / np.maximum(np.abs(squared - design @ S), floor)
     values, vectors = np.linalg.eigh(np.array([[S[0], S[1]], [S[1], S[2]]]))
     least, most = np.sqrt(np.maximum(values, 0.0))

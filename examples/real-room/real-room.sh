@@ -53,7 +53,7 @@ step "7. Is everything there, and plausible?"
 avcalib check "$lab" >/dev/null
 
 step "8. Run"
-avdetect-video -C "$lab" "$in/meeting.avi" -o "$lab/video.jsonl"
+avdetect-video -C "$lab" "$in/meeting.avi" --learn-background -o "$lab/video.jsonl"
 avdetect-audio -C "$lab" "$in/meeting.wav" -o "$lab/audio.jsonl"
 avfuse -C "$lab" "$lab/audio.jsonl" "$lab/video.jsonl" -o "$lab/tracks.jsonl"
 
