@@ -86,7 +86,8 @@ scenes with little furniture (seed 720000, which decided nothing) 0.08 gains 0.0
 0.010."""
 
 FEET_SURE, FEET_UNSURE, FEET_MOST = 0.1, 1.0, 0.9
-"""The same by the score s of a network that gives points: the first and the second times sqrt(1 - s), at most the third.
+"""The same by the score s of a network that gives points: the first, and the second times sqrt(1 - s); at most the
+third.
 Of people that the network finds with a score of .5 to .8 half is seen, above .99 all but a tenth."""
 
 HEAD_TOLD = 0.7
@@ -262,8 +263,8 @@ def _fitted(
     hypotheses: _Hypotheses,
 ) -> _Judged:
     each = np.repeat(np.arange(len(boxes)), len(hypotheses))
-    known = [None if item is None else item[each] for item in (parts, turns, unsure)]
-    fits = _Fits(boxes[each], view, *known, law, hypotheses)
+    known, turned, doubted = (None if item is None else item[each] for item in (parts, turns, unsure))
+    fits = _Fits(boxes[each], view, known, turned, doubted, law, hypotheses)
     fits.run()
     judged = (fits.state, *fits.judge())
     return _Judged(*(item.reshape(len(boxes), len(hypotheses), *item.shape[1:]) for item in judged))

@@ -96,10 +96,11 @@ def furniture_of_a_world(rng: np.random.Generator, room: list[float], eye: list[
     kind = str(rng.choice(["office", "meeting", "hall", "workshop", "living"]))
     size = room[0], room[1], room[2]
     pieces = layout.furnish(kind, size, int(rng.integers(0, 7)), [], (eye[0], eye[1], eye[2]), rng).pieces
-    plants = [{"kind": "plant", "position_m": [*rng.uniform(0.3, np.array(room[:2]) - 0.3), 0.0],
-               "rotation_deg": rng.uniform(0, 360), "size_m": [*np.repeat(rng.uniform(0.4, 0.9), 2), rng.uniform(0.5, 1.6)]}
-              for _ in range(rng.integers(0, 3))]  # fmt: skip
-    return pieces + plants
+    for _ in range(rng.integers(0, 3)):  # what is taken for people most often
+        place = [*rng.uniform(0.3, np.array(room[:2]) - 0.3), 0.0]
+        turn, wide, tall = rng.uniform(0, 360), rng.uniform(0.4, 0.9), rng.uniform(0.5, 1.6)
+        pieces.append({"kind": "plant", "position_m": place, "rotation_deg": turn, "size_m": [wide, wide, tall]})
+    return pieces
 
 
 @dataclasses.dataclass
@@ -222,9 +223,7 @@ class Library:
                     each, people, span = 2, 0, (4, 11)
             pieces = None if span is None else int(self.rng.integers(*span))
             try:
-                self._shots = shots(
-                    self.rng, *size, each, self.context, people, pieces, furnished=self.furnished
-                )
+                self._shots = shots(self.rng, *size, each, self.context, people, pieces, furnished=self.furnished)
                 shot = next(self._shots, None)
             except scenario.ScenarioError:
                 continue

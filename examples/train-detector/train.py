@@ -124,7 +124,7 @@ def main() -> None:
     parser.add_argument(
         "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
     )
-    parser.add_argument("--furnished", type=float, default=0.0, help="of these, how many have a random world's furniture")
+    parser.add_argument("--furnished", type=float, default=0.0, help="share of these with a random world's furniture")
     parser.add_argument(
         "--hard", type=int, default=0, help="of a batch, how many are empty rooms in which --start sees somebody"
     )

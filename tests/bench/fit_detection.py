@@ -146,7 +146,8 @@ def placed(law: BoxLaw, samples: list[BoxSample]) -> tuple[np.ndarray, np.ndarra
     bare = dataclasses.replace(law, spread=1.0, floor_m=0.0, sure=1.0, unsure=0.0)
     for view, scene in itertools.groupby(samples, key=lambda sample: sample[2]):
         boxes, parts, _, places, scores = (np.array(column, object) for column in zip(*scene, strict=True))
-        boxes, parts, places, scores = (np.stack(list(column)).astype(float) for column in (boxes, parts, places, scores))
+        columns = boxes, parts, places, scores
+        boxes, parts, places, scores = (np.stack(list(column)).astype(float) for column in columns)
         both = [locate_boxes(boxes, view, known, law=bare, scores=scores) for known in (parts, None)]
         failed = ~np.stack([found.explained for found in both], axis=1)
         error = np.stack([found.positions - places for found in both], axis=1)
@@ -156,9 +157,7 @@ def placed(law: BoxLaw, samples: list[BoxSample]) -> tuple[np.ndarray, np.ndarra
     return np.concatenate(errors), np.concatenate(covariances)
 
 
-def _placed_loss(
-    law: BoxLaw, samples: list[BoxSample], errors: np.ndarray, covariances: np.ndarray
-) -> np.ndarray:
+def _placed_loss(law: BoxLaw, samples: list[BoxSample], errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     wider = law.sure + law.unsure * np.sqrt(1 - np.array([score for *_, score in samples]))
     wider = np.column_stack([wider, np.ones(len(wider))])[..., None, None]  # with the score, and without
     wide = wider**2 * (law.spread * covariances + law.floor_m**2 * np.eye(2))
@@ -193,7 +192,7 @@ def fit(standing: Any, loss: Loss, samples: list) -> Any:
 
 
 def fit_box(standing: BoxLaw, samples: list[BoxSample]) -> BoxLaw:
-    """Find the law of boxes: its last steps anew for each trial of the fit's doubts, since they cost next to nothing."""
+    """Find the law of boxes: its last steps anew for each trial of the others, since they cost next to nothing."""
     best: dict[float, BoxLaw] = {}
 
     def cost(law: BoxLaw) -> float:
