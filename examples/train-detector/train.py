@@ -7,6 +7,7 @@ same pictures in the same order. A graphics card is used where torch sees one; t
 
 import argparse
 import copy
+import itertools
 import json
 import math
 import multiprocessing
@@ -79,12 +80,17 @@ def deceptive_rooms(
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     network, known = Detector().eval(), None
-    library = Library(seed, each=1, people=0, pieces=(0, 18), furnished=furnished)
+    library = Library(seed, each=1, people=0, pieces=(0 if furnished else 6, 18), furnished=furnished)
     generator = Generator(seed, Backdrops(panoramas), empty=True) if panoramas else None
     sources = [generator] * 5 * bool(generator) + [library] * 3
     if worlds:
-        drawn = (one for one in of_worlds(worlds, library.rng) if not len(one.boxes))
-        sources += [lambda: _flipped(library.rng, next(drawn))] * 2
+        drawn = of_worlds(worlds, library.rng)
+
+        def empty_world():
+            found = next((one for one in itertools.islice(drawn, 50) if not len(one.boxes)), None)
+            return _flipped(library.rng, found) if found else library()
+
+        sources += [empty_world] * 2
     empty = [item.numpy() for item in targets([], [], [], [], HEIGHT, WIDTH)]
     while True:
         written = checkpoint.stat().st_mtime if checkpoint.exists() else 0.0
