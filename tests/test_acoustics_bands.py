@@ -10,7 +10,7 @@ from avcli.acoustics import bands, hear
 from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, curves, spectra_of_bands
 from avcli.acoustics.decay import image_rt60
 from avcli.acoustics.images import arrivals
-from avcli.acoustics.responses import Responses
+from avcli.acoustics.responses import Responses, impulse_responses
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.surroundings import Surroundings, surroundings_of
 from avcli.formats.experiment import Config
@@ -250,3 +250,16 @@ def test_what_walls_scatter_is_heard_after_the_sound_itself():
         times.append(-60 / np.polyfit(fitted / RATE, level[fitted], 1)[0])
     assert times[0] == pytest.approx(around.bands.rt60_s[3], rel=0.15)
     assert times[0] < 0.85 * times[1]
+
+
+def test_exported_responses_hold_what_is_scattered():
+    around = surroundings_of(config(room_dimensions_m=[8.0, 6.0, 3.0]), Settings())
+    found = impulse_responses(around, np.array([PLACE]))[0]
+    heard = response(around, rng=np.random.default_rng(0))
+    for one, other in zip(found, heard, strict=True):
+        levels = [10 * np.log10(np.sum(in_octave(sound, 1000) ** 2)) for sound in (one, other)]
+        assert levels[0] == pytest.approx(levels[1], abs=0.3)
+    level = 10 * np.log10(np.cumsum(in_octave(found[0], 1000)[::-1] ** 2)[::-1])
+    fitted = np.flatnonzero((level < level[0] - 5) & (level > level[0] - 35))
+    time = -60 / np.polyfit(fitted / RATE, level[fitted], 1)[0]
+    assert time == pytest.approx(around.bands.rt60_s[3], rel=0.15)
