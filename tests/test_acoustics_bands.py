@@ -20,9 +20,9 @@ from avcli.materials.decay import (
     air_absorption,
     contents_loss,
     energy_decay,
-    mirrored_not,
     reverberation_time,
     scattered_energy,
+    unmirrored,
 )
 
 ROOM = np.array([4.66, 4.66, 3.0])
@@ -207,7 +207,7 @@ def test_scattered_sound_decays_as_that_of_traced_rays(room, absorption, scatter
     room, absorption, scattering = np.array(room), np.array(absorption), np.array(scattering)
     times = np.linspace(0, 0.6, 120)
     box = 0.0, 343.0, times
-    found = energy_decay(room, mirrored_not(absorption, scattering), *box)
+    found = energy_decay(room, unmirrored(absorption, scattering), *box)
     found += scattered_energy(room, absorption, scattering, *box)
     expected = traced(room, absorption, scattering, times)
     loud = expected > 3e-3  # of fainter sound there are few rays
@@ -224,7 +224,7 @@ def test_scattering_takes_no_energy_and_little_of_it_changes_little():
     hardly = np.full(6, 0.005)
     for scattering in (0.05, 0.5, 1.0):
         scatters = np.full(6, scattering)
-        found = energy_decay(ROOM, mirrored_not(hardly, scatters), 0.0, 343.0, times)
+        found = energy_decay(ROOM, unmirrored(hardly, scatters), 0.0, 343.0, times)
         found += scattered_energy(ROOM, hardly, scatters, 0.0, 343.0, times)
         np.testing.assert_allclose(found, energy_decay(ROOM, hardly, 0.0, 343.0, times), rtol=0.02)
     walls = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.6])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli import materials
-from avcli.materials.decay import mirrored_not
+from avcli.materials.decay import unmirrored
 
 BANDS_HZ = (*materials.BANDS_HZ, 16000)
 """Hz, the middles of the octave bands; the walls absorb at 16 kHz as at 8 kHz."""
@@ -42,7 +42,7 @@ class Bands:
     @property
     def lost(self) -> np.ndarray:
         """The energy that the walls do not mirror, (6, 8), from 0 to 1: they absorb it, or scatter it."""
-        return self.absorption if self.scattering is None else mirrored_not(self.absorption, self.scattering)
+        return self.absorption if self.scattering is None else unmirrored(self.absorption, self.scattering)
 
     @property
     def of_all_directions(self) -> np.ndarray:

@@ -61,7 +61,7 @@ class Surroundings:
         orientations: (m, 3) unit vectors in which they look; needed with directivities.
         source_directivity: a of the source's pattern; 1 is omnidirectional.
         rt60_s: reverberation time, s.
-        end_s: end of the noise that continues the images after reach_m, s; 0: without noise.
+        end_s: end of the noise, s: what walls scatter, and what continues the images after reach_m; 0: without noise.
         bands: what walls, air and the source's head do in octave bands, instead of the size of `reflection` and the
             source's pattern; None: the same at all frequencies.
         trajectories: (m,) the paths of the microphones that move, None for one that stands at microphones_m.

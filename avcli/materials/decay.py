@@ -67,7 +67,7 @@ def scattered_energy(
     if not scatters.any():
         return np.zeros(len(times))
     grid = np.linspace(0.0, max(times.max(), 0.01), STEPS)
-    kept, lost = 1 - np.clip(absorption, LEAST_ABSORBED, 1 - LEAST_ABSORBED), mirrored_not(absorption, scatters)
+    kept, lost = 1 - np.clip(absorption, LEAST_ABSORBED, 1 - LEAST_ABSORBED), unmirrored(absorption, scatters)
     weights, directions = _directions()
     of_axes = _survival(room, lost, speed_of_sound_m_s * grid)
     first = np.empty((3, STEPS))
@@ -96,7 +96,7 @@ def scattered_energy(
     return np.exp(-2 * loss * speed_of_sound_m_s * times) * found
 
 
-def mirrored_not(absorption: ArrayLike, scattering: ArrayLike) -> np.ndarray:
+def unmirrored(absorption: ArrayLike, scattering: ArrayLike) -> np.ndarray:
     """Return the share of the energy, (6,) or (6, n), that walls do not mirror: they absorb or scatter it."""
     kept = np.clip(np.asarray(absorption, dtype=float), LEAST_ABSORBED, 1 - LEAST_ABSORBED)
     return 1 - (1 - kept) * (1 - np.asarray(scattering, dtype=float))
@@ -157,7 +157,7 @@ def reverberation_time(
     longest = 0.1
     while True:
         times = np.linspace(0.0, longest, STEPS)
-        energy = energy_decay(room_dimensions_m, mirrored_not(absorption, scattering), loss, speed_of_sound_m_s, times)
+        energy = energy_decay(room_dimensions_m, unmirrored(absorption, scattering), loss, speed_of_sound_m_s, times)
         energy += scattered_energy(room_dimensions_m, absorption, scattering, loss, speed_of_sound_m_s, times)
         fall = np.log(energy[STEPS // 2] / energy[-1])
         if energy[-1] < 1e-5 * energy[0] or longest > LONGEST_S:
