@@ -188,18 +188,28 @@ def _step(value: float, edges: Sequence[float]) -> str:
     return f"{edges[index - 1]:g} to {edges[index]:g}"
 
 
-def figures(found: Sequence[Peak]) -> dict[str, Any]:
+def counted(score: np.ndarray, right: np.ndarray) -> dict[str, Any]:
+    """Return the log loss, how many scores are sure and of these wrong, how many are reported and of these right."""
+    sure, told = score > SURE, score >= 0.5
+    return {
+        "log_loss": round(log_loss(right, score), 4), "sure": int(sure.sum()), "sure_wrong": int((sure & ~right).sum()),
+        "reported": int(told.sum()), "reported_right": int((right & told).sum()),
+    }  # fmt: skip
+
+
+def figures(found: Sequence[Peak], law: uncertainty.Law) -> dict[str, Any]:
     """Return what is said and what is true, for first and further peaks and by condition."""
     told: dict[str, Any] = {}
     for name, first in (("first", True), ("further", False)):
         mine = [one for one in found if one.features.first == first]
         score, right = np.array([one.score for one in mine]), np.array([one.right for one in mine])
-        sure = score > SURE
+        evidence = np.array([law.evidence(one.features) for one in mine])
         told[name] = {
-            "peaks": len(mine), "log_loss": round(log_loss(right, score), 4), "sure": int(sure.sum()),
-            "sure_wrong": int((sure & ~right).sum()), "reported": int((score >= 0.5).sum()),
-            "reported_right": int((right & (score >= 0.5)).sum()), "bins": reliability(mine, score),
-        }  # fmt: skip
+            "peaks": len(mine),
+            **counted(score, right),
+            "evidence": counted(1.0 / (1.0 + np.exp(-np.clip(evidence, -30.0, 30.0))), right),
+            "bins": reliability(mine, score),
+        }
     return {"scenes": len({one.given.number for one in found}), **told, "conditions": conditions(found)}
 
 
@@ -218,8 +228,12 @@ A bin counts where it has {LEAST} peaks of {RUNS} scenes; its true share may be 
         text += f"""
 ## {what}
 
-{one["peaks"]} peaks, log loss {one["log_loss"]}. Over {SURE}: {one["sure"]}, of which {one["sure_wrong"]} are wrong.
-Reported (.5 or more): {one["reported"]}, of which {one["reported_right"]} are right.
+{one["peaks"]} peaks. Before is the score that knew no array but a ring of eight, the evidence of today.
+
+| | log loss | over {SURE} | of these wrong | reported, .5 or more | of these right |
+| --- | ---: | ---: | ---: | ---: | ---: |
+{_counts("before", one["evidence"])}
+{_counts("now", one)}
 
 | score | peaks | scenes | said | true | |
 | --- | ---: | ---: | ---: | ---: | --- |
@@ -243,6 +257,11 @@ ellipse in x and y.
     return text
 
 
+def _counts(name: str, one: dict[str, Any]) -> str:
+    columns = ("log_loss", "sure", "sure_wrong", "reported", "reported_right")
+    return "| " + " | ".join([name, *(str(one[column]) for column in columns)]) + " |"
+
+
 def options_of(description: str | None) -> argparse.ArgumentParser:
     """Return the options that measuring and fitting share."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -256,12 +275,13 @@ def main() -> None:
     """Measure, and write the page."""
     parser = options_of(__doc__)
     parser.add_argument("--split", choices=("decide", "judge"), default="judge")
-    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--scenes", type=int, default=120)
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     heard = scenes(options.split, range(options.scenes), options.speech, options.cache)
-    told = figures(peaks(heard, uncertainty.fitted_law()))
+    law = uncertainty.fitted_law()
+    told = figures(peaks(heard, law), law)
     (options.out / "scores.jsonl").write_text(json.dumps(told) + "\n")
     (options.out / "scores.md").write_text(page(told, options.split))
 

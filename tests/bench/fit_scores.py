@@ -61,7 +61,7 @@ def _logistic(values: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Fit and write."""
     parser = options_of(__doc__)
-    parser.add_argument("--scenes", type=int, default=300)
+    parser.add_argument("--scenes", type=int, default=150)
     options = parser.parse_args()
     stated = json.loads(FITTED.read_bytes())
     standing = uncertainty.Law.of(stated["law"])
