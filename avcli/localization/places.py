@@ -39,8 +39,7 @@ class PlaceFinder:
         law: scores and covariances.
 
     Attributes:
-        outside: whether a source was surely heard, in the latest decision, on the edge of the room or beyond it. Its
-            place is wrong, and so its score is low.
+        outside: whether a source was surely heard, in the latest decision, on the edge of the room or beyond it.
     """
 
     def __init__(
@@ -99,7 +98,8 @@ class PlaceFinder:
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             features = self.features(peak, number == 0 and not beside, traces, noise, fall)
-            judged.append(Judged(self.law.probability(features), self.law.evidence(features), peak, features))
+            score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            judged.append(Judged(score, self.law.evidence(features), peak, features))
         return sorted(judged, key=lambda one: -one.evidence)
 
     def features(

@@ -19,6 +19,10 @@ UNSURE_M = 0.2
 """m: what the standard deviation grows by while channels disagree and it is not known yet which of them are right: the
 places that such an array answers best were up to 0.45 m off."""
 
+BEYOND_M, BEYOND_NEAR = np.array([0.5, 0.5, 0.3]), 0.68
+"""m: the standard deviations of how far a talker is beyond the searched volume, if at all; and the share of talkers who
+are less than half a metre beyond a side of it then."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),
@@ -131,8 +135,16 @@ class Law:
         weights = self.first if features.first else self.further
         return sum(weight * term for weight, term in zip(weights.values(), terms(features, weights), strict=True))
 
-    def probability(self, features: Features) -> float:
-        """Return the probability that a peak is within half a metre (x, y) of a talker."""
+    def probability(self, features: Features, *, edge: bool = False) -> float:
+        """Return the probability that a peak is within half a metre (x, y) of a talker.
+
+        Args:
+            features: its own.
+            edge: whether the search ended on a side of its volume. Then the pairs disagree about the place because the
+                talker is beyond it, by how much is not known (see `beyond`), and not because nobody is there.
+        """
+        if edge:
+            return BEYOND_NEAR * _logistic(self.evidence(features))
         weights = self.score["first" if features.first else "further"]
         values = terms(features, weights, self.evidence(features))
         return _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
@@ -280,7 +292,7 @@ def beyond(edge: np.ndarray) -> np.ndarray:
     Args:
         edge: (3,) bool, on which axes; there the source may be outside.
     """
-    return np.diag(np.where(edge, [0.5, 0.5, 0.3], 0.0) ** 2)
+    return np.diag(np.where(edge, BEYOND_M, 0.0) ** 2)
 
 
 def _logistic(value: float) -> float:
