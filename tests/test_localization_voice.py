@@ -175,7 +175,7 @@ def test_channels_that_the_sound_has_not_reached_are_no_copies():
     rng = np.random.default_rng(3)
     band = Band.of(SteeredSettings(), FS)
     sound, ringing = rng.normal(size=(len(MICROPHONES), band.size)), rng.normal(size=band.size)
-    for level, whole, said in ((1e-4, 1.0, False), (1.0, 1.0, True), (1.0, 1e-10, False)):
+    for level, whole, said in ((1e-4, 1.0, False), (1.0, 1.0, True), (1.0, 1e-10, False), (1.0, 1e-6, False)):
         sound[[4, 5]] = level * ringing
         notices = Correlator(ARRAY, band, 400, 1.0).correlate(whole * sound, correlation.hann(band.size)).notices
         assert any("channels 5 and 6 are the same" in notice for notice in notices) == said

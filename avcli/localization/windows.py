@@ -10,8 +10,9 @@ from avcli.localization.events import occupancy
 from avcli.localization.settings import SteeredSettings
 from avcli.numeric import fft_length
 
-_ROUNDING = 1e-8
-"""Samples of no larger magnitude, full scale at 1, are what computing leaves: no converter is so quiet."""
+_ROUNDING = 3e-6
+"""A channel no louder than this in the root mean square, full scale at 1, holds what computing leaves, or filters that ring
+before a simulated sound arrives: no converter is so quiet."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ class Correlator:
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
         dead, faint = level <= 1e-6 * np.median(level), level <= 1e-6 * level.max()
-        faint |= scale < _ROUNDING
+        faint |= np.sqrt(2 * level) * scale < _ROUNDING * self.band.size
         believed, found = _believed(samples, peak, dead, broken)
         good = believed
         if order is not None:
