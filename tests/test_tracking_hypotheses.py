@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from avcli.formats.experiment import Config
 from avcli.formats.sensors import MICROPHONES
-from avcli.tracking import coverage, gaussian
+from avcli.tracking import coverage, gaussian, prediction
 from avcli.tracking.densities import Densities
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.hypotheses import Cluster
@@ -184,6 +184,19 @@ def test_one_person_found_twice_a_few_centimetres_apart_is_one_track(n, share):
         assert len(tracker.tracks(k / 10)) == n
 
 
+def test_two_people_in_one_place_are_doubted_and_two_beside_each_other_are_not():
+    crowd = people([[1, 1, 0, 0], [1.02, 1, 0, 0], [1.5, 1, 0, 0]], [0, 1, 2])
+    crowd.hits[:, 0] = [9, 3, 3]
+    crowd.detectable[0], crowd.detectable[1] = 0.1, 0.8
+    crowd.existence[:] = 0.9
+    prediction.unite(crowd, [0, 1, 2], [0, 1, 2], 0.1)
+    assert crowd.existence[1] < 0.85
+    assert crowd.existence[[0, 2]] == pytest.approx([0.9, 0.9], abs=1e-3)
+    assert 0.1 < crowd.detectable[0, 0] < 0.8, "what detects the other one may detect this one"
+    prediction.unite(crowd, [0, 1, 2], [0, 1, 2], 1e3)
+    assert 0 <= crowd.existence[1] < 1e-6
+
+
 def test_names_that_nothing_can_tell_apart_any_more_are_decided():
     here, there, near = [1, 1, 0.5, 0], [3, 3, 0, 0.5], [1.02, 1.01, 0.45, 0]
     crowd = people([here, there, there, near, [2, 2, 0, 0]], [0, 0, 1, 1, 1])
@@ -237,6 +250,15 @@ def test_whoever_walks_where_the_camera_sees_nobody_is_kept_and_found_again(seen
         if k == 32:
             assert bool(tracker.tracks(k / 10)) != seen
     assert len(tracker.tracks(7.9)) == 1
+
+
+def test_near_its_border_a_field_is_between_seen_and_unseen():
+    share = np.ones((60, 60))
+    share[30:] = coverage.LEAST  # nobody is found beyond x = 3 m
+    field = coverage.Coverage(np.zeros(2), coverage.STEP, share)
+    places = np.array([[[1.0, 1.0], [2.85, 1.0], [3.05, 1.0]], [[3.2, 1.0], [4.0, 1.0], [9.0, -1.0]]])
+    assert field.about(places) == pytest.approx(np.array([[1, 5 / 6, 1 / 6], [1 / 6, 0, 0]]), abs=coverage.LEAST)
+    assert field.about(places[0, 0]) == pytest.approx(1.0)
 
 
 def test_who_stands_at_a_wall_leaves_less_readily_than_who_walks_there():

@@ -17,12 +17,13 @@ from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import gaussian
 from avcli.tracking.coverage import Coverage
 from avcli.tracking.fusion import Fusion
+from avcli.tracking.glmb import GLMB
 from avcli.tracking.learning import Habits
 from avcli.tracking.learnt import LEARNT, read_learnt, write_learnt
 from avcli.tracking.model import Population
 from avcli.tracking.picture import bounds, picture, ticks
 from avcli.tracking.places import Places
-from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, Blindness, Hiding, Rates, logit
+from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, MOST_AGAIN, Blindness, Hiding, Rates, logit
 from avcli.tracking.settings import Settings, sensor
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))
@@ -104,7 +105,7 @@ def test_huge_and_tiny_areas_have_few_cells():
 def test_clutter_and_detection_are_learnt_to_their_values():
     rates = Rates(sensor("ceiling"))
     for _ in range(2000):
-        rates.learn(1.5, 3.0, 2.0)
+        rates.learn(1.5, 3.0, 2.0, 0.0)
     assert rates.clutter == pytest.approx(1.5, rel=0.01)
     assert rates.detection == pytest.approx(0.6, rel=0.01)
 
@@ -112,9 +113,9 @@ def test_clutter_and_detection_are_learnt_to_their_values():
 def test_clutter_far_above_what_was_learnt_is_learnt_in_a_few_records():
     rates = Rates(sensor("ceiling"))
     for _ in range(200):
-        rates.learn(0.0, 1.0, 0.0)
+        rates.learn(0.0, 1.0, 0.0, 0.0)
     for _ in range(5):
-        rates.learn(20.0, 1.0, 0.0)
+        rates.learn(20.0, 1.0, 0.0, 0.0)
     assert rates.clutter > 10
 
 
@@ -278,6 +279,18 @@ def test_people_are_learnt_to_come_and_leave_where_they_do(learnt):
     assert habits.entries.at(begin) > 2 * habits.entries.at(in_the_middle)
 
 
+def test_how_often_a_sensor_finds_one_person_again_is_learnt():
+    """A detector that finds each person three times in a picture: two tracks remain, and its rate is told."""
+    rng, tracker = np.random.default_rng(0), GLMB(Settings(), Population(), [sensor("ceiling")])
+    for k in range(100):
+        here = np.array([[1.0 + 0.02 * k, 1.5], [3.0, 3.5 - 0.02 * k]]).repeat(3, 0) + 0.1 * rng.standard_normal((6, 2))
+        tracker.update(k / 10, "ceiling", here, np.tile(0.01 * np.eye(2), (6, 1, 1)))
+    assert len(tracker.tracks(9.9)) == 2
+    assert tracker.rates[0].again_sum / tracker.rates[0].again_count > 1.0
+    assert tracker.rates[0].again == MOST_AGAIN
+    assert tracker.rates[0].clutter < 0.5
+
+
 def test_what_is_restored_is_what_was_kept(learnt, tmp_path):
     path = tmp_path / "room.json"
     write_learnt(path, learnt)
@@ -287,7 +300,7 @@ def test_what_is_restored_is_what_was_kept(learnt, tmp_path):
     again._column("ceiling", "camera")  # the sensor of before reports
     after = again.state()
     assert after["exits"] == learnt["exits"]
-    for key in ("clutter_sum", "hit_sum", "hiding", "blindness"):
+    for key in ("clutter_sum", "hit_sum", "again_sum", "hiding", "blindness"):
         assert after["sensors"]["ceiling"][key] == learnt["sensors"]["ceiling"][key]
 
 

@@ -17,7 +17,6 @@ from avcli.tracking.settings import Sensor
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density
-AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
 
 
 class Birth(NamedTuple):
@@ -185,13 +184,13 @@ def other_detections(
     claimed = np.where(one > other, np.maximum(claimed, shown[other]), claimed)  # the first of two new people counts
     beside, again = np.ones(len(z)), np.zeros(len(z))
     np.multiply.at(beside, one, 1 - claimed * np.exp(-apart / (body + spread[one])))
-    np.add.at(again, one, AGAIN / math.pi * np.exp(-apart / width) / width * claimed)
+    np.add.at(again, one, scan.again / math.pi * np.exp(-apart / width) / width * claimed)
     return beside.tolist(), again.tolist()
 
 
 def weighed(
     scan: Scan, unclaimed: Sequence[float], birth: Sequence[float], twice: Sequence[float], more: float = 1.0
-) -> tuple[list[float], list[float]]:
+) -> tuple[list[float], list[float], list[float]]:
     """Weigh the detections that no known person caused: new people, known ones a second time, or false.
 
     Args:
@@ -203,15 +202,17 @@ def weighed(
             and again.
 
     Returns:
-        J probabilities that it is a new person if it is no known one, and J that it is usual clutter.
+        J probabilities that it is a new person if it is no known one, J that it is usual clutter, and J that it is
+        a further detection of a person.
     """
-    new, false = [], []
+    new, false, again = [], [], []
     for u, c, local, b, t in zip(unclaimed, scan.clutter, scan.local, birth, twice, strict=True):
         usual = (c - local) * more
         whole = usual + local + b + t
         new.append(b / whole)
         false.append(u * usual / whole)
-    return new, false
+        again.append(u * t / whole)
+    return new, false, again
 
 
 def births(

@@ -22,6 +22,9 @@ NOTHING, ENOUGH = 0.05, 0.25  # shares of them in the picture with which nobody 
 LEAST = (
     0.001  # left where nobody should be detected (arms, a lens not quite as stated), hardly telling who is not there
 )
+EDGE = 0.15  # m, standard deviation of where a field ends: lens, pose, height of the person (seeds 100 to 105 of hall)
+AROUND = 3**0.5 * EDGE * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])  # m, five points of a Gaussian
+WEIGHTS = np.array([2, 1, 1, 1, 1]) / 6
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,16 @@ class Coverage:
         last = np.array(self.share.shape) - 1
         cells = np.minimum(np.maximum((positions - self.low) / self.step, 0), last).astype(int)
         return self.share[cells[:, 0], cells[:, 1]]
+
+    def about(self, positions: np.ndarray) -> np.ndarray:
+        """Return the expected shares (...) at positions (..., 2) m, for where it ends is known to `EDGE` alone.
+
+        Source:
+            S. J. Julier and J. K. Uhlmann, "Unscented filtering and nonlinear estimation", Proc. IEEE 92(3), 2004
+            (the points and their weights).
+        """
+        points = positions[..., None, :] + AROUND
+        return self.at(points.reshape(-1, 2)).reshape(points.shape[:-1]) @ WEIGHTS
 
     @cached_property
     def whole(self) -> bool:

@@ -200,6 +200,7 @@ class GLMB:
         self.habits.wait(time, dt)
         self.undetected.predict(dt)
         if len(people):
+            prediction.unite(people, self.labelled_rows, self.likely_rows, dt)
             prediction.evade(people, self.labelled_rows, self.likely_rows, population, dt)
             before = people.mean, people.cov, people.mode
             survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
@@ -255,13 +256,13 @@ class GLMB:
         birth = [b * left for b, left in zip(birth, room, strict=True)]
         if shown is None:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
-        existence, false = weighed(scan, unclaimed, birth, twice)
+        existence, false, again = weighed(scan, unclaimed, birth, twice)
         if settings.learn:
             if rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
-                    existence, false = weighed(scan, unclaimed, birth, twice, more)
-            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan))
+                    existence, false, again = weighed(scan, unclaimed, birth, twice, more)
+            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
             self._learn(groups, scan)
         self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
         rates.learn_score(scan.odds, scan.near, [1 - f for f in false])
@@ -347,7 +348,7 @@ class GLMB:
         clutters = [clutter * factor + more for factor, more in zip(factors, local, strict=True)]
         reach, covered = detectable, None
         if sensor.coverage and not sensor.coverage.whole:
-            covered = sensor.coverage.at(people.mean[..., :2].reshape(-1, 2)).reshape(people.mode.shape)
+            covered = sensor.coverage.about(people.mean[..., :2])
             reach = (people.detectable[:, column] * (people.mode * covered).sum(1)).tolist()
         new = self.undetected.arriving(z, rates.detection, column)
         if shown is not None:
@@ -379,6 +380,7 @@ class GLMB:
             detectable,
             clutters,
             max(rates.clutter, 1e-9),
+            rates.again,
             local,
             p_sensor,
             rates.detection * open_eyed,

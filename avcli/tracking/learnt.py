@@ -50,6 +50,8 @@ _SENSOR = _required(
 )
 _SENSOR.keys = {
     **_SENSOR.keys,
+    "again_sum": Key(_AMOUNT, "further detections of people in one record", default=0.7),
+    "again_count": Key(_DIVISOR, "people in whose records they were counted", default=14.0),
     "false_places": Key(ListOf(FALSE_PLACE), "places where it detects somebody falsely, again and again", default=[]),
 }
 LEARNT = Format(

@@ -29,7 +29,7 @@ import numpy as np
 
 from avcli.formats.records import Detections
 from avcli.tracking import births, gaussian
-from avcli.tracking.births import AGAIN, TENTATIVE, Birth
+from avcli.tracking.births import TENTATIVE, Birth
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.gaussian import COFACTOR, EYE2, LOG_2_PI
 from avcli.tracking.model import Population
@@ -481,7 +481,7 @@ def other_detections(
                     min(max(float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9), -1.0), 1.0)
                 )
             width = 2 * (partial.sd[one] ** 2 + partial.sd[other] ** 2)
-            again = AGAIN * math.exp(-apart * apart / width) / (math.pi * width) ** (dims / 2)
+            again = scan.again * math.exp(-apart * apart / width) / (math.pi * width) ** (dims / 2)
             for j, claimant in ((one, other), (other, one)):
                 claimed = min((1 - unclaimed[claimant]) / max(unclaimed[j], 1e-9), 1.0)
                 if j == one:

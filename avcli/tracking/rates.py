@@ -15,6 +15,8 @@ PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 14.0, 1.0
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
+AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
+MOST_AGAIN = 0.2  # of these, as far as it is believed: more would hide people in a crowd (12 people 0.25 m apart)
 COMMON = 0.05  # probability that what blinds one sensor blinds another one, too
 EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
@@ -28,6 +30,7 @@ class Rates:
     Attributes:
         clutter: false detections expected in one record.
         detection: probability that it detects, in one record, a person who is detectable.
+        again: expected further detections of a person whom it has detected in the same record already.
         hiding: how it loses people and finds them again.
         blindness: how it loses everybody.
     """
@@ -37,15 +40,17 @@ class Rates:
         self.typical: float | None = None  # log odds of the scores of people
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_PEOPLE * sensor.detection, PRIOR_PEOPLE
+        self.again, self.again_sum, self.again_count = AGAIN, PRIOR_PEOPLE * AGAIN, PRIOR_PEOPLE
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
 
-    def learn(self, clutter: float, hits: float, misses: float) -> None:
-        """Learn from one record: its expected false detections, people detected, detectable people missed."""
+    def learn(self, clutter: float, hits: float, misses: float, again: float) -> None:
+        """Learn from one record: false detections, people detected, detectable people missed, people found again."""
         surprises = clutter > self.clutter + SURPRISE * math.sqrt(self.clutter + 1)  # what was learnt cannot be right
         keep = REVISED if surprises else KEEP
         self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
+        self.again_sum, self.again_count = self.again_sum * KEEP + again, self.again_count * KEEP + hits
         self._estimate()
 
     def surprised(self, unclaimed: float, due: float) -> bool:
@@ -65,6 +70,7 @@ class Rates:
     def _estimate(self) -> None:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
         self.detection = min(max(self.hit_sum / self.hit_count, 0.05), 0.99)
+        self.again = min(self.again_sum / max(self.again_count, 1e-3), MOST_AGAIN)
 
     def learn_score(self, odds: Sequence[float], near: Sequence[float], real: Sequence[float]) -> None:
         """Learn the typical score of people from one record.
@@ -235,7 +241,7 @@ class Blindness:
 
 
 _LEARNT: dict[type, tuple[str, ...]] = {
-    Rates: ("typical", "clutter_sum", "clutter_count", "hit_sum", "hit_count"),
+    Rates: ("typical", "clutter_sum", "clutter_count", "hit_sum", "hit_count", "again_sum", "again_count"),
     Hiding: ("events", "in_sight", "hidden"),
     Blindness: ("returned", "emptied"),
 }

@@ -55,6 +55,7 @@ class Scan:
         detectable: n probabilities that the sensor can detect the person.
         clutter: J densities per m² of false detections.
         expected_clutter: number of them, without those of places that are false again and again.
+        again: expected further detections of a person whom the sensor has detected in the same record already.
         local: J densities per m² of false detections of such places; `clutter` includes them.
         p_sensor: probability that it detects a detectable person who was known before the sensor may have gone blind.
         p_newcomer: the same of a person who came since.
@@ -84,6 +85,7 @@ class Scan:
     detectable: list[float]
     clutter: list[float]
     expected_clutter: float
+    again: float
     local: list[float]
     p_sensor: float
     p_newcomer: float
