@@ -87,7 +87,7 @@ class Calibration:
 
     @property
     def near_m(self) -> float:
-        """Distance, m, within which a point is seen farther off than quality.TRUST_LIMIT, at some trusted angle.
+        """Distance, m, within which a point at the largest trusted angle is seen farther off than quality.TRUST_LIMIT.
 
         The lens as config.json has it has one centre. If it moves, that is right for what is far.
         """
@@ -104,7 +104,7 @@ class Calibration:
         board, shape = self.board, [float(v) for v in self.solution.shape]
         known: dict = {"square_m": board.square_m, "board_shape_m": shape} if board.scaled else {"square_m": None}
         if board.scaled and self.solution.free[-1]:
-            known["pupil_m"] = self.solution.pupil
+            known |= {"pupil_m": self.solution.pupil, "pupil_sd_m": _finite(self.quality.sd[-1])}
         if board.kind != "checkerboard":
             known |= {"board_kind": board.kind, "board_ratio": board.ratio}
         if board.markers:
