@@ -87,11 +87,11 @@ class Calibration:
 
     @property
     def near_m(self) -> float:
-        """Distance, m, within which a point at the largest trusted angle is seen farther off than quality.TRUST_LIMIT.
+        """Distance, m, within which a point at the largest angle seen is farther off than quality.TRUST_LIMIT.
 
         The lens as config.json has it has one centre. If it moves, that is right for what is far.
         """
-        theta = self.quality.theta_max_trusted
+        theta = self.quality.theta_max_observed
         return abs(self.solution.pupil) * theta**2 * float(np.sin(min(theta, np.pi / 2))) / quality.TRUST_LIMIT
 
     @property

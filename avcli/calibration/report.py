@@ -113,7 +113,7 @@ def _shape_in_words(result: Calibration) -> list[str]:
 
 def _pupil_in_words(result: Calibration) -> str:
     """How the lens's centre moves; as lengths only where the side of a square was measured."""
-    board, theta = result.board, result.quality.theta_max_trusted
+    board, theta = result.board, result.quality.theta_max_observed
     moved, sd, near = result.solution.pupil * theta**2, result.quality.sd[-1] * theta**2, result.near_m
     if not abs(moved) > 2 * sd:
         return "whether the lens has a single centre cannot be told; ± and expected errors count that it may not"
