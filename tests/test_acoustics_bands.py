@@ -10,13 +10,20 @@ from avcli.acoustics import bands, hear
 from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, curves, spectra_of_bands
 from avcli.acoustics.decay import image_rt60
 from avcli.acoustics.images import arrivals
-from avcli.acoustics.responses import Responses
+from avcli.acoustics.responses import Responses, impulse_responses
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.surroundings import Surroundings, surroundings_of
 from avcli.formats.experiment import Config
 from avcli.formats.records import Identified
 from avcli.materials import decay
-from avcli.materials.decay import air_absorption, contents_loss, energy_decay, reverberation_time
+from avcli.materials.decay import (
+    air_absorption,
+    contents_loss,
+    energy_decay,
+    reverberation_time,
+    scattered_energy,
+    unmirrored,
+)
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array([[0.6, 4.0, 2.4], [4.0, 1.0, 2.0]])
@@ -160,3 +167,99 @@ def test_what_stands_in_the_room_absorbs_too():
     number = surroundings_of(config(reverberation_time_s=0.3), Settings())
     assert number.bands is None
     assert number.rt60_s == 0.3
+
+
+def traced(room, absorption, scattering, times, rays=6000):
+    """Energy of rays in a box that are mirrored, or scattered by Lambert's law, by chance at each wall."""
+    rng, index = np.random.default_rng(0), np.arange(rays)
+    place, way = rng.uniform(0, 1, (rays, 3)) * room, rng.normal(size=(rays, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    clock, energy, steps = np.zeros(rays), np.ones(rays), np.zeros(len(times) + 1)
+    while clock.min() < times[-1]:
+        ahead = np.where(way > 0, room - place, place) / np.maximum(np.abs(way), 1e-12)
+        axis = ahead.argmin(axis=1)
+        then = clock + ahead[index, axis] / 343
+        np.add.at(steps, np.searchsorted(times, clock), energy)
+        np.add.at(steps, np.searchsorted(times, then), -energy)
+        place, clock, high = place + ahead[index, axis, None] * way, then, way[index, axis] > 0
+        energy = energy * (1 - absorption[2 * axis + high])
+        way[index, axis] *= -1
+        anew = rng.random(rays) < scattering[2 * axis + high]
+        up, turn = np.sqrt(rng.random(rays)), rng.uniform(0, 2 * np.pi, rays)
+        lambert = np.empty((rays, 3))
+        lambert[index, axis] = np.where(high, -up, up)
+        lambert[index, (axis + 1) % 3] = np.sqrt(1 - up**2) * np.cos(turn)
+        lambert[index, (axis + 2) % 3] = np.sqrt(1 - up**2) * np.sin(turn)
+        way = np.where(anew[:, None], lambert, way)
+        place[index, axis] = np.where(high, room[axis], 0.0)
+    return np.cumsum(steps)[:-1] / rays
+
+
+@pytest.mark.parametrize(
+    ("room", "absorption", "scattering"),
+    [
+        ([8.0, 6.0, 3.0], [0.03, 0.03, 0.03, 0.03, 0.1, 0.8], [0.05] * 6),
+        ([18.0, 3.0, 2.8], [0.03, 0.02, 0.02, 0.03, 0.03, 0.75], [0.1, 0.1, 0.1, 0.1, 0.06, 0.12]),
+        ([5.0, 4.5, 2.8], [0.05, 0.05, 0.05, 0.05, 0.05, 0.75], [0.04, 0.04, 0.04, 0.04, 0.06, 0.12]),
+    ],
+)
+def test_scattered_sound_decays_as_that_of_traced_rays(room, absorption, scattering):
+    room, absorption, scattering = np.array(room), np.array(absorption), np.array(scattering)
+    times = np.linspace(0, 0.6, 120)
+    box = 0.0, 343.0, times
+    found = energy_decay(room, unmirrored(absorption, scattering), *box)
+    found += scattered_energy(room, absorption, scattering, *box)
+    expected = traced(room, absorption, scattering, times)
+    loud = expected > 3e-3  # of fainter sound there are few rays
+    assert np.abs(10 * np.log10(found[loud] / expected[loud])).max() < 1.2
+    mirrors = energy_decay(room, absorption, *box)
+    assert np.abs(10 * np.log10(mirrors[loud] / expected[loud])).max() > 2.5
+    assert reverberation_time(room, absorption, 0.0, 343.0) > 1.6 * reverberation_time(
+        room, absorption, 0.0, 343.0, scattering
+    )
+
+
+def test_scattering_takes_no_energy_and_little_of_it_changes_little():
+    times = np.linspace(0, 0.3, 50)
+    hardly = np.full(6, 0.005)
+    for scattering in (0.05, 0.5, 1.0):
+        scatters = np.full(6, scattering)
+        found = energy_decay(ROOM, unmirrored(hardly, scatters), 0.0, 343.0, times)
+        found += scattered_energy(ROOM, hardly, scatters, 0.0, 343.0, times)
+        np.testing.assert_allclose(found, energy_decay(ROOM, hardly, 0.0, 343.0, times), rtol=0.02)
+    walls = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.6])
+    assert not scattered_energy(ROOM, walls, np.zeros(6), 0.0, 343.0, times).any()
+    alike = [reverberation_time(ROOM, walls, 0.0, 343.0, np.full(6, share)) for share in (0.0, 1e-4)]
+    assert alike[1] == pytest.approx(alike[0], rel=0.01)
+
+
+def test_what_walls_scatter_is_heard_after_the_sound_itself():
+    around = surroundings_of(config(room_dimensions_m=[8.0, 6.0, 3.0]), Settings())
+    assert around.bands is not None
+    assert around.bands.scattering is not None
+    mirrors = replace(around, bands=replace(around.bands, scattering=None))
+    found = [response(here, rng=np.random.default_rng(0)) for here in (around, mirrors)]
+    direct = np.linalg.norm(MICROPHONES - PLACE, axis=1) * around.samples_per_m + around.margin
+    ringing = np.arange(LENGTH) < direct[:, None] - bands.reach_samples(RATE)
+    for one in found:
+        assert (one**2)[ringing].sum() < 1e-6 * (one**2).sum()
+    times = []
+    for one in found:
+        level = 10 * np.log10(np.cumsum(in_octave(one[0], 1000)[::-1] ** 2)[::-1])
+        fitted = np.flatnonzero((level < level[0] - 5) & (level > level[0] - 35))
+        times.append(-60 / np.polyfit(fitted / RATE, level[fitted], 1)[0])
+    assert times[0] == pytest.approx(around.bands.rt60_s[3], rel=0.15)
+    assert times[0] < 0.85 * times[1]
+
+
+def test_exported_responses_hold_what_is_scattered():
+    around = surroundings_of(config(room_dimensions_m=[8.0, 6.0, 3.0]), Settings())
+    found = impulse_responses(around, np.array([PLACE]))[0]
+    heard = response(around, rng=np.random.default_rng(0))
+    for one, other in zip(found, heard, strict=True):
+        levels = [10 * np.log10(np.sum(in_octave(sound, 1000) ** 2)) for sound in (one, other)]
+        assert levels[0] == pytest.approx(levels[1], abs=0.3)
+    level = 10 * np.log10(np.cumsum(in_octave(found[0], 1000)[::-1] ** 2)[::-1])
+    fitted = np.flatnonzero((level < level[0] - 5) & (level > level[0] - 35))
+    time = -60 / np.polyfit(fitted / RATE, level[fitted], 1)[0]
+    assert time == pytest.approx(around.bands.rt60_s[3], rel=0.15)

@@ -193,8 +193,11 @@ def test_two_people_in_one_place_are_doubted_and_two_beside_each_other_are_not()
     assert crowd.existence[1] < 0.85
     assert crowd.existence[[0, 2]] == pytest.approx([0.9, 0.9], abs=1e-3)
     assert 0.1 < crowd.detectable[0, 0] < 0.8, "what detects the other one may detect this one"
-    prediction.unite(crowd, [0, 1, 2], [0, 1, 2], 1e3)
+    crowd.existence[:] = 1.0, 0.99, 1.0
+    prediction.unite(crowd, [0, 1, 2], [0, 1, 2], 1e9)
     assert 0 <= crowd.existence[1] < 1e-6
+    assert np.isfinite(crowd.existence).all()
+    assert (crowd.existence[[0, 2]] == 1).all()
 
 
 def test_names_that_nothing_can_tell_apart_any_more_are_decided():

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli import materials
+from avcli.materials.decay import unmirrored
 
 BANDS_HZ = (*materials.BANDS_HZ, 16000)
 """Hz, the middles of the octave bands; the walls absorb at 16 kHz as at 8 kHz."""
@@ -29,12 +30,25 @@ class Bands:
         air: (8,) 1/m, the pressure decays by exp(−air · d) on a way d, by what stands in the room too.
         behind_db: (8,) dB by which the source is fainter behind it than in front; (1 − cos θ) / 2 of it at the angle θ.
         rt60_s: (8,) s, T30 of each band.
+        scattering: (6, 8) share of the energy that the walls reflect without mirroring it; None: nothing.
     """
 
     absorption: np.ndarray
     air: np.ndarray
     behind_db: np.ndarray
     rt60_s: np.ndarray
+    scattering: np.ndarray | None = None
+
+    @property
+    def lost(self) -> np.ndarray:
+        """The energy that the walls do not mirror, (6, 8), from 0 to 1: they absorb it, or scatter it."""
+        return self.absorption if self.scattering is None else unmirrored(self.absorption, self.scattering)
+
+    @property
+    def of_all_directions(self) -> np.ndarray:
+        """The energy that the source sends out on the mean over all directions, (8,), relative to in front."""
+        falls = np.maximum(np.log(10) / 10 * self.behind_db, 1e-9)
+        return -np.expm1(-falls) / falls
 
     def gains(self, orders: np.ndarray, distances: np.ndarray) -> np.ndarray:
         """Return the gains of paths by walls and air, (n, 8), without sign.
@@ -43,7 +57,7 @@ class Bands:
             orders: (6, n) how often each path has met each wall.
             distances: (n,) m.
         """
-        walls = np.log(np.maximum(1 - self.absorption, 1e-12)) / 2
+        walls = np.log(np.maximum(1 - self.lost, 1e-12)) / 2
         return np.exp(orders.T @ walls - np.outer(distances, self.air))
 
     def towards(self, cosines: np.ndarray) -> np.ndarray:

@@ -299,7 +299,7 @@ class DelaySpectrum:
             lambda f: (np.cos(2 * np.pi * np.outer(f, cells)) * weights).sum(axis=1), 16 + 4 * width, [0.0, highest]
         )
         self._inverse = 1 / smooth(np.arange(self.bins) / self._cells)
-        self._buffers = [np.empty(self.TOGETHER, kind) for kind in (float, np.intp, np.intp, pair)]
+        self._whole, self._spreads = np.empty((2, self.TOGETHER), np.intp), np.empty(self.TOGETHER, pair)
 
     def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the spectra of several sums, (m, bins) complex128.
@@ -321,16 +321,17 @@ class DelaySpectrum:
         for begin in range(0, len(delays), self.TOGETHER):
             some = slice(begin, begin + self.TOGETHER)
             count = len(delays[some])
-            steps, first, rows, spread = (buffer[:count] for buffer in self._buffers)
+            (first, rows), spread = self._whole[:, :count], self._spreads[:count]
             # In steps of 1 / ROWS of a cell, as whole numbers: the upper digits are the cell, the lower ones the row.
-            np.multiply(delays[some], self._oversampling * self.ROWS, out=steps)
-            steps += ((self._width + 1) // 2 - self._width / 2) * self.ROWS
-            first[:] = steps
+            # The product is exact in any precision, by a power of two.
+            first[:] = delays[some] * np.float32(self._oversampling * self.ROWS)
+            if self._width % 2:
+                first += self.ROWS // 2
             np.bitwise_and(first, self.ROWS - 1, out=rows)
             first >>= self.ROWS.bit_length() - 1
             for k, taps in enumerate(self._taps):
                 taps.take(rows, mode="clip", out=spread)
-                spread *= amplitudes[some]
+                np.multiply(spread, amplitudes[some], out=spread)
                 np.add.at(sums[2 * k :], first, spread)
         grid[1:-1] = sums.real
         grid[2:] += sums.imag

@@ -1,12 +1,13 @@
 """Room impulse responses from a source at positions along its path to the microphones, as spectra."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from avcli.acoustics.bands import spectra_of_bands
 from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, image_microphones
 from avcli.acoustics.noise import diffuse_noise
 from avcli.acoustics.surroundings import MARGIN, MOTION_STEP_S, STRIDE_M, Surroundings
-from avcli.materials.decay import energy_decay
+from avcli.materials.decay import energy_decay, scattered_energy
 from avcli.numeric import fft_length
 
 TAIL_REFERENCE_S = 0.01
@@ -62,6 +63,9 @@ class Responses:
         self.bounded = False
         self._noise: np.ndarray | None = None
         self._tail: np.ndarray | None = None
+        of_bands = surroundings.bands
+        self._scatters = rng is not None and of_bands is not None and of_bands.scattering is not None
+        self._scattered: tuple[np.ndarray, np.ndarray] | None = None  # noise, and its envelopes by band
         self._walls: list[np.ndarray] = []  # of each microphone: (n, bands) gains of its images by walls and air
         self._used = np.zeros(1, int)  # the bands that the signal reaches
         if surroundings.bands is not None:
@@ -80,9 +84,9 @@ class Responses:
         for delays, _ in impulses:
             delays += self._surroundings.margin
         spectra = self.joined(self._spectrum(impulses))
-        if self._rng is not None and self._continued:
+        if self._rng is not None and (self._continued or self._scatters):
             if self._tail is None or self._fresh:
-                self._tail = (self._drawn(self._rng) * self._levels[:, :, None]).sum(axis=0)
+                self._tail = self.noise(position, microphones[0], self._rng)
             spectra += self._tail
         spectra *= self._lowpass
         return spectra
@@ -122,6 +126,58 @@ class Responses:
         by_band = spectra.reshape(-1, len(self._used), spectra.shape[1])
         return np.einsum("mkb,kb->mb", by_band, self._of_bands[self._used, : spectra.shape[1]])
 
+    def noise(self, position: np.ndarray, microphones: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return the spectra of what is heard beside the images, delayed by MARGIN, (m, bins), after `impulses`.
+
+        It is the sound that walls have scattered, and what continues the images.
+
+        Args:
+            position: (3,) m.
+            microphones: (m, 3) m.
+            rng: draws it.
+        """
+        late = np.zeros((len(microphones), self.bins), complex)
+        if self._continued:
+            late = (self._drawn(rng) * self._levels[:, :, None]).sum(axis=0)
+        if not self._scatters:
+            return late
+        s = self._surroundings
+        noise, envelopes = self._diffuse(rng)
+        # It comes later than the sound itself: from anywhere that the source may move to before this is done anew.
+        begins = (np.linalg.norm(microphones - position, axis=1) + STRIDE_M) * s.samples_per_m
+        noise = noise * (np.arange(noise.shape[1]) > begins[:, None])
+        tail = np.zeros((len(microphones), self._length))
+        for band, envelope in zip(self._used, envelopes, strict=True):
+            tail[:, s.margin :][:, : noise.shape[1]] = noise * envelope
+            late += np.fft.rfft(tail)[:, : self.bins] * self._of_bands[band]
+        return late
+
+    def _diffuse(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return noise of variance 1, (m, n), and the envelopes of what is scattered in the bands used, (bands, n).
+
+        Of a sound of energy 1, images of energy c / (4 π V) arrive a second where nothing is absorbed.
+        """
+        if self._scattered is None or self._fresh:
+            s = self._surroundings
+            assert s.bands is not None
+            assert s.bands.scattering is not None
+            count = int(s.end_s * s.sample_rate_hz)
+            times, speed = np.arange(count) / s.sample_rate_hz, s.speed_of_sound_m_s
+            density = speed / (4 * np.pi * np.prod(s.room_dimensions_m) * s.sample_rate_hz)
+            sent = _of_all_directions(s.source_directivity) * s.bands.of_all_directions
+            energies = [
+                density * sent[band] * scattered_energy(
+                    s.room_dimensions_m, s.bands.absorption[:, band], s.bands.scattering[:, band], s.bands.air[band],
+                    speed, times,
+                )
+                for band in self._used
+            ]  # fmt: skip
+            noise = diffuse_noise(count, s.microphones_m, s.sample_rate_hz, speed, rng)
+            if s.directivities is not None:
+                noise *= np.sqrt(_of_all_directions(s.directivities))[:, None]
+            self._scattered = noise, np.sqrt(energies)
+        return self._scattered
+
     def _drawn(self, rng: np.random.Generator) -> np.ndarray:
         """Return the spectra of the noise that continues the images, at the level 1, (bands, m, bins)."""
         if self._noise is None or self._fresh:
@@ -150,7 +206,7 @@ class Responses:
         assert s.bands is not None
         begin = self._tail_begin / s.sample_rate_hz
         some = np.linspace(min(times[0], 0.0), max(times[-1], 0.0), 100)
-        walls, loss = s.bands.absorption[:, band], s.bands.air[band]
+        walls, loss = s.bands.lost[:, band], s.bands.air[band]
         energy = np.log(energy_decay(s.room_dimensions_m, walls, loss, s.speed_of_sound_m_s, begin + some))
         return np.exp(np.interp(times, some, energy) - np.interp(0.0, some, energy))
 
@@ -213,6 +269,12 @@ class Responses:
         return distances, amplitudes, towards
 
 
+def _of_all_directions(a: ArrayLike) -> np.ndarray:
+    """Return the mean over all directions of the energy that patterns a + (1 − a) cos θ let through."""
+    pattern = np.asarray(a, dtype=float)
+    return pattern**2 + (1 - pattern) ** 2 / 3
+
+
 def _apart(here: np.ndarray, there: np.ndarray) -> float:
     return float(np.linalg.norm(here - there, axis=-1).max())
 
@@ -230,10 +292,15 @@ def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np
     spectrum = DelaySpectrum(fft_length(4 * samples))
     distinct, copies = np.unique(positions_m, axis=0, return_inverse=True)
     responses = np.empty((len(distinct), len(surroundings.microphones_m), samples))
-    images = Responses(surroundings, spectrum.length, 0.5, -60.0)
+    scatters = surroundings.bands is not None and surroundings.bands.scattering is not None
+    images = Responses(surroundings, spectrum.length, 0.5, -60.0, np.random.default_rng(0) if scatters else None)
     for response, position in zip(responses, distinct, strict=True):
         impulses = images.impulses(position, np.array([1.0, 0.0, 0.0]), surroundings.microphones_m[None])
-        response[:] = np.fft.irfft(images.joined(spectrum(impulses)), spectrum.length)[:, :samples]
+        spectra = images.joined(spectrum(impulses))
+        response[:] = np.fft.irfft(spectra, spectrum.length)[:, :samples]
+        if scatters:
+            late = images.noise(position, surroundings.microphones_m, np.random.default_rng(0))
+            response += np.fft.irfft(late, spectrum.length)[:, surroundings.margin :][:, :samples]
     return responses[copies.ravel()]
 
 

@@ -61,7 +61,7 @@ class Surroundings:
         orientations: (m, 3) unit vectors in which they look; needed with directivities.
         source_directivity: a of the source's pattern; 1 is omnidirectional.
         rt60_s: reverberation time, s.
-        end_s: end of the noise that continues the images after reach_m, s; 0: without noise.
+        end_s: end of the noise, s: what walls scatter, and what continues the images after reach_m; 0: without noise.
         bands: what walls, air and the source's head do in octave bands, instead of the size of `reflection` and the
             source's pattern; None: the same at all frequencies.
         trajectories: (m,) the paths of the microphones that move, None for one that stands at microphones_m.
@@ -139,7 +139,9 @@ class Surroundings:
         elif ((absorption > 0) & (absorption < 1)).all():
             seconds = decay.image_rt60(room, absorption, self.speed_of_sound_m_s)
             sentences.append(f"image sources between these walls decay by 60 dB in {seconds:.3f} s (T30)")
-        if self.end_s > 0:
+        if self.bands is not None and self.bands.scattering is not None:
+            sentences.append("what the walls scatter is heard as diffuse noise")
+        if self.end_s * self.speed_of_sound_m_s > self.reach_m:
             decay_db = 60 * self.reach_m / (self.rt60_s * self.speed_of_sound_m_s)
             sentences.append(f"images are followed for {decay_db:.0f} dB, then noise decays as they would")
         images = image_count(room, self.reach_m) if (absorption < 1).all() else 1
@@ -190,6 +192,7 @@ def surroundings_of(
     if settings.ism_decay_db is not None:
         followed_s = min(followed_s, rt60 * settings.ism_decay_db / 60)
     reach_m = max(followed_s * speed, diagonal_m)
+    continued = settings.ism_decay_db is not None or (bands is not None and bands.scattering is not None)
     surroundings = Surroundings(
         room_dimensions_m=room.dimensions,
         reflection=(-1 if settings.reflection_sign == "negative" else 1) * np.sqrt(1 - absorption),
@@ -202,7 +205,7 @@ def surroundings_of(
         source_directivity=DIRECTIVITIES.get(settings.source_directivity, 1.0),
         bands=bands,
         rt60_s=rt60,
-        end_s=max(rt60, diagonal_m / speed) if settings.ism_decay_db is not None and rt60 > 0 else 0.0,
+        end_s=max(rt60, diagonal_m / speed) if continued and rt60 > 0 else 0.0,
         trajectories=paths,
     )
     images = image_count(room.dimensions, reach_m) if (absorption < 1).all() else 1.0
@@ -251,12 +254,13 @@ def bands_of(room: Room, settings: Settings, speed_of_sound_m_s: float) -> Bands
     air = air_loss(BANDS_HZ, speed_of_sound_m_s, settings.humidity_percent)
     if room.contents_absorption_m2 is not None:
         air = air + contents_loss(room.dimensions, room.contents_absorption_m2[up_to_16_khz])
+    scattering = room.surfaces.scattering[:, up_to_16_khz]
     times = [
-        reverberation_time(room.dimensions, of_walls, of_air, speed_of_sound_m_s)
-        for of_walls, of_air in zip(absorption.T, air, strict=True)
+        reverberation_time(room.dimensions, of_walls, of_air, speed_of_sound_m_s, scatters)
+        for of_walls, of_air, scatters in zip(absorption.T, air, scattering.T, strict=True)
     ]
     behind = np.array(BEHIND_DB) if settings.source_directivity == "voice" else np.zeros(8)
-    return Bands(absorption, air, behind, np.array(times))
+    return Bands(absorption, air, behind, np.array(times), scattering if scattering.any() else None)
 
 
 def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnings.warn) -> tuple[float, np.ndarray]:

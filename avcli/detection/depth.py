@@ -110,7 +110,7 @@ class DepthDetector:
             if found.turned is not None:
                 middle, half, turns = found.turned[:, :2], found.turned[:, 2:4] / 2, found.turned[:, 4]
                 boxes = np.concatenate([middle - half, middle + half], axis=1)
-            return locate_boxes(boxes, self.view, found.parts, turns, self.room)
+            return locate_boxes(boxes, self.view, found.parts, turns, self.room, scores=found.scores)
 
         bodies, empty = [], np.zeros(len(found), bool)
         if depth is not None:

@@ -36,8 +36,10 @@ def room_heard(scenario: Scenario) -> dict[str, Any]:
         area = absorption_area(scenario.pieces, [person.height for person in scenario.people]).round(3)
     loss = air_loss(materials.BANDS_HZ, room.speed_of_sound_m_s) + contents_loss(room.dimensions, area)
     times = [
-        reverberation_time(room.dimensions, of_walls, of_air, room.speed_of_sound_m_s)
-        for of_walls, of_air in zip(room.surfaces.absorption.T[MIDDLE], loss[MIDDLE], strict=True)
+        reverberation_time(room.dimensions, of_walls, of_air, room.speed_of_sound_m_s, scatters)
+        for of_walls, of_air, scatters in zip(
+            room.surfaces.absorption.T[MIDDLE], loss[MIDDLE], room.surfaces.scattering.T[MIDDLE], strict=True
+        )
     ]
     return stated | {
         "contents_absorption_m2": area.tolist(),

@@ -118,7 +118,11 @@ flat in vec2 fplace;   // from tile to image, in image pixels
 out float covered;
 void main() {
     if (any(lessThan(gl_FragCoord.xy, ftile.xy)) || any(greaterThan(gl_FragCoord.xy, ftile.zw))) discard;
-    vec3 d = ray_through((gl_FragCoord.xy - 0.5) * pitch + fplace);
+    vec2 px = (gl_FragCoord.xy - 0.5) * pitch + fplace;   // the middle of a pixel, or beyond the lit picture
+    ivec2 size = textureSize(rays, 0), at = ivec2(floor(px));
+    vec3 d = ray_of(clamp(at, ivec2(0), size - 1));
+    bool beyond = any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, size)) || d == vec3(0.0);
+    for (int turn = 0; turn < int(beyond); ++turn) d = ray_through(px);   // a loop: llvmpipe runs both branches
     if (d == vec3(0.0) || hit_cone(d, fa, fb, fbulge, fmiddle.xyz) <= 0.0) discard;
     covered = 1.0;
 }
@@ -416,6 +420,10 @@ SMOOTH = (
 uniform sampler2D seen, cones, room_seen, room_colour, shadow, painted;
 out vec4 colour;
 vec4 cone_texel(int index, int part) { return texelFetch(cones, table_place(index, part, 9), 0); }
+// A pixel (k = 0) and its four neighbours.
+ivec2 neighbour(ivec2 at, int k, ivec2 most) {
+    return clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
+}
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy), most = textureSize(seen, 0) - 1;
     float room = texelFetch(room_seen, at, 0).r;
@@ -427,14 +435,24 @@ void main() {
         colours[s] = texelFetch(room_colour, at, 0).rgb * dark;
         nearest[s] = room > 0.0 ? room : 1e9;
     }
+    // Neighbours whose cones differ, a bit each: most see one or two, which are read and hit once.
+    int found[5], wanted = 0;
     for (int k = 0; k < 5; ++k) {
-        ivec2 other = clamp(at + ivec2(int(k == 1) - int(k == 2), int(k == 3) - int(k == 4)), ivec2(0), most);
-        int index = int(texelFetch(seen, other, 0).g + 0.5) - 1, safe = max(index, 0);
-        vec4 a = cone_texel(safe, 0), b = cone_texel(safe, 1), bulge = cone_texel(safe, 2);
-        vec3 middle = cone_texel(safe, 3).xyz, paint = texelFetch(painted, other, 0).rgb;
+        found[k] = int(texelFetch(seen, neighbour(at, k, most), 0).g + 0.5);
+        bool known = found[k] == 0;
+        for (int j = 0; j < k; ++j) known = known || found[j] == found[k];
+        wanted |= known ? 0 : 1 << k;
+    }
+    for (int turn = 0; turn < 5 && wanted != 0; ++turn) {
+        int k = (wanted & 1) != 0 ? 0 : (wanted & 2) != 0 ? 1 : (wanted & 4) != 0 ? 2 : (wanted & 8) != 0 ? 3 : 4;
+        wanted &= wanted - 1;
+        ivec2 other = neighbour(at, k, most);
+        int index = int(texelFetch(seen, other, 0).g + 0.5) - 1;
+        vec4 a = cone_texel(index, 0), b = cone_texel(index, 1), bulge = cone_texel(index, 2);
+        vec3 middle = cone_texel(index, 3).xyz, paint = texelFetch(painted, other, 0).rgb;
         for (int s = 0; s < SAMPLES; ++s) {
             float reach = hit_cone(rays[s], a, b, bulge, middle);
-            if (index >= 0 && reach > 0.0 && reach < nearest[s]) { nearest[s] = reach; colours[s] = paint; }
+            if (reach > 0.0 && reach < nearest[s]) { nearest[s] = reach; colours[s] = paint; }
         }
     }
     vec3 total = vec3(0.0);

@@ -200,7 +200,6 @@ class GLMB:
         self.habits.wait(time, dt)
         self.undetected.predict(dt)
         if len(people):
-            prediction.unite(people, self.labelled_rows, self.likely_rows, dt)
             prediction.evade(people, self.labelled_rows, self.likely_rows, population, dt)
             before = people.mean, people.cov, people.mode
             survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
@@ -211,6 +210,7 @@ class GLMB:
             if self.record:
                 people.node = Node.steps(people, before, step, survival, self.errors.variance(lean), time)
             people.existence = people.existence * survival
+            prediction.unite(people, self.labelled_rows, self.likely_rows, dt)
         if self.sensors:
             mix, rest = np.exp(-dt * self.turnover), self.detectable
             self.undetected.relax(rest, mix)

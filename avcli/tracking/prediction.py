@@ -51,15 +51,15 @@ def unite(people: Densities, rows: Sequence[int], known: Sequence[int], dt: floa
         width = SAME * SAME + spread
         apart = centres[i, :2] - centres[j, :2]
         share = SAME * SAME / width * math.exp(-float(apart @ apart) / (2 * width))
-        doubt = 1 - math.exp(-TOGETHER * share * dt)
+        kept = max(math.exp(-TOGETHER * share * dt), 1e-9)
         label, doubted = people.label[one], people.label[other]
         able = people.detectable[other]
         for row in rows:
             if people.label[row] == doubted:
                 existence = people.existence[row]
-                people.existence[row] = existence * (1 - doubt) / (1 - existence * doubt)
+                people.existence[row] = existence * kept / (1 - existence * (1 - kept))
             elif people.label[row] == label:
-                people.detectable[row] += doubt * np.maximum(able - people.detectable[row], 0.0)
+                people.detectable[row] += (1 - kept) * np.maximum(able - people.detectable[row], 0.0)
 
 
 def evade(people: Densities, rows: Sequence[int], known: Sequence[int], population: Population, dt: float) -> None:

@@ -7,16 +7,20 @@ from generate import HEIGHT, PAD, WIDTH, Sample, _camera_effects, _colour, _flip
 
 from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
-from avcli.scene import render, scenario
+from avcli.scene import layout, render, scenario
 from avcli.scene.people import Bodies, pose
 
 SHAPES = [(640, 360), (640, 360), (640, 360), (640, 384), (512, 384), (384, 384)]
 
 
 def random_scenario(
-    rng: np.random.Generator, width: int, height: int, people: int | None = None, pieces: int | None = None
-) -> dict:
-    """A scenario of random room, camera, `pieces` of furniture and walks, for pictures of width × height px; 10 s."""
+    rng: np.random.Generator, width: int, height: int, people: int | None = None, pieces: int | None = None,
+    furnished: float = 0.0,
+) -> dict:  # fmt: skip
+    """A scenario of random room, camera, `pieces` of furniture and walks, for pictures of width × height px; 10 s.
+
+    A share of `furnished` of the rooms also has what random worlds have.
+    """
     room = [*rng.uniform(3.6, 7.5, 2), rng.uniform(2.5, 4.2)]
     top = min(rng.uniform(2.2, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.0), room[2] - 0.1)
     eye = [room[0] / 2 + rng.normal(0, 0.3), room[1] / 2 + rng.normal(0, 0.3), top]
@@ -63,6 +67,8 @@ def random_scenario(
         else:
             continue
         furniture.append({key: value for key, value in item.items() if key != "color" or kind != "mesh"})
+    if furnished and rng.random() < furnished:
+        furniture += furniture_of_a_world(rng, room, eye)
     if rng.random() < 0.18:  # something large that hangs: of those behind it only an edge is seen
         spot = [float(value) for value in eye[:2] + rng.normal(0, 0.5, 2)]
         item = {"kind": "panel", "rotation_deg": rng.uniform(0, 360), "color": [float(c) for c in _colour(rng)]}
@@ -83,6 +89,18 @@ def random_scenario(
         "name": "random", "duration_s": 10.0, "camera_config": camera,
         "room_config": {"room_dimensions_m": room}, "furniture": furniture, "people": walkers,
     }  # fmt: skip
+
+
+def furniture_of_a_world(rng: np.random.Generator, room: list[float], eye: list[float]) -> list[dict]:
+    """The furniture and clutter of an office, a living room and so on, as random worlds have it."""
+    kind = str(rng.choice(["office", "meeting", "hall", "workshop", "living"]))
+    size = room[0], room[1], room[2]
+    pieces = layout.furnish(kind, size, int(rng.integers(0, 7)), [], (eye[0], eye[1], eye[2]), rng).pieces
+    for _ in range(rng.integers(0, 3)):  # what is taken for people most often
+        place = [*rng.uniform(0.3, np.array(room[:2]) - 0.3), 0.0]
+        turn, wide, tall = rng.uniform(0, 360), rng.uniform(0.4, 0.9), rng.uniform(0.5, 1.6)
+        pieces.append({"kind": "plant", "position_m": place, "rotation_deg": turn, "size_m": [wide, wide, tall]})
+    return pieces
 
 
 @dataclasses.dataclass
@@ -141,9 +159,10 @@ def shots(
     people=None,
     pieces=None,
     look=random_look,
+    furnished=0.0,
 ):
     """Yield `count` frames at random times of one random scene, whose people `look(rng, height)` dresses."""
-    scene = scenario.parse(random_scenario(rng, width, height, people, pieces))
+    scene = scenario.parse(random_scenario(rng, width, height, people, pieces, furnished))
     actors = [
         dataclasses.replace(person, look=look(rng, person.height), gestures=bool(rng.random() < 0.8))
         for person in scene.people
@@ -181,11 +200,14 @@ class Library:
         plain: leave out the camera's effects and the mirror (for judging).
         people: how many there are in each scene; None draws it.
         pieces: least and largest number of pieces of furniture; None draws a few, and for training many.
+        furnished: share of the scenes with the furniture and clutter of random worlds.
     """
 
-    def __init__(self, seed: int, each: int = 12, plain: bool = False, people: int | None = None, pieces=None):
+    def __init__(
+        self, seed: int, each: int = 12, plain: bool = False, people: int | None = None, pieces=None, furnished=0.0
+    ):
         self.rng, self.each, self.plain = np.random.default_rng([seed, 7]), each, plain
-        self.people, self.pieces = people, pieces
+        self.people, self.pieces, self.furnished = people, pieces, furnished
         self.context = render.open_context()
         self.context.gc_mode = "auto"  # one scene after another: what the last one drew with goes with it
         self._shots = iter(())
@@ -201,7 +223,7 @@ class Library:
                     each, people, span = 2, 0, (4, 11)
             pieces = None if span is None else int(self.rng.integers(*span))
             try:
-                self._shots = shots(self.rng, *size, each, self.context, people, pieces)
+                self._shots = shots(self.rng, *size, each, self.context, people, pieces, furnished=self.furnished)
                 shot = next(self._shots, None)
             except scenario.ScenarioError:
                 continue

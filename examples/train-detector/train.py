@@ -7,6 +7,7 @@ same pictures in the same order. A graphics card is used where torch sees one; t
 
 import argparse
 import copy
+import itertools
 import json
 import math
 import multiprocessing
@@ -29,7 +30,7 @@ def of_worlds(folder: Path, rng: np.random.Generator):
     raise FileNotFoundError(f"{folder}: no worlds; draw some with worlds.py")
 
 
-def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, share: float, panoramas) -> None:
+def pictures(queue, seed: int, batch: int, renders: float, furnished: float, worlds, share: float, panoramas) -> None:
     """Put batches of pictures and targets into the queue for ever."""
     import cv2
     from backdrops import Backdrops
@@ -43,7 +44,7 @@ def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, 
     if renders:
         from renders import Library
 
-        library = Library(seed)
+        library = Library(seed, furnished=furnished)
     drawn = of_worlds(worlds, generator.rng) if worlds else None
 
     def sample():
@@ -62,23 +63,34 @@ def pictures(queue, seed: int, batch: int, renders: float, worlds: Path | None, 
         queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
 
 
-def deceptive_rooms(queue, seed: int, weights: Path, checkpoint: Path, panoramas, least: float = 0.15) -> None:
+def deceptive_rooms(
+    queue, seed: int, weights: Path, checkpoint: Path, furnished: float, worlds, panoramas, least: float = 0.15
+) -> None:
     """Put rooms without people in which the network sees somebody into the queue, for ever.
 
-    The rooms are rendered and full of furniture, or photographed; the network is that of the last checkpoint, and of
-    `weights` before there is one.
+    The rooms are photographed, rendered and full of furniture, or empty random worlds; the network is that of the last
+    checkpoint, and of `weights` before there is one.
     """
     import cv2
     from backdrops import Backdrops
-    from generate import HEIGHT, WIDTH, Generator
+    from generate import HEIGHT, WIDTH, Generator, _flipped
     from renders import Library
 
     os.nice(2)
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     network, known = Detector().eval(), None
-    library = Library(seed, each=1, people=0, pieces=(6, 18))
+    library = Library(seed, each=1, people=0, pieces=(0 if furnished else 6, 18), furnished=furnished)
     generator = Generator(seed, Backdrops(panoramas), empty=True) if panoramas else None
+    sources = [generator] * 5 * bool(generator) + [library] * 3
+    if worlds:
+        drawn = of_worlds(worlds, library.rng)
+
+        def empty_world():
+            found = next((one for one in itertools.islice(drawn, 50) if not len(one.boxes)), None)
+            return _flipped(library.rng, found) if found else library()
+
+        sources += [empty_world] * 2
     empty = [item.numpy() for item in targets([], [], [], [], HEIGHT, WIDTH)]
     while True:
         written = checkpoint.stat().st_mtime if checkpoint.exists() else 0.0
@@ -86,7 +98,7 @@ def deceptive_rooms(queue, seed: int, weights: Path, checkpoint: Path, panoramas
             state = torch.load(checkpoint)["average"] if written else torch.load(weights)
             network.load_state_dict({name: value.float() for name, value in state.items()})
             known = written
-        picture = (generator if generator and generator.rng.random() < 0.8 else library)().picture
+        picture = sources[library.rng.integers(len(sources))]().picture
         with torch.no_grad():
             maps = network(torch.from_numpy(picture).permute(2, 0, 1)[None].float().div_(255))
         if torch.sigmoid(maps[:, 0]).max() > least:
@@ -118,6 +130,7 @@ def main() -> None:
     parser.add_argument(
         "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
     )
+    parser.add_argument("--furnished", type=float, default=0.0, help="share of these with a random world's furniture")
     parser.add_argument(
         "--hard", type=int, default=0, help="of a batch, how many are empty rooms in which --start sees somebody"
     )
@@ -153,11 +166,15 @@ def main() -> None:
     queue = multiprocessing.Queue(4)
     for number in range(options.workers):
         seed = (options.seed * 1000 + step) * options.workers + number
-        drawing = queue, seed, options.batch, options.renders, options.worlds, options.share, options.panoramas
+        drawing = (
+            queue, seed, options.batch, options.renders, options.furnished, options.worlds, options.share,
+            options.panoramas,
+        )  # fmt: skip
         multiprocessing.Process(target=pictures, args=drawing, daemon=True).start()
     if options.hard:
         rooms = multiprocessing.Queue(64)
-        mining = rooms, options.seed * 1000 + step, options.start, checkpoint, options.panoramas
+        furniture = options.furnished, options.worlds, options.panoramas
+        mining = rooms, options.seed * 1000 + step, options.start, checkpoint, *furniture
         multiprocessing.Process(target=deceptive_rooms, args=mining, daemon=True).start()
     started, saved, sums = time.time() - spent, time.time(), np.zeros(3)
     chance, memory = np.random.default_rng([options.seed, step]), []

@@ -42,10 +42,15 @@ def scaled(raw: dict) -> dict:
     return raw | {"camera_config": camera}
 
 
-def world(seed: int, people: int, count: int, context) -> Iterator[Sample]:
-    """Yield `count` pictures of a random world; square ones are turned and cut to the network's shape."""
+def world(seed: int, people: int, count: int, context, *, empty: bool = False) -> Iterator[Sample]:
+    """Yield `count` pictures of a random world; square ones are turned and cut to the network's shape.
+
+    An `empty` one is furnished for its people, who are not there.
+    """
     rng = np.random.default_rng([seed, 17])
     raw = scaled(load.named("random", seed, Wishes(people=people), 10.0))
+    if empty:
+        raw["people"] = []
     scene = scenario.parse(raw)
     camera = scene.config.camera
     _, effects = with_sensor(scene.sensor, Drawing(samples=2), Effects())
@@ -148,9 +153,9 @@ def main() -> None:
         if path.exists():
             continue
         rng = np.random.default_rng([seed, 23])
-        people = 0 if rng.random() < options.empty else int(rng.integers(1, 9))
+        empty, people = bool(rng.random() < options.empty), int(rng.integers(1, 9))
         try:
-            samples = list(world(seed, people, options.each if people else 1, context))
+            samples = list(world(seed, people, 1 if empty else options.each, context, empty=empty))
         except scenario.ScenarioError:
             continue
         write(samples, path)

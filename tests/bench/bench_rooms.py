@@ -1,11 +1,12 @@
-"""How furnished rooms of materials sound: T30, EDT and coherence by octave band, as stated, as rendered, and by rays.
+"""How furnished rooms of materials sound by octave band, as stated, as rendered, and by rays: T30, EDT, D50, C50,
+coherence.
 
     make bench-rooms [BENCH_FLAGS="--pairs 6"]
 
 The rooms are random worlds of six kinds, from 3 to 20 m. "Stated" is what config.json says; "rendered" are the
 responses of avsim-audio at random places; "rays" are those of pyroomacoustics (image sources up to order 3, then ray
-tracing) in the same box with the same absorption, where the environment of the peers is set up. What stands in the room
-is part of its air there. Writes rooms.md into --out.
+tracing) in the same box with the same absorption and scattering, where the environment of the peers is set up. What
+stands in the room is part of its air there. Writes rooms.md into --out.
 """
 
 import argparse
@@ -41,8 +42,8 @@ import json, sys, time, numpy as np, pyroomacoustics as pra
 spec = json.load(sys.stdin)
 pra.constants.set("c", spec["c"]); pra.constants.set("rir_hpf_enable", False)
 names = "west east south north floor ceiling".split()
-of = {n: pra.Material({"coeffs": a, "center_freqs": spec["bands"]}, spec["scattering"])
-      for n, a in zip(names, spec["absorption"])}
+of = {n: pra.Material({"coeffs": a, "center_freqs": spec["bands"]}, {"coeffs": s, "center_freqs": spec["bands"]})
+      for n, a, s in zip(names, spec["absorption"], spec["scattering"])}
 begin, found = time.process_time(), []
 for place, microphones in zip(spec["places"], spec["microphones"]):
     room = pra.ShoeBox(spec["room"], fs=spec["rate"], max_order=3, materials=of, ray_tracing=True, air_absorption=True)
@@ -68,8 +69,8 @@ def decay_time(level_db: np.ndarray, first: float, last: float) -> float:
     return float(-60 / np.polyfit(inside / RATE, level_db[inside], 1)[0])
 
 
-def measured(responses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return T30 and EDT, s, and the coherence of the late sound of two microphones, (bands,), means over places.
+def measured(responses: np.ndarray) -> dict[str, np.ndarray]:
+    """Return T30 and EDT, s, D50, C50, dB, and the late coherence of two microphones, (bands,), means over places.
 
     Args:
         responses: (places, 2, n).
@@ -82,10 +83,13 @@ def measured(responses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         late = np.argmax(levels.reshape(octave.shape) < -15, axis=-1).max(axis=1)
         both = [one[:, begin:] for one, begin in zip(octave, late, strict=True)]
         coherence = [np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b)) for a, b in both]
+        direct = np.argmax(np.abs(responses), axis=-1).ravel()
+        after = np.minimum(direct + int(0.05 * RATE), levels.shape[1] - 1)
+        late_share = energies[np.arange(len(energies)), after] / energies[:, 0]
+        clarity = 10 * np.log10((1 - late_share) / late_share)
         row = [(decay_time(level, 5, 35), decay_time(level, 0.1, 10)) for level in levels]
-        times.append([*np.mean(row, axis=0), np.mean(coherence)])
-    t30, edt, coherence_ = np.array(times).T
-    return t30, edt, coherence_
+        times.append([*np.mean(row, axis=0), np.mean(1 - late_share), np.mean(clarity), np.mean(coherence)])
+    return dict(zip(("T30", "EDT", "D50", "C50", "coherence"), np.array(times).T, strict=True))
 
 
 def rows_of(kind: str, seed: int, options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -117,12 +121,15 @@ def rows_of(kind: str, seed: int, options: argparse.Namespace) -> list[dict[str,
          "coherence": np.sinc(2 * np.array(HEARD) * APART_M / C)},
         {"room": kind, "what": "rendered", **_row(np.array(found))},
     ]  # fmt: skip
+    surfaces = config.room.surfaces
+    assert surfaces is not None
+    scattering = surfaces.scattering if options.scattering is None else np.full((6, 7), options.scattering)
     if options.peers.exists():
         with tempfile.NamedTemporaryFile(suffix=".npy") as file:
             spec = {
                 "c": C, "rate": RATE, "room": size.tolist(), "bands": BANDS_HZ[:7],
                 "absorption": bands.absorption[:, :7].tolist(), "energy_loss": (2 * bands.air[:7]).tolist(),
-                "scattering": options.scattering, "places": places, "microphones": microphones, "out": file.name,
+                "scattering": scattering.tolist(), "places": places, "microphones": microphones, "out": file.name,
             }  # fmt: skip
             subprocess.run(
                 [options.peers, "-c", PEER], input=json.dumps(spec), text=True, check=True, capture_output=True
@@ -132,17 +139,18 @@ def rows_of(kind: str, seed: int, options: argparse.Namespace) -> list[dict[str,
 
 
 def _row(responses: np.ndarray) -> dict[str, Any]:
-    t30, edt, coherence = measured(responses)
-    return {"T": t30[1:4].mean(), "T30": t30, "EDT": edt, "coherence": coherence}
+    found = measured(responses)
+    return {"T": found["T30"][1:4].mean(), **found}
 
 
 def as_table(rows: list[dict[str, Any]]) -> str:
     """The rooms as Markdown."""
-    heads = [f"{name} {middle}" for name in ("T30", "EDT", "coherence") for middle in (HEARD[0], HEARD[2], HEARD[4])]
+    names = "T30", "EDT", "D50", "C50", "coherence"
+    heads = [f"{name} {middle}" for name in names for middle in (HEARD[0], HEARD[2], HEARD[4])]
     lines = [f"| room | what | T, s | {' | '.join(heads)} |", "|---" * (3 + len(heads)) + "|"]
     for row in rows:
         cells = []
-        for name in ("T30", "EDT", "coherence"):
+        for name in names:
             values = row.get(name)
             cells += ["" if values is None else f"{values[index]:.2f}" for index in (0, 2, 4)]
         lines.append(f"| {row['room']} | {row['what']} | {row['T']:.2f} | {' | '.join(cells)} |")
@@ -154,13 +162,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     parser.add_argument("--peers", type=Path, default=Path(".venv-bench/bin/python"), help="Python of the peers")
-    parser.add_argument("--scattering", type=float, default=0.1, help="of the walls, for the rays alone")
+    parser.add_argument("--scattering", type=float, help="of all walls, for the rays alone; else by materials")
+    parser.add_argument("--seed", type=int, default=0, help="of the first room")
     parser.add_argument("--pairs", type=int, default=6, help="pairs of places in each room")
     parser.add_argument("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     kinds = [kind for kind in ROOMS if kind in options.rooms]
-    rows = [row for kind in kinds for row in rows_of(kind, list(ROOMS).index(kind), options)]
+    rows = [row for kind in kinds for row in rows_of(kind, options.seed + list(ROOMS).index(kind), options)]
     (options.out / "rooms.md").write_text(table := as_table(rows))
     sys.stdout.write(table)
 

@@ -46,7 +46,7 @@ SURE = 3.0
 
 
 AxisSample = tuple[np.ndarray, np.ndarray, float]
-BoxSample = tuple[np.ndarray, np.ndarray, View, np.ndarray]
+BoxSample = tuple[np.ndarray, np.ndarray, View, np.ndarray, float]
 
 
 @dataclasses.dataclass
@@ -55,8 +55,8 @@ class Samples:
 
     Attributes:
         axis: of each position from depth: error (2,) m, from the camera (2,) m, visible fraction.
-        box: of each whole body that the network found: box (4,) px, parts (3, 2) px, camera, and the true
-            position (2,) m.
+        box: of each body that the network found: box (4,) px, parts (3, 2) px, camera, the true position (2,) m, and
+            the network's score.
         score: of each thing before the empty room: visible surface, m², and whether it was a person.
         network: of each of the network's detections: score, and whether it was a person.
     """
@@ -111,7 +111,7 @@ def _add_boxes(samples: Samples, shot: Shot, view: View, found: Boxes) -> None:
         if overlap[best] >= 0.5:
             taken.add(best)
             box, parts = found.boxes[index], found.parts[index]
-            samples.box.append((box, parts, view, shot.places[best]))
+            samples.box.append((box, parts, view, shot.places[best], float(found.scores[index])))
 
 
 # --- losses, in nats a sample -----------------------------------------------------------------------------------------
@@ -134,30 +134,34 @@ def axis_loss(law: AxisLaw, samples: list[AxisSample]) -> np.ndarray:
 
 def box_loss(law: BoxLaw, samples: list[BoxSample]) -> np.ndarray:
     """Surprises (n,) of the positions by boxes alone, each the mean of those with and without the parts."""
-    return _placed_loss(law, *placed(law, samples))
+    return _placed_loss(law, samples, *placed(law, samples))
 
 
 def placed(law: BoxLaw, samples: list[BoxSample]) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (2 n, 2) m of the positions by boxes alone, and their covariances (2 n, 2, 2) m² before spread and floor.
+    """Errors (n, 2, 2) m of the positions by boxes alone, and covariances (n, 2, 2, 2) m² before the law's last steps.
 
-    Each box is placed with and without the parts. A fit that fails is an outlier.
+    Each box is placed with the parts and the score, and without. A fit that fails is an outlier.
     """
     errors, covariances = [], []
-    bare = dataclasses.replace(law, spread=1.0, floor_m=0.0)
+    bare = dataclasses.replace(law, spread=1.0, floor_m=0.0, sure=1.0, unsure=0.0)
     for view, scene in itertools.groupby(samples, key=lambda sample: sample[2]):
-        boxes, parts, _, places = (np.array(column, object) for column in zip(*scene, strict=True))
-        boxes, parts, places = (np.stack(list(column)).astype(float) for column in (boxes, parts, places))
-        both = [locate_boxes(boxes, view, known, law=bare) for known in (parts, None)]
+        boxes, parts, _, places, scores = (np.array(column, object) for column in zip(*scene, strict=True))
+        columns = boxes, parts, places, scores
+        boxes, parts, places, scores = (np.stack(list(column)).astype(float) for column in columns)
+        both = [locate_boxes(boxes, view, known, law=bare, scores=scores) for known in (parts, None)]
         failed = ~np.stack([found.explained for found in both], axis=1)
         error = np.stack([found.positions - places for found in both], axis=1)
         covariance = np.stack([found.covariances for found in both], axis=1)
-        errors.append(np.where(failed[..., None], 1e3, error).reshape(-1, 2))
-        covariances.append(np.where(failed[..., None, None], np.eye(2), covariance).reshape(-1, 2, 2))
+        errors.append(np.where(failed[..., None], 1e3, error))
+        covariances.append(np.where(failed[..., None, None], np.eye(2), covariance))
     return np.concatenate(errors), np.concatenate(covariances)
 
 
-def _placed_loss(law: BoxLaw, errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    return surprise(errors, law.spread * covariances + law.floor_m**2 * np.eye(2)).reshape(-1, 2).mean(axis=1)
+def _placed_loss(law: BoxLaw, samples: list[BoxSample], errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    wider = law.sure + law.unsure * np.sqrt(1 - np.array([score for *_, score in samples]))
+    wider = np.column_stack([wider, np.ones(len(wider))])[..., None, None]  # with the score, and without
+    wide = wider**2 * (law.spread * covariances + law.floor_m**2 * np.eye(2))
+    return surprise(errors.reshape(-1, 2), wide.reshape(-1, 2, 2)).reshape(-1, 2).mean(axis=1)
 
 
 def score_loss(law: ScoreLaw, samples: list[tuple[float, bool]]) -> np.ndarray:
@@ -188,20 +192,20 @@ def fit(standing: Any, loss: Loss, samples: list) -> Any:
 
 
 def fit_box(standing: BoxLaw, samples: list[BoxSample]) -> BoxLaw:
-    """Find the law of boxes: spread and floor anew for each trial of side and part, since they cost next to nothing."""
+    """Find the law of boxes: its last steps anew for each trial of the others, since they cost next to nothing."""
     best: dict[float, BoxLaw] = {}
 
     def cost(law: BoxLaw) -> float:
         errors, covariances = placed(law, samples)
         inner, least = _least(
-            lambda inner: float(_placed_loss(_with(law, inner), errors, covariances).mean()),
-            _Rest(standing.spread, standing.floor_m),
-            100,
+            lambda inner: float(_placed_loss(_with(law, inner), samples, errors, covariances).mean()),
+            _Rest(standing.spread, standing.floor_m, standing.sure, standing.unsure),
+            150,
         )
         best[least] = _with(law, inner)
         return least
 
-    _least(cost, standing, 40, ("side", "part"))
+    _least(cost, standing, 60, ("side", "part", "part_unsure"))
     return best[min(best)]
 
 
@@ -211,10 +215,12 @@ class _Rest:
 
     spread: float
     floor_m: float
+    sure: float
+    unsure: float
 
 
 def _with(law: BoxLaw, rest: _Rest) -> BoxLaw:
-    return dataclasses.replace(law, spread=rest.spread, floor_m=rest.floor_m)
+    return dataclasses.replace(law, **dataclasses.asdict(rest))
 
 
 def _least(
