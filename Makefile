@@ -9,7 +9,7 @@
 #: make docs          the site: tutorial, how-tos, methods, manuals, in out/site/index.html
 #: make tutorial      runs every command of the tutorial and the how-tos, and compares what they print with the pages
 #: make formats       the schemas and the key lists of the manual, from the one description of each format
-#: make bench-scene bench-sensor bench-audio bench-localization bench-faults bench-steady bench-detection bench-tracking
+#: make bench-scene bench-sensor bench-audio bench-localization bench-scores bench-faults bench-steady bench-detection bench-tracking
 #:      bench-metrics bench-calibration bench-microphones
 #: make bench-guidance            pictures that people need with the hints of avcalib live, and without
 #: make datasets      MOT25A, MOT25V, MOT25AV, MOT26 in out/datasets, in MOTChallenge's layout (DATASETS_FLAGS)
@@ -27,7 +27,7 @@
 #:                    anything (STRESS_FLAGS="--seconds 3600")
 #: make thesis        S1 to S4 as the thesis built its chain, beside ours, each part exchanged by itself (THESIS_FLAGS="--seeds 5")
 #: make study         the thesis's hypotheses with intervals, and one factor of the scene at a time (STUDY_FLAGS="--seeds 20")
-#: make fit-localization fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence
+#: make fit-localization fit-scores fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence
 #:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
 #:                    FIT_FLAGS="--speech DIR")
 #: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
@@ -61,9 +61,9 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization faults steady detection tracking metrics calibration guidance microphones live pipe \
+BENCHES := scene sensor audio localization scores faults steady detection tracking metrics calibration guidance microphones live pipe \
            rooms worlds long real-video real-audio beam datasets
-FITS := localization directions voice detection looks tracking existence
+FITS := localization scores directions voice detection looks tracking existence
 
 # The stages that do not wait for each other run at once, unless make -j1; what measures time runs alone.
 ifeq ($(filter bench% fit-% stress thesis study,$(MAKECMDGOALS)),)

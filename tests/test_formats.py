@@ -686,21 +686,6 @@ def test_other_pictures_are_converted(tmp_path):
         media.read_depth(tmp_path / "rgba.png")
 
 
-def test_raw_pictures_are_mapped(tmp_path):
-    colour = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
-    for name, pixels in (("rows.npy", colour), ("columns.npy", np.asfortranarray(colour))):
-        np.save(tmp_path / name, pixels)
-        np.testing.assert_array_equal(media.read_rgb(tmp_path / name), colour)
-    image = media.read_rgb(tmp_path / "rows.npy")
-    with open(tmp_path / "rows.npy", "r+b") as file:
-        file.seek(-1, 2)
-        file.write(b"\xff")
-    assert image[2, 3, 2] == 255  # what the file holds, not a copy
-    (tmp_path / "short.npy").write_bytes((tmp_path / "rows.npy").read_bytes()[:-1])
-    with pytest.raises(media.MediaError, match="broken"):
-        media.read_rgb(tmp_path / "short.npy")
-
-
 @pytest.mark.parametrize("content", [None, b"", b"no picture", b"\x89PNG\r\n\x1a\n" + b"\0" * 40, b"\x93NUMPY\x01"])
 def test_a_file_that_is_no_picture_is_named(tmp_path, content):
     path = tmp_path / "frame.png"

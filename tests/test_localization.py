@@ -289,26 +289,54 @@ def test_simulated_delays_are_the_geometry():
 def features(**changed):
     usual = {"response": 1.3, "agreement": 0.3, "support": 0.4, "before": 0.0, "first": False, "own": 0.8}
     still = dict.fromkeys(("velocity", "pace", "gait"), np.zeros(3))
-    more = {"residual": 0.01, "strayed": np.full(3, 0.01), "strongest": 1.3}
+    more = {"residual": 0.01, "strayed": np.full(3, 0.01), "strongest": 1.3, "dilution": 1.0, "fall": 0.0}
     return uncertainty.Features(**(usual | still | more | changed))
 
 
 def lasting(steps, **changed):
-    """The scores of a peak that is as it is for so many decisions."""
-    before, scores = 0.0, []
+    """The evidence for a peak that is as it is for so many decisions."""
+    before, found = 0.0, []
     for _ in range(steps):
         peak = features(before=before, **changed)
-        scores.append(LAW.probability(peak))
+        found.append(LAW.evidence(peak))
         before = LAW.remembered(peak, 0.7)
-    return np.array(scores)
+    return np.array(found)
 
 
 def test_what_is_weak_but_lasts_comes_to_count_and_what_is_unlikely_never_does():
     weak, ghost = lasting(8, response=1.6, support=0.5), lasting(8, own=0.6)
-    assert weak[0] < 0.5 < weak[-1]
+    assert weak[0] < 0.0 < weak[-1]
     assert (np.diff(weak) > 0).all()
-    assert ghost.max() < 0.2
+    assert ghost.max() < -1.4
     assert ghost[-1] <= ghost[0]
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_score_falls_with_all_that_speaks_against_a_place(first):
+    usual = {"first": first, "response": 3.0, "own": 0.9, "before": 1.5, "strongest": 1.6}
+    score = LAW.probability(features(**usual))
+    against = [{"before": -1.0}, {"strongest": 1.0}, {"fall": -12.0}]
+    if first:
+        against += [{"dilution": 10.0}, {"residual": 0.02}, {"support": 0.1}]
+    else:
+        against += [{"strayed": np.zeros(3)}, {"response": 1.0}, {"own": 0.5}]
+    for changed in against:
+        assert LAW.probability(features(**(usual | changed))) < score - 0.001, changed
+    assert 0.0 <= LAW.probability(features(**(usual | {"fall": -1e9, "strongest": 1e9}))) <= 1.0
+
+
+def test_a_place_far_from_a_small_array_is_diluted():
+    def told(width, range_m):
+        around = 2.0 * np.pi * np.arange(8) / 8
+        away = np.array([range_m, 0.0, 0.0]) - np.column_stack(
+            [width * np.cos(around), width * np.sin(around), 0 * around]
+        )
+        units = away / np.linalg.norm(away, axis=1)[:, None]
+        first, second = np.triu_indices(8, 1)
+        rows = units[first] - units[second]
+        return uncertainty.dilution(rows.T @ rows / len(rows))
+
+    assert told(0.5, 4.0) > 3.0 * told(0.5, 1.0) > 3.0 * told(2.0, 1.0)
 
 
 def test_the_covariance_grows_with_all_that_speaks_against_a_place():

@@ -66,6 +66,14 @@ def test_the_law_has_the_terms_that_the_code_has():
     assert set(law.widened) <= set(uncertainty.PARTS)
 
 
+@pytest.mark.parametrize("peak", ["first", "further"])
+def test_the_score_is_better_than_the_evidence_alone_on_scenes_that_were_left_out(peak):
+    loss = FITTED_ON["score"]["log_loss"][peak]
+    assert loss["peaks"] > 4000
+    assert loss["fitted"] <= loss["left_out"] < 0.8 * loss["evidence_alone"]
+    assert next(iter(STATED["law"]["score"][peak])) == "one"
+
+
 @pytest.mark.slow
 def test_a_small_part_of_the_fit_gives_the_same_again():
     """If this fails, the peaks have changed: make fit-localization fits the law again."""

@@ -149,6 +149,18 @@ def test_memory_fades_and_a_trace_that_is_seen_again_is_replaced():
     assert memory.traces == []
 
 
+def test_a_fall_is_from_the_loudest_of_the_last_second():
+    memory = Memory(rate=10.0, max_speed=1.6, kept=0.5)
+    assert memory.fall(1.0) == 0.0
+    assert memory.fall(0.01) == pytest.approx(-20.0)
+    assert memory.fall(0.0) <= -100.0
+    for _ in range(10):
+        memory.fall(0.01)
+    assert memory.fall(0.001) == pytest.approx(-10.0)
+    memory.forget()
+    assert memory.fall(1e-9) == 0.0
+
+
 def test_the_noise_law_is_gumbels_and_falls_with_the_number_of_windows():
     law = NoiseLaw(location=0.2, scale=0.01, deviation=0.05, windows=3)
     for false_alarm in (0.5, 0.01):

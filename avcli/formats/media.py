@@ -7,7 +7,6 @@ import contextlib
 import errno
 import functools
 import math
-import mmap
 import os
 import stat
 import struct
@@ -74,15 +73,13 @@ def write_png(path: str | os.PathLike, image: np.ndarray) -> None:
 def read_rgb(path: str | os.PathLike) -> np.ndarray:
     """Read a colour picture (PNG, JPEG or raw .npy; grey, 16-bit and transparent ones are converted).
 
-    A raw picture is mapped, not copied: its file must not be shortened while the array lives.
-
     Returns:
         (height, width, 3) uint8 RGB.
 
     Raises:
         MediaError: the file is missing, empty or not a picture.
     """
-    image = _mapped(path)
+    image = read_picture(path)
     if image.ndim not in (2, 3) or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
         raise MediaError(f"{path}: not a picture of 8 or 16 bits, but {_described(image)}")
     if image.dtype == np.uint16:
@@ -95,27 +92,16 @@ def read_rgb(path: str | os.PathLike) -> np.ndarray:
 def read_depth(path: str | os.PathLike) -> np.ndarray:
     """Read a depth picture (one channel of 8 or 16 bits, PNG or raw .npy), in the steps that config.json states.
 
-    A raw picture is mapped, not copied: its file must not be shortened while the array lives.
-
     Returns:
         (height, width) uint8 or uint16; 0 where there is no depth.
 
     Raises:
         MediaError: the file is missing, empty, not a picture, or has several channels.
     """
-    image = _mapped(path)
+    image = read_picture(path)
     if image.ndim != 2 or image.size == 0 or image.dtype not in (np.uint8, np.uint16):
         raise MediaError(f"{path}: a depth picture has one channel of 8 or 16 bits, not {_described(image)}")
     return image
-
-
-def _mapped(path: str | os.PathLike) -> np.ndarray:
-    """Read a picture as `read_picture` does; of a raw one only those pages of the file that are looked at are read."""
-    with contextlib.suppress(OSError, ValueError), _open_regular(path) as stream:
-        if stream.read(len(_RAW)) == _RAW and os.fstat(stream.fileno()).st_size <= LARGEST_PICTURE_FILE:
-            content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-            return _raw_picture(content, path)
-    return read_picture(path)
 
 
 def is_depth(path: str | os.PathLike) -> bool:
@@ -123,7 +109,7 @@ def is_depth(path: str | os.PathLike) -> bool:
     try:
         with open(path, "rb") as file:
             head = file.read(26)
-        if head.startswith(_RAW):
+        if head.startswith(b"\x93NUMPY"):
             image = np.load(path, mmap_mode="r")
             return image.ndim == 2 and image.dtype == np.uint16
     except (OSError, ValueError):
@@ -150,7 +136,7 @@ def read_picture(path: str | os.PathLike, *, whole: bool = False, grey: bool = F
         raise MediaError(f"{path}: the end of the picture is missing")
     if (size := stated_size(content)) and size[0] * size[1] > MOST_PIXELS:
         raise MediaError(f"{path}: a picture has at most {MOST_PIXELS} pixels, and this one has {size[0]} × {size[1]}")
-    if content.startswith(_RAW):
+    if content.startswith(b"\x93NUMPY"):
         image: np.ndarray | None = _raw_picture(content, path)
     else:
         image = decode_picture(content, grey=grey)
@@ -190,14 +176,10 @@ def jpeg_end(content: bytes, begin: int = 0) -> int:
     return end + 2 if end >= 0 else -1
 
 
-_RAW = b"\x93NUMPY"
-"""A raw picture begins with it (NEP 1)."""
-
-
-def _raw_picture(content: bytes | mmap.mmap, path: str | os.PathLike) -> np.ndarray:
+def _raw_picture(content: bytes, path: str | os.PathLike) -> np.ndarray:
     import io
 
-    stream = io.BytesIO(content[: 1 << 17])  # a header is shorter
+    stream = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(stream)
         head = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

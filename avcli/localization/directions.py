@@ -237,6 +237,8 @@ class DirectionFinder:
         law: see DirectionLaw.
     """
 
+    outside = False  # along a ray there is always a place in the room
+
     def __init__(self, settings: SteeredSettings, response: RaySearch, masks: Masks, law: DirectionLaw):
         self.settings, self.response, self.masks, self.law = settings, response, masks, law
         self.mirror = _mirror(response.microphones)
@@ -308,10 +310,6 @@ class DirectionFinder:
             if score >= self.settings.min_score:
                 talkers += self.told(one, score, noise)
         return sorted(talkers, key=lambda talker: -talker.score)
-
-    def outside(self, talkers: list[Talker]) -> bool:
-        """Return that no talker is known to be outside: along a ray there is always a place in the room."""
-        return False
 
     def told(self, one: Bearing, score: float, noise: NoiseLaw) -> list[Talker]:
         """Return a bearing as a talker, and as two of half the score where a mirror image is as good.

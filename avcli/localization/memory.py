@@ -1,5 +1,6 @@
 """What the decisions before this one found, and for how long it counts."""
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ class Trace:
 
 
 class Memory:
-    """The traces of earlier decisions.
+    """The traces of earlier decisions, and how loud they were.
 
     Args:
         rate: decisions per second, Hz.
@@ -34,6 +35,17 @@ class Memory:
     def __init__(self, rate: float, max_speed: float, kept: float):
         self.rate, self.max_speed, self.kept = rate, max_speed, kept
         self.traces: list[Trace] = []
+        self.levels: deque[float] = deque(maxlen=max(1, round(rate)))  # dB, of the last second of sound
+
+    def forget(self) -> None:
+        """Begin anew, as after a gap in the stream."""
+        self.traces.clear()
+        self.levels.clear()
+
+    def fall(self, power: float) -> float:
+        """Take the power of a decision's sound, and return its level over the loudest of the last second, dB."""
+        self.levels.append(10.0 * float(np.log10(max(power, 1e-30))))
+        return self.levels[-1] - max(self.levels)
 
     def reach(self, trace: Trace) -> float:
         """Return how far, in m, its talker may seem to have moved since: people walk, and positions have errors."""

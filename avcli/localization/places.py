@@ -15,12 +15,16 @@ from avcli.localization.srp import SteeredResponse
 from avcli.localization.talkers import Peak, TalkerSearch
 from avcli.localization.windows import Heard
 
+_SURE = float(np.log(0.9 / 0.1))
+"""Evidence from which a source is surely heard."""
+
 
 @dataclass(frozen=True)
 class Judged:
-    """A peak, the probability that it is right, and what that rests on."""
+    """A peak, the probability that it is right, what speaks for it (see uncertainty.Law), and what both rest on."""
 
     score: float
+    evidence: float
     peak: Peak
     features: uncertainty.Features
 
@@ -33,6 +37,9 @@ class PlaceFinder:
         settings: see SteeredSettings.
         response, masks, health: of the array.
         law: scores and covariances.
+
+    Attributes:
+        outside: whether a source was surely heard, in the latest decision, on the edge of the room or beyond it.
     """
 
     def __init__(
@@ -46,6 +53,7 @@ class PlaceFinder:
     ):
         self.settings, self.response, self.health, self.law = settings, response, health, law
         self.talkers = TalkerSearch(array, settings, masks, response)
+        self.outside = False
 
     def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
         """Return the talkers in the windows around one moment, the most probable first, and remember them.
@@ -57,7 +65,8 @@ class PlaceFinder:
             memory: what the decisions before found.
         """
         peaks = self.talkers.peaks(heard, noise, memory)
-        judged = self.judge(peaks, noise, memory, beside=len(heard.steady) > 0)
+        fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
+        judged = self.judge(peaks, noise, memory, fall, beside=len(heard.steady) > 0)
         memory.keep(
             [
                 Trace(
@@ -68,15 +77,19 @@ class PlaceFinder:
                 for one in judged
             ]
         )
+        self.outside = any(one.evidence > _SURE for one in judged[:1] if self.on_the_edge(one.peak.position)[:2].any())
         return self.report(time, judged, heard, noise)
 
-    def judge(self, peaks: list[Peak], noise: NoiseLaw, memory: Memory, *, beside: bool = False) -> list[Judged]:
-        """Return a decision's peaks with their scores, the most probable first.
+    def judge(
+        self, peaks: list[Peak], noise: NoiseLaw, memory: Memory, fall: float, *, beside: bool = False
+    ) -> list[Judged]:
+        """Return a decision's peaks with their scores, those first for which most speaks.
 
         Args:
             peaks: in the order in which they were found.
             noise: what noise does to as many windows.
             memory: what the decisions before found.
+            fall: dB, see uncertainty.Features.
             beside: whether a steady source was taken away before, so that all of them are further ones.
         """
         judged, left = [], memory.traces
@@ -84,11 +97,14 @@ class PlaceFinder:
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
-            features = self.features(peak, number == 0 and not beside, traces, noise)
-            judged.append(Judged(self.law.probability(features), peak, features))
-        return sorted(judged, key=lambda one: -one.score)
+            features = self.features(peak, number == 0 and not beside, traces, noise, fall)
+            score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            judged.append(Judged(score, self.law.evidence(features), peak, features))
+        return sorted(judged, key=lambda one: -one.evidence)
 
-    def features(self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw) -> uncertainty.Features:
+    def features(
+        self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw, fall: float
+    ) -> uncertainty.Features:
         """Return what tells a right peak, the decision's first or a further one, from a wrong one.
 
         Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was.
@@ -112,6 +128,8 @@ class PlaceFinder:
             pace=pace,
             gait=gait,
             strongest=peak.strongest,
+            dilution=uncertainty.dilution(peak.normal),
+            fall=fall,
         )
 
     def report(self, time: float, judged: list[Judged], heard: Heard, noise: NoiseLaw) -> list[Talker]:
@@ -119,13 +137,13 @@ class PlaceFinder:
 
         Args:
             time: s, the moment.
-            judged: the peaks, the most probable first.
+            judged: the peaks.
             heard: the windows around the moment.
             noise: what noise does to as many windows.
         """
         return [
             Talker(one.peak.position, self.covariance(one, heard.offsets, noise), one.score)
-            for one in judged[: self.settings.max_speakers]
+            for one in sorted(judged, key=lambda one: -one.score)[: self.settings.max_speakers]
             if one.score >= self.settings.min_score
         ]
 
@@ -142,7 +160,3 @@ class PlaceFinder:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
         margin = 0.5 * self.settings.resolution
         return (position - self.response.low < margin) | (self.response.high - position < margin)
-
-    def outside(self, talkers: list[Talker]) -> bool:
-        """Tell whether the first talker is surely heard, on the edge of the room or beyond it."""
-        return bool(talkers and talkers[0].score > 0.9 and self.on_the_edge(talkers[0].position)[:2].any())

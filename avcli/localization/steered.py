@@ -117,7 +117,7 @@ class SteeredLocalizer:
         for first, stretch in stretches(blocks, begin):
             yield from self._stretch(stretch, first)
             self.steady.forget()
-            self.memory.traces.clear()  # a talker of one stretch is not expected in the next
+            self.memory.forget()  # a talker of one stretch is not expected in the next
 
     def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
         """Yield a decision for every time step of a stream without long gaps."""
@@ -200,11 +200,11 @@ class SteeredLocalizer:
                 if len(self.steady.places):
                     heard = self.steady.beside(heard)
                 talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
+                if self.finder.outside:
+                    notices.append("a source is on the edge of the room or outside it")
             features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, self.noise(1).deviation)
             notices += self._news() + self.steady.news()
-            if self.finder.outside(talkers):
-                notices.append("a source is on the edge of the room or outside it")
         return Decision.of(time, talkers, notices, features, self.health.faults, self.steady.told)
 
     def _news(self) -> list[str]:

@@ -19,6 +19,10 @@ UNSURE_M = 0.2
 """m: what the standard deviation grows by while channels disagree and it is not known yet which of them are right: the
 places that such an array answers best were up to 0.45 m off."""
 
+BEYOND_M, BEYOND_NEAR = np.array([0.5, 0.5, 0.3]), 0.68
+"""m: the standard deviations of how far a talker is beyond the searched volume, if at all; and the share of talkers who
+are less than half a metre beyond a side of it then."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),
@@ -52,6 +56,9 @@ class Features:
         gait: (3,) m/s, its velocity as the decisions before have it, the latest counting most; its own where it is new.
             What still sounds of one who fell silent stands where he was, and he walks on.
         strongest: the best of the windows' responses over their mean: where one window alone answers, nothing averages.
+        dilution: by how much errors of range differences grow into errors in x and y, along the worse axis.
+        fall: dB, from the loudest of the last second to the sound in which it was found; not above 0. What falls away
+            may be the room alone.
     """
 
     response: float
@@ -66,6 +73,8 @@ class Features:
     pace: np.ndarray
     gait: np.ndarray
     strongest: float
+    dilution: float
+    fall: float
 
 
 @dataclass(frozen=True)
@@ -92,8 +101,11 @@ class Law:
     """The fitted coefficients, and what follows from them.
 
     Attributes:
-        first, further: weights of the logit of the probability that a decision's first peak, or a further one, is
-            within half a metre (x, y) of a talker, by the names of `terms`.
+        first, further: weights of the evidence for a decision's first peak, or for a further one, by the names of
+            `terms`: of what is remembered, and a term of the score. It is the logit of the probability that the peak is
+            right where eight microphones hang around a small room.
+        score: for the "first" peak and a "further" one, weights of the logit of the probability that it is within half
+            a metre (x, y) of a talker, with any array in any room, by the names of `terms`.
         spread: for each of `PARTS` the weights of its terms.
         widened: logarithms by which parts are wider than `spread` has them: errors have heavier tails than the Gaussian
             that is fitted, and 95 % ellipses shall hold 95 % of them. Empty where `spread` has it in it.
@@ -104,6 +116,7 @@ class Law:
 
     first: Mapping[str, float]
     further: Mapping[str, float]
+    score: Mapping[str, Mapping[str, float]]
     spread: Mapping[str, Mapping[str, float]]
     widened: Mapping[str, float]
     memory: float
@@ -117,17 +130,27 @@ class Law:
         closed = {name: ClosedForm(**values[name]) for name in ("closed_form", "closed_form_refined")}
         return cls(**{**values, **closed})
 
-    def logit(self, features: Features) -> float:
-        """Return the logit of the probability that a peak is within half a metre (x, y) of a talker."""
+    def evidence(self, features: Features) -> float:
+        """Return what speaks for a peak, as a logit."""
         weights = self.first if features.first else self.further
         return sum(weight * term for weight, term in zip(weights.values(), terms(features, weights), strict=True))
 
-    def probability(self, features: Features) -> float:
-        """Return the probability that a peak is within half a metre (x, y) of a talker."""
-        return _logistic(self.logit(features))
+    def probability(self, features: Features, *, edge: bool = False) -> float:
+        """Return the probability that a peak is within half a metre (x, y) of a talker.
+
+        Args:
+            features: its own.
+            edge: whether the search ended on a side of its volume. Then the pairs disagree about the place because the
+                talker is beyond it, by how much is not known (see `beyond`), and not because nobody is there.
+        """
+        if edge:
+            return BEYOND_NEAR * _logistic(self.evidence(features))
+        weights = self.score["first" if features.first else "further"]
+        values = terms(features, weights, self.evidence(features))
+        return _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
 
     def remembered(self, features: Features, kept: float) -> float:
-        """Return how lasting a peak is: a mean over the decisions of its logits, each from -4 to 2, plus 2.4.
+        """Return how lasting a peak is: a mean over the decisions of its evidence, each from -4 to 2, plus 2.4.
 
         A peak that is weak but there again and again comes to count. A peak that stays without ever being likely, as
         a talker's echoes do, counts against itself.
@@ -136,7 +159,7 @@ class Law:
             features: its own, and what was nearby before.
             kept: how much of that is kept, 0 to 1.
         """
-        return kept * features.before + (1.0 - kept) * float(np.clip(self.logit(features), -4.0, 2.0) + 2.4)
+        return kept * features.before + (1.0 - kept) * float(np.clip(self.evidence(features), -4.0, 2.0) + 2.4)
 
     def covariance(
         self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray
@@ -177,11 +200,30 @@ def fitted_law() -> Law:
     return Law.of(json.loads((Path(__file__).parent / "fitted.json").read_bytes())["law"])
 
 
-def terms(features: Features, weights: Mapping[str, float]) -> list[float]:
-    """Return what the weights of a law's `first`, or `further`, are multiplied by, in their order: a constant, and the
-    logarithms of the features of these names, but "before" as it is."""
-    value = {"one": 1.0, "before": features.before}
+def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.0) -> list[float]:
+    """Return what the weights of a law's `first`, `further` or `score` are multiplied by, in their order: a constant,
+    and the logarithms of the features of these names, but "before", "strongest", "fall" and the evidence as they are,
+    within bounds."""
+    value = {
+        "one": 1.0,
+        "before": features.before,
+        "evidence": float(np.clip(evidence, -6.0, 10.0)),
+        "strongest": min(features.strongest, 3.0),
+        "fall": max(features.fall, -30.0),
+        "new": float(not features.strayed.any()),
+    }
     return [value[name] if name in value else float(np.log(max(getattr(features, name), 1e-3))) for name in weights]
+
+
+def dilution(normal: np.ndarray) -> float:
+    """Return by how much errors of range differences grow into errors in x and y, along the worse axis.
+
+    Args:
+        normal: (3, 3) JᵀWJ of the range differences, with weights of mean 1.
+    """
+    grown = np.linalg.inv(normal + 1e-6 * np.eye(3))
+    level, across = 0.5 * (grown[0, 0] + grown[1, 1]), 0.5 * (grown[0, 0] - grown[1, 1])
+    return float(np.sqrt(level + np.hypot(across, grown[0, 1])))
 
 
 def closed_form_terms(spread: float, valid: float, events: float) -> list[float]:
@@ -250,7 +292,7 @@ def beyond(edge: np.ndarray) -> np.ndarray:
     Args:
         edge: (3,) bool, on which axes; there the source may be outside.
     """
-    return np.diag(np.where(edge, [0.5, 0.5, 0.3], 0.0) ** 2)
+    return np.diag(np.where(edge, BEYOND_M, 0.0) ** 2)
 
 
 def _logistic(value: float) -> float:

@@ -1,4 +1,4 @@
-"""Fit the scores of avdetect-audio, judge them on other scenes, and write them to avcli/localization/fitted.json.
+"""Fit the evidence for avdetect-audio's peaks, judge it on other scenes, and write avcli/localization/fitted.json.
 
     make fit-localization                    # fit and judge: some minutes
     make fit-localization FIT_FLAGS=--check  # only renew the small check that a test runs
@@ -13,7 +13,8 @@ not taken and who sounds within 0.15 s.
 A law of fitted.json is replaced only where the new one is better by more than two standard errors, counted by scene, on
 other conditions and on other worlds, and where no HOTA of S1 to S4, tracked by ear alone, falls by 0.0005 or more. A
 law that is better in the conditions alone may be worse in worlds. The file holds what was refused, too.
-bench-localization measures the result with another simulator.
+bench-localization measures the result with another simulator. The score follows from the evidence and more: make
+fit-scores fits it, after this.
 
 --covariance fits the covariances too. They are not fitted by default: 95 % ellipses then hold 96 instead of 99 % of the
 errors of people who stand, but avfuse, which assumes that the errors of successive records are independent, tracks
@@ -97,7 +98,7 @@ class Row:
         walks: whether its talker moves.
         others: (3, 3) m² for each of SHARPNESSES, see `Law.covariance`.
         extent: (3,) m, the standard deviation of a place anywhere in the searched volume.
-        score: by the law that was in use.
+        score: the probability that the evidence of the law in use stands for, see `Law.first`.
     """
 
     right: bool
@@ -144,7 +145,7 @@ class Witness(PlaceFinder):
                     2.0 if rarer and not one.features.first else 1.0,
                     walks,
                     self.scene.condition,
-                    one.score,
+                    1.0 / (1.0 + float(np.exp(-np.clip(one.evidence, -30.0, 30.0)))),
                 )
             )
         return []
@@ -568,6 +569,7 @@ def renewed(stated: Mapping[str, Any], options: argparse.Namespace) -> dict[str,
             "version": avcli.__version__,
             "commit": here,
             "origin": {**stated["fitted_on"]["origin"], **new},
+            "score": stated["fitted_on"]["score"],
             "seeds": SEEDS,
             "conditions": {
                 "speech": {k: f"CMU ARCTIC {v}" for k, v in SPEAKERS.items()} if options.speech else "built in",

@@ -1,0 +1,290 @@
+"""Whether avdetect-audio's scores and ellipses are true with any array: said beside true, condition by condition.
+
+    make setup-bench bench-scores                              # scores.md and scores.jsonl in bench-out/
+    make bench-scores BENCH_FLAGS="--scenes 40 --cache DIR"    # fewer scenes; DIR keeps the simulated ones
+
+The scenes are those of array_scenes.py, by our own simulator and by pyroomacoustics. `make fit-scores` fits to other
+ones. A detection is right within 0.5 m in x and y of a talker who is not taken and who sounds within 0.15 s.
+"""
+
+import argparse
+import importlib.util
+import itertools
+import json
+import os
+import pickle
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parents[2]
+if importlib.util.find_spec("pyroomacoustics") is None:
+    bench = ROOT / ".venv-bench" / "bin" / "python"
+    if not bench.exists():
+        sys.exit(f"{Path(sys.argv[0]).stem}: needs pyroomacoustics; make setup-bench installs it")
+    os.execv(bench, [str(bench), *sys.argv])
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np  # noqa: E402
+from array_scenes import SECONDS, Given, recordings, scene  # noqa: E402
+from fit_localization import match  # noqa: E402
+from localization_scenes import Person, Scene  # noqa: E402
+
+from avcli.localization import uncertainty  # noqa: E402
+from avcli.localization.array import Talker  # noqa: E402
+from avcli.localization.noise import NoiseLaw  # noqa: E402
+from avcli.localization.places import Judged, PlaceFinder  # noqa: E402
+from avcli.localization.settings import SteeredSettings  # noqa: E402
+from avcli.localization.steered import SteeredLocalizer  # noqa: E402
+from avcli.localization.stream import Block  # noqa: E402
+from avcli.localization.windows import Heard  # noqa: E402
+
+CHI2_95 = 5.991
+EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0)
+LEAST, RUNS, FAR, SURE = 400, 20, 0.05, 0.9
+"""Records and scenes from which a bin counts, how far what is said may be from what is true, and from where a wrong
+score is a confident one."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """One peak of one decision.
+
+    Attributes:
+        given: its scene.
+        time: s.
+        features: see uncertainty.Features.
+        score: of it.
+        right: whether a talker is there.
+        inside: whether the error in x and y is within the 95 % ellipse.
+        walks: whether its talker moves.
+    """
+
+    given: Given
+    time: float
+    features: uncertainty.Features
+    score: float
+    right: bool
+    inside: bool
+    walks: bool
+
+
+class Witness(PlaceFinder):
+    """A finder that notes each of its peaks, and reports none."""
+
+    def __init__(self, finder: PlaceFinder, given: Given, people: list[Person]):
+        vars(self).update(vars(finder))
+        self.given, self.people, self.seen = given, people, list[Peak]()
+
+    def report(self, time: float, judged: list[Judged], heard: Heard, noise: NoiseLaw) -> list[Talker]:
+        """Note the peaks of a decision."""
+        taken: set[int] = set()
+        for one in judged:
+            right, nearest, error = match(one.peak.position, time, self.people, taken)
+            person, level, inside = self.people[nearest], error[:2], False
+            if right:
+                spread = self.covariance(one, heard.offsets, noise)[:2, :2]
+                inside = bool(level @ np.linalg.solve(spread, level) < CHI2_95)
+            walks = bool(np.linalg.norm(person.at(time + 0.1) - person.at(time - 0.1)) > 0.02)
+            self.seen.append(Peak(self.given, time, one.features, one.score, right, inside, walks))
+        return []
+
+
+def scenes(split: str, numbers: Sequence[int], speech: Path, cache: Path | None) -> Iterator[tuple[Given, Scene]]:
+    """Yield scenes of a split, those that a cache has from there."""
+    spoken = recordings(split, speech)
+    for number in numbers:
+        kept = cache / f"{split}_{number:04d}.pkl" if cache else None
+        if kept and kept.exists():
+            yield pickle.loads(kept.read_bytes())
+            continue
+        made = scene(split, number, spoken)
+        if kept:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            kept.write_bytes(pickle.dumps(made))
+        yield made
+
+
+def peaks(heard: Iterator[tuple[Given, Scene]], law: uncertainty.Law) -> list[Peak]:
+    """Return the peaks that the localizer finds in scenes with a law."""
+    found: list[Peak] = []
+    for given, one in heard:
+        localizer = SteeredLocalizer(one.array, SteeredSettings(), np.random.default_rng(0), law)
+        if not isinstance(localizer.finder, PlaceFinder):
+            raise TypeError("the array observes no ranges")
+        localizer.finder = witness = Witness(localizer.finder, given, one.people)
+        for _ in localizer.localize([Block(one.samples)]):
+            pass
+        found += witness.seen
+        print(f"{given.split} {given.number}: {len(witness.seen)} peaks", file=sys.stderr, flush=True)
+    return found
+
+
+def log_loss(right: np.ndarray, score: np.ndarray) -> float:
+    """Return the mean of -log(probability of what was), in nats."""
+    chance = np.clip(score, 1e-6, 1.0 - 1e-6)
+    return float(np.mean(-np.where(right, np.log(chance), np.log1p(-chance))))
+
+
+def reliability(found: Sequence[Peak], score: np.ndarray) -> list[dict[str, Any]]:
+    """Return for each bin of the score how many peaks and scenes it has, what is said and what is true."""
+    right = np.array([one.right for one in found])
+    run = np.array([one.given.number for one in found])
+    rows = []
+    for low, high in itertools.pairwise(EDGES):
+        inside = (score >= low) & ((score < high) | (high == 1.0))
+        if inside.any():
+            said, true = float(score[inside].mean()), float(right[inside].mean())
+            runs = len(np.unique(run[inside]))
+            counts = bool(inside.sum() >= LEAST and runs >= RUNS)
+            rows.append({
+                "from": low, "to": high, "peaks": int(inside.sum()), "scenes": runs, "said": round(said, 3),
+                "true": round(true, 3), "counts": counts, "far": counts and abs(said - true) > FAR,
+            })  # fmt: skip
+    return rows
+
+
+def conditions(found: Sequence[Peak]) -> list[dict[str, Any]]:
+    """Return for each condition how many are reported, how many of these are right, and how many ellipses hold."""
+    kinds: dict[str, Any] = {
+        "simulator": lambda one: one.given.simulator,
+        "array": lambda one: one.given.kind,
+        "people": lambda one: one.given.act,
+        "talker": lambda one: "walks" if one.walks else "stands",
+        "microphones": lambda one: one.given.count,
+        "T60 s": lambda one: _step(one.given.rt60, (0.1, 0.2, 0.4, 0.7, 1.2)),
+        "noise dB": lambda one: _step(one.given.noise_db, (5, 10, 20, 40)),
+        "room m": lambda one: _step(one.given.room[0], (3, 5, 9, 20)),
+    }
+    rows = []
+    for what, of in kinds.items():
+        for value in sorted({of(one) for one in found}, key=_order):
+            mine = [one for one in found if of(one) == value and one.score >= 0.5]
+            right, sure = [one for one in mine if one.right], [one for one in mine if one.score > SURE]
+            if not right:
+                continue
+            rows.append({
+                "condition": f"{what} {value}", "scenes": len({one.given.number for one in mine}),
+                "reported": len(mine),
+                "said": round(float(np.mean([one.score for one in mine])), 3),
+                "true": round(len(right) / len(mine), 3), "sure": len(sure),
+                "sure_wrong": sum(not one.right for one in sure),
+                "in_95": round(float(np.mean([one.inside for one in right])), 3),
+            })  # fmt: skip
+    return rows
+
+
+def _order(value: Any) -> tuple[float, str]:
+    first = str(value).split()[0]
+    return (float(first), "") if first[0].isdigit() else (0.0, first)
+
+
+def _step(value: float, edges: Sequence[float]) -> str:
+    index = min(max(int(np.searchsorted(edges, value, side="right")), 1), len(edges) - 1)
+    return f"{edges[index - 1]:g} to {edges[index]:g}"
+
+
+def counted(score: np.ndarray, right: np.ndarray) -> dict[str, Any]:
+    """Return the log loss, how many scores are sure and of these wrong, how many are reported and of these right."""
+    sure, told = score > SURE, score >= 0.5
+    return {
+        "log_loss": round(log_loss(right, score), 4), "sure": int(sure.sum()), "sure_wrong": int((sure & ~right).sum()),
+        "reported": int(told.sum()), "reported_right": int((right & told).sum()),
+    }  # fmt: skip
+
+
+def figures(found: Sequence[Peak], law: uncertainty.Law) -> dict[str, Any]:
+    """Return what is said and what is true, for first and further peaks and by condition."""
+    told: dict[str, Any] = {}
+    for name, first in (("first", True), ("further", False)):
+        mine = [one for one in found if one.features.first == first]
+        score, right = np.array([one.score for one in mine]), np.array([one.right for one in mine])
+        evidence = np.array([law.evidence(one.features) for one in mine])
+        told[name] = {
+            "peaks": len(mine),
+            **counted(score, right),
+            "evidence": counted(1.0 / (1.0 + np.exp(-np.clip(evidence, -30.0, 30.0))), right),
+            "bins": reliability(mine, score),
+        }
+    return {"scenes": len({one.given.number for one in found}), **told, "conditions": conditions(found)}
+
+
+def page(told: dict[str, Any], split: str) -> str:
+    """Return the figures as Markdown."""
+    text = f"""# Scores: what is said, and what is true
+
+By `make bench-scores` (split {split}, {told["scenes"]} scenes of {SECONDS:g} s). Each scene draws its array (4 to 32
+microphones), its room (3 to 20 m), its reverberation time (.1 to 1.2 s), noise (5 to 40 dB below the voices), and what
+one or two people do. Half of them are our own simulator's, half pyroomacoustics'. What decided the scores has other
+seeds and another speaker, and no array of the kind "pairs". A detection is right within 0.5 m in x and y of a talker.
+A bin counts where it has {LEAST} peaks of {RUNS} scenes; its true share may be {FAR} from what is said.
+"""
+    for name, what in (("first", "The first talker of a decision"), ("further", "Further talkers")):
+        one = told[name]
+        text += f"""
+## {what}
+
+{one["peaks"]} peaks. Before is the score that knew no array but a ring of eight, the evidence of today.
+
+| | log loss | over {SURE} | of these wrong | reported, .5 or more | of these right |
+| --- | ---: | ---: | ---: | ---: | ---: |
+{_counts("before", one["evidence"])}
+{_counts("now", one)}
+
+| score | peaks | scenes | said | true | |
+| --- | ---: | ---: | ---: | ---: | --- |
+"""
+        for row in one["bins"]:
+            verdict = ("too far" if row["far"] else "kept") if row["counts"] else "few"
+            text += f"| {row['from']:g} to {row['to']:g} | {row['peaks']} | {row['scenes']} | {row['said']:.3f} |"
+            text += f" {row['true']:.3f} | {verdict} |\n"
+    text += f"""
+## By condition
+
+Of what is reported: said, true, how many scores over {SURE} are wrong, and the share of right ones within the 95 %
+ellipse in x and y.
+
+| condition | scenes | reported | said | true | sure | wrong | in 95 % |
+| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+"""
+    for row in told["conditions"]:
+        text += f"| {row['condition']} | {row['scenes']} | {row['reported']} | {row['said']:.3f} | {row['true']:.3f} |"
+        text += f" {row['sure']} | {row['sure_wrong']} | {row['in_95']:.3f} |\n"
+    return text
+
+
+def _counts(name: str, one: dict[str, Any]) -> str:
+    columns = ("log_loss", "sure", "sure_wrong", "reported", "reported_right")
+    return "| " + " | ".join([name, *(str(one[column]) for column in columns)]) + " |"
+
+
+def options_of(description: str | None) -> argparse.ArgumentParser:
+    """Return the options that measuring and fitting share."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    shared = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
+    parser.add_argument("--speech", type=Path, default=shared, help="folder of CMU ARCTIC's aew and axb")
+    parser.add_argument("--cache", type=Path, help="folder that keeps the simulated scenes")
+    return parser
+
+
+def main() -> None:
+    """Measure, and write the page."""
+    parser = options_of(__doc__)
+    parser.add_argument("--split", choices=("decide", "judge"), default="judge")
+    parser.add_argument("--scenes", type=int, default=120)
+    parser.add_argument("--out", type=Path, default=Path("bench-out"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    heard = scenes(options.split, range(options.scenes), options.speech, options.cache)
+    law = uncertainty.fitted_law()
+    told = figures(peaks(heard, law), law)
+    (options.out / "scores.jsonl").write_text(json.dumps(told) + "\n")
+    (options.out / "scores.md").write_text(page(told, options.split))
+
+
+if __name__ == "__main__":
+    main()
