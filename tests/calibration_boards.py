@@ -75,13 +75,17 @@ def exact(
     lens: Lens = THESIS,
     board: Board = BOARD,
     shape: np.ndarray = FLAT,
+    pupil: float = 0.0,
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> fit.Observations:
-    """The corners of filmed boards without a picture, with Gaussian noise in px: fit.Observations."""
+    """The corners of filmed boards without a picture, with Gaussian noise in px; `pupil` m as in fit.Solution."""
     flat = fit.surface(board.points, shape, board.half_extent)
     pixels = np.concatenate(
-        [lens.project(flat @ R.T + t) for R, t in zip(filmed.rotations, filmed.translations, strict=True)]
+        [
+            lens.project(fit.from_pupil(flat @ R.T + t, pupil)[0])
+            for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+        ]
     )
     if rng is not None:
         pixels = pixels + noise * rng.standard_normal(pixels.shape)

@@ -51,18 +51,19 @@ def test_derivatives_agree_with_differences():
     shape = np.array([0.003, -0.001, 0.004])
     filmed = film(5, np.random.default_rng(4), shape=shape)
     observations = exact(filmed, noise=1.0, rng=np.random.default_rng(5))
-    parameters = np.concatenate([[862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006], shape])
-    at = fit.Solution(parameters, filmed.rotations, filmed.translations, free=fit.free_parameters(THESIS, True))
+    parameters = np.concatenate([[862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006], shape, [0.004]])
+    free = fit.free_parameters(THESIS, True, True)
+    at = fit.Solution(parameters, filmed.rotations, filmed.translations, free=free)
     columns = fit._linearise(observations, at)
     common, own = columns[:, :, :-7], columns[:, :, -7:-1]
-    for i in range(11):
+    for i in range(12):
         h = 1e-6 * max(abs(parameters[i]), 1e-2)
-        steps = [fit.stepped(at, sign * h * np.eye(11)[i], np.zeros((5, 6))) for sign in (1, -1)]
+        steps = [fit.stepped(at, sign * h * np.eye(12)[i], np.zeros((5, 6))) for sign in (1, -1)]
         slope = (fit.residuals(observations, steps[1]) - fit.residuals(observations, steps[0])) / (2 * h)
         assert np.abs(slope - common[:, :, i]).max() < 1e-6 * np.abs(common[:, :, i]).max() + 1e-6
     for i in range(6):
         h = 1e-7
-        steps = [fit.stepped(at, np.zeros(11), np.tile(sign * h * np.eye(6)[i], (5, 1))) for sign in (1, -1)]
+        steps = [fit.stepped(at, np.zeros(12), np.tile(sign * h * np.eye(6)[i], (5, 1))) for sign in (1, -1)]
         slope = (fit.residuals(observations, steps[1]) - fit.residuals(observations, steps[0])) / (2 * h)
         assert np.abs(slope - own[:, :, i]).max() < 1e-6 * np.abs(own[:, :, i]).max()
 

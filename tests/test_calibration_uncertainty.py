@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_boards import THESIS, exact, film
+from calibration_boards import BOARD, THESIS, exact, film
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.calibration import field, fit, quality, uncertainty
+from avcli.calibration import calibrate, field, fit, quality, robust, uncertainty
 from avcli.calibration.circle import Circle, Light, find
+from avcli.lens import KannalaBrandt
 
 SIZE = (1920, 1080)
 GRID = field.grid(*SIZE, step=120).reshape(-1, 2)
@@ -32,7 +33,7 @@ def pull(o, solution):
     """Actual over stated error of the lens over the picture where corners were seen."""
     rays = THESIS.unproject(GRID[field.seen_angles(THESIS, GRID) < np.nanmax(field.seen_angles(THESIS, o.pixels))])
     moved, _ = field.sensitivity(solution.lens, o.pixels, rays)
-    off = moved @ (solution.parameters[: -fit.SHAPE] - THESIS.parameters)
+    off = moved @ (solution.parameters[: -fit.BESIDE] - THESIS.parameters)
     return np.sum(off**2) / np.sum(field.errors(solution, o.pixels, rays)[0] ** 2)
 
 
@@ -225,3 +226,97 @@ def test_any_part_of_the_views_is_solved_as_the_whole_system_would_be(views):
     # What holds the errors at zero is no information of the views.
     spread = np.linalg.inv(N * np.outer(scale, scale))[:k, :k] * np.outer(scale[:k], scale[:k])
     assert (np.diag(np.linalg.inv(known.views.information.sum(0))) > 0.999 * np.diag(spread)).all()
+
+
+WIDE = KannalaBrandt(338.0, 338.5, 514.0, 388.0, 0.01, -0.01, 0.002, -0.0005)
+WIDE_SIZE = (1032, 778)
+
+
+def near(seed, views, pupil=0.0, printed=0.0, shared=0.0):
+    """Corners of boards near a wide lens: its centre moves, the print is wrong (squares), views share errors (px)."""
+    rng = np.random.default_rng(seed)
+    shown = film(views, rng, lens=WIDE, size=WIDE_SIZE, distance=(0.3, 0.9), tilt=0.9)
+    o = exact(shown, lens=WIDE, pupil=pupil, noise=0.05, rng=rng)
+    wrong = printed * BOARD.square_m * rng.standard_normal((len(BOARD.points), 3))
+    places = fit.surface(o.points, np.zeros(3), o.half_extent) + np.tile(wrong, (views, 1))
+    seen = np.einsum("nij,nj->ni", shown.rotations[o.view], places) + shown.translations[o.view]
+    u, v = (o.points / o.half_extent).T
+    bends = shared * rng.standard_normal((views, 5, 2))
+    bent = np.einsum("nb,nbi->ni", np.stack([u, v, u * u, u * v, v * v], -1), bends[o.view])
+    pixels = WIDE.project(fit.from_pupil(seen, pupil)[0]) + bent + 0.05 * rng.standard_normal((*seen.shape[:1], 2))
+    return replace(o, pixels=pixels)
+
+
+def far_off(o, solution):
+    """Actual and stated error of the wide lens for what is far away, px, where corners were seen."""
+    grid = field.grid(*WIDE_SIZE, step=60).reshape(-1, 2)
+    rays = WIDE.unproject(grid[field.seen_angles(WIDE, grid) < np.nanmax(field.seen_angles(WIDE, o.pixels))])
+    off = solution.lens.project(field.turned_to(WIDE, solution.lens, o.pixels, rays)) - WIDE.project(rays)
+    return np.sqrt((off**2).sum(1).mean()), np.sqrt((field.errors(solution, o.pixels, rays)[0] ** 2).mean())
+
+
+def fitted(o):
+    """As calibrate does where nothing is known of the board, but for its errors."""
+    solution, good = robust.fit_robustly(o, *WIDE_SIZE)
+    return calibrate._Fitted(o, solution, good, robust.held_out(o, solution, good))
+
+
+@pytest.mark.parametrize("seed", [50, 51, 52])
+def test_a_lens_whose_centre_moves_is_right_far_away(seed):
+    o = near(seed, 20, pupil=0.004, shared=0.02)
+    central = fitted(o)
+    moving, before, after = central.freer(pupil=True)
+    assert moving.solution.pupil == pytest.approx(0.004, rel=0.2)
+    assert after < 0.8 * before
+    (actual, stated), (off, said) = far_off(o, moving.solution), far_off(o, central.solution)
+    assert actual < 2 * stated
+    assert off > 3 * max(said, actual)  # a single centre is wrong, and sure of it
+
+
+@pytest.mark.parametrize("seed", [50, 51, 52])
+def test_a_centre_that_moves_is_found_on_a_board_that_is_printed_badly(seed):
+    o = near(seed, 20, pupil=0.004, printed=0.01)
+    found = fitted(o)
+    found = replace(found, held_out=robust.held_out(o, found.solution, found.good, board_errors=True))
+    moving, before, after = found.moving_before_errors()
+    assert after < before
+    learned, solution = robust.fit_board(o, moving.solution, moving.good)
+    assert solution.pupil == pytest.approx(0.004, rel=0.2)
+    actual, stated = far_off(learned, solution)
+    assert actual < 2 * stated
+
+
+def test_a_bad_print_is_held_no_tighter_than_it_is():
+    """The flat fit's residuals contain the print's errors; held by them, the lens was five times as far off."""
+    pulls = []
+    for seed in range(50, 56):
+        o = near(seed, 20, printed=0.01)
+        solution, good = robust.fit_robustly(o, *WIDE_SIZE)
+        learned, solution = robust.fit_board(o, solution, good)
+        assert solution.sigma_px < 0.06
+        assert np.sqrt((learned.errors**2).mean()) == pytest.approx(0.01 * BOARD.square_m, rel=0.25)
+        pulls.append(np.divide(*far_off(learned, solution)))
+    assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+
+
+def test_views_that_also_tell_the_places_of_the_corners_state_more():
+    """A view that helps to tell the places pulls them towards itself: its score says less than its share."""
+    learned, solution = robust.fit_board(
+        *(lambda o: (o, *robust.fit_robustly(o, *WIDE_SIZE)))(near(60, 8, printed=0.01))
+    )
+    views = fit.by_view(learned, solution).views
+    spent = np.linalg.eigvalsh(views.information - views.own)
+    assert spent.min() > -1e-6 * spent.max()
+    whole, plain = uncertainty.covariance(views), uncertainty.covariance(views._replace(own=None))
+    assert np.trace(np.linalg.solve(plain, whole)) > len(plain)
+    same = uncertainty.covariance(views._replace(own=views.information))
+    assert np.allclose(same, plain, rtol=1e-5)
+
+
+def test_one_step_to_the_halves_is_as_good_as_a_fit_where_the_print_is_bad():
+    o = near(61, 16, printed=0.01, shared=0.05)
+    learned, solution = robust.fit_board(o, *robust.fit_robustly(o, *WIDE_SIZE))
+    grid = field.grid(*WIDE_SIZE, step=60).reshape(-1, 2)
+    tested = [field.split_halves(learned, solution, grid, splits=10, refit=refit) for refit in (False, True)]
+    assert tested[0].ratio == pytest.approx(tested[1].ratio, rel=0.15)
+    assert tested[0].stated_px == pytest.approx(tested[1].stated_px, rel=0.15)

@@ -5,6 +5,7 @@ board (where it really is on the print). Views share no pose and corners no plac
 block by block, and what is left is small and dense (the Schur complement; Triggs et al. 2000, section 6.1).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -85,7 +86,10 @@ class Blocks(NamedTuple):
 
     def step(self, damping: float = 0.0) -> Step:
         """Solve for all unknowns, `damping` times the diagonal added (Levenberg and Marquardt)."""
-        k, reduced = self._k, self._eliminated(damping)
+        return self._solution(self._eliminated(damping))
+
+    def _solution(self, reduced: _Reduced) -> Step:
+        k = self._k
         response = _solved(reduced.dense[: reduced.q, : reduced.q], reduced.dense[: reduced.q, reduced.q :])
         left = reduced.dense[reduced.q :, reduced.q :] - reduced.dense[reduced.q :, : reduced.q] @ response
         common = _least(left[:k, :k], left[:k, k])
@@ -146,40 +150,73 @@ class Blocks(NamedTuple):
     @property
     def views(self) -> Views:
         """What each view says about the common unknowns, with its pose and the places of the corners eliminated."""
-        k, count = self._k, len(self.gram)
+        return self.solved()[1] if self.place.shape[1] else self._views_of_known_places()
+
+    def _views_of_known_places(self) -> Views:
+        k = self._k
         A, B, C = self.gram[:, :k, :k], self.gram[:, k:-1, :k], self.gram[:, k:-1, k:-1]
-        g, h, learned = self.gram[:, :k, -1], self.gram[:, k:-1, -1:], 0.0
-        if self.place.shape[1]:  # the columns less what the places explain of them
-            gain, learned = self._learned()
-            flat = gain.reshape(-1, k)
-            both = self.cross.reshape(count, len(flat), -1).transpose(0, 2, 1) @ flat
-            square = flat.T @ (self.place @ gain).reshape(count, len(flat), k)
-            A = A - both[:, :k] - both[:, :k].transpose(0, 2, 1) + square
-            B, g = B - both[:, k:-1], g - both[:, -1]
         fold = np.linalg.inv(damped(C, 0.0)) @ B
-        score = g - (fold.transpose(0, 2, 1) @ h)[..., 0]
-        if self.place.shape[1]:
-            score = score - score.mean(0)  # what pulls the errors to zero is not of a view
         return Views(
             information=A - B.transpose(0, 2, 1) @ fold,
-            score=score,
+            score=self.gram[:, :k, -1] - (fold.transpose(0, 2, 1) @ self.gram[:, k:-1, -1:])[..., 0],
             cost=self.cost,
-            freedom=self.counts - POSE - learned / count,
+            freedom=self.counts - POSE,
         )
 
-    def _learned(self) -> tuple[np.ndarray, float]:
-        """How the places follow the common unknowns, (corners, 3, k), and how many unknowns they amount to."""
-        k, reduced = self._k, self._eliminated()
-        q, corners = reduced.q, self.place.shape[1]
+    def solved(self) -> tuple[Step, Views]:
+        """The step to the solution, and what each view says of the common unknowns there; the places are unknown too.
+
+        The columns of the common unknowns are taken less what the places explain of them. A view that helps to tell the
+        places pulls them towards itself, and leaves smaller scores: `own` says what is left of its information.
+        """
+        k, count = self._k, len(self.gram)
+        reduced = self._eliminated()
+        step = self._solution(reduced)
+        gain, learned, spread = self._learned(reduced)
+        flat = gain.reshape(-1, k)
+        both = self.cross.reshape(count, len(flat), -1).transpose(0, 2, 1) @ flat
+        moved = self.place @ gain
+        square = flat.T @ moved.reshape(count, len(flat), k)
+        A = self.gram[:, :k, :k] - both[:, :k] - both[:, :k].transpose(0, 2, 1) + square
+        B = self.gram[:, k:-1, :k] - both[:, k:-1]
+        fold = np.linalg.inv(damped(self.gram[:, k:-1, k:-1], 0.0)) @ B
+        information = A - B.transpose(0, 2, 1) @ fold
+        by_place = self.cross[..., :k] - moved - self.cross[..., k:-1] @ fold[:, None]
+        by_place = by_place.reshape(count, len(flat), k).transpose(0, 2, 1)  # products with the columns of the places
+        score = self.gram[:, :k, -1] - both[:, -1] - (fold.transpose(0, 2, 1) @ self.gram[:, k:-1, -1:])[..., 0]
+        score = score - information @ step.common - by_place @ (gain @ step.common + step.errors).ravel()
+        views = Views(
+            information=information,
+            score=score - score.mean(0),  # what pulls the errors to zero is not of a view
+            cost=self.cost,
+            freedom=self.counts - POSE - learned / count,
+            own=information - by_place @ spread(by_place),
+            prior=self.held * flat.T @ flat,
+        )
+        return step, views
+
+    def _learned(self, reduced: _Reduced) -> tuple[np.ndarray, float, Callable[[np.ndarray], np.ndarray]]:
+        """What the places of the corners tell.
+
+        Returns:
+            how they follow the common unknowns, (corners, 3, k); how many unknowns they amount to; and what takes
+            (views, k, 3 corners) to the products with their covariance, (views, 3 corners, k).
+        """
+        k, q, corners = self._k, reduced.q, self.place.shape[1]
         inverse = np.linalg.inv(reduced.dense[:q, :q])
         response = inverse @ reduced.dense[:q, q : q + k]
         if not reduced.by_corner:
-            return response.reshape(corners, 3, k), 3 * corners - self.held * float(np.trace(inverse))
-        between = reduced.fold[..., :q]
-        spread = np.trace(np.linalg.inv(reduced.diagonal), axis1=1, axis2=2).sum()
+            known = 3 * corners - self.held * float(np.trace(inverse))
+            return response.reshape(corners, 3, k), known, lambda rows: inverse @ rows.transpose(0, 2, 1)
+        between, own = reduced.fold[..., :q], np.linalg.inv(reduced.diagonal)
         flat = between.reshape(-1, q)
-        spread += float(((flat @ inverse) * flat).sum())
-        return reduced.fold[..., q : q + k] - between @ response, 3 * corners - self.held * float(spread)
+        traced = np.trace(own, axis1=1, axis2=2).sum() + float(((flat @ inverse) * flat).sum())
+
+        def spread(rows: np.ndarray) -> np.ndarray:
+            apart = np.einsum("cij,vkcj->vcik", own, rows.reshape(len(rows), k, corners, 3))
+            return apart.reshape(len(rows), -1, k) + flat @ (inverse @ (flat.T @ rows.transpose(0, 2, 1)))
+
+        return reduced.fold[..., q : q + k] - between @ response, 3 * corners - self.held * float(traced), spread
 
 
 def _eliminate(first: np.ndarray, border: np.ndarray, dense: np.ndarray, *, by_corner: bool, q: int) -> _Reduced:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,14 +16,15 @@ from avcli.formats.footage import Picture
 from avcli.lens import Lens, lens_config, variants
 
 BOARD_GAIN = 0.02
-"""The board's shape is fitted only where held-out views improve by at least this fraction."""
+"""The board's shape and its corners' errors are fitted only where held-out views improve by at least this fraction.
+How the lens's centre moves is fitted wherever they improve: what hardly shows near by is far off at a distance."""
 
 _WORTH_A_TEST = 1 - BOARD_GAIN / 2
 """What the shape or the errors promise (robust.foretold) at least, or they are not fitted and tested. On derlunz, dyf
 and fish_1 a promise of more than 2 % was off by at most 0.06, one of less by 0.03 to the worse."""
 
 LEAST_FOR_ERRORS = 8
-"""Views from which the board's errors are looked for."""
+"""Views from which the board's errors are looked for, and whether the lens's centre moves."""
 
 _LEAST_CORNERS = 6
 DEFAULTS = FitSettings()
@@ -46,6 +48,7 @@ class Calibration:
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried, and `shaped_px` only
             foretold (robust.foretold) where that is no better.
+        central_px, pupil_px: the same without and with a centre of projection that moves (Solution.pupil).
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN or foretold likewise.
         tried: the lens models that were tried, the best first; empty where the model was given.
     """
@@ -62,6 +65,8 @@ class Calibration:
     held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
+    central_px: float = float("nan")
+    pupil_px: float = float("nan")
     printed_px: float = float("nan")
     tried: tuple[choose.Tried, ...] = ()
 
@@ -81,6 +86,15 @@ class Calibration:
         return self.views[0].height
 
     @property
+    def near_m(self) -> float:
+        """Distance, m, within which a point at the largest angle seen is farther off than quality.TRUST_LIMIT.
+
+        The lens as config.json has it has one centre. If it moves, that is right for what is far.
+        """
+        theta = self.quality.theta_max_observed
+        return abs(self.solution.pupil) * theta**2 * float(np.sin(min(theta, np.pi / 2))) / quality.TRUST_LIMIT
+
+    @property
     def bow_m(self) -> float:
         """How far the board's middle stands out of the plane of its corners, m; 0 for a flat one."""
         return float(self.solution.shape[:2].sum())
@@ -89,6 +103,8 @@ class Calibration:
         """What is known of the board; a length only where the print was measured."""
         board, shape = self.board, [float(v) for v in self.solution.shape]
         known: dict = {"square_m": board.square_m, "board_shape_m": shape} if board.scaled else {"square_m": None}
+        if board.scaled and self.solution.free[-1]:
+            known |= {"pupil_m": self.solution.pupil, "pupil_sd_m": _finite(self.quality.sd[-1])}
         if board.kind != "checkerboard":
             known |= {"board_kind": board.kind, "board_ratio": board.ratio}
         if board.markers:
@@ -98,7 +114,7 @@ class Calibration:
     @property
     def covariance(self) -> np.ndarray:
         """(parameters, parameters) of the lens's parameters in the order of its keys."""
-        return self.solution.covariance[: -fit.SHAPE, : -fit.SHAPE]
+        return self.solution.covariance[: -fit.BESIDE, : -fit.BESIDE]
 
     @property
     def verdict(self) -> str:
@@ -218,35 +234,83 @@ def calibrate_views(
     return _calibrate_robustly(board, views, settings, circle)
 
 
+@dataclass(frozen=True)
+class _Fitted:
+    """Where the fit stands: the corners of all views, the solution for those in `good`, its error on views held out."""
+
+    everything: fit.Observations
+    solution: fit.Solution
+    good: np.ndarray
+    held_out: robust.HeldOut
+
+    @cached_property
+    def plain(self) -> float:
+        """What robust.foretold says of no change."""
+        return robust.foretold(self.everything, self.solution, self.good)
+
+    def freer(
+        self, *, board_shape: bool = False, pupil: bool = False, certainly: bool = False
+    ) -> tuple["_Fitted", float, float]:
+        """Let the board bend or the lens's centre move too, if held-out views improve (BOARD_GAIN), or `certainly`.
+
+        Returns:
+            what stands then; and the held-out RMS without and with it, px, the latter only foretold where that is no
+            better.
+        """
+        more = {"board_shape": board_shape or self.solution.bends, "pupil": pupil or bool(self.solution.free[-1])}
+        promised = robust.foretold(self.everything, self.solution, self.good, **more) / self.plain
+        before, gain = self.held_out.rms_px, 0.0 if pupil else BOARD_GAIN
+        if not certainly and not promised < 1 - gain / 2:
+            return self, before, promised * before
+        # From all corners again: a flat board may have made good ones of a bowed board look bad.
+        start = fit.fit(self.everything, robust.posed(self.everything, self.solution, self.good), **more)
+        solution, good = robust.refit_robustly(self.everything, start, np.ones(len(self.good), bool), **more)
+        found = _Fitted(self.everything, solution, good, robust.held_out(self.everything, solution, good))
+        before, after = self.held_out.of(self.good & good), found.held_out.of(self.good & good)
+        return (found if certainly or after < (1 - gain) * before else self), before, after
+
+    def moving_before_errors(self) -> tuple["_Fitted", float, float]:
+        """As `freer` for the lens's centre, where the board's errors are learnt too, which can hide how it moves."""
+        learned = robust.fit_board(self.everything, self.solution, self.good)
+        plain = robust.foretold(*learned, self.good, board_errors=True)
+        promised = robust.foretold(*learned, self.good, pupil=True, board_errors=True) / plain
+        before = self.held_out.rms_px
+        if not promised < 1:
+            return self, before, promised * before
+        some = self.everything.of_corners(self.good)
+        solution = fit.fit(some, self.solution, board_shape=self.solution.bends, pupil=True)
+        after = robust.held_out(self.everything, solution, self.good, board_errors=True)
+        if not after.rms_px < before:
+            return self, before, after.rms_px
+        return _Fitted(self.everything, solution, self.good, after), before, after.rms_px
+
+
 def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
     coarse = observe(board, views)
     size = views[0].width, views[0].height
     solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
-    flat = chosen = robust.held_out(everything, solution, good)
-    flat_px, shaped_px, printed_px = flat.rms_px, float("nan"), float("nan")
+    found = _Fitted(everything, solution, good, robust.held_out(everything, solution, good))
+    flat_px, shaped_px = found.held_out.rms_px, float("nan")
+    central_px = pupil_px = printed_px = float("nan")
     if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
-        plain = robust.foretold(everything, solution, good)
-        promised = robust.foretold(everything, solution, good, board_shape=True) / plain
-        shaped_px = promised * flat_px
-        if settings.board_shape == "yes" or promised < _WORTH_A_TEST:
-            # From all corners again: a flat board may have made good ones of a bowed board look bad.
-            start = fit.fit(everything, robust.posed(everything, solution, good), board_shape=True)
-            bent, bent_good = robust.refit_robustly(everything, start, np.ones(len(good), bool), board_shape=True)
-            shaped = robust.held_out(everything, bent, bent_good)
-            flat_px, shaped_px = flat.of(good & bent_good), shaped.of(good & bent_good)
-            if settings.board_shape == "yes" or shaped_px < (1 - BOARD_GAIN) * flat_px:
-                solution, good, chosen = bent, bent_good, shaped
-                plain = robust.foretold(everything, solution, good)
-    board_errors = False  # with 8 views the shape was tried, so that `plain` is known
+        found, flat_px, shaped_px = found.freer(board_shape=True, certainly=settings.board_shape == "yes")
+    if everything.views_of(found.good).sum() >= LEAST_FOR_ERRORS:
+        found, central_px, pupil_px = found.freer(pupil=True)
+    solution, good, chosen = found.solution, found.good, found.held_out
+    board_errors = False
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
-        promised = robust.foretold(everything, solution, good, board_errors=True) / plain
+        promised = robust.foretold(everything, solution, good, board_errors=True) / found.plain
         printed_px = promised * chosen.rms_px
         if promised < _WORTH_A_TEST:
             printed = robust.held_out(everything, solution, good, board_errors=True)
             printed_px = printed.rms_px
             if printed_px < (1 - BOARD_GAIN) * chosen.rms_px:
-                chosen, board_errors = printed, True
+                found, board_errors = replace(found, held_out=printed), True
+                if not solution.free[-1]:
+                    found, central_px, pupil_px = found.moving_before_errors()
+                solution, chosen = found.solution, found.held_out
+                printed_px = chosen.rms_px
     tried: tuple[choose.Tried, ...] = ()
     if settings.lens_model == choose.AUTO:
         solution, chosen, tried = choose.choose(everything, solution, good, chosen, *size, board_errors=board_errors)
@@ -256,6 +320,8 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
         judged(board, views, everything, solution, good, chosen, circle, print_tested=np.isfinite(printed_px)),
         flat_px=flat_px,
         shaped_px=shaped_px,
+        central_px=central_px,
+        pupil_px=pupil_px,
         printed_px=printed_px,
         tried=tried,
     )

@@ -237,17 +237,14 @@ def split_halves(
         return (found.parameters - solution.parameters)[solution.free], fit.by_view(some, found).views
 
     def stepped(keep: np.ndarray) -> tuple[np.ndarray, Views]:
-        own = known.of(keep)
-        return own.step().common, own.views
+        step, views = known.of(keep).solved()
+        return step.common, views
 
     steps, spreads = [], []
     for half in map(np.array, zip(*uncertainty.halves(observations.views, splits, seed), strict=True)):
         if refit or known.held:
             found = [refitted(keep) if refit else stepped(keep) for keep in half]
-            step, views = (
-                np.array([s for s, _ in found]),
-                Views(*map(np.array, zip(*(v for _, v in found), strict=True))),
-            )
+            step, views = np.array([s for s, _ in found]), uncertainty.stacked([v for _, v in found])
         else:  # what a view says of the lens does not depend on the others
             views = every.of(half)
             step = views.step

@@ -2,9 +2,10 @@
 
 A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y / Y)²)) of its own frame, X and Y being
 the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The lens is any
-model of avcli.lens, which names its parameters and gives its own derivatives. The fit has six unknowns a view and P
-common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2, always
-last.
+model of avcli.lens, which names its parameters and gives its own derivatives. Its centre may move: seen at an angle of
+theta (rad) from the axis, a point is seen from `pupil` theta² (m) farther ahead, as the entrance pupil of a wide lens
+does (Gennery 2006 writes it as a series in theta). The fit has six unknowns a view and P common ones: the lens's
+parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the pupil, always last.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,9 @@ from avcli.calibration.uncertainty import Views
 from avcli.lens import KannalaBrandt, Lens, variants
 
 SHAPE = 3
-"""Number of the board's shape terms b0 b1 b2, the last of the common unknowns."""
+"""Number of the board's shape terms b0 b1 b2."""
+BESIDE = SHAPE + 1
+"""Number of the common unknowns beside those of the lens as config.json has it: b0 b1 b2 and the pupil, the last."""
 BOARD_ERROR = 0.01
 """Standard deviation of a corner's place on the board, in squares, before it is seen."""
 _SCANNED = 8
@@ -110,7 +113,7 @@ class Solution:
     """Where a fit stands.
 
     Attributes:
-        parameters: (P,) of the lens (`Lens.names`: fx fy cx cy px, and its coefficients), then b0 b1 m, b2.
+        parameters: (P,) of the lens (`Lens.names`: fx fy cx cy px, and its coefficients), then b0 b1 m, b2, pupil m.
         rotations, translations: (views, 3, 3) and (views, 3) m, board to camera.
         free: (P,) bool, which parameters were fitted.
         covariance: (P, P) of the parameters, 0 where not fitted; before the end of a fit one NaN.
@@ -135,13 +138,28 @@ class Solution:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the parameters, (P,): those of the lens, and b0, b1, b2."""
-        return (*self.like.names(), "b0", "b1", "b2")
+        """The names of the parameters, (P,): those of the lens, and b0, b1, b2, pupil."""
+        return (*self.like.names(), "b0", "b1", "b2", "pupil")
 
     @property
     def shape(self) -> np.ndarray:
         """The board's shape terms b0, b1 (m) and b2."""
-        return self.parameters[-SHAPE:]
+        return self.parameters[-BESIDE:-1]
+
+    @property
+    def pupil(self) -> float:
+        """How far the centre of projection is ahead at 1 rad from the axis, m; as the square of the angle."""
+        return float(self.parameters[-1])
+
+    @property
+    def beside(self) -> np.ndarray:
+        """The parameters that are not the lens's, (BESIDE,)."""
+        return self.parameters[-BESIDE:]
+
+    @property
+    def bends(self) -> bool:
+        """Whether the board's shape was fitted."""
+        return bool(self.free[-BESIDE:-1].any())
 
     def of_views(self, keep: np.ndarray) -> "Solution":
         """The poses of some views only: `keep` (views,) bool, or indices."""
@@ -170,7 +188,31 @@ def places(observations: Observations, solution: Solution) -> np.ndarray:
 def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
     inside = (solution.rotations[observations.view] @ places(observations, solution)[:, :, None])[:, :, 0]
-    return observations.pixels - solution.lens.project(inside + solution.translations[observations.view])
+    points = inside + solution.translations[observations.view]
+    return observations.pixels - solution.lens.project(from_pupil(points, solution.pupil)[0])
+
+
+def from_pupil(points: np.ndarray, pupil: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (n, 3) m of the camera's frame as the centre of projection sees them.
+
+    Args:
+        points: in the frame whose origin is the centre for rays along the axis.
+        pupil: m, as in Solution.
+
+    Returns:
+        the points from the centre that they are seen from, (n, 3); how much less their z is for each m of `pupil`,
+        (n,); and its derivative to the points, (n, 3) 1/m.
+    """
+    x, y, z = points.T
+    off = np.hypot(x, y)
+    theta = np.arctan2(off, z)
+    less = theta**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = 2 * theta / (off**2 + z**2)
+        across = np.where(off > 0, slope * z / off, 0.0)
+    seen = points.copy()
+    seen[:, 2] -= pupil * less
+    return seen, less, np.stack([across * x, across * y, -slope * off], -1)
 
 
 def poses_from_rays(lens: Lens, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
@@ -230,16 +272,24 @@ def _linearise(observations: Observations, solution: Solution) -> np.ndarray:
     o, s = observations, solution
     R = s.rotations[o.view]
     turned = np.einsum("nij,nj->ni", R, places(o, s))
-    pixels, by_point, by_lens = s.lens.project_jacobian(turned + s.translations[o.view])
-    of_lens, of_shape = s.free[:-SHAPE], s.free[-SHAPE:]
+    points = turned + s.translations[o.view]
+    of_lens, of_shape = s.free[:-BESIDE], s.free[-BESIDE:-1]
     first, k = int(of_lens.sum()), int(s.free.sum())
     columns = np.empty((len(turned), 2, k + 7))
+    if s.free[-1] or s.pupil:
+        seen, less, slope = from_pupil(points, s.pupil)
+        pixels, by_point, by_lens = s.lens.project_jacobian(seen)
+        if s.free[-1]:
+            columns[:, :, k - 1] = -by_point[:, :, 2] * less[:, None]
+        by_point = by_point - s.pupil * by_point[:, :, 2:] * slope[:, None]
+    else:
+        pixels, by_point, by_lens = s.lens.project_jacobian(points)
     columns[:, :, :first] = by_lens if of_lens.all() else by_lens[:, :, of_lens]
     if of_shape.any():
         u, v = (o.points / o.half_extent).T
         bend = np.stack([R[:, :, 2] * (1 - u**2)[:, None], R[:, :, 2] * (1 - v**2)[:, None]], -1)
         longer = (by_point @ R[:, :, 1:2]) * o.points[:, None, 1:]
-        columns[:, :, first:k] = np.concatenate([by_point @ bend, longer], 2)[:, :, of_shape]
+        columns[:, :, first : first + of_shape.sum()] = np.concatenate([by_point @ bend, longer], 2)[:, :, of_shape]
     for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1)), k):  # the cross product of the point with the derivative
         columns[:, :, axis] = turned[:, None, i] * by_point[:, :, j] - turned[:, None, j] * by_point[:, :, i]
     columns[:, :, k + 3 : -1] = by_point
@@ -333,7 +383,9 @@ def refine_with_errors(
     """
     errors = np.zeros((len(observations.view), 3)) if len(observations.errors) == 1 else observations.errors
     held = (start.sigma_px / error_prior(observations)) ** 2
-    return _refined(replace(observations, errors=errors), start, held, iterations, gain)
+    known, solution = _refined(replace(observations, errors=errors), start, held, iterations, gain)
+    # The start's residuals contain the errors, which would then be held too tightly.
+    return _refined(known, solution, holding(known, solution), iterations, gain)
 
 
 def gauss_newton(observations: Observations, solution: Solution, held: float = 0.0) -> tuple[Observations, Solution]:
@@ -373,7 +425,7 @@ def is_possible(solution: Solution) -> bool:
     """Whether a solution is finite and its lens images anything."""
     p = solution.parameters
     finite = np.isfinite(p).all() and np.isfinite(solution.rotations).all() and np.isfinite(solution.translations).all()
-    return bool(finite and abs(p[-1]) < 0.5 and solution.lens.is_possible)
+    return bool(finite and abs(solution.shape[2]) < 0.5 and solution.lens.is_possible)
 
 
 def refine_poses(
@@ -449,16 +501,16 @@ def covariance(
 # --- the whole fit ----------------------------------------------------------------------------------------------------
 
 
-def free_parameters(lens: Lens, board_shape: bool = False, few: bool = False) -> np.ndarray:
-    """Which common unknowns to fit, (P,) bool: the lens's (a `few`: one coefficient), and the board's shape or not."""
+def free_parameters(lens: Lens, board_shape: bool = False, pupil: bool = False, few: bool = False) -> np.ndarray:
+    """Which common unknowns to fit, (P,) bool: the lens's (a `few`: one coefficient), the board's shape, the pupil."""
     names = lens.names()
     freed = (*names[:4], lens.leading) if few else names
-    return np.array([name in freed for name in names] + [board_shape] * SHAPE)
+    return np.array([name in freed for name in names] + [board_shape] * SHAPE + [pupil])
 
 
-def start_from_rays(observations: Observations, lens: Lens, shape: np.ndarray | None = None) -> Solution:
-    """Poses from rays under a lens that is known or guessed."""
-    parameters = np.append(lens.parameters, np.zeros(SHAPE) if shape is None else shape)
+def start_from_rays(observations: Observations, lens: Lens, beside: np.ndarray | None = None) -> Solution:
+    """Poses from rays under a lens that is known or guessed, and what is known beside it (Solution.beside)."""
+    parameters = np.append(lens.parameters, np.zeros(BESIDE) if beside is None else beside)
     return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(len(parameters), bool), like=lens)
 
 
@@ -510,13 +562,13 @@ def _thinned(observations: Observations, most: int = 9) -> Observations:
     return observations.of_corners(keep)
 
 
-def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:
-    """Fit the lens (and the board's shape) to all views, robustly, in stages of growing freedom.
+def fit(observations: Observations, start: Solution, *, board_shape: bool = False, pupil: bool = False) -> Solution:
+    """Fit the lens (and the board's shape, and the pupil) to all views, robustly, in stages of growing freedom.
 
     Raises:
         NoFit: there are fewer equations than unknowns, or no lens images the corners.
     """
-    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape)
+    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape, pupil)
     if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
         raise NoFit(
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
@@ -539,7 +591,7 @@ def _reseeded(observations: Observations, solution: Solution) -> Solution:
     if not bad.any():
         return solution
     few = observations.of_views(bad)
-    again = refine_poses(few, start_from_rays(few, solution.lens, solution.shape), 10)
+    again = refine_poses(few, start_from_rays(few, solution.lens, solution.beside), 10)
     better = view_rms(few, again) < rms[bad]
     chosen = np.flatnonzero(bad)[better]
     rotations, translations = solution.rotations.copy(), solution.translations.copy()

@@ -47,7 +47,7 @@ def calibrate(observations: fit.Observations, width: int, height: int, start: Le
             "own start"
         ) from None
     lens = KannalaBrandt(*map(float, [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:4]]))
-    parameters = np.append(lens.parameters, np.zeros(fit.SHAPE))
+    parameters = np.append(lens.parameters, np.zeros(fit.BESIDE))
     if not np.isfinite(parameters).all():
         raise OpenCVRefused(f"OpenCV {cv2.__version__} returns a lens that is not finite; use the procedure avcli")
     return fit.Solution(

@@ -77,7 +77,7 @@ def _halves(q: Quality) -> str:
 
 def _parameters(result: Calibration) -> str:
     """The lens, with standard deviations. What is known of the board is said in words."""
-    s, lens = result.solution, slice(None, -fit.SHAPE)
+    s, lens = result.solution, slice(None, -fit.BESIDE)
     rows = []
     for name, value, sd, is_free in zip(
         s.names[lens], s.parameters[lens], result.quality.sd[lens], s.free[lens], strict=True

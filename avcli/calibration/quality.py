@@ -208,7 +208,7 @@ def _focal_sd(solution: fit.Solution) -> float:
 
     That is fx and fy of most models. Of the double sphere model it is fx / (1 + xi), far better known than fx and xi.
     """
-    count = len(solution.parameters) - fit.SHAPE
+    count = len(solution.parameters) - fit.BESIDE
 
     def on_axis(parameters: np.ndarray) -> np.ndarray:
         lens = replace(solution, parameters=parameters).lens

@@ -26,7 +26,7 @@ def words(result: Calibration, seen: Seen) -> list[str]:
     used = int(result.kept.sum())
     held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few pictures)"
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
-    terms = zip(lens.names()[4:], parameters[4 : -fit.SHAPE], q.sd[4 : -fit.SHAPE], strict=True)
+    terms = zip(lens.names()[4:], parameters[4 : -fit.BESIDE], q.sd[4 : -fit.BESIDE], strict=True)
     lines = [
         f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}, "
         f"{seen.count('duplicate')} of them as in another picture; the fit uses "
@@ -62,6 +62,8 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         )
     if result.solution.shape.any():
         lines += _shape_in_words(result)
+    if result.solution.free[-1]:
+        lines.append(_pupil_in_words(result))
     if result.observations.errors.any():
         rms = np.sqrt((result.observations.errors**2).sum(1).mean()) / result.board.square_m
         lines.append(
@@ -107,6 +109,24 @@ def _shape_in_words(result: Calibration) -> list[str]:
     if board.scaled and bow > 0.0005:
         lines.append("the board is bowed by more than 0.5 mm: mount it on something flat")
     return lines
+
+
+def _pupil_in_words(result: Calibration) -> str:
+    """How the lens's centre moves; as lengths only where the side of a square was measured."""
+    board, theta = result.board, result.quality.theta_max_observed
+    moved, sd, near = result.solution.pupil * theta**2, result.quality.sd[-1] * theta**2, result.near_m
+    if not abs(moved) > 2 * sd:
+        return "whether the lens has a single centre cannot be told; ± and expected errors count that it may not"
+    shift, distance = f"{1000 * abs(moved):.1f} ± {1000 * sd:.1f} mm", f"{near:.2f} m"
+    if not board.scaled:
+        near, moved, sd = near / board.square_m, moved / board.square_m, sd / board.square_m
+        shift, distance = f"{abs(moved):.3f} ± {sd:.3f} squares", f"{near:.0f} squares"
+    return (
+        f"the lens has no single centre: at {_degrees(theta)} from the axis it is {shift} "
+        f"{'farther ahead' if moved > 0 else 'behind'} (held-out RMS {result.central_px:.3f} px with a single centre, "
+        f"{result.pupil_px:.3f} px without); the lens that is written is that of things far away: nearer than "
+        f"{distance} a ray at this angle is more than {np.rad2deg(quality.TRUST_LIMIT):g}° off"
+    )
 
 
 def _degrees(angle: float) -> str:

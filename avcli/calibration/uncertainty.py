@@ -5,12 +5,15 @@ view. A covariance that takes each corner's error for its own is several times t
 view counts as one draw of an unknown error.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 _LEAST_LEFT = 1e-3
 """Least share of the information on one direction that must come from the other views."""
+_LEAST_SHARE = 1e-12
+"""Of the information on one direction, below which a view says nothing of it."""
 
 
 class Views(NamedTuple):
@@ -21,21 +24,33 @@ class Views(NamedTuple):
         score: (..., views, p), the gradient, at the solution of all views or near it.
         cost: (..., views) sum of the whitened squared residuals, robust.
         freedom: (..., views) residuals of the view minus the unknowns of its pose.
+        own: (..., views, p, p), `information` less what the view spends on unknowns that are eliminated and that other
+            share, such as the places of the corners on the board; None: it spends nothing.
+        prior: (..., p, p), information on the common unknowns that no view brings: it is from how those others are
+            held; None: there is none.
     """
 
     information: np.ndarray
     score: np.ndarray
     cost: np.ndarray
     freedom: np.ndarray
+    own: np.ndarray | None = None
+    prior: np.ndarray | None = None
 
     def of(self, keep: np.ndarray) -> "Views":
-        """Some views only: `keep` (views,) bool, or indices; of indices (sets, n) so many sets of n views."""
-        return Views(*(part[keep] for part in self))
+        """Some views only, which share nothing: `keep` (views,) bool, or indices; of (sets, n) so many sets of n."""
+        return Views(*(part[keep] for part in self[:4]))
+
+    @property
+    def total(self) -> np.ndarray:
+        """The information of all views together (..., p, p)."""
+        total = self.information.sum(-3)
+        return total if self.prior is None else total + self.prior
 
     @property
     def step(self) -> np.ndarray:
         """How far the solution of these views lies from where they were linearised, (..., p)."""
-        scale, roots = _whitening(self.information.sum(-3))
+        scale, roots = _whitening(self.total)
         return scale * _times(roots, _times(_turned(roots), scale * self.score.sum(-2)))
 
     @property
@@ -43,6 +58,11 @@ class Views(NamedTuple):
         """Variance of a whitened residual along one axis (...); infinite without residuals to spare."""
         left = self.freedom.sum(-1) - self.score.shape[-1]
         return np.where(left > 0, self.cost.sum(-1) / np.where(left > 0, left, 1.0), np.inf)
+
+
+def stacked(sets: Sequence[Views]) -> Views:
+    """Many sets of as many views each as one."""
+    return Views(*[None if parts[0] is None else np.array(parts) for parts in zip(*sets, strict=True)])  # type: ignore[arg-type]
 
 
 def noise(views: Views) -> np.ndarray:
@@ -54,8 +74,9 @@ def noise(views: Views) -> np.ndarray:
 def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
     """Covariance (..., p, p) of the common unknowns, each view a draw by itself; at least that of independent corners.
 
-    Each view's score is set right for the part that the view itself took of the solution, so that the result is
-    unbiased where the errors are independent (Bell and McCaffrey 2002, the estimator CR2). It is then multiplied by the
+    Each view's score is set right for the part that the view itself took of the solution, and of what all views share
+    beside it (`own`), so that the result is unbiased where the errors are independent (Bell and McCaffrey 2002, the
+    estimator CR2). It is then multiplied by the
     variance of Student's t, since it is itself known from few views only. In the directions where independent errors of
     the corners explain more, theirs is taken.
 
@@ -75,7 +96,17 @@ def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
     share, axes = np.linalg.eigh(
         _symmetric(_turned(to_unit)[..., None, :, :] @ views.information @ to_unit[..., None, :, :])
     )
-    along = _times(_turned(axes), left @ to_unit) / np.sqrt(np.maximum(1 - share, _LEAST_LEFT))
+    along = _times(_turned(axes), left @ to_unit)
+    if views.own is None:
+        along = along / np.sqrt(np.maximum(1 - share, _LEAST_LEFT))
+    else:
+        root = np.sqrt(np.maximum(share, _LEAST_SHARE))
+        basis = to_unit[..., None, :, :] @ axes / root[..., None, :]
+        kept = _symmetric(_turned(basis) @ views.own @ basis)
+        kept = kept - share[..., None] * np.eye(share.shape[-1])
+        part, turn = np.linalg.eigh(kept)
+        rest = _times(_turned(turn), along / root) / np.sqrt(np.clip(part, _LEAST_LEFT, 1.0))
+        along = root * _times(turn, rest)
     drawn = _times(axes, along)
     spread = _turned(drawn) @ drawn * student(count - 1 if freedom is None else freedom)
     size, direction = np.linalg.eigh(spread)
@@ -117,7 +148,7 @@ def halves(count: int, splits: int, seed: int = 0) -> list[tuple[np.ndarray, np.
 
 def _to_unit(views: Views) -> np.ndarray:
     """(..., p, p), which takes errors of unit variance to those of the common unknowns."""
-    scale, roots = _whitening(views.information.sum(-3))
+    scale, roots = _whitening(views.total)
     return scale[..., None] * roots
 
 

@@ -82,7 +82,7 @@ def read_case(folder: Path) -> Case:
     found = calibrate.calibrate_views(seen.board, seen.views)
     fitted = time.process_time()
     everything = calibrate.observe(found.board, seen.views)
-    poses = fit.start_from_rays(everything, found.lens, found.solution.shape)
+    poses = fit.start_from_rays(everything, found.lens, found.solution.beside)
     poses = fit.refine_poses(everything, poses, 20, found.solution.delta_px)
     good = robust.belonging(everything, poses).corners
     everything = robust.polished(everything, poses, found.board, seen.views, good)
@@ -105,6 +105,27 @@ def read_case(folder: Path) -> Case:
 
 
 # --- tools ------------------------------------------------------------------------------------------------------------
+
+
+class Moving:
+    """avcalib's lens with its centre, which may move (fit.Solution.pupil), as the measures want a lens."""
+
+    def __init__(self, solution: fit.Solution) -> None:
+        self.lens, self.pupil = solution.lens, solution.pupil
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (n, 2) of points (n, 3) m."""
+        return self.lens.project(fit.from_pupil(points, self.pupil)[0])
+
+    def unproject(self, pixels: np.ndarray) -> np.ndarray:
+        """Directions (n, 3) of pixels (n, 2)."""
+        return self.lens.unproject(pixels)
+
+    def project_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Pixels and their derivatives to the points."""
+        seen, _, slope = fit.from_pupil(points, self.pupil)
+        pixels, by_point, _ = self.lens.project_jacobian(seen)
+        return pixels, by_point - self.pupil * by_point[:, :, 2:] * slope[:, None]
 
 
 class PlumbBob:
@@ -161,7 +182,7 @@ def _board(case: Case, learned: Calibration | None = None) -> np.ndarray:
 def ours(case: Case, views: np.ndarray) -> tuple[lens_measures.AnyLens, np.ndarray]:
     """All of avcalib's procedure on some views, from their raw corners."""
     found = calibrate.calibrate_views(case.found.board, [case.found.views[i] for i in views])
-    return found.lens, _board(case, found)
+    return Moving(found.solution), _board(case, found)
 
 
 def opencv_search(folder: Path, board: target.Board) -> Row:
