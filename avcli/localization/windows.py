@@ -11,8 +11,8 @@ from avcli.localization.settings import SteeredSettings
 from avcli.numeric import fft_length
 
 _ROUNDING = 3e-6
-"""A channel with a root mean square below this, full scale at 1, holds what computing leaves, or filters that ring before
-a simulated sound arrives: no converter is so quiet."""
+"""A channel with a root mean square below this, full scale at 1, holds what computing leaves, or the ringing of filters
+before a simulated sound arrives: no converter is so quiet."""
 
 
 @dataclass(frozen=True)
