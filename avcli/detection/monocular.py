@@ -179,7 +179,7 @@ def locate_boxes(
     if not len(boxes):
         return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool))
     most = _MOST if parts is None else _MOST_BY_POINTS
-    unsure = None if parts is None or scores is None else np.sqrt(1 - np.asarray(scores, float))
+    unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
     fits = _fitted(boxes, view, parts, turns, unsure, law, most)
     loose = np.flatnonzero(np.where(fits.good & ~most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
     if len(loose):
