@@ -119,7 +119,7 @@ def tasks_of(cases: Sequence[str], names: Sequence[str], seeds: range, more: boo
 
 
 def tables(options: argparse.Namespace, cases: list[str], names: list[str], seeds: range) -> None:
-    """Run all cases that no stopped run of the same code has kept; write tracking.json, tracking.md and the pictures."""
+    """Run all cases that no stopped run of the same code kept; write tracking.json, tracking.md and the pictures."""
     tasks = tasks_of(cases, names, seeds, not options.no_more)
     options.out.mkdir(parents=True, exist_ok=True)
     kept = options.out / f"tracking-{code()}.jsonl"
