@@ -71,12 +71,11 @@ def choose(
     """
     found = {START: (solution, held_out)}
     some = observations.of_corners(good)
-    shape, pupil = solution.bends, bool(solution.free[-1])
     for name in _candidates(solution.lens, some):
         try:
             other = fit.fit(some, fit.scan_focal(some, width, height, name))
-            if shape or pupil:
-                other = fit.fit(some, other, board_shape=shape, pupil=pupil)
+            if solution.bends:
+                other = fit.fit(some, other, board_shape=True)
         except (fit.NoFit, np.linalg.LinAlgError):
             continue
         error = robust.held_out(observations, other, good, board_errors=board_errors)

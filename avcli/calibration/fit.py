@@ -4,7 +4,8 @@ A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y /
 the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The lens is any
 model of avcli.lens, which names its parameters and gives its own derivatives. Its centre may move: seen at an angle of
 theta (rad) from the axis, a point is seen from `pupil` theta² (m) farther ahead, as the entrance pupil of a wide lens
-does (Gennery 2006 writes it as a series in theta). The fit has six unknowns a view and P common ones: the lens's
+does (Gennery 2006 writes it as a series in theta). Whoever takes it for 0 where the pictures do not tell it states too
+small errors: it is always fitted, held at 0 with the standard deviation PUPIL. The fit has six unknowns a view and P common ones: the lens's
 parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the pupil, always last.
 """
 
@@ -25,8 +26,13 @@ BESIDE = SHAPE + 1
 """Number of the common unknowns beside those of the lens as config.json has it: b0 b1 b2 and the pupil, the last."""
 BOARD_ERROR = 0.01
 """Standard deviation of a corner's place on the board, in squares, before it is seen."""
+PUPIL = 0.1
+"""Standard deviation of the pupil, in squares, before anything is seen. That of seven real lenses is 0.014 to 0.13
+squares (examples/benchmarks/lenses.md)."""
 _SCANNED = 8
 """Views at most from which the focal length is guessed."""
+DELTA = 3.0
+"""Standard deviations of a corner's error beyond which it counts less."""
 _WIDE = 1e3
 """Size of a picture, in focal lengths, that bounds no lens."""
 _UNSEEN_PX = 100.0
@@ -57,6 +63,12 @@ class Observations:
     def corner(self) -> np.ndarray:
         """(n,) which of the board's corners that were seen each is, from 0."""
         return np.unique(self.points[:, 0] + 1j * self.points[:, 1], return_inverse=True)[1]
+
+    @cached_property
+    def square(self) -> float:
+        """Distance between neighbouring corners of the board, m."""
+        points = np.unique(self.points, axis=0)
+        return float(np.abs(np.diff(points, axis=0)).max(1).min())
 
     @property
     def views(self) -> int:
@@ -327,6 +339,9 @@ def blocks(observations: Observations, solution: Solution, used: np.ndarray | No
         held: 1 / m²; where it is above 0 the corners' places on the board are unknown too, held at the print's.
     """
     o = observations
+    prior = np.zeros(len(solution.parameters))
+    if solution.free[-1] and np.isfinite(solution.delta_px):
+        prior[-1] = (solution.delta_px / (DELTA * PUPIL * o.square)) ** 2
     columns = _linearise(o, solution)
     cost, weight = _huber(columns[:, :, -1], solution.delta_px)
     if used is not None:
@@ -346,7 +361,10 @@ def blocks(observations: Observations, solution: Solution, used: np.ndarray | No
         cross[o.view, corner] = turned @ columns
         errors = np.zeros((corners, 3))
         errors[corner] = o.errors
-    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held)
+    free = solution.free
+    return Blocks(
+        o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior[free], solution.parameters[free]
+    )
 
 
 def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = None) -> Solution:
@@ -484,8 +502,7 @@ def holding(observations: Observations, solution: Solution) -> float:
 
 def error_prior(observations: Observations) -> float:
     """Standard deviation of the board's errors along an axis, m."""
-    points = np.unique(observations.points, axis=0)
-    return BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
+    return BOARD_ERROR * observations.square
 
 
 def covariance(
@@ -562,14 +579,14 @@ def _thinned(observations: Observations, most: int = 9) -> Observations:
     return observations.of_corners(keep)
 
 
-def fit(observations: Observations, start: Solution, *, board_shape: bool = False, pupil: bool = False) -> Solution:
-    """Fit the lens (and the board's shape, and the pupil) to all views, robustly, in stages of growing freedom.
+def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:
+    """Fit the lens, the pupil (and the board's shape) to all views, robustly, in stages of growing freedom.
 
     Raises:
         NoFit: there are fewer equations than unknowns, or no lens images the corners.
     """
-    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape, pupil)
-    if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
+    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape, pupil=True)
+    if 2 * len(observations.pixels) <= free[:-1].sum() + 6 * observations.views:
         raise NoFit(
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
         )
@@ -604,4 +621,4 @@ def _delta(observations: Observations, solution: Solution) -> float:
     length = np.linalg.norm(residuals(observations, solution), axis=1) / observations.sigma
     if not np.isfinite(length).any():
         raise NoFit("no lens explains the corners that were found: the pictures may not show the board")
-    return max(3 * float(np.nanmedian(length)) / 1.1774, 1e-9)
+    return max(DELTA * float(np.nanmedian(length)) / 1.1774, 1e-9)

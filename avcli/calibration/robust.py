@@ -95,7 +95,6 @@ def refit_robustly(
     good: np.ndarray,
     *,
     board_shape: bool = False,
-    pupil: bool = False,
 ) -> tuple[Solution, np.ndarray]:
     """Fit again from where a fit stands, at most four times, until the same corners are left out as before.
 
@@ -103,7 +102,7 @@ def refit_robustly(
         observations: all corners.
         solution: the fit to the corners in `good`.
         good: (n,) bool.
-        board_shape, pupil: fit the board's shape, and how the lens's centre moves, too.
+        board_shape: fit the board's shape too.
 
     Returns:
         as `fit_robustly`.
@@ -115,7 +114,7 @@ def refit_robustly(
             break
         good = found.corners
         kept = observations.of_corners(good)
-        solution = fit.fit(kept, everywhere.of_views(found.views), board_shape=board_shape, pupil=pupil)
+        solution = fit.fit(kept, everywhere.of_views(found.views), board_shape=board_shape)
     return solution, good
 
 
@@ -248,7 +247,7 @@ def fit_board(observations: Observations, solution: Solution, good: np.ndarray) 
     """Fit with the board's errors: all corners with them, and the solution for those in `good` (n,) bool."""
     learned, solution = with_board_errors(observations, solution, good)
     some = learned.of_corners(good)
-    return learned, fit.fit(some, solution, board_shape=solution.bends, pupil=bool(solution.free[-1]))
+    return learned, fit.fit(some, solution, board_shape=solution.bends)
 
 
 # --- pictures held out ------------------------------------------------------------------------------------------------
@@ -287,17 +286,16 @@ def foretold(
     good: np.ndarray,
     *,
     board_shape: bool = False,
-    pupil: bool = False,
     board_errors: bool = False,
     folds: int = 5,
 ) -> float:
-    """Foretell the robust held-out error with the board's shape or errors or the pupil, by one step from a fit.
+    """Foretell the robust held-out error with the board's shape or errors, by one step from a fit.
 
     It costs a tenth of `held_out`; compared with that of neither, it tells where that is worth while.
 
     Args:
         observations, solution, good, folds: as in `held_out`.
-        board_shape, pupil, board_errors: what to learn beside the lens.
+        board_shape, board_errors: what to learn beside the lens.
 
     Returns:
         the root of the sum of the squared whitened residuals.
@@ -306,7 +304,6 @@ def foretold(
     part = np.flatnonzero(observations.views_of(good)) % folds
     free = solution.free.copy()
     free[-fit.BESIDE : -1] |= board_shape
-    free[-1] |= pupil
     held = (solution.sigma_px / fit.error_prior(some)) ** 2 if board_errors else 0.0
     known = fit.blocks(some, replace(solution, free=free), held=held)
     cost = sum(float(known.of(part == fold).after(known.of(part != fold).step()).sum()) for fold in set(part))
