@@ -355,13 +355,16 @@ def judged(
     )
 
 
-def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf) -> dict:
+def check(
+    board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf, pupil_m: float = 0.0
+) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
     Args:
         board, views: what was filmed.
         lens: to be scored.
         theta_trusted: rad; corners farther from the axis do not count, and their number is stated.
+        pupil_m: how the lens's centre moves, see fit.Solution; as if it did not where the board's size is not known.
 
     Returns:
         views, corners, corners_beyond (where theta_trusted is stated), rms_px (of all corners up to there), median_px,
@@ -371,7 +374,8 @@ def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np
         fit.NoFit: no view has enough corners up to there.
     """
     everything = observe(board, views)
-    start = fit.start_from_rays(everything, lens)
+    beside = np.append(np.zeros(fit.SHAPE), pupil_m if board.scaled else 0.0)
+    start = fit.start_from_rays(everything, lens, beside)
     solution = fit.refine_poses(everything, start, 20)
     everything = robust.polished(everything, solution, board, views)
     theta = quality.seen_angles(lens, everything.pixels)
@@ -402,7 +406,7 @@ def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np
 
 
 def _in_camera(observations: fit.Observations, solution: fit.Solution) -> np.ndarray:
-    """Where the corners are in the camera's frame, (n, 3) m."""
+    """Where the corners are from the centre that they are seen from, in the camera's frame, (n, 3) m."""
     R, t = solution.rotations[observations.view], solution.translations[observations.view]
     board = fit.surface(observations.points, solution.shape, observations.half_extent)
-    return np.einsum("nij,nj->ni", R, board) + t
+    return fit.from_pupil(np.einsum("nij,nj->ni", R, board) + t, solution.pupil)[0]

@@ -227,6 +227,21 @@ def from_pupil(points: np.ndarray, pupil: float) -> tuple[np.ndarray, np.ndarray
     return seen, less, np.stack([across * x, across * y, -slope * off], -1)
 
 
+def project_jacobian(
+    lens: Lens, points: np.ndarray, pupil: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Project points (n, 3) m of the camera's frame by a lens whose centre may move.
+
+    Returns:
+        pixels (n, 2), NaN where the lens images nothing, and their derivatives to the points (n, 2, 3) px/m, to the
+        lens's parameters (n, 2, parameters) and to `pupil` (n, 2) px/m.
+    """
+    seen, less, slope = from_pupil(points, pupil)
+    pixels, by_seen, by_lens = lens.project_jacobian(seen)
+    by_point = by_seen - pupil * by_seen[:, :, 2:] * slope[:, None]
+    return pixels, by_point, by_lens, -by_seen[:, :, 2] * less[:, None]
+
+
 def poses_from_rays(lens: Lens, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Board poses from the rays of their corners, right beyond 90 degrees too.
 
@@ -289,11 +304,9 @@ def _linearise(observations: Observations, solution: Solution) -> np.ndarray:
     first, k = int(of_lens.sum()), int(s.free.sum())
     columns = np.empty((len(turned), 2, k + 7))
     if s.free[-1] or s.pupil:
-        seen, less, slope = from_pupil(points, s.pupil)
-        pixels, by_point, by_lens = s.lens.project_jacobian(seen)
+        pixels, by_point, by_lens, by_pupil = project_jacobian(s.lens, points, s.pupil)
         if s.free[-1]:
-            columns[:, :, k - 1] = -by_point[:, :, 2] * less[:, None]
-        by_point = by_point - s.pupil * by_point[:, :, 2:] * slope[:, None]
+            columns[:, :, k - 1] = by_pupil
     else:
         pixels, by_point, by_lens = s.lens.project_jacobian(points)
     columns[:, :, :first] = by_lens if of_lens.all() else by_lens[:, :, of_lens]

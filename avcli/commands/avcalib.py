@@ -224,7 +224,7 @@ def check_command(
     seen = views_for(session, list(sources), values, known)
     trusted = known.theta_trusted if "theta_max_trusted_deg" in known.values else math.inf
     try:
-        score = calibrate.check(seen.board, seen.views, known.lens, trusted)
+        score = calibrate.check(seen.board, seen.views, known.lens, trusted, known.pupil_m)
     except fit.NoFit as error:
         raise GateNotMet(str(error)) from None
     with session.output() as write:

@@ -74,7 +74,10 @@ def avcli(text: str, name: str, fisheye: bool | None) -> list[Camera]:
     if values.get("camera_position_m") is not None:
         place = pose.camera_pose(values["camera_position_m"], values.get("camera_rotation_deg", [90, 0, 0]))
     known = {key: values[key] for key in KNOWN if values.get(key) is not None}
+    found = values.get("calibration")
     lost = ("the standard deviations of the parameters",) if "calibration" in values else ()
+    if isinstance(found, Mapping) and found.get("pupil_m"):
+        lost += ("how its centre moves (pupil_m)",)
     return [Camera(lens, (width, height), "camera", known, place, lost)]
 
 
