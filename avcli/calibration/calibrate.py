@@ -136,6 +136,7 @@ class Calibration:
                 "field_sd_max_px": _finite(np.nanmax(q.field_sd_px, initial=0.0) if q.trusted.any() else np.inf),
                 "split_half_ratio": _finite(q.halves.ratio),
                 "split_half_px": _finite(q.halves.actual_px),
+                "missed": _finite(q.missed),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
                 "inflation": _finite(q.inflation),

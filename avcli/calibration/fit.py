@@ -67,8 +67,8 @@ class Observations:
     @cached_property
     def square(self) -> float:
         """Distance between neighbouring corners of the board, m."""
-        points = np.unique(self.points, axis=0)
-        return float(np.abs(np.diff(points, axis=0)).max(1).min())
+        apart = np.diff(np.unique(self.points[:, 0] + 1j * self.points[:, 1]))
+        return float(np.maximum(np.abs(apart.real), np.abs(apart.imag)).min())
 
     @property
     def views(self) -> int:
@@ -343,19 +343,32 @@ def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
     return cost, weight
 
 
-def blocks(observations: Observations, solution: Solution, used: np.ndarray | None = None, held: float = 0.0) -> Blocks:
+def blocks(
+    observations: Observations,
+    solution: Solution,
+    used: np.ndarray | None = None,
+    held: float = 0.0,
+    beside: np.ndarray | None = None,
+) -> Blocks:
     """The normal equations of `solution.free` and the poses, at the solution and with its robust weights.
 
     Args:
         observations, solution: where to linearise.
         used: (n,) bool, the corners that count; None: all.
         held: 1 / m²; where it is above 0 the corners' places on the board are unknown too, held at the print's.
+        beside: (n, 2, m) px, what m more common unknowns do to the projections. They are 0 now, and held at it with a
+            standard deviation of DELTA common corners' errors.
     """
-    o = observations
-    prior = np.zeros(len(solution.parameters))
-    if solution.free[-1] and np.isfinite(solution.delta_px):
+    o, free = observations, solution.free
+    prior, common = np.zeros(len(free)), solution.parameters
+    if free[-1] and np.isfinite(solution.delta_px):
         prior[-1] = (solution.delta_px / (DELTA * PUPIL * o.square)) ** 2
+    prior, common = prior[free], common[free]
     columns = _linearise(o, solution)
+    if beside is not None:
+        k, count = len(common), beside.shape[2]
+        columns = np.concatenate([columns[:, :, :k], beside / o.sigma[:, None, None], columns[:, :, k:]], 2)
+        prior, common = np.append(prior, np.full(count, DELTA**-2.0)), np.append(common, np.zeros(count))
     cost, weight = _huber(columns[:, :, -1], solution.delta_px)
     if used is not None:
         cost, weight = cost * used, weight * used
@@ -374,10 +387,7 @@ def blocks(observations: Observations, solution: Solution, used: np.ndarray | No
         cross[o.view, corner] = turned @ columns
         errors = np.zeros((corners, 3))
         errors[corner] = o.errors
-    free = solution.free
-    return Blocks(
-        o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior[free], solution.parameters[free]
-    )
+    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior, common)
 
 
 def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = None) -> Solution:
