@@ -8,7 +8,7 @@ from calibration_boards import BOARD, THESIS, exact, film
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.calibration import calibrate, field, fit, quality, robust, uncertainty
+from avcli.calibration import field, fit, quality, robust, uncertainty
 from avcli.calibration.circle import Circle, Light, find
 from avcli.lens import KannalaBrandt
 

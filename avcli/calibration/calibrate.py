@@ -356,9 +356,7 @@ def judged(
     )
 
 
-def check(
-    board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf, pupil_m: float = 0.0
-) -> dict:
+def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf, pupil_m: float = 0.0) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
     Args:

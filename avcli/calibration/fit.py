@@ -5,8 +5,9 @@ the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed l
 model of avcli.lens, which names its parameters and gives its own derivatives. Its centre may move: seen at an angle of
 theta (rad) from the axis, a point is seen from `pupil` theta² (m) farther ahead, as the entrance pupil of a wide lens
 does (Gennery 2006 writes it as a series in theta). Whoever takes it for 0 where the pictures do not tell it states too
-small errors: it is always fitted, held at 0 with the standard deviation PUPIL. The fit has six unknowns a view and P common ones: the lens's
-parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the pupil, always last.
+small errors: it is always fitted, held at 0 with the standard deviation PUPIL. The fit has six unknowns a view and P
+common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the
+pupil, always last.
 """
 
 from collections.abc import Callable

@@ -242,7 +242,7 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     distance, other = _nearest(corners.pixels, min(_NEAREST if n <= _CROWDED else _NEAREST_IN_CROWD, n - 1))
     apart = corners.pixels[other] - corners.pixels[:, None]
     ways = np.stack([np.cos(corners.arms), np.sin(corners.arms)], 1)
-    # In texture there are hundreds of corners, and of their pairs few lie along an arm: only those are looked at closer.
+    # Texture has hundreds of corners, but few of their pairs lie along an arm: only those are looked at closer.
     along = (apart @ ways).reshape(n, -1)
     near = np.where(distance > 3, np.cos(_ASIDE) * distance, np.inf)
     one, at = np.nonzero(along > np.repeat(near, 4, axis=1))

@@ -84,7 +84,11 @@ def _fit_options(rate_hz: float) -> Callable:
 def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any) -> None:
     """Find a camera's lens from pictures, a video or a camera that saw a printed board from many sides."""
     _check_options(session, values)
-    _finish(session, collect(session, list(sources), values), values)
+    from avcli.calibration import live
+
+    fitted = settings_from(settings.FitSettings, values)
+    seen = collect(session, list(sources), values, is_enough=lambda seen: live.is_enough(seen, fitted))
+    _finish(session, seen, values)
 
 
 @main.command("live", epilog="Example: avcalib live /dev/video0 --board 7x10 --square 95 -C lab")
