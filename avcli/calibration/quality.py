@@ -277,7 +277,7 @@ def _advice(q: Quality, refusals: tuple[str, ...]) -> tuple[str, ...]:
         )
     if q.missed > MISSED_LIMIT:
         advice.append(
-            "the lens model leaves errors that all pictures share: try --model auto, which tries the others; no model "
+            "the lens model leaves errors that all pictures share: try --lens-model auto or rational; no model "
             "here describes a camera behind a window, in a dome or under water"
         )
     if q.halves.ratio > HALVES_LIMIT:
