@@ -288,6 +288,22 @@ def test_far_boards_leave_the_shift_of_the_centre_to_what_is_known_before():
     assert abs(solution.pupil) < 3 * fit.PUPIL * BOARD.square_m
 
 
+def test_what_no_lens_model_has_is_told():
+    o = near(70, 20, pupil=0.002, shared=0.05)
+    whole, good = robust.fit_robustly(o, *WIDE_SIZE)
+    assert robust.missed(o.of_corners(good), whole) < 0.1
+    x, y = ((o.pixels - np.array(WIDE_SIZE) / 2) / WIDE_SIZE[0]).T
+    o = replace(o, pixels=o.pixels + 20.0 * np.stack([y * x * x, x * x * x], -1))  # as through a window
+    bent, good = robust.fit_robustly(o, *WIDE_SIZE)
+    some = o.of_corners(good)
+    found = quality.assess(some, bent, *WIDE_SIZE, 0.1)
+    assert found.missed == robust.missed(some, bent) > quality.MISSED_LIMIT
+    assert "does not describe this lens" in found.verdict
+    assert any("--lens-model" in line for line in found.advice)
+    few = some.of_views(np.arange(7))
+    assert np.isnan(robust.missed(few, bent.of_views(np.arange(7))))
+
+
 @pytest.mark.parametrize("seed", [50, 51, 52])
 def test_a_centre_that_moves_is_found_on_a_board_that_is_printed_badly(seed):
     o = near(seed, 20, pupil=0.004, printed=0.01)
