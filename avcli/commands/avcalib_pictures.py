@@ -145,8 +145,8 @@ def collect(
     seen = look(_OF_A_FILM, ended)
     if ended.at:
         session.warn(
-            f"the film has few key frames, so that reading costs most; it was read until {ended.at} pictures with a "
-            f"board told the lens, {len(seen)} pictures of about {some}; --rate {rate_hz:g} takes {every}"
+            f"the film has few key frames, so that it must be decoded from its start: it was read until {ended.at} "
+            f"views told the lens, {len(seen)} pictures of about {some}; --rate {rate_hz:g} takes {every}"
         )
         return seen
     shown = len(seen) - seen.count("no board")
