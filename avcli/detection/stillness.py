@@ -44,6 +44,10 @@ FIT_S = 2.0
 ALIKE = 0.8
 """Overlap over union of boxes that are looked at once until the next picture is kept."""
 
+STEADY = 0.5
+"""Where the room changes by more than this part of its squared contrast, the camera moves, or pictures are of several
+rooms: people would not stand out, and nothing is told."""
+
 _TILE_PX, _FEWEST_TILES, _UNLIT = 8, 30, 8.0
 _FEWEST_PX = 3
 
@@ -143,7 +147,9 @@ class Stillness:
         change = _change(now, *(one[None] for one in self._earlier[:2][-1]))[0]
         change = cv2.resize(change, tiles, interpolation=cv2.INTER_AREA)[whole]
         causes = cv2.resize(_causes(now), tiles, interpolation=cv2.INTER_AREA)[whole]
-        self._noise = _law(change.astype(float), causes.astype(float))
+        law = _law(change.astype(float), causes.astype(float))
+        texture = max(float(np.square(causes[:, 1], dtype=float).mean()), QUANTUM)
+        self._noise = law if float((causes @ law).mean()) < STEADY * texture else None
 
 
 def after(scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
