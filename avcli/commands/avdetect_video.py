@@ -151,7 +151,7 @@ def _people(session: filter.Session, detector: Detector, shot: footage.UnreadSho
     from avcli.formats.media import MediaError
 
     try:
-        return detector.look(shot.rgb, shot.depth)
+        return detector.look(shot.rgb, shot.depth, shot.timestamp)
     except MediaError as error:
         if not session.skip_invalid:
             session.fail(f"t = {shot.timestamp:.4f} s: {error}")
@@ -177,6 +177,8 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
         session.warn(
             f"{tally.still} boxes showed only the room as it was learnt (--learn-background), and are left out"
         )
+    if tally.held_back:
+        session.note(f"{tally.held_back} boxes kept too still for people, and are held back (see --no-stillness)")
     if tally.outside:
         session.warn(f"{tally.outside} people were found more than 0.3 m behind a wall, and are left out")
 

@@ -17,6 +17,7 @@ from avcli.detection.looks import Looks, feature
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import PAD, Boxes, ModelError, Network, own_model
 from avcli.detection.settings import Settings
+from avcli.detection.stillness import Stillness, after
 from avcli.detection.view import View
 from avcli.detection.windows import WindowedNetwork
 from avcli.formats.experiment import Config
@@ -82,7 +83,7 @@ def detect(
     """
     detector = Detector(config, background=background, model=model, settings=Settings(**settings))
     for shot in shots:
-        yield detections(shot.timestamp, detector.look(shot.rgb, shot.depth), detector.settings.sensor)
+        yield detections(shot.timestamp, detector.look(shot.rgb, shot.depth, shot.timestamp), detector.settings.sensor)
 
 
 _NONE = np.full(5, np.nan)
@@ -117,6 +118,7 @@ class Tally:
         nowhere: without a place: none of their rays reaches the room.
         outside: of people beyond the walls, who were left out.
         still: that show only the room as it was learnt, and were left out.
+        held_back: that would have been people, but keep too still.
         pictures, unchanged: pictures so far, and those of them in which nothing had moved.
         boxes: (4,) px, the first `MOST_BOXES` of those that were placed by the box alone.
     """
@@ -126,9 +128,14 @@ class Tally:
     nowhere: int = 0
     outside: int = 0
     still: int = 0
+    held_back: int = 0
     pictures: int = 0
     unchanged: int = 0
     boxes: list[np.ndarray] = field(default_factory=list)
+
+
+def _boxes(people: list[Person]) -> np.ndarray:
+    return np.array([person.bbox_px for person in people]).reshape(-1, 4)
 
 
 STILL = 0.1
@@ -196,6 +203,7 @@ class Detector:
         if self.network is None and background is None:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
+        self._stillness = Stillness() if self.settings.stillness else None
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
         self.tally = Tally()
@@ -203,7 +211,7 @@ class Detector:
         known = config.states("room_config", "room_dimensions_m")
         self._room = np.asarray(config.room.dimensions[:2], float) if known else None
 
-    def look(self, rgb: Picture | None, depth: Picture | None = None) -> list[Person]:
+    def look(self, rgb: Picture | None, depth: Picture | None = None, time: float | None = None) -> list[Person]:
         """Find the people in the next pictures.
 
         Args:
@@ -211,6 +219,7 @@ class Detector:
             depth: (height, width) uint16 in steps of the camera's `depth_step_m`; or a function that reads it. The
                 depth detector needs it. The network can do without, and asks for it where it finds somebody.
             With the setting `features` the depth detector needs the colour picture too.
+            time: of the pictures, s; None: unknown, then who keeps still is not doubted.
 
         Raises:
             MediaError: the picture is missing, cannot be read, or has another size than config.json says.
@@ -229,15 +238,43 @@ class Detector:
         self.tally.unchanged += not len(regions)
         if self._room_colours is not None:
             self._room_colours.see(picture)
+        watched = self._stillness if time is not None and self._by_colour(depth) else None
         if len(regions):
             with self._timing("network"):
                 found = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
             found = self._moving(found)
+            if watched and time is not None:
+                with self._timing("stillness"):
+                    watched.see(picture, time, found.boxes)
+                    found = found.take(self._believed(found.scores, watched.evidence(found.boxes)))
             with self._timing("depth and positions"):
                 placed = self._place(found, depth)
                 people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
             self._last = self._described(picture, people)
-        return self._last
+        elif watched and time is not None:
+            watched.see(picture, time, _boxes(self._last))
+        return self._last if watched is None else self._doubted(self._last, watched)
+
+    def _by_colour(self, depth: Picture | None) -> bool:
+        """Whether the colour picture alone tells who is there: no depth says what stands before the empty room."""
+        return depth is None or self.settings.monocular or self._background is None
+
+    def _believed(self, scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
+        """Which (n,) of the network's people stay above the least score; the others are counted."""
+        assert self.network is not None  # it found them
+        believed = after(scores, evidence) >= self.network.confidence
+        self.tally.held_back += int((~believed).sum())
+        return believed
+
+    def _doubted(self, people: list[Person], stillness: Stillness) -> list[Person]:
+        """The people with the scores that their stillness leaves them."""
+        scores = np.array([person.score for person in people])
+        left = after(scores, stillness.evidence(_boxes(people)))
+        return [
+            replace(person, score=float(score))
+            for person, score in zip(people, left, strict=True)
+            if self.network is None or score >= self.network.confidence
+        ]
 
     def _described(self, picture: np.ndarray, people: list[Person]) -> list[Person]:
         if self._looks is None:

@@ -59,6 +59,13 @@ class Settings:
         "Learn the colours of the room from the film, and leave out boxes that show nothing else.",
         only="net",
     )
+    stillness: bool = setting(
+        True,
+        "Without the empty room's depth: hold somebody who keeps quite still in the film for less probable, as plants "
+        "and chairs do.",
+        flag="--stillness/--no-stillness",
+        only="net",
+    )
     monocular: bool = setting(
         False, "Place people by the colour picture alone, even where there is a depth picture.", only="net"
     )

@@ -1,0 +1,139 @@
+"""Who keeps still in a film becomes less probable, who sways does not, and what is not known changes nothing."""
+
+import numpy as np
+import pytest
+from test_detection_detector import FakeNetwork, config
+
+from avcli.detection.detector import Detector
+from avcli.detection.settings import Settings
+from avcli.detection.stillness import DOUBT, Stillness, after
+
+BOX = np.array([[120.0, 60.0, 160.0, 110.0]])
+SECONDS = np.arange(0, 10, 0.2)
+
+
+@pytest.fixture
+def room():
+    rng = np.random.default_rng(3)
+    return np.kron(rng.integers(40, 180, (36, 64, 3)), np.ones((5, 5, 1)))
+
+
+def filmed(room, *, sway=0.0, noise=2.0, light=0.0, passer=(), seed=0):
+    """Pictures of a room at `SECONDS`; what is in the box moves by `sway` px, somebody passes over it at some times."""
+    rng = np.random.default_rng(seed)
+    for time in SECONDS:
+        picture = room.copy()
+        picture[60:110, 120:160] = np.roll(picture[60:110, 120:160], round(sway * np.sin(2 * time)), axis=1)
+        if any(abs(time - one) < 0.5 for one in passer):
+            picture[50:120, 110:150] = (20, 30, 200)
+        picture += noise * rng.standard_normal(picture.shape) + light * time
+        yield time, np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def told(pictures):
+    stillness, evidence = Stillness(), []
+    for time, picture in pictures:
+        stillness.see(picture, time, BOX)
+        evidence.append(stillness.evidence(BOX)[0])
+    return np.array(evidence)
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0, 4.0])
+def test_a_thing_is_doubted_the_more_the_longer_it_is_watched(room, noise):
+    evidence = told(filmed(room, noise=noise))
+    assert evidence[0] == 0
+    assert 0 > evidence[SECONDS < 0.7].min() > evidence[SECONDS < 1.3].min() > evidence.min()
+    assert evidence[SECONDS > 3].max() < -4
+    assert evidence.min() == DOUBT
+
+
+def test_somebody_who_sways_is_not_doubted(room):
+    assert told(filmed(room, sway=3.0)).mean() > -0.2
+
+
+def test_moving_is_no_evidence_for_a_person(room):
+    assert told(filmed(room, sway=20.0)).max() == 0
+
+
+def test_a_thing_that_somebody_hid_is_known_again(room):
+    evidence = told(filmed(room, passer=(6.0,)))
+    hidden, later = abs(SECONDS - 6) < 0.15, SECONDS > 7.3
+    assert evidence[hidden].min() == 0
+    assert evidence[later].max() < -1
+
+
+def test_light_that_changes_everywhere_makes_no_difference(room):
+    assert told(filmed(room, light=2.0))[-1] < -4
+
+
+def test_a_camera_that_moves_or_pictures_of_several_rooms_tell_nothing(room):
+    swung = [(t, np.roll(picture, round(20 * np.sin(t)), axis=1)) for t, picture in filmed(room)]
+    rng = np.random.default_rng(5)
+    rooms = [(t, rng.permutation(picture.reshape(-1, 5, 320, 3)).reshape(picture.shape)) for t, picture in filmed(room)]
+    assert told(swung).min() == told(rooms).min() == 0
+
+
+def test_pictures_of_another_time_or_size_begin_anew(room):
+    stillness = Stillness()
+    for time, picture in filmed(room):
+        stillness.see(picture, time, BOX)
+    assert stillness.evidence(BOX)[0] < -4
+    stillness.see(picture, 2.0, BOX)
+    assert stillness.evidence(BOX)[0] == 0
+    stillness.see(picture[:100, :100], 3.0, BOX)
+    assert stillness.evidence(BOX)[0] == 0
+
+
+def test_pictures_that_are_far_apart_tell_nothing(room):
+    stillness = Stillness()
+    for time, picture in filmed(room):
+        stillness.see(picture, 600 * time, BOX)
+    assert stillness.evidence(BOX)[0] == 0
+
+
+def test_boxes_without_area_or_outside_tell_nothing(room):
+    stillness = Stillness()
+    for time, picture in filmed(room):
+        stillness.see(picture, time, BOX)
+    odd = np.array([[10, 10, 10, 10], [-50, -50, -10, -10], [900, 900, 950, 950], [5, 5, 7, 200.0]])
+    assert (stillness.evidence(odd) == 0).all()
+    assert stillness.evidence(np.empty((0, 4))).shape == (0,)
+
+
+def test_scores_after_evidence():
+    assert after(np.array([0.9, 1.0, 0.0, 0.5]), np.zeros(4)).tolist() == [0.9, 1.0, 0.0, 0.5]
+    assert after(np.array([0.9]), np.array([-np.log(9)])) == pytest.approx(0.5)
+    assert 0 < after(np.array([1.0]), np.array([DOUBT]))[0] < 1
+
+
+class SureNetwork(FakeNetwork):
+    """Finds the box, with a least score."""
+
+    confidence = 0.5
+
+
+def people(network, timed=True, **settings):
+    """What a detector finds in a room in which nothing ever changes."""
+    detector = Detector(config(), settings=Settings(**settings))
+    detector.network = network
+    picture = np.kron(np.random.default_rng(1).integers(40, 180, (27, 48, 3)), np.ones((10, 10, 1))).astype(np.uint8)
+    found = [detector.look(picture, None, 0.1 * k if timed else None) for k in range(60)]
+    return found, detector.tally
+
+
+def test_the_detector_lowers_scores_then_holds_back():
+    found, tally = people(SureNetwork([200, 80, 250, 160]))
+    scores = [one[0].score if one else 0.0 for one in found]
+    assert scores[0] == 0.9
+    assert scores[-1] == 0.0
+    assert len(set(scores)) > 2  # unchanged pictures tell too
+    assert tally.held_back > 0
+
+
+def test_the_detector_doubts_nobody_without_times_or_when_told():
+    for found, tally in (
+        people(SureNetwork([200, 80, 250, 160]), timed=False),
+        people(SureNetwork([200, 80, 250, 160]), stillness=False),
+    ):
+        assert [one[0].score for one in found] == [0.9] * 60
+        assert tally.held_back == 0
