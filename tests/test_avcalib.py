@@ -148,8 +148,8 @@ def test_real_photographs(shared_data):
     quality = camera["calibration"]
     assert quality["views_used"] == 15
     assert quality["held_out_rms_px"] <= 0.2
-    # Fits with a single centre of projection say 336 px, and 0.26 px held out: the boards are 0.1 m away, and the centre
-    # moves by 3 mm. With it, the nearer half of the pictures says 338.5 ± 0.4 px and the farther half 338.0 ± 0.6 px.
+    # Fits with a single centre of projection say 336 px, and 0.26 px held out: the boards are 0.1 m away, and the
+    # centre moves by 3 mm. With it, the nearer half of the pictures says 338.5 ± 0.4 px and the others 338.0 ± 0.6 px.
     assert quality["pupil_m"] == pytest.approx(0.0014, abs=0.0003)
     assert camera["fx_px"] == pytest.approx(338.2, abs=1.0)
 

@@ -284,6 +284,19 @@ def test_bad_input_is_located_or_skipped():
     assert result.stdout.count(b"\n") == 20
 
 
+@pytest.mark.parametrize("steps", [1, 5, 20])
+@pytest.mark.parametrize("lag", [0, 5])
+def test_what_came_before_a_broken_line_is_tracked(tmp_path, steps, lag):
+    lines, path = walk(steps=steps), tmp_path / "tracks.jsonl"
+    whole = run("avfuse", "--lag", lag, stdin="".join(lines))
+    broken = "".join([*lines, '{"timestamp":'])
+    result = run("avfuse", "--lag", lag, stdin=broken)
+    assert (result.returncode, result.stdout) == (1, whole.stdout)
+    assert result.stderr.startswith(f"avfuse: <stdin>:{steps + 1}")
+    assert run("avfuse", "--lag", lag, "-o", path, stdin=broken).returncode == 1
+    assert not path.exists()
+
+
 @pytest.mark.parametrize(
     "options",
     [

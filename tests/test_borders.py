@@ -16,7 +16,7 @@ from avcli.formats import atomic, footage, media, records
 from avcli.formats.bounds import LONGEST_RECORD
 from avcli.scene.scenario import LABORATORY
 
-DETECTION = b'{"timestamp":"0.1000000000","sensor":"video","objects":[{"position":[1.0,2.0,null],"score":0.5}]}\n'
+DETECTION = b'{"timestamp":"0.1000000000","sensor":"video","kind":"camera","objects":[{"position":[1.0,2.0,null]}]}\n'
 DEEP = "[" * 300 + "]" * 300
 
 

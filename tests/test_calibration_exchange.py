@@ -126,6 +126,16 @@ def test_a_pose_goes_to_mrcal_and_back() -> None:
     assert "its pose" in written(FISHEYE, "opencv", T_reference_camera=T).lost
 
 
+def test_that_a_centre_moves_is_lost_and_said() -> None:
+    lens = {"lens_model": "kannala_brandt", "fx_px": 800, "fy_px": 801, "cx_px": 959, "cy_px": 540}
+    lens |= {"k1": 0.01, "k2": 0, "k3": 0, "k4": 0, "image_width_px": 1920, "image_height_px": 1080}
+    for calibration, lost in (({"pupil_m": 0.002}, 2), ({"rms_px": 0.1}, 1)):
+        _, (camera,) = exchange.read(json.dumps(lens | {"calibration": calibration}).encode(), "camera.json")
+        found = exchange.write(camera, "opencv")
+        assert len(found.lost) == lost
+        assert ("how its centre moves" in " ".join(exchange.words(camera, found, "opencv"))) == (lost == 2)
+
+
 @pytest.mark.parametrize("rotation", [[90, 0, 0], [90, 0, 180], [-30, 179, 0], [0, 0, 0], [0, 180, 90]])
 def test_half_turns_go_to_mrcal_and_back(rotation: list[float]) -> None:
     from avcli.pose import camera_pose

@@ -112,6 +112,33 @@ def test_films_and_pictures_in_one_folder(shots, tmp_path):
     assert result.returncode == 0, result.stderr
 
 
+def test_a_film_that_is_decoded_whole_is_read_until_it_is_enough(shots, tmp_path, monkeypatch):
+    import cv2
+
+    from avcli.commands import avcalib_pictures
+
+    name = str(tmp_path / "few.avi")
+    writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"MJPG"), 2.0, HALF_SIZE)
+    for shot in shots:
+        writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    assert footage.is_decoded_whole([name], 2.0, 4)  # no thirty pictures are quick to reach
+    assert not footage.is_decoded_whole([name], 2.0, 8)
+    assert not footage.is_decoded_whole([str(tmp_path)], 2.0, 8)
+    asked = []
+
+    def is_enough(seen):
+        asked.append(len(seen.views))
+        return len(seen.views) >= 6
+
+    monkeypatch.setattr(avcalib_pictures, "_ENOUGH", 4)
+    ended = avcalib_pictures._Ending(is_enough)
+    seen = gather.collect(footage.pictures([name], 2.0), BOARD, after=lambda so_far, *_: ended(so_far))
+    assert (asked, ended.at, len(seen.views)) == ([4, 6], 6, 6)
+    never = avcalib_pictures._Ending(None)
+    assert not never(seen)
+
+
 def test_folders_without_pictures(tmp_path, folder):
     empty = tmp_path / "empty"
     empty.mkdir()

@@ -11,6 +11,7 @@ from avcli.calibration import place, undistort
 from avcli.calibration.camera import KnownCamera
 from avcli.calibration.circle import Circle
 from avcli.calibration.field import seen_angles
+from avcli.calibration.fit import from_pupil
 from avcli.calibration.target import Board
 from avcli.lens import BrownConrady, KannalaBrandt
 
@@ -170,3 +171,20 @@ def test_a_straightened_picture_ends_where_the_lens_is_no_longer_trusted():
     assert np.hypot(*(shown - [960, 540]).T).max() <= 700
     filled = undistort.straighten(THESIS, (1920, 1080), (320, 180), theta_max=np.deg2rad(40))
     assert np.isfinite(filled.sources).all()
+
+
+@pytest.mark.parametrize("pupil", [0.0, 0.004, -0.003])
+def test_a_near_board_is_posed_by_the_centre_that_it_is_seen_from(pupil):
+    near = pose.camera_pose([2.0, 2.5, 0.35], [90, 0, 10])
+    x, y = np.meshgrid(np.linspace(1.85, 2.15, 7), np.linspace(2.35, 2.65, 7))
+    points = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
+    pixels = THESIS.project(from_pupil(pose.apply(pose.inverse(near), points), pupil)[0])
+    known = camera(calibration={"pupil_m": pupil})
+    assert known.pupil_m == pupil
+    found, _ = place.best(known, [(pixels, points)])
+    assert np.abs(found.T_room_camera - near).max() < 1e-7
+    assert found.off < 1e-8
+    if pupil:
+        central, _ = place.best(camera(), [(pixels, points)])
+        assert np.linalg.norm(central.T_room_camera[:3, 3] - near[:3, 3]) > 0.0002
+        assert central.rms_px > 100 * found.rms_px

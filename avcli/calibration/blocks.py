@@ -55,6 +55,8 @@ class Blocks(NamedTuple):
         cross: (views, corners, 3, k + 7), their products with the columns of `gram`.
         errors: (corners, 3) m, how far the corners are from where they should be.
         held: 1 / m², the weight with which `errors` are held at zero.
+        prior: (k,), the weight with which each of the common unknowns is held at zero.
+        common: (k,), the common unknowns.
     """
 
     gram: np.ndarray
@@ -64,6 +66,8 @@ class Blocks(NamedTuple):
     cross: np.ndarray
     errors: np.ndarray
     held: float
+    prior: np.ndarray
+    common: np.ndarray
 
     def of(self, keep: np.ndarray) -> "Blocks":
         """Some views only: `keep` (views,) bool, or indices."""
@@ -77,8 +81,13 @@ class Blocks(NamedTuple):
 
     @property
     def total(self) -> float:
-        """The cost of all views and of the errors."""
-        return float(self.cost.sum() + self.held * (self.errors**2).sum())
+        """The cost of all views, and of the errors and the common unknowns that are held."""
+        return float(self.cost.sum() + self.held * (self.errors**2).sum() + self.prior @ self.common**2)
+
+    @property
+    def pull(self) -> np.ndarray:
+        """The gradient (k,) of what holds the common unknowns."""
+        return -self.prior * self.common
 
     @property
     def _k(self) -> int:
@@ -115,12 +124,12 @@ class Blocks(NamedTuple):
     def _eliminated(self, damping: float = 0.0) -> _Reduced:
         """Eliminate the kind of unknowns that leaves fewer of the other."""
         k, (views, corners) = self._k, self.place.shape[:2]
-        A = self.gram[:, :k, :k].sum(0)
+        A = self.gram[:, :k, :k].sum(0) + np.diag(self.prior)
         poses = damped(self.gram[:, k:-1, k:-1], damping)
         border = self.gram[:, k:-1][..., np.r_[:k, k + POSE]]  # of the poses: common unknowns, right-hand side
         end = np.empty((k + 1, k + 1))
         end[:k, :k] = A + damping * np.diag(np.diag(A))
-        end[:k, k] = end[k, :k] = self.gram[:, :k, -1].sum(0)
+        end[:k, k] = end[k, :k] = self.gram[:, :k, -1].sum(0) + self.pull
         end[k, k] = 0.0
         if not corners:
             return _eliminate(poses, border, end, by_corner=False, q=0)
@@ -161,6 +170,8 @@ class Blocks(NamedTuple):
             score=self.gram[:, :k, -1] - (fold.transpose(0, 2, 1) @ self.gram[:, k:-1, -1:])[..., 0],
             cost=self.cost,
             freedom=self.counts - POSE,
+            prior=np.diag(self.prior),
+            pull=self.pull,
         )
 
     def solved(self) -> tuple[Step, Views]:
@@ -191,7 +202,7 @@ class Blocks(NamedTuple):
             cost=self.cost,
             freedom=self.counts - POSE - learned / count,
             own=information - by_place @ spread(by_place),
-            prior=self.held * flat.T @ flat,
+            prior=self.held * flat.T @ flat + np.diag(self.prior),
         )
         return step, views
 

@@ -16,15 +16,14 @@ from avcli.formats.footage import Picture
 from avcli.lens import Lens, lens_config, variants
 
 BOARD_GAIN = 0.02
-"""The board's shape and its corners' errors are fitted only where held-out views improve by at least this fraction.
-How the lens's centre moves is fitted wherever they improve: what hardly shows near by is far off at a distance."""
+"""The board's shape and its corners' errors are fitted only where held-out views improve by at least this fraction."""
 
 _WORTH_A_TEST = 1 - BOARD_GAIN / 2
 """What the shape or the errors promise (robust.foretold) at least, or they are not fitted and tested. On derlunz, dyf
 and fish_1 a promise of more than 2 % was off by at most 0.06, one of less by 0.03 to the worse."""
 
 LEAST_FOR_ERRORS = 8
-"""Views from which the board's errors are looked for, and whether the lens's centre moves."""
+"""Views from which the board's errors are looked for."""
 
 _LEAST_CORNERS = 6
 DEFAULTS = FitSettings()
@@ -48,7 +47,6 @@ class Calibration:
         held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried, and `shaped_px` only
             foretold (robust.foretold) where that is no better.
-        central_px, pupil_px: the same without and with a centre of projection that moves (Solution.pupil).
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN or foretold likewise.
         tried: the lens models that were tried, the best first; empty where the model was given.
     """
@@ -65,8 +63,6 @@ class Calibration:
     held_out_all_px: float = float("nan")
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
-    central_px: float = float("nan")
-    pupil_px: float = float("nan")
     printed_px: float = float("nan")
     tried: tuple[choose.Tried, ...] = ()
 
@@ -140,6 +136,7 @@ class Calibration:
                 "field_sd_max_px": _finite(np.nanmax(q.field_sd_px, initial=0.0) if q.trusted.any() else np.inf),
                 "split_half_ratio": _finite(q.halves.ratio),
                 "split_half_px": _finite(q.halves.actual_px),
+                "missed": _finite(q.missed),
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
                 "inflation": _finite(q.inflation),
@@ -248,41 +245,24 @@ class _Fitted:
         """What robust.foretold says of no change."""
         return robust.foretold(self.everything, self.solution, self.good)
 
-    def freer(
-        self, *, board_shape: bool = False, pupil: bool = False, certainly: bool = False
-    ) -> tuple["_Fitted", float, float]:
-        """Let the board bend or the lens's centre move too, if held-out views improve (BOARD_GAIN), or `certainly`.
+    def bent(self, *, certainly: bool = False) -> tuple["_Fitted", float, float]:
+        """Let the board bend, if held-out views improve (BOARD_GAIN), or `certainly`.
 
         Returns:
             what stands then; and the held-out RMS without and with it, px, the latter only foretold where that is no
             better.
         """
-        more = {"board_shape": board_shape or self.solution.bends, "pupil": pupil or bool(self.solution.free[-1])}
-        promised = robust.foretold(self.everything, self.solution, self.good, **more) / self.plain
-        before, gain = self.held_out.rms_px, 0.0 if pupil else BOARD_GAIN
-        if not certainly and not promised < 1 - gain / 2:
+        promised = robust.foretold(self.everything, self.solution, self.good, board_shape=True) / self.plain
+        before = self.held_out.rms_px
+        if not certainly and not promised < _WORTH_A_TEST:
             return self, before, promised * before
         # From all corners again: a flat board may have made good ones of a bowed board look bad.
-        start = fit.fit(self.everything, robust.posed(self.everything, self.solution, self.good), **more)
-        solution, good = robust.refit_robustly(self.everything, start, np.ones(len(self.good), bool), **more)
+        start = fit.fit(self.everything, robust.posed(self.everything, self.solution, self.good), board_shape=True)
+        every = np.ones(len(self.good), bool)
+        solution, good = robust.refit_robustly(self.everything, start, every, board_shape=True)
         found = _Fitted(self.everything, solution, good, robust.held_out(self.everything, solution, good))
         before, after = self.held_out.of(self.good & good), found.held_out.of(self.good & good)
-        return (found if certainly or after < (1 - gain) * before else self), before, after
-
-    def moving_before_errors(self) -> tuple["_Fitted", float, float]:
-        """As `freer` for the lens's centre, where the board's errors are learnt too, which can hide how it moves."""
-        learned = robust.fit_board(self.everything, self.solution, self.good)
-        plain = robust.foretold(*learned, self.good, board_errors=True)
-        promised = robust.foretold(*learned, self.good, pupil=True, board_errors=True) / plain
-        before = self.held_out.rms_px
-        if not promised < 1:
-            return self, before, promised * before
-        some = self.everything.of_corners(self.good)
-        solution = fit.fit(some, self.solution, board_shape=self.solution.bends, pupil=True)
-        after = robust.held_out(self.everything, solution, self.good, board_errors=True)
-        if not after.rms_px < before:
-            return self, before, after.rms_px
-        return _Fitted(self.everything, solution, self.good, after), before, after.rms_px
+        return (found if certainly or after < (1 - BOARD_GAIN) * before else self), before, after
 
 
 def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
@@ -292,11 +272,9 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     found = _Fitted(everything, solution, good, robust.held_out(everything, solution, good))
     flat_px, shaped_px = found.held_out.rms_px, float("nan")
-    central_px = pupil_px = printed_px = float("nan")
+    printed_px = float("nan")
     if settings.board_shape == "yes" or (settings.board_shape == "auto" and everything.views_of(good).sum() >= 6):
-        found, flat_px, shaped_px = found.freer(board_shape=True, certainly=settings.board_shape == "yes")
-    if everything.views_of(found.good).sum() >= LEAST_FOR_ERRORS:
-        found, central_px, pupil_px = found.freer(pupil=True)
+        found, flat_px, shaped_px = found.bent(certainly=settings.board_shape == "yes")
     solution, good, chosen = found.solution, found.good, found.held_out
     board_errors = False
     if settings.board_shape == "auto" and everything.views_of(good).sum() >= LEAST_FOR_ERRORS:
@@ -306,11 +284,7 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
             printed = robust.held_out(everything, solution, good, board_errors=True)
             printed_px = printed.rms_px
             if printed_px < (1 - BOARD_GAIN) * chosen.rms_px:
-                found, board_errors = replace(found, held_out=printed), True
-                if not solution.free[-1]:
-                    found, central_px, pupil_px = found.moving_before_errors()
-                solution, chosen = found.solution, found.held_out
-                printed_px = chosen.rms_px
+                chosen, board_errors = printed, True
     tried: tuple[choose.Tried, ...] = ()
     if settings.lens_model == choose.AUTO:
         solution, chosen, tried = choose.choose(everything, solution, good, chosen, *size, board_errors=board_errors)
@@ -320,8 +294,6 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
         judged(board, views, everything, solution, good, chosen, circle, print_tested=np.isfinite(printed_px)),
         flat_px=flat_px,
         shaped_px=shaped_px,
-        central_px=central_px,
-        pupil_px=pupil_px,
         printed_px=printed_px,
         tried=tried,
     )
@@ -384,13 +356,14 @@ def judged(
     )
 
 
-def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf) -> dict:
+def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np.inf, pupil_m: float = 0.0) -> dict:
     """Score a lens on views that had no part in its calibration: only the board's poses are fitted, corners polished.
 
     Args:
         board, views: what was filmed.
         lens: to be scored.
         theta_trusted: rad; corners farther from the axis do not count, and their number is stated.
+        pupil_m: how the lens's centre moves, see fit.Solution; as if it did not where the board's size is not known.
 
     Returns:
         views, corners, corners_beyond (where theta_trusted is stated), rms_px (of all corners up to there), median_px,
@@ -400,7 +373,8 @@ def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np
         fit.NoFit: no view has enough corners up to there.
     """
     everything = observe(board, views)
-    start = fit.start_from_rays(everything, lens)
+    beside = np.append(np.zeros(fit.SHAPE), pupil_m if board.scaled else 0.0)
+    start = fit.start_from_rays(everything, lens, beside)
     solution = fit.refine_poses(everything, start, 20)
     everything = robust.polished(everything, solution, board, views)
     theta = quality.seen_angles(lens, everything.pixels)
@@ -431,7 +405,7 @@ def check(board: Board, views: list[View], lens: Lens, theta_trusted: float = np
 
 
 def _in_camera(observations: fit.Observations, solution: fit.Solution) -> np.ndarray:
-    """Where the corners are in the camera's frame, (n, 3) m."""
+    """Where the corners are from the centre that they are seen from, in the camera's frame, (n, 3) m."""
     R, t = solution.rotations[observations.view], solution.translations[observations.view]
     board = fit.surface(observations.points, solution.shape, observations.half_extent)
-    return np.einsum("nij,nj->ni", R, board) + t
+    return fit.from_pupil(np.einsum("nij,nj->ni", R, board) + t, solution.pupil)[0]

@@ -55,6 +55,11 @@ class KnownCamera:
         return found if found.shape == (count, count) and np.isfinite(found).all() else np.zeros((count, count))
 
     @property
+    def pupil_m(self) -> float:
+        """How far the centre of projection is ahead at 1 rad from the axis, m (fit.Solution.pupil); 0 if not stated."""
+        return float(self._calibration.get("pupil_m") or 0.0)
+
+    @property
     def inflation(self) -> float:
         """How many times larger errors shared within a view made the lens's error; 1 where it is not stated."""
         return max(float(self._calibration.get("inflation") or 1.0), 1.0)

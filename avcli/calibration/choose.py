@@ -13,6 +13,8 @@ AUTO = "auto"
 START = "kannala_brandt"
 """The model that the corners are refined with before the choice."""
 _NO_CANDIDATES = ("division",)  # the thesis's virtual lens
+_ALIKE = 1.001
+"""Times the RMS of the best up to which a model is as good, however surely it is worse: two models may be one lens."""
 _WIDEST_SLOPES = np.deg2rad(80.0)
 """Angle beyond which a seen corner rules out the models that bend slopes: the slope there grows without bound."""
 
@@ -71,12 +73,11 @@ def choose(
     """
     found = {START: (solution, held_out)}
     some = observations.of_corners(good)
-    shape, pupil = solution.bends, bool(solution.free[-1])
     for name in _candidates(solution.lens, some):
         try:
             other = fit.fit(some, fit.scan_focal(some, width, height, name))
-            if shape or pupil:
-                other = fit.fit(some, other, board_shape=shape, pupil=pupil)
+            if solution.bends:
+                other = fit.fit(some, other, board_shape=True)
         except (fit.NoFit, np.linalg.LinAlgError):
             continue
         error = robust.held_out(observations, other, good, board_errors=board_errors)
@@ -93,7 +94,8 @@ def choose(
         rms = float(np.sqrt(error.squared[good].mean()))
         tried.append(Tried(name, len(other.lens.names()), rms, float(worse.sum()), spread))
     tried.sort(key=lambda one: one.held_out_px)
-    chosen = min((one for one in tried if one.is_as_good), key=lambda one: (one.parameters, one.held_out_px))
+    alike = (one for one in tried if one.is_as_good or one.held_out_px < _ALIKE * tried[0].held_out_px)
+    chosen = min(alike, key=lambda one: (one.parameters, one.held_out_px))
     return *found[chosen.name], tuple(tried)
 
 

@@ -271,7 +271,7 @@ def _polish_some(
     half = 0
     for size in rounds:
         # How far a pixel is from the edges, in widths of their slope, and how that follows its place: (2, n, pixels).
-        width = blur * slope / _STEEP
+        width = np.maximum(blur * slope / _STEEP, 1e-12)  # 0 where the lens says nothing
         polynomials = _polynomials(coefficients, base - shift) / width[..., None]
         powers = _powers(size)
         count = powers.shape[1]

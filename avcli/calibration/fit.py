@@ -4,8 +4,10 @@ A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y /
 the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The lens is any
 model of avcli.lens, which names its parameters and gives its own derivatives. Its centre may move: seen at an angle of
 theta (rad) from the axis, a point is seen from `pupil` theta² (m) farther ahead, as the entrance pupil of a wide lens
-does (Gennery 2006 writes it as a series in theta). The fit has six unknowns a view and P common ones: the lens's
-parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the pupil, always last.
+does (Gennery 2006 writes it as a series in theta). Whoever takes it for 0 where the pictures do not tell it states too
+small errors: it is always fitted, held at 0 with the standard deviation PUPIL. The fit has six unknowns a view and P
+common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the
+pupil, always last.
 """
 
 from collections.abc import Callable
@@ -25,8 +27,13 @@ BESIDE = SHAPE + 1
 """Number of the common unknowns beside those of the lens as config.json has it: b0 b1 b2 and the pupil, the last."""
 BOARD_ERROR = 0.01
 """Standard deviation of a corner's place on the board, in squares, before it is seen."""
+PUPIL = 0.1
+"""Standard deviation of the pupil, in squares, before anything is seen. That of seven real lenses is 0.014 to 0.13
+squares (examples/benchmarks/lenses.md)."""
 _SCANNED = 8
 """Views at most from which the focal length is guessed."""
+DELTA = 3.0
+"""Standard deviations of a corner's error beyond which it counts less."""
 _WIDE = 1e3
 """Size of a picture, in focal lengths, that bounds no lens."""
 _UNSEEN_PX = 100.0
@@ -57,6 +64,12 @@ class Observations:
     def corner(self) -> np.ndarray:
         """(n,) which of the board's corners that were seen each is, from 0."""
         return np.unique(self.points[:, 0] + 1j * self.points[:, 1], return_inverse=True)[1]
+
+    @cached_property
+    def square(self) -> float:
+        """Distance between neighbouring corners of the board, m."""
+        apart = np.diff(np.unique(self.points[:, 0] + 1j * self.points[:, 1]))
+        return float(np.maximum(np.abs(apart.real), np.abs(apart.imag)).min())
 
     @property
     def views(self) -> int:
@@ -215,6 +228,21 @@ def from_pupil(points: np.ndarray, pupil: float) -> tuple[np.ndarray, np.ndarray
     return seen, less, np.stack([across * x, across * y, -slope * off], -1)
 
 
+def project_jacobian(
+    lens: Lens, points: np.ndarray, pupil: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Project points (n, 3) m of the camera's frame by a lens whose centre may move.
+
+    Returns:
+        pixels (n, 2), NaN where the lens images nothing, and their derivatives to the points (n, 2, 3) px/m, to the
+        lens's parameters (n, 2, parameters) and to `pupil` (n, 2) px/m.
+    """
+    seen, less, slope = from_pupil(points, pupil)
+    pixels, by_seen, by_lens = lens.project_jacobian(seen)
+    by_point = by_seen - pupil * by_seen[:, :, 2:] * slope[:, None]
+    return pixels, by_point, by_lens, -by_seen[:, :, 2] * less[:, None]
+
+
 def poses_from_rays(lens: Lens, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Board poses from the rays of their corners, right beyond 90 degrees too.
 
@@ -277,11 +305,9 @@ def _linearise(observations: Observations, solution: Solution) -> np.ndarray:
     first, k = int(of_lens.sum()), int(s.free.sum())
     columns = np.empty((len(turned), 2, k + 7))
     if s.free[-1] or s.pupil:
-        seen, less, slope = from_pupil(points, s.pupil)
-        pixels, by_point, by_lens = s.lens.project_jacobian(seen)
+        pixels, by_point, by_lens, by_pupil = project_jacobian(s.lens, points, s.pupil)
         if s.free[-1]:
-            columns[:, :, k - 1] = -by_point[:, :, 2] * less[:, None]
-        by_point = by_point - s.pupil * by_point[:, :, 2:] * slope[:, None]
+            columns[:, :, k - 1] = by_pupil
     else:
         pixels, by_point, by_lens = s.lens.project_jacobian(points)
     columns[:, :, :first] = by_lens if of_lens.all() else by_lens[:, :, of_lens]
@@ -318,16 +344,32 @@ def _huber(residual: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
     return cost, weight
 
 
-def blocks(observations: Observations, solution: Solution, used: np.ndarray | None = None, held: float = 0.0) -> Blocks:
+def blocks(
+    observations: Observations,
+    solution: Solution,
+    used: np.ndarray | None = None,
+    held: float = 0.0,
+    beside: np.ndarray | None = None,
+) -> Blocks:
     """The normal equations of `solution.free` and the poses, at the solution and with its robust weights.
 
     Args:
         observations, solution: where to linearise.
         used: (n,) bool, the corners that count; None: all.
         held: 1 / m²; where it is above 0 the corners' places on the board are unknown too, held at the print's.
+        beside: (n, 2, m) px, what m more common unknowns do to the projections. They are 0 now, and held at it with a
+            standard deviation of DELTA common corners' errors.
     """
-    o = observations
+    o, free = observations, solution.free
+    prior, common = np.zeros(len(free)), solution.parameters
+    if free[-1] and np.isfinite(solution.delta_px):
+        prior[-1] = (solution.delta_px / (DELTA * PUPIL * o.square)) ** 2
+    prior, common = prior[free], common[free]
     columns = _linearise(o, solution)
+    if beside is not None:
+        k, count = len(common), beside.shape[2]
+        columns = np.concatenate([columns[:, :, :k], beside / o.sigma[:, None, None], columns[:, :, k:]], 2)
+        prior, common = np.append(prior, np.full(count, DELTA**-2.0)), np.append(common, np.zeros(count))
     cost, weight = _huber(columns[:, :, -1], solution.delta_px)
     if used is not None:
         cost, weight = cost * used, weight * used
@@ -346,7 +388,7 @@ def blocks(observations: Observations, solution: Solution, used: np.ndarray | No
         cross[o.view, corner] = turned @ columns
         errors = np.zeros((corners, 3))
         errors[corner] = o.errors
-    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held)
+    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior, common)
 
 
 def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = None) -> Solution:
@@ -484,8 +526,7 @@ def holding(observations: Observations, solution: Solution) -> float:
 
 def error_prior(observations: Observations) -> float:
     """Standard deviation of the board's errors along an axis, m."""
-    points = np.unique(observations.points, axis=0)
-    return BOARD_ERROR * float(np.abs(np.diff(points, axis=0)).max(1).min())
+    return BOARD_ERROR * observations.square
 
 
 def covariance(
@@ -562,14 +603,14 @@ def _thinned(observations: Observations, most: int = 9) -> Observations:
     return observations.of_corners(keep)
 
 
-def fit(observations: Observations, start: Solution, *, board_shape: bool = False, pupil: bool = False) -> Solution:
-    """Fit the lens (and the board's shape, and the pupil) to all views, robustly, in stages of growing freedom.
+def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:
+    """Fit the lens, the pupil (and the board's shape) to all views, robustly, in stages of growing freedom.
 
     Raises:
         NoFit: there are fewer equations than unknowns, or no lens images the corners.
     """
-    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape, pupil)
-    if 2 * len(observations.pixels) <= free.sum() + 6 * observations.views:
+    lens_only, free = free_parameters(start.like), free_parameters(start.like, board_shape, pupil=True)
+    if 2 * len(observations.pixels) <= free[:-1].sum() + 6 * observations.views:
         raise NoFit(
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
         )
@@ -604,4 +645,4 @@ def _delta(observations: Observations, solution: Solution) -> float:
     length = np.linalg.norm(residuals(observations, solution), axis=1) / observations.sigma
     if not np.isfinite(length).any():
         raise NoFit("no lens explains the corners that were found: the pictures may not show the board")
-    return max(3 * float(np.nanmedian(length)) / 1.1774, 1e-9)
+    return max(DELTA * float(np.nanmedian(length)) / 1.1774, 1e-9)

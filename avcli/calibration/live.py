@@ -351,6 +351,17 @@ class Guide:
         return f"{100 * self._covered:.0f} % of the picture covered{known}"
 
 
+def is_enough(seen: Seen, settings: FitSettings) -> bool:
+    """Whether the views so far tell the lens as well as `Guide` wants it, everywhere in the picture."""
+    try:
+        q = (result := calibrate_views(seen.board, seen.views, settings, seen.light.circle)).quality
+    except fit.NoFit:
+        return False
+    certain = q.field.mean_px <= wanted_px(result.lens, result.width) and not q.halves.ratio > quality.HALVES_LIMIT
+    complete = q.trusted_part >= ENOUGH_PART and q.empty <= 1 - ENOUGH_PART
+    return certain and complete and not q.refusals and not q.missed > quality.MISSED_LIMIT
+
+
 def wanted_px(lens: Lens | None, width: int) -> float:
     """The mean expected error over the lit picture that is enough, px, of a lens and a picture's width in px."""
     if lens is None:

@@ -9,7 +9,7 @@ from avcli import pose
 from avcli.calibration.camera import KnownCamera
 from avcli.calibration.corners import View
 from avcli.calibration.field import seen_angles
-from avcli.calibration.fit import cross_matrix, rotation_from_vector
+from avcli.calibration.fit import cross_matrix, from_pupil, project_jacobian, rotation_from_vector
 from avcli.calibration.target import Board
 from avcli.lens import Lens
 
@@ -61,6 +61,7 @@ def locate(
     points: np.ndarray,
     sigma_px: float | None = None,
     *,
+    pupil_m: float = 0.0,
     lens_covariance: np.ndarray | None = None,
     shared: float = 1.0,
 ) -> Place:
@@ -73,6 +74,7 @@ def locate(
         lens: any model of avcli.lens.
         pixels, points: what was seen, and where it is.
         sigma_px: standard deviation of a pixel; None takes it from the residuals, at least 0.1 px.
+        pupil_m: how the lens's centre moves, see fit.Solution.
         lens_covariance: (parameters, parameters) of the lens's parameters, whose error the pose inherits; None: 0.
         shared: how many times larger errors that the pixels share make the pose's error (standard deviation).
 
@@ -89,9 +91,8 @@ def locate(
         found = f"found {len(points)}" if len(points) < 4 else f"the {len(points)} points are on one line"
         raise ValueError(f"a pose needs at least 4 points that are not on one line; {found}")
     starts = _starts(rays, points)
-    R, t, _ = min((_polish(lens, pixels, points, *start) for start in starts), key=lambda one: one[2])
-    residuals, jacobian = _residuals(lens, pixels, points, R, t)
-    by_lens = np.nan_to_num(lens.project_jacobian(points @ R.T + t)[2]).reshape(2 * len(points), -1)
+    R, t, _ = min((_polish(lens, pupil_m, pixels, points, *start) for start in starts), key=lambda one: one[2])
+    residuals, jacobian, by_lens = _residuals(lens, pupil_m, pixels, points, R, t)
     freedom = max(2 * len(points) - 6, 1)
     if sigma_px is None:
         sigma_px = max(float(np.sqrt((residuals**2).sum() / freedom)), 0.1)
@@ -100,7 +101,7 @@ def locate(
     inverse = np.linalg.pinv(J.T @ J)
     inner = (shared * sigma_px) ** 2 * inverse
     if lens_covariance is not None:
-        follows = inverse @ J.T @ by_lens
+        follows = inverse @ J.T @ by_lens.reshape(len(J), -1)
         inner += follows @ lens_covariance @ follows.T
     change = np.zeros((6, 6))
     change[:3, :3] = -R.T
@@ -113,7 +114,7 @@ def locate(
         float(np.sqrt((residuals**2).sum(1).mean())),
         residuals,
         sigma_px,
-        off_angle(rays, points @ R.T + t),
+        off_angle(rays, from_pupil(points @ R.T + t, pupil_m)[0]),
     )
 
 
@@ -178,20 +179,20 @@ def _rotations(count: int) -> np.ndarray:
 
 
 def _residuals(
-    lens: Lens, pixels: np.ndarray, points: np.ndarray, R: np.ndarray, t: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Seen minus predicted (n, 2) and the derivative of the prediction to a turn and a shift (n, 2, 6)."""
+    lens: Lens, pupil: float, pixels: np.ndarray, points: np.ndarray, R: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Seen minus predicted (n, 2) and the prediction's derivatives to a turn and shift (n, 2, 6) and to the lens."""
     turned = points @ R.T
-    predicted, by_point, _ = lens.project_jacobian(turned + t)
+    predicted, by_point, by_lens, _ = project_jacobian(lens, turned + t, pupil)
     residuals = pixels - predicted
     jacobian = np.concatenate([-by_point @ cross_matrix(turned), by_point], -1)
     unseen = ~(np.isfinite(residuals).all(1) & np.isfinite(jacobian).all((1, 2)))
     residuals[unseen], jacobian[unseen] = 1000.0, 0.0
-    return residuals, jacobian
+    return residuals, jacobian, np.nan_to_num(by_lens)
 
 
 def _polish(
-    lens: Lens, pixels: np.ndarray, points: np.ndarray, R: np.ndarray, t: np.ndarray
+    lens: Lens, pupil: float, pixels: np.ndarray, points: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     delta, damping = 50.0, 1e-3
 
@@ -200,14 +201,14 @@ def _polish(
         weight = np.minimum(1.0, limit / np.maximum(size, 1e-12))
         return np.where(size <= limit, size**2, 2 * limit * size - limit**2).sum().item(), weight
 
-    residuals, jacobian = _residuals(lens, pixels, points, R, t)
+    residuals, jacobian, _ = _residuals(lens, pupil, pixels, points, R, t)
     for _ in range(60):
         cost, weight = robust(residuals, delta)
         A = np.einsum("nia,nib,n->ab", jacobian, jacobian, weight)
         g = np.einsum("nia,ni,n->a", jacobian, residuals, weight)
         step = np.linalg.lstsq(A + damping * np.diag(np.diag(A)) + 1e-12 * np.eye(6), g, rcond=None)[0]
         R_new, t_new = rotation_from_vector(step[None, :3])[0] @ R, t + step[3:]
-        new = _residuals(lens, pixels, points, R_new, t_new)
+        new = _residuals(lens, pupil, pixels, points, R_new, t_new)[:2]
         if robust(new[0], delta)[0] < cost:
             gain = 1 - robust(new[0], delta)[0] / cost
             R, t, (residuals, jacobian), damping = R_new, t_new, new, damping / 6
@@ -278,6 +279,7 @@ def best(
             pixels[known],
             points[known],
             sigma_px,
+            pupil_m=camera.pupil_m,
             lens_covariance=camera.covariance,
             shared=camera.inflation * np.sqrt(views) if views else 1.0,
         )

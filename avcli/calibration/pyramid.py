@@ -4,9 +4,14 @@ import numpy as np
 
 
 class Pyramid:
-    """A picture (height, width) uint8 and the same made smaller, each size once."""
+    """A picture (height, width) uint8 and the same made smaller, each size once.
+
+    Attributes:
+        in_vain: longer side in px of a reduced picture -> corners of the least checkerboard that it does not show.
+    """
 
     def __init__(self, grey: np.ndarray):
+        self.in_vain: dict[int, int] = {}
         self._halves = [grey]
         self._made: dict[int, tuple[np.ndarray, float]] = {}
 

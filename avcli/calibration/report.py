@@ -62,8 +62,7 @@ def words(result: Calibration, seen: Seen) -> list[str]:
         )
     if result.solution.shape.any():
         lines += _shape_in_words(result)
-    if result.solution.free[-1]:
-        lines.append(_pupil_in_words(result))
+    lines += _pupil_in_words(result)
     if result.observations.errors.any():
         rms = np.sqrt((result.observations.errors**2).sum(1).mean()) / result.board.square_m
         lines.append(
@@ -111,22 +110,21 @@ def _shape_in_words(result: Calibration) -> list[str]:
     return lines
 
 
-def _pupil_in_words(result: Calibration) -> str:
-    """How the lens's centre moves; as lengths only where the side of a square was measured."""
+def _pupil_in_words(result: Calibration) -> list[str]:
+    """How the lens's centre moves, if it surely does; as lengths only where the side of a square was measured."""
     board, theta = result.board, result.quality.theta_max_observed
     moved, sd, near = result.solution.pupil * theta**2, result.quality.sd[-1] * theta**2, result.near_m
-    if not abs(moved) > 2 * sd:
-        return "whether the lens has a single centre cannot be told; ± and expected errors count that it may not"
+    if not abs(moved) > 3 * sd:
+        return []
     shift, distance = f"{1000 * abs(moved):.1f} ± {1000 * sd:.1f} mm", f"{near:.2f} m"
     if not board.scaled:
         near, moved, sd = near / board.square_m, moved / board.square_m, sd / board.square_m
         shift, distance = f"{abs(moved):.3f} ± {sd:.3f} squares", f"{near:.0f} squares"
-    return (
+    return [
         f"the lens has no single centre: at {_degrees(theta)} from the axis it is {shift} "
-        f"{'farther ahead' if moved > 0 else 'behind'} (held-out RMS {result.central_px:.3f} px with a single centre, "
-        f"{result.pupil_px:.3f} px without); the lens that is written is that of things far away: nearer than "
-        f"{distance} a ray at this angle is more than {np.rad2deg(quality.TRUST_LIMIT):g}° off"
-    )
+        f"{'farther ahead' if moved > 0 else 'behind'}; the lens that is written is that of things far away: nearer "
+        f"than {distance} a ray at this angle is more than {np.rad2deg(quality.TRUST_LIMIT):g}° off"
+    ]
 
 
 def _degrees(angle: float) -> str:

@@ -19,8 +19,10 @@ _MOST = 1500
 """Saddle points that are looked at: the strongest ones."""
 _GRIDS = 6
 """Groups of corners that are grown into grids: the largest ones."""
-_NEAREST = 20
-"""Corners around a corner that may be its neighbours."""
+_ASIDE = 0.35
+"""rad, angle between an edge of a corner and where its neighbour lies, at most."""
+_NEAREST, _CROWDED, _NEAREST_IN_CROWD = 20, 400, 8
+"""Corners around a corner that may be its neighbours, and of more than so many corners, where they cost most."""
 _BY_CHANCE = 60
 """In a picture full of corners chance joins some: groups with fewer than one in so many of them are not looked at."""
 _LEAST_CONTRAST = 6.0
@@ -237,23 +239,25 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     to, back = np.full((n, 4), -1), np.full((n, 4), -1)
     if n < 4:
         return to, back
-    distance, other = _nearest(corners.pixels, min(_NEAREST, n - 1))
+    distance, other = _nearest(corners.pixels, min(_NEAREST if n <= _CROWDED else _NEAREST_IN_CROWD, n - 1))
     apart = corners.pixels[other] - corners.pixels[:, None]
-    heading = np.arctan2(apart[..., 1], apart[..., 0])
-    # (n, other, arm): an odd arm of one is an even arm of the next, since dark and bright change sides.
-    mine = _apart(corners.arms[:, None, :] - heading[..., None])
-    theirs = _apart(corners.arms[other] - (heading[..., None] + np.pi))
-    rows = np.arange(n)[:, None]
-    for kind in (0, 1):
-        first, second = theirs[:, :, 1 - kind], theirs[:, :, 3 - kind]
-        nearest, off = np.where(second < first, 3 - kind, 1 - kind), np.minimum(first, second)
-        ahead = mine[:, :, kind::2]
-        fits = (ahead < 0.35) & ((off < 0.35) & (distance > 3))[..., None]
-        cost = np.where(fits, distance[..., None] * (1 + 2 * (ahead + off[..., None])), np.inf)
-        best = np.argmin(cost, 1)
-        found = np.isfinite(np.take_along_axis(cost, best[:, None], 1)[:, 0])
-        to[:, kind::2] = np.where(found, other[rows, best], -1)
-        back[:, kind::2] = np.where(found, nearest[rows, best], -1)
+    ways = np.stack([np.cos(corners.arms), np.sin(corners.arms)], 1)
+    # Texture has hundreds of corners, but few of their pairs lie along an arm: only those are looked at closer.
+    along = (apart @ ways).reshape(n, -1)
+    near = np.where(distance > 3, np.cos(_ASIDE) * distance, np.inf)
+    one, at = np.nonzero(along > np.repeat(near, 4, axis=1))
+    at, arm = at // 4, at % 4
+    there, away, distance = other[one, at], apart[one, at], distance[one, at]
+    ahead = _aside(away, ways[one, :, arm])
+    # An odd arm of one is an even arm of the next, since dark and bright change sides.
+    first, second = 1 - arm % 2, 3 - arm % 2
+    by_first, by_second = (_aside(-away, ways[there, :, its]) for its in (first, second))
+    theirs, off = np.where(by_second < by_first, second, first), np.minimum(by_first, by_second)
+    fits = off < _ASIDE
+    one, arm, there, theirs = one[fits], arm[fits], there[fits], theirs[fits]
+    cost = distance[fits] * (1 + 2 * (ahead[fits] + off[fits]))
+    order = np.lexsort((cost, 4 * one + arm))[::-1]  # of many, the last one that is written stays: the cheapest
+    to[one[order], arm[order]], back[one[order], arm[order]] = there[order], theirs[order]
     rows, arms = np.nonzero(to >= 0)
     mutual = (to[to[rows, arms], back[rows, arms]] == rows) & (back[to[rows, arms], back[rows, arms]] == arms)
     to[rows[~mutual], arms[~mutual]] = -1
@@ -264,6 +268,12 @@ def _neighbours(corners: _Corners) -> tuple[np.ndarray, np.ndarray]:
     to[to[rows, arms], back[rows, arms]] = -1
     to[rows, arms] = -1
     return to, back
+
+
+def _aside(away: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Angle, rad, between vectors (n, 2) and unit vectors (n, 2)."""
+    (x, y), (u, v) = away.T, ways.T
+    return np.abs(np.arctan2(u * y - v * x, u * x + v * y))
 
 
 def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -282,7 +292,9 @@ def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], in
     grids = []
     links, returns = to.tolist(), back.tolist()
     for seed in np.argsort(-(to >= 0).sum(1), kind="stable").tolist():
-        if turn[seed] >= 0 or max(links[seed]) < 0:
+        if sum(link >= 0 for link in links[seed]) < 2:
+            break  # what is left makes pairs at most
+        if turn[seed] >= 0:
             continue
         turn[seed] = 0
         cells, place, queue = {(0, 0): seed}, {seed: (0, 0)}, [seed]
@@ -548,12 +560,12 @@ def find_board(
     picture, total = Pyramid.of(picture), inner[0] * inner[1]
     if quickly:
         small, scale = picture.reduced(_QUICK_WIDTH)
-        best = _largest(_sized_grids(small, inner, _CROWD * total), inner, scale)
+        best = _largest(find_grids(small, crowd=_CROWD * total, **_wanted(inner)), inner, scale)
         if best is not None and len(best.ids) == total and _is_clear(best, inner[0], scale):
             return replace(best, error=scale / 2, quickly=True)
         best = None
-    for small, scale in _reduced(picture):
-        grids = _sized_grids(small, inner)
+    for width, scale in _widths(picture):
+        grids = _grids_of(picture, width, **_wanted(inner))
         found = _largest(grids, inner, scale)
         if found is not None and (best is None or len(found.ids) > len(best.ids)):
             best = found
@@ -564,8 +576,18 @@ def find_board(
     return best
 
 
-def _sized_grids(small: np.ndarray, inner: tuple[int, int], crowd: float = np.inf) -> list[Grid]:
-    return find_grids(small, least=max(6, inner[0] * inner[1] // 4), most=max(inner) + _BEYOND, crowd=crowd)
+def _wanted(inner: tuple[int, int]) -> dict[str, int]:
+    return {"least": max(6, inner[0] * inner[1] // 4), "most": max(inner) + _BEYOND}
+
+
+def _grids_of(picture: Pyramid, width: int, least: int, most: float = np.inf) -> list[Grid]:
+    """As `find_grids` in the picture reduced to a width, px; a picture that showed no grid is not searched again."""
+    if picture.in_vain.get(width, least + 1) <= least:
+        return []
+    grids = find_grids(picture.reduced(width)[0], least=least, most=most)
+    if not grids:
+        picture.in_vain[width] = least
+    return grids
 
 
 def _largest(grids: list[Grid], inner: tuple[int, int], scale: float) -> Found | None:
@@ -587,14 +609,14 @@ def _is_clear(found: Found, columns: int, scale: float) -> bool:
     return bool(squared.min() >= (_LARGE * scale) ** 2 and abs(way[0]) > _UPRIGHT * np.hypot(*way))
 
 
-def _reduced(picture: Pyramid) -> Iterator[tuple[np.ndarray, float]]:
-    """The picture at each of the widths, and the factor back to the full one."""
+def _widths(picture: Pyramid) -> Iterator[tuple[int, float]]:
+    """Each of the widths that makes another picture, and the factor back to the full one."""
     done: set[float] = set()
     for longest in _WIDTHS:
-        small, scale = picture.reduced(longest)
+        scale = picture.reduced(longest)[1]
         if scale not in done:
             done.add(scale)
-            yield small, scale
+            yield longest, scale
 
 
 def sizes(
@@ -605,8 +627,9 @@ def sizes(
     A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count; nor
     does one that is bent by `bend` or more (see `_bend`). `thorough` is that of `find_board`.
     """
-    for small, _ in _reduced(Pyramid.of(picture)):
-        grids = find_grids(small, least=least)
+    picture = Pyramid.of(picture)
+    for width, _ in _widths(picture):
+        grids = _grids_of(picture, width, least)
         whole = [g for g in grids if len(g.pixels) == g.columns * g.rows >= least]
         whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut and g.bend < bend]
         if whole:

@@ -26,8 +26,9 @@ class Views(NamedTuple):
         freedom: (..., views) residuals of the view minus the unknowns of its pose.
         own: (..., views, p, p), `information` less what the view spends on unknowns that are eliminated and that other
             share, such as the places of the corners on the board; None: it spends nothing.
-        prior: (..., p, p), information on the common unknowns that no view brings: it is from how those others are
-            held; None: there is none.
+        prior: (..., p, p), information on the common unknowns that no view brings: it is from how they and those
+            others are held; None: there is none.
+        pull: (..., p), the gradient of what holds the common unknowns, where it is not in the scores; None: nothing.
     """
 
     information: np.ndarray
@@ -36,10 +37,11 @@ class Views(NamedTuple):
     freedom: np.ndarray
     own: np.ndarray | None = None
     prior: np.ndarray | None = None
+    pull: np.ndarray | None = None
 
     def of(self, keep: np.ndarray) -> "Views":
         """Some views only, which share nothing: `keep` (views,) bool, or indices; of (sets, n) so many sets of n."""
-        return Views(*(part[keep] for part in self[:4]))
+        return self._replace(**{name: getattr(self, name)[keep] for name in self._fields[:4]})
 
     @property
     def total(self) -> np.ndarray:
@@ -51,7 +53,8 @@ class Views(NamedTuple):
     def step(self) -> np.ndarray:
         """How far the solution of these views lies from where they were linearised, (..., p)."""
         scale, roots = _whitening(self.total)
-        return scale * _times(roots, _times(_turned(roots), scale * self.score.sum(-2)))
+        score = self.score.sum(-2) if self.pull is None else self.score.sum(-2) + self.pull
+        return scale * _times(roots, _times(_turned(roots), scale * score))
 
     @property
     def variance(self) -> np.ndarray:

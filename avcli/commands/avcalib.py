@@ -84,7 +84,11 @@ def _fit_options(rate_hz: float) -> Callable:
 def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any) -> None:
     """Find a camera's lens from pictures, a video or a camera that saw a printed board from many sides."""
     _check_options(session, values)
-    _finish(session, collect(session, list(sources), values), values)
+    from avcli.calibration import live
+
+    fitted = settings_from(settings.FitSettings, values)
+    seen = collect(session, list(sources), values, is_enough=lambda seen: live.is_enough(seen, fitted))
+    _finish(session, seen, values)
 
 
 @main.command("live", epilog="Example: avcalib live /dev/video0 --board 7x10 --square 95 -C lab")
@@ -224,7 +228,7 @@ def check_command(
     seen = views_for(session, list(sources), values, known)
     trusted = known.theta_trusted if "theta_max_trusted_deg" in known.values else math.inf
     try:
-        score = calibrate.check(seen.board, seen.views, known.lens, trusted)
+        score = calibrate.check(seen.board, seen.views, known.lens, trusted, known.pupil_m)
     except fit.NoFit as error:
         raise GateNotMet(str(error)) from None
     with session.output() as write:

@@ -24,6 +24,8 @@ _OF_A_FILM = 150
 """Pictures of a long film that are looked at first."""
 _ENOUGH = 40
 """Views of the board in them with which the others are not looked at."""
+_MORE = 1.5
+"""Times as many views after which a film that is decoded whole is asked again whether it tells the lens already."""
 
 
 @contextlib.contextmanager
@@ -93,9 +95,16 @@ def ending_on_interrupt(active: bool, end: Callable[[], None] = lambda: None) ->
 
 
 def collect(
-    session: Session, names: list[str], values: Mapping[str, Any], camera_size: tuple[int, int] | None = None
+    session: Session,
+    names: list[str],
+    values: Mapping[str, Any],
+    camera_size: tuple[int, int] | None = None,
+    is_enough: Callable[[Seen], bool] | None = None,
 ) -> Seen:
-    """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera or a stream."""
+    """Look for the board in all pictures (gather.collect); the first Ctrl-C ends a camera or a stream.
+
+    A film that must be decoded whole is read until `is_enough`, if that is given.
+    """
     from avcli.calibration import gather
     from avcli.formats import footage
 
@@ -106,7 +115,7 @@ def collect(
     every = None if live else footage.count_pictures(names, rate_hz)
     stream = session.open("-") if "-" in names else None
 
-    def look(most: int | None) -> Seen:
+    def look(most: int | None, after: Callable[[Seen], bool] = lambda _: False) -> Seen:
         total = None if live else footage.count_pictures(names, rate_hz, most)
         pictures = footage.pictures(
             names,
@@ -126,19 +135,39 @@ def collect(
                 eager=live,
                 size=camera_size,
                 say=session.warn,
-                after=lambda *_: bool(caught),
+                after=lambda so_far, *_: bool(caught) or after(so_far),
             )
 
     some = footage.count_pictures(names, rate_hz, _OF_A_FILM) if every and is_default("rate_hz") else every
     if some == every:
         return look(None)
-    seen = look(_OF_A_FILM)
+    ended = _Ending(is_enough if is_enough and footage.is_decoded_whole(names, rate_hz, _OF_A_FILM) else None)
+    seen = look(_OF_A_FILM, ended)
+    if ended.at:
+        session.warn(
+            f"the film has few key frames, so that it must be decoded from its start: it was read until {ended.at} "
+            f"views told the lens, {len(seen)} pictures of about {some}; --rate {rate_hz:g} takes {every}"
+        )
+        return seen
     shown = len(seen) - seen.count("no board")
     if shown < _ENOUGH:
         session.warn(f"{shown} of {len(seen)} pictures of the film show a board; now {every} pictures are looked at")
         return look(None)
     session.warn(f"{len(seen)} pictures of the film were looked at, which is enough; --rate {rate_hz:g} takes {every}")
     return seen
+
+
+class _Ending:
+    """Asks after 40, 60, 90 ... views whether they are enough; `at` is how many were, 0 before that."""
+
+    def __init__(self, is_enough: Callable[[Seen], bool] | None) -> None:
+        self.at, self._next, self._is_enough = 0, _ENOUGH, is_enough
+
+    def __call__(self, seen: Seen) -> bool:
+        if self._is_enough and len(seen.views) >= self._next:
+            self._next = round(_MORE * self._next)
+            self.at = len(seen.views) if self._is_enough(seen) else 0
+        return self.at > 0
 
 
 def views_for(session: Session, names: list[str], values: Mapping[str, Any], camera: KnownCamera) -> Seen:

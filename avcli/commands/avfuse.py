@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
-from avcli.commands.filter import Filter, Session, common
+from avcli.commands.filter import Failure, Filter, Session, common
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
@@ -216,6 +216,8 @@ def main(
             account(fusion)
         for tracks in fusion.finish():
             write(as_record(tracks))
+        if inputs.broken:
+            raise inputs.broken
     if learn and not no_learn:
         from avcli.tracking.learnt import write_learnt
 
@@ -281,6 +283,7 @@ class _Inputs:
 
         self.session, self.sources = session, sources
         self.names = ["standard input" if path == "-" else path for _, path in sources]
+        self.broken: Failure | None = None
         streams = [self._opened(path, open_fifo) for _, path in sources]
         pipes = [k for k, stream in enumerate(streams) if is_pipe(stream)]
         self.arrivals: Arrivals[Detections] | None = None
@@ -308,12 +311,19 @@ class _Inputs:
         return events
 
     def rest(self, merger: Merger) -> Iterator[Event]:
-        """Yield the further events; live ones with one of None where the merger has something due."""
-        if not self.arrivals:
-            yield from self.in_turn
-            return
-        while merger.open:
-            yield self.arrivals.next(merger.due())
+        """Yield the further events; live ones with one of None where the merger has something due.
+
+        A broken input ends all of them, so that the tracks up to there are written; `broken` then says why.
+        """
+        try:
+            if not self.arrivals:
+                yield from self.in_turn
+                return
+            while merger.open:
+                yield self.arrivals.next(merger.due())
+        except Failure as broken:
+            self.broken = broken
+            yield from [(source, None) for source in merger.open]
 
     def _opened(self, path: str, open_fifo: Callable[[str], BinaryIO | None]) -> BinaryIO:
         with contextlib.suppress(OSError):  # which `Session.open` finds again and reports

@@ -313,6 +313,17 @@ def count_pictures(names: list[str], rate_hz: float | None = None, most: int | N
     return total
 
 
+def is_decoded_whole(names: list[str], rate_hz: float, most: int) -> bool:
+    """Whether a film is so long that `pictures` takes `most` of it, but has too few key frames to reach those alone."""
+    for member in (member for name in names for member in source(name).members()):
+        if member.kind not in ("video", "file"):
+            continue
+        frames, fps = _length(member.name)
+        if fps > 0 and frames / fps * rate_hz > most and film.quick_frames(member.name, frames / most) is None:
+            return True
+    return False
+
+
 def frame_rate(name: str) -> float | None:
     """Frames per second of a video, Hz; None for pictures and folders, and if the video does not say."""
     if source(name).kind not in ("video", "file"):

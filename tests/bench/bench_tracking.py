@@ -10,10 +10,12 @@ the tracker alone, the least of all seeds; another load on the machine still sho
 
 Cases: the names of tracking_scenes.py and tracking_worlds.py, with --walks those of walks.py, and directories with a
 ready case. What judges and may not decide (some real sets, synthetic seeds below 100) is refused without --judge or
---out. All tables take about half an hour on one core; --cases, --variants, --seeds and --no-more make it less.
+--out. All tables take about an hour on one core; --cases, --variants, --seeds and --no-more make it less. A
+run that was stopped goes on where it was, if the code is the same.
 """
 
 import argparse
+import hashlib
 import importlib.util
 import math
 import os
@@ -37,13 +39,13 @@ from tracking_runs import Variant, ceiling, fuse
 from tracking_scenes import EASY, HARD
 from tracking_worlds import COARSE
 
-from avcli.tracking.trackers import TRACKERS
+from avcli.tracking import trackers
 
 tracking_peers.register()
 VARIANTS = {
     DEFAULT: Variant(),
     "no-hidden": Variant.of(["no-hidden"]),
-    **{name: Variant(name) for name in TRACKERS if name not in ("ms-glmb", "lmb")},
+    **{name: Variant(name) for name in trackers.TRACKERS if name not in ("ms-glmb", "lmb")},
     **{f"{n} hypotheses": Variant.of([f"hypotheses={n}"]) for n in (5, 20, 80)},
     "lag 5": Variant(lag=5),
     "lag inf": Variant(lag=math.inf),
@@ -117,17 +119,22 @@ def tasks_of(cases: Sequence[str], names: Sequence[str], seeds: range, more: boo
 
 
 def tables(options: argparse.Namespace, cases: list[str], names: list[str], seeds: range) -> None:
-    """Run all cases and write tracking.json, tracking.md and the pictures."""
+    """Run all cases that no stopped run of the same code kept; write tracking.json, tracking.md and the pictures."""
     tasks = tasks_of(cases, names, seeds, not options.no_more)
-    runs: list[Run] = []
-    with ProcessPoolExecutor(options.jobs) as pool:
-        results = pool.map(partial(ran, variants=VARIANTS, root=options.walks), tasks)
-        for k, (task, found) in enumerate(zip(tasks, results, strict=True)):
-            case, seed, entries = task
-            runs += [Run(case, seed, *entry, one) for entry, one in zip(entries, found, strict=True)]
-            if sys.stderr.isatty():
-                print(f"\r{k + 1} of {len(tasks)} scenes, {case:24s}", end="", file=sys.stderr, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
+    kept = options.out / f"tracking-{code()}.jsonl"
+    known = {(one.case, one.seed, one.variant, one.sensors): one for one in report.kept(kept)}
+    missing = [(case, seed, [one for one in some if (case, seed, *one) not in known]) for case, seed, some in tasks]
+    missing = [task for task in missing if task[2]]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        results = pool.map(partial(ran, variants=VARIANTS, root=options.walks), missing)
+        for k, ((case, seed, entries), found) in enumerate(zip(missing, results, strict=True)):
+            fresh = [Run(case, seed, *entry, one) for entry, one in zip(entries, found, strict=True)]
+            report.keep(fresh, kept)
+            known |= {(case, seed, *entry): one for entry, one in zip(entries, fresh, strict=True)}
+            if sys.stderr.isatty():
+                print(f"\r{k + 1} of {len(missing)} scenes, {case:24s}", end="", file=sys.stderr, flush=True)
+    runs = [known[case, seed, *entry] for case, seed, entries in tasks for entry in entries]
     report.write(runs, options.out / "tracking.json")
     own = options.out / "tracking-real.json"
     detected = report.read(own) if own.exists() else []
@@ -135,6 +142,14 @@ def tables(options: argparse.Namespace, cases: list[str], names: list[str], seed
     (options.out / "tracking.md").write_text(report.markdown(runs, before, detected))
     report.plots(runs, detected, options.out)
     hand_over(options.out, "fuse", figures(runs))
+
+
+def code() -> str:
+    """A mark of the code that decides the figures: the tracker and this bench."""
+    here = Path(__file__).parent
+    sources = [*Path(trackers.__file__).parent.iterdir(), *here.glob("*track*.py"), *here.glob("*_scenes.py")]
+    sources += here.glob("walk*.py")
+    return hashlib.sha256(b"".join(one.read_bytes() for one in sorted(sources) if one.is_file())).hexdigest()[:12]
 
 
 def figures(runs: Sequence[Run]) -> Iterator[Row]:

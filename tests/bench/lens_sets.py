@@ -123,9 +123,7 @@ class Moving:
 
     def project_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
         """Pixels and their derivatives to the points."""
-        seen, _, slope = fit.from_pupil(points, self.pupil)
-        pixels, by_point, _ = self.lens.project_jacobian(seen)
-        return pixels, by_point - self.pupil * by_point[:, :, 2:] * slope[:, None]
+        return fit.project_jacobian(self.lens, points, self.pupil)[:2]
 
 
 class PlumbBob:

@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -50,7 +51,22 @@ def write(runs: Sequence[Run], path: Path) -> None:
 
 def read(path: Path) -> list[Run]:
     """Runs of a file."""
-    return [Run(**{**one, "outcome": Outcome(**one["outcome"])}) for one in json.loads(path.read_text())]
+    return [_run(one) for one in json.loads(path.read_text())]
+
+
+def keep(runs: Sequence[Run], path: Path) -> None:
+    """Append runs to a file, a line each, for `kept`."""
+    with path.open("a") as file:
+        file.writelines(json.dumps(asdict(run)) + "\n" for run in runs)
+
+
+def kept(path: Path) -> list[Run]:
+    """Runs of a file of `keep`, which may be missing."""
+    return [_run(json.loads(line)) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _run(one: dict[str, Any]) -> Run:
+    return Run(**{**one, "outcome": Outcome(**one["outcome"])})
 
 
 def chosen(runs: Iterable[Run], variant: str = DEFAULT, sensors: str = "", case: str = "") -> list[Run]:

@@ -74,8 +74,10 @@ def avcli(text: str, name: str, fisheye: bool | None) -> list[Camera]:
     if values.get("camera_position_m") is not None:
         place = pose.camera_pose(values["camera_position_m"], values.get("camera_rotation_deg", [90, 0, 0]))
     known = {key: values[key] for key in KNOWN if values.get(key) is not None}
-    lost = ("the standard deviations of the parameters",) if "calibration" in values else ()
-    return [Camera(lens, (width, height), "camera", known, place, lost)]
+    found = values.get("calibration")
+    moves = isinstance(found, Mapping) and bool(found.get("pupil_m"))
+    lost = ["the standard deviations of the parameters"] * (found is not None) + ["how its centre moves"] * moves
+    return [Camera(lens, (width, height), "camera", known, place, tuple(lost))]
 
 
 _MATRIX_KEY = re.compile(r"(?i)(camera_?matrix|intrinsic_?matrix|intrinsics|mtx|K|M)[_ ]?(\w*)")
