@@ -619,8 +619,8 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
         start = refine(observations, start, lens_only, 2.0, 25, 1e-5)
         start = _reseeded(observations, start)
     solution = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)
-    for _ in range(2):
-        solution = refine(observations, solution, free, _delta(observations, solution), 40)
+    for gain in (1e-5, 1e-8):
+        solution = refine(observations, solution, free, _delta(observations, solution), 40, gain)
     spread, sigma = covariance(observations, solution)
     return replace(solution, covariance=spread, sigma_px=sigma)
 

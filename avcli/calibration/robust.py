@@ -339,8 +339,10 @@ def missed(observations: Observations, solution: Solution, folds: int = 5) -> fl
     terms = np.stack([across[:, i] * down[:, j] for i in range(_SMOOTH + 1) for j in range(_SMOOTH + 1 - i)], -1)
     displaced = np.einsum("nt,ab->natb", terms, np.eye(2)).reshape(len(x), 2, -1)
     part = np.arange(observations.views) % folds
-    free, plain = (_crossed(fit.blocks(observations, solution, beside=beside), part) for beside in (displaced, None))
-    return 1 - free / plain
+    free, lens = fit.blocks(observations, solution, beside=displaced), int(solution.free.sum())
+    keep = np.r_[:lens, -7:0]
+    plain = free._replace(gram=free.gram[:, keep[:, None], keep], prior=free.prior[:lens], common=free.common[:lens])
+    return 1 - _crossed(free, part) / _crossed(plain, part)
 
 
 def held_out(
