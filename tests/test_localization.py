@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
-from avcli.localization import correlation, events, multilateration, uncertainty
+from avcli.localization import correlation, events, memory, multilateration, uncertainty
 from avcli.localization.array import Array, time_steps
 from avcli.localization.srp import SteeredResponse
 
@@ -290,7 +290,21 @@ def features(**changed):
     usual = {"response": 1.3, "agreement": 0.3, "support": 0.4, "before": 0.0, "first": False, "own": 0.8}
     still = dict.fromkeys(("velocity", "pace", "gait"), np.zeros(3))
     more = {"residual": 0.01, "strayed": np.full(3, 0.01), "strongest": 1.3, "dilution": 1.0, "fall": 0.0}
-    return uncertainty.Features(**(usual | still | more | changed))
+    return uncertainty.Features(**(usual | still | more | {"channels": 8.0, "steady": 0.0} | changed))
+
+
+def test_what_sounds_steadily_comes_to_be_a_machine_and_what_rises_and_falls_does_not():
+    law = uncertainty.fitted_law()
+    voice = 60.0 + 8.0 * np.sin(2.0 * np.pi * 3.7 * 0.1 * np.arange(memory.LEVELS))
+    machine = 60.0 + np.random.default_rng(1).normal(0.0, 0.7, memory.LEVELS)
+    assert memory.steadiness([]) == memory.steadiness([60.0]) == 0.0
+    assert memory.steadiness(voice) < 0.1 < 0.5 < memory.steadiness(machine)
+    heard = [law.probability(features(first=True, steady=memory.steadiness(machine[:k]))) for k in range(1, 16)]
+    assert heard[0] == law.probability(features(first=True))
+    assert heard[14] < heard[9] < heard[4] < heard[0]
+    assert heard[-1] < 0.1
+    assert law.probability(features(first=True, steady=memory.steadiness(voice))) > 0.9 * heard[0]
+    assert memory.steadiness([*machine, 80.0]) == 0.0  # somebody begins to speak at its place
 
 
 def lasting(steps, **changed):

@@ -8,7 +8,7 @@ from avcli.localization import uncertainty
 from avcli.localization.array import Array, Talker
 from avcli.localization.health import Health
 from avcli.localization.masks import Masks
-from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.memory import LEVEL_S, LEVELS, Memory, Trace, level_distance, steadiness
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
@@ -21,12 +21,14 @@ _SURE = float(np.log(0.9 / 0.1))
 
 @dataclass(frozen=True)
 class Judged:
-    """A peak, the probability that it is right, what speaks for it (see uncertainty.Law), and what both rest on."""
+    """A peak, the probability that it is right, what speaks for it (see uncertainty.Law), what both rest on, and its
+    levels, see `Trace`."""
 
     score: float
     evidence: float
     peak: Peak
     features: uncertainty.Features
+    levels: tuple[float, ...]
 
 
 class PlaceFinder:
@@ -54,6 +56,7 @@ class PlaceFinder:
         self.settings, self.response, self.health, self.law = settings, response, health, law
         self.talkers = TalkerSearch(array, settings, masks, response)
         self.outside = False
+        self.apart = max(1, round(LEVEL_S * settings.rate))  # decisions between two levels of a trace
 
     def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
         """Return the talkers in the windows around one moment, the most probable first, and remember them.
@@ -65,14 +68,14 @@ class PlaceFinder:
             memory: what the decisions before found.
         """
         peaks = self.talkers.peaks(heard, noise, memory)
-        fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
-        judged = self.judge(peaks, noise, memory, fall, beside=len(heard.steady) > 0)
+        judged = self.judge(peaks, heard, noise, memory)
         memory.keep(
             [
                 Trace(
                     one.peak.position,
                     0.6 * one.features.gait + 0.4 * one.features.velocity,
                     self.law.remembered(one.features, memory.kept),
+                    one.levels,
                 )
                 for one in judged
             ]
@@ -80,38 +83,41 @@ class PlaceFinder:
         self.outside = any(one.evidence > _SURE for one in judged[:1] if self.on_the_edge(one.peak.position)[:2].any())
         return self.report(time, judged, heard, noise)
 
-    def judge(
-        self, peaks: list[Peak], noise: NoiseLaw, memory: Memory, fall: float, *, beside: bool = False
-    ) -> list[Judged]:
+    def judge(self, peaks: list[Peak], heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Judged]:
         """Return a decision's peaks with their scores, those first for which most speaks.
+
+        Beside a known steady source, which was taken away before, all of them are further ones.
 
         Args:
             peaks: in the order in which they were found.
+            heard: the windows around the moment.
             noise: what noise does to as many windows.
             memory: what the decisions before found.
-            fall: dB, see uncertainty.Features.
-            beside: whether a steady source was taken away before, so that all of them are further ones.
         """
         judged, left = [], memory.traces
+        fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
         for number, peak in enumerate(peaks):
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
-            features = self.features(peak, number == 0 and not beside, traces, noise, fall)
+            levels = (*(_latest(traces).levels if traces else ()), peak.level)[-LEVELS * self.apart :]
+            more = {"fall": fall, "channels": heard.channels, "steady": steadiness(levels[:: -self.apart][::-1])}
+            features = self.features(peak, number == 0 and not len(heard.steady), traces, noise, more)
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
-            judged.append(Judged(score, self.law.evidence(features), peak, features))
+            judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
         return sorted(judged, key=lambda one: -one.evidence)
 
     def features(
-        self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw, fall: float
+        self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw, more: dict[str, float]
     ) -> uncertainty.Features:
         """Return what tells a right peak, the decision's first or a further one, from a wrong one.
 
-        Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was.
+        Of the traces of earlier decisions nearby the most telling one counts, and the latest says where it was; `more`
+        holds the features that are known already.
         """
         strayed, pace, gait = np.zeros(3), peak.velocity, peak.velocity
         if traces:
-            latest = min(traces, key=lambda trace: trace.age)
+            latest = _latest(traces)
             gait = latest.velocity
             strayed = peak.position - latest.position - peak.velocity * (latest.age / self.settings.rate)
             pace = (peak.position - latest.position) * [1.0, 1.0, 0.0] * (self.settings.rate / latest.age)
@@ -129,7 +135,7 @@ class PlaceFinder:
             gait=gait,
             strongest=peak.strongest,
             dilution=uncertainty.dilution(peak.normal),
-            fall=fall,
+            **more,
         )
 
     def report(self, time: float, judged: list[Judged], heard: Heard, noise: NoiseLaw) -> list[Talker]:
@@ -160,3 +166,7 @@ class PlaceFinder:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""
         margin = 0.5 * self.settings.resolution
         return (position - self.response.low < margin) | (self.response.high - position < margin)
+
+
+def _latest(traces: list[Trace]) -> Trace:
+    return min(traces, key=lambda trace: trace.age)

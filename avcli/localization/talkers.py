@@ -31,6 +31,7 @@ class Peak:
         response, agreement, support, own, residual, strongest: see uncertainty.Features.
         normal: (3, 3) normal matrix of its range differences, with weights of mean 1.
         gccs: (windows, pairs, lags) those that the peaks before left for it.
+        level: dB, of what agrees with it in the middle window.
     """
 
     position: np.ndarray
@@ -43,6 +44,7 @@ class Peak:
     strongest: float
     normal: np.ndarray
     gccs: np.ndarray
+    level: float
 
     def path(self, offsets: np.ndarray) -> np.ndarray:
         """Return where it is at offsets (n,) s, (n, 3) m; (1, 3) m for all of them where it stands."""
@@ -157,6 +159,7 @@ class TalkerSearch:
         places = position + velocity * offsets[:, None]
         each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
         coherence = self.masks.coherence(heard, position, velocity)
+        middle = int(np.argmin(np.abs(offsets)))
         peak = Peak(
             position,
             velocity,
@@ -168,6 +171,7 @@ class TalkerSearch:
             strongest=float(max(each) / max(np.mean(each), 0.1 * noise.deviation)),
             normal=normal / max(np.maximum(height, 0.0).mean(), 1e-9),
             gccs=gccs,
+            level=10.0 * float(np.log10(max(coherence[middle] @ heard.power[middle], 1e-30))),
         )
         return peak, coherence
 

@@ -59,6 +59,8 @@ class Features:
         dilution: by how much errors of range differences grow into errors in x and y, along the worse axis.
         fall: dB, from the loudest of the last second to the sound in which it was found; not above 0. What falls away
             may be the room alone.
+        steady: how steadily it sounds, from 0 (as a voice, or not known yet) to 1, see memory.steadiness.
+        channels: how many channels it rests on. Four tell three delays, which some place nearly always fits.
     """
 
     response: float
@@ -75,6 +77,8 @@ class Features:
     strongest: float
     dilution: float
     fall: float
+    channels: float
+    steady: float
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ class Law:
             right where eight microphones hang around a small room.
         score: for the "first" peak and a "further" one, weights of the logit of the probability that it is within half
             a metre (x, y) of a talker, with any array in any room, by the names of `terms`.
+        machine: weights of the logit of the probability that a peak is a machine: "one", and how "steady" it sounds.
         spread: for each of `PARTS` the weights of its terms.
         widened: logarithms by which parts are wider than `spread` has them: errors have heavier tails than the Gaussian
             that is fitted, and 95 % ellipses shall hold 95 % of them. Empty where `spread` has it in it.
@@ -117,6 +122,7 @@ class Law:
     first: Mapping[str, float]
     further: Mapping[str, float]
     score: Mapping[str, Mapping[str, float]]
+    machine: Mapping[str, float]
     spread: Mapping[str, Mapping[str, float]]
     widened: Mapping[str, float]
     memory: float
@@ -143,11 +149,16 @@ class Law:
             edge: whether the search ended on a side of its volume. Then the pairs disagree about the place because the
                 talker is beyond it, by how much is not known (see `beyond`), and not because nobody is there.
         """
+        voice = self.voice(features.steady)
         if edge:
-            return BEYOND_NEAR * _logistic(self.evidence(features))
+            return voice * BEYOND_NEAR * _logistic(self.evidence(features))
         weights = self.score["first" if features.first else "further"]
         values = terms(features, weights, self.evidence(features))
-        return _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+        return voice * _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+
+    def voice(self, steady: float) -> float:
+        """Return the probability that what sounds so steadily, see Features, is no machine."""
+        return 1.0 - _logistic(self.machine["one"] + self.machine["steady"] * steady)
 
     def remembered(self, features: Features, kept: float) -> float:
         """Return how lasting a peak is: a mean over the decisions of its evidence, each from -4 to 2, plus 2.4.
@@ -201,9 +212,13 @@ def fitted_law() -> Law:
 
 
 def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.0) -> list[float]:
-    """Return what the weights of a law's `first`, `further` or `score` are multiplied by, in their order: a constant,
-    and the logarithms of the features of these names, but "before", "strongest", "fall" and the evidence as they are,
-    within bounds."""
+    """Return what the weights of a law's `first`, `further` or `score` are multiplied by, in their order.
+
+    A constant, and the logarithms of the features of these names, but "before", "strongest", "fall" and the evidence as
+    they are, within bounds. "few" is the share of the delays that a place uses up, from 1 with four channels to 0 with
+    many; "few_residual" and its like are what it makes of another term.
+    """
+    few = min(3.0 / max(features.channels - 1.0, 3.0), 1.0)
     value = {
         "one": 1.0,
         "before": features.before,
@@ -211,8 +226,12 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
         "strongest": min(features.strongest, 3.0),
         "fall": max(features.fall, -30.0),
         "new": float(not features.strayed.any()),
+        "few": few,
+        "few_residual": few * _log(features.residual),
+        "few_dilution": few * _log(features.dilution),
+        "few_support": few * _log(features.support),
     }
-    return [value[name] if name in value else float(np.log(max(getattr(features, name), 1e-3))) for name in weights]
+    return [value[name] if name in value else _log(getattr(features, name)) for name in weights]
 
 
 def dilution(normal: np.ndarray) -> float:
@@ -293,6 +312,10 @@ def beyond(edge: np.ndarray) -> np.ndarray:
         edge: (3,) bool, on which axes; there the source may be outside.
     """
     return np.diag(np.where(edge, BEYOND_M, 0.0) ** 2)
+
+
+def _log(value: float) -> float:
+    return float(np.log(max(value, 1e-3)))
 
 
 def _logistic(value: float) -> float:

@@ -263,6 +263,7 @@ class Heard:
         gains: (windows,) float32, how much each window counts.
         offsets: (windows,) s of each from the moment.
         count: how many whole windows they amount to.
+        channels: how many channels there are in the mean, at least 4.
         power: (windows, bins) mean over the channels of the squared spectra.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
         above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
@@ -274,6 +275,7 @@ class Heard:
     gains: np.ndarray
     offsets: np.ndarray
     count: float
+    channels: float
     power: np.ndarray
     steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     above: np.ndarray | None = None
@@ -286,12 +288,13 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         windows: each with its offset in s from the moment.
         out: (m,) bool, which channels are left out.
     """
-    gccs, spectra, shares, parts, offsets, powers = [], [], [], [], [], []
+    gccs, spectra, shares, parts, offsets, powers, channels = [], [], [], [], [], [], []
     first, second = correlation.pairs(len(out))
     for window, offset in windows:
         good = window.good & ~out
         if good.sum() < 4:
             continue
+        channels.append(float(good.sum()))
         kept = good[first] & good[second]
         whole = bool(good.all())
         gccs.append(window.gcc if whole else window.gcc * kept[:, None])
@@ -310,5 +313,6 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         gains,
         np.array(offsets),
         float(weights.sum()),
+        float(np.mean(channels)),
         np.stack(powers),
     )

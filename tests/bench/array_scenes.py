@@ -15,7 +15,7 @@ from localization_scenes import Person, Scene, acted, recorded, ring, voices
 from scipy.signal import fftconvolve, resample_poly
 
 from avcli.formats.experiment import Config
-from avcli.formats.media import Sound
+from avcli.formats.media import Sound, read_audio
 from avcli.formats.records import Identified
 from avcli.localization.array import Array
 from avcli.localization.directions import observes_ranges
@@ -32,6 +32,10 @@ ACTS = ("still", "still", "walking", "two", "two", "turns")
 RATES = (16000, 16000, 44100)
 LIVE_S = 0.5
 """T60 from which scenes are sampled at the lowest rate, since their simulation is dear."""
+MACHINES_FROM, MACHINES = 10000, ("machine", "machine beside a talker")
+"""Scenes with a machine are drawn by numbers from here; what they are called."""
+DECIDES = {"0", "1"}
+"""The recordings of machines that decide, by their numbers; the others judge."""
 IMAGES = 12
 """Reflections up to which pyroomacoustics' rooms have images; later ones are a tail."""
 
@@ -262,3 +266,41 @@ def sounding(dry: np.ndarray, rate: int) -> list[list[float]]:
 def recordings(split: str, folder: Path) -> list[Sound]:
     """Return the recordings of a split's speaker."""
     return voices(SPEAKERS[split], folder)
+
+
+def machine_scene(split: str, number: int, speech: Sequence[Sound], noises: Sequence[Sound]) -> tuple[Given, Scene]:
+    """Return a scene by pyroomacoustics in which a machine sounds all the time; in every other one somebody talks too.
+
+    Its people are those who talk: the machine is nobody.
+
+    Args:
+        split, number: which.
+        speech: recordings of the split's speaker.
+        noises: recordings of the split's machines.
+    """
+    given, array, rng = drawn(split, MACHINES_FROM + number)
+    given = replace(given, simulator="pyroomacoustics", act=MACHINES[number % 2], rt60=min(given.rt60, 0.6))
+    times = np.arange(0.0, SECONDS + 0.05, 0.1)
+    mouths, speaking = acted("two", array.room, times, rng)
+    mouths[0] = mouths[0][0]
+    noise = [noises[int(rng.integers(len(noises)))]]
+    spoken = [speech[index] for index in rng.permutation(len(speech))[:3]]
+    level = 10.0 ** (rng.uniform(-10.0, 0.0) / 20.0)
+    samples, _ = peers(given, array, times, mouths[:1], np.ones((1, len(times)), bool), noise, rng)
+    people: list[Person] = []
+    if number % 2:
+        more, people = peers(given, array, times, mouths[1:], speaking[1:], spoken, rng)
+        samples = more + level * samples
+    hiss = 10.0 ** (-given.noise_db / 20.0) * float(samples.std()) * rng.standard_normal(samples.shape, np.float32)
+    return given, Scene(0, given.rt60, array, (samples + hiss).astype(np.float32), people)
+
+
+def machines(split: str, folder: Path) -> list[Sound]:
+    """Return the recordings of a split's machines, NAME_K_PART.wav in a folder, see bench_steady.py."""
+    paths = sorted(folder.glob("*_*_*.wav"))
+    deciding = [path.stem.split("_")[1] in DECIDES for path in paths]
+    return [
+        Sound(*read_audio(path))
+        for path, decides in zip(paths, deciding, strict=True)
+        if decides == (split == "decide")
+    ]

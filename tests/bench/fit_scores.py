@@ -1,7 +1,7 @@
 """Fit the scores of avdetect-audio to many arrays, and write them to avcli/localization/fitted.json.
 
-    make setup-bench fit-scores                             # half an hour
-    make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"    # fewer scenes; DIR keeps the simulated ones
+    make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # half an hour; recordings as bench_steady.py has them
+    make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
 
 The scenes are those of array_scenes.py, split "decide". What is remembered of a decision does not depend on the score,
 so that the peaks are the same whatever it is. `make bench-scores` measures the result on the split "judge".
@@ -14,26 +14,45 @@ from dataclasses import replace
 
 from bench_scores import Peak, log_loss, options_of, peaks, scenes
 from fit_localization import FITTED, commit, logistic, rounded
+from fit_localization import log_loss as fit_log_loss
 
 # isort: split
 import numpy as np
+from array_scenes import MACHINES
+from scipy.optimize import minimize
 
 from avcli.localization import uncertainty
 
 TERMS = {
-    "first": ("one", "dilution", "residual", "support", "before", "strongest", "fall"),
-    "further": ("one", "evidence", "strongest", "fall", "new"),
+    "first": (
+        "one",
+        "dilution",
+        "residual",
+        "support",
+        "before",
+        "strongest",
+        "fall",
+        "few",
+        "few_residual",
+        "few_dilution",
+    ),
+    "further": ("one", "evidence", "strongest", "fall", "new", "few", "few_support"),
 }
 """What a score rests on, see `uncertainty.terms`. Chosen on the split "decide", by scenes that were left out."""
+COUNTS = 1 / 3
+"""How much a scene with a machine counts beside one without: there are fewer rooms with one."""
 PARTS = 6
 """In so many parts the scenes are split; each is predicted from the others."""
 
 
 def fitted(found: Sequence[Peak], law: uncertainty.Law) -> tuple[uncertainty.Law, dict[str, dict[str, float]]]:
-    """Return the law with the scores that fit peaks best, and log losses of evidence, fitted, on scenes left out."""
+    """Return the law with the scores that fit peaks best, and log losses of evidence, fitted, on scenes left out.
+
+    What tells a machine is fitted after the rest, which scenes with machines do not enter.
+    """
     score, losses = {}, {}
     for name, names in TERMS.items():
-        mine = [one for one in found if one.features.first == (name == "first")]
+        mine = [one for one in found if one.features.first == (name == "first") and one.given.act not in MACHINES]
         weights = dict.fromkeys(names, 0.0)
         x = np.array([uncertainty.terms(one.features, weights, law.evidence(one.features)) for one in mine])
         right, part = np.array([one.right for one in mine]), np.array([one.given.number % PARTS for one in mine])
@@ -50,7 +69,31 @@ def fitted(found: Sequence[Peak], law: uncertainty.Law) -> tuple[uncertainty.Law
             "fitted": round(log_loss(right, _logistic(x @ found_weights)), 4),
             "left_out": round(log_loss(right, left_out), 4),
         }
-    return replace(law, score=score), losses
+    law = replace(law, score=score)
+    if any(one.given.act in MACHINES for one in found):
+        law, losses["machine"] = told_apart(found, law)
+    return law, losses
+
+
+def told_apart(found: Sequence[Peak], law: uncertainty.Law) -> tuple[uncertainty.Law, dict[str, float]]:
+    """Return the law that tells machines from voices best, and log losses of scenes with machines, before and after."""
+    sounding = replace(law, machine={"one": -30.0, "steady": 0.0})  # as if there were no machines
+    chance = np.array([sounding.probability(one.features) for one in found])
+    right = np.array([one.right for one in found])
+    machine = np.array([one.given.act in MACHINES for one in found])
+    weight = np.where(machine, COUNTS, 1.0)
+
+    def scores(values: np.ndarray) -> np.ndarray:
+        tried = replace(law, machine={"one": float(values[0]), "steady": float(values[1])})
+        return chance * np.array([tried.voice(one.features.steady) for one in found])
+
+    def loss(values: np.ndarray) -> float:
+        return fit_log_loss(right, scores(values), weight)
+
+    best = np.round(minimize(loss, [-4.0, 10.0], method="Nelder-Mead", options={"maxiter": 150}).x, 2)
+    before, after = log_loss(right[machine], chance[machine]), log_loss(right[machine], scores(best)[machine])
+    told = {"peaks": int(machine.sum()), "without": round(before, 4), "fitted": round(after, 4)}
+    return replace(law, machine={"one": float(best[0]), "steady": float(best[1])}), told
 
 
 def _logistic(values: np.ndarray) -> np.ndarray:
@@ -65,14 +108,16 @@ def main() -> None:
     options = parser.parse_args()
     stated = json.loads(FITTED.read_bytes())
     standing = uncertainty.Law.of(stated["law"])
-    found = peaks(scenes("decide", range(options.scenes), options.speech, options.cache), standing)
+    found, _ = peaks(scenes(options, "decide"), standing)
     law, losses = fitted(found, standing)
-    stated["law"]["score"] = law.score
-    stated["fitted_on"]["origin"]["score"] = f"fitted at {commit()}, see fitted_on.score"
+    for part in ("score", "machine") if "machine" in losses else ("score",):
+        stated["law"][part] = getattr(law, part)
+        stated["fitted_on"]["origin"][part] = f"fitted at {commit()}, see fitted_on.score"
     stated["fitted_on"]["score"] = {
         "command": "tests/bench/fit_scores.py",
         "commit": commit(),
         "scenes": options.scenes,
+        "scenes_with_machines": len({one.given.number for one in found if one.given.act in MACHINES}),
         "split": "decide",
         "speech": "CMU ARCTIC aew, and the built-in voices",
         "log_loss": losses,
