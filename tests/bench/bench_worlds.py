@@ -82,7 +82,7 @@ def run_world(seed: int, thumbnail: Path, seconds: float) -> dict[str, Any]:
 
 def kind(warning: str) -> str:
     """A warning without its numbers and names."""
-    return re.sub(r"-?\d+(\.\d+)?(e-?\d+)?", "#", re.sub(r"/\S+/", "", warning))
+    return re.sub(r"-?\d+(\.\d+)?(e-?\d+)?", "#", re.sub(r"/\S+/|avcli-world-\w+ ", "", warning))
 
 
 def as_table(records: list[dict[str, Any]]) -> str:
