@@ -311,12 +311,14 @@ def plots(runs: Sequence[Run], own: Sequence[Run], folder: Path) -> None:
             math.ceil(len(cases) / 6), 6, figsize=(24, 4 * math.ceil(len(cases) / 6)), squeeze=False
         )
         for axis, case in zip(axes.flat, cases, strict=False):
+            seeds = [{one.seed for one in chosen(runs, name, case=case)} for name in names]
+            same = set.intersection(*[some for some in seeds if some])  # some trackers have more scenes
             for k, name in enumerate(names):
-                found = [one.outcome for one in chosen(runs, name, case=case)]
+                found = [one.outcome for one in chosen(runs, name, case=case) if one.seed in same]
                 if found:
                     error, spent = 100 - mean(one.hota for one in found), min(one.spent for one in found)
                     axis.plot(spent, error, "os^vDP*"[k // 10], color=f"C{k % 10}", label=name)
-            best = [one.outcome.hota for one in chosen(runs, CEILING, case=case)]
+            best = [one.outcome.hota for one in chosen(runs, CEILING, case=case) if one.seed in same]
             if best:
                 axis.axhline(100 - mean(best), color="0.6", linestyle=":")
             axis.set(title=Path(case).name, xscale="log", xlabel="ms a frame", ylabel="100 - HOTA", ylim=(0, None))
