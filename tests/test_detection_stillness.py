@@ -38,13 +38,17 @@ def told(pictures):
     return np.array(evidence)
 
 
-@pytest.mark.parametrize("noise", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize("noise", [0.3, 2.0, 4.0])
 def test_a_thing_is_doubted_the_more_the_longer_it_is_watched(room, noise):
     evidence = told(filmed(room, noise=noise))
     assert evidence[0] == 0
     assert 0 > evidence[SECONDS < 0.7].min() > evidence[SECONDS < 1.3].min() > evidence.min()
     assert evidence[SECONDS > 3].max() < -4
     assert evidence.min() == DOUBT
+
+
+def test_a_camera_that_has_stopped_tells_nothing(room):
+    assert (told(filmed(room, noise=0.0)) == 0).all()
 
 
 def test_somebody_who_sways_is_not_doubted(room):
@@ -113,11 +117,13 @@ class SureNetwork(FakeNetwork):
 
 
 def people(network, timed=True, **settings):
-    """What a detector finds in a room in which nothing ever changes."""
+    """What a detector finds in a room in which nothing but noise ever changes."""
     detector = Detector(config(), settings=Settings(**settings))
     detector.network = network
-    picture = np.kron(np.random.default_rng(1).integers(40, 180, (27, 48, 3)), np.ones((10, 10, 1))).astype(np.uint8)
-    found = [detector.look(picture, None, 0.1 * k if timed else None) for k in range(60)]
+    rng = np.random.default_rng(1)
+    room = np.kron(rng.integers(40, 180, (27, 48, 3)), np.ones((10, 10, 1)))
+    pictures = [(room + rng.standard_normal(room.shape)).astype(np.uint8) for _ in range(60)]
+    found = [detector.look(picture, None, 0.1 * k if timed else None) for k, picture in enumerate(pictures)]
     return found, detector.tally
 
 

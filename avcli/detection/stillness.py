@@ -117,13 +117,17 @@ class Stillness:
         return float(np.clip(np.clip(SLOPE * (levels - MOVED), LEAST, MOST).sum(), DOUBT, 0.0))
 
     def _pictures(self, now: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Pictures kept that have the ages, youngest first, and how much brighter (3,) a reduced one is than each."""
+        """Pictures kept that have the ages, youngest first, and how much brighter (3,) a reduced one is than each.
+
+        One that is the same in all pixels tells nothing: a camera that has stopped, or repeats its pictures.
+        """
         old = self._time - np.array([time for time, _ in self._kept])
         found = []
         for age in AGES_S if len(old) else ():
             nearest = int(np.abs(old - age).argmin())
-            if NEAREST * age <= old[nearest] <= FARTHEST * age:
-                then = self._kept[nearest][1]
+            then = self._kept[nearest][1]
+            frozen = np.array_equal(now, then)
+            if NEAREST * age <= old[nearest] <= FARTHEST * age and not frozen:
                 away = now[::8, ::4].astype(np.int16) - then[::8, ::4]
                 found.append((then, np.median(away.reshape(-1, 3), axis=0)))
         return found
