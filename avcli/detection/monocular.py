@@ -97,6 +97,14 @@ nats better than 1; who is seen by less than 0.3 is 21 cm off instead of 28. On 
 decided nothing) it gains 0.092 nats, and the mean squared error in standard deviations falls from 3.4 to 2.6."""
 
 
+REMEMBERED = 0.9
+"""Probability that a box shows the person whose height is known, in the same posture."""
+
+
+ONLY_HIDDEN = True
+LOWER = 1.0
+
+
 class _Hypotheses:
     """Kinds of bodies, each seen whole and, if they are upright, also with the side of the feet hidden.
 
@@ -115,7 +123,8 @@ class _Hypotheses:
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
-        self.log_share = np.log([kinds[kind].share for kind in self.kind])
+        self.kind_share = np.array([kinds[kind].share for kind in self.kind])
+        self.log_share = np.log(self.kind_share)
         self.log_share += np.tile(np.log(list(shares.values())), len(kinds))
 
     def __len__(self) -> int:
@@ -141,12 +150,14 @@ class Places:
         covariances: (n, 2, 2) m².
         heights: (n,) m; NaN where no body explains the box.
         explained: (n,) bool, whether some body does.
+        looks: (n, 2) m, height by this box alone, and its standard deviation.
     """
 
     positions: np.ndarray
     covariances: np.ndarray
     heights: np.ndarray
     explained: np.ndarray
+    looks: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
@@ -162,6 +173,7 @@ def locate_boxes(
     room: np.ndarray | None = None,
     law: BoxLaw = BOX,
     scores: np.ndarray | None = None,
+    known: np.ndarray | None = None,
 ) -> Places:
     """Find the positions of the people whose pictures fill boxes.
 
@@ -174,10 +186,11 @@ def locate_boxes(
         law: the fitted errors of boxes and of positions by them.
         scores: (n,) of the network that gave the parts, from 0 to 1; None if unknown. Without parts they tell nothing,
             since each network has its own.
+        known: (n, 2) m, height that a person had before and its standard deviation; NaN if unknown.
     """
     boxes = np.asarray(boxes, float).reshape(-1, 4)
     if not len(boxes):
-        return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool))
+        return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2)))
     most = _MOST if parts is None else _MOST_BY_POINTS
     unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
     fits = _fitted(boxes, view, parts, turns, unsure, law, most)
@@ -197,6 +210,9 @@ def locate_boxes(
         behind = np.linalg.norm(_behind(fits.state[..., :2], room), axis=-1)
         fits = replace(fits, log_weight=fits.log_weight - (behind / WALL_SPREAD_M) ** 2 / 2)
     places = fits.merged()
+    looks = places.looks
+    if known is not None and len(informed := np.flatnonzero(looks[:, 0] < known[:, 0] - LOWER * known[:, 1])):
+        places = replace(fits.remembering(known[informed], informed, most, law).merged(), looks=looks)
     if unsure is not None:
         places.covariances[:] *= ((law.sure + law.unsure * unsure) ** 2)[:, None, None]
     for index in np.flatnonzero(~places.explained):
@@ -216,7 +232,8 @@ class _Judged:
 
     Attributes:
         state: (n, k, 3) x, y and height, m.
-        covariance: (n, k, 2, 2) m² of x and y.
+        covariance: (n, k, 3, 3) m² of them by least squares.
+        surplus: (n, k) factor on that, for what the fit does not explain.
         good: (n, k) whether the hypothesis explains the box.
         log_weight: (n, k) of the hypothesis, given the box.
         shared: (n, k) fraction of their union that the box and the body's share.
@@ -224,6 +241,7 @@ class _Judged:
 
     state: np.ndarray
     covariance: np.ndarray
+    surplus: np.ndarray
     good: np.ndarray
     log_weight: np.ndarray
     shared: np.ndarray
@@ -237,6 +255,36 @@ class _Judged:
             both.append(np.concatenate([mine, wide], axis=1))
         return _Judged(*both)
 
+    def remembering(self, known: np.ndarray, rows: np.ndarray, hypotheses: "_Hypotheses", law: BoxLaw) -> "_Judged":
+        """Add the hypotheses that the people of some boxes are those whose heights (m, 2) m are known."""
+        count = len(hypotheses)
+        mean, spread = hypotheses.mean, hypotheses.spread
+        height, sd = known[:, :1], known[:, 1:]
+        worth = 1 / sd**2 - 1 / spread**2  # a prior takes the place of another
+        likely = np.log(hypotheses.kind_share / spread) - ((height - mean) / spread) ** 2 / 2
+        use = (worth > 0) & (likely > likely.max(axis=1, keepdims=True) - 1e-9)
+        worth = np.where(use, worth, 1.0)
+        middle = (height / sd**2 - mean / spread**2) / worth
+        state, covariance = self.state[rows, :count], self.covariance[rows, :count]
+        total = covariance[..., 2, 2] + 1 / worth
+        gain = covariance[..., 2] / total[..., None]
+        away = middle - state[..., 2]
+        moved = state + gain * away[..., None]
+        left = covariance - gain[..., :, None] * covariance[..., None, 2, :]
+        if ONLY_HIDDEN:
+            moved = np.where(hypotheses.hiding[:, None], moved, state)
+            left = np.where(hypotheses.hiding[:, None, None], left, covariance)
+        at = np.log(spread / sd) - ((middle - height) / sd) ** 2 / 2 + ((middle - mean) / spread) ** 2 / 2
+        at -= np.log(worth / (2 * np.pi)) / 2
+        told = at - away**2 / total / 2 - np.log(2 * np.pi * total) / 2
+        share = np.log(hypotheses.kind_share)
+        weight = self.log_weight[rows, :count] + told - share + np.log(REMEMBERED)
+        good = self.good[rows, :count] & use & (np.abs(away) < 4 * np.sqrt(total))
+        again = replace(self, log_weight=self.log_weight.copy())
+        again.log_weight[rows] += np.log(1 - REMEMBERED)
+        more = _Judged(moved, left, self.surplus[rows, :count], good, weight, self.shared[rows, :count])
+        return again.joined(more, rows)
+
     def merged(self) -> Places:
         """The mean over the hypotheses that explain each box, and the covariance of the mixture."""
         explained = self.good.any(axis=1)
@@ -247,10 +295,14 @@ class _Judged:
         state = np.where(self.good[..., None], self.state, 0.0)
         mean = (weight[..., None] * state).sum(axis=1)
         away = (state - mean[:, None])[..., :2]
-        spread = self.covariance + away[..., :, None] * away[..., None, :]
+        tall = self.covariance[..., 2, 2] + (state[..., 2] - mean[:, None, 2]) ** 2
+        sds = np.sqrt((weight * np.where(self.good, tall, 0.0)).sum(axis=1))
+        law = self.surplus[..., None, None] * self.covariance[..., :2, :2] + BOX.floor_m**2 * np.eye(2)
+        spread = law + away[..., :, None] * away[..., None, :]
         spread = (weight[..., None, None] * np.where(self.good[..., None, None], spread, 0.0)).sum(axis=1)
         heights = np.where(explained, mean[:, 2], np.nan)
-        return Places(mean[:, :2], (spread + spread.mT) / 2, heights, np.asarray(explained))
+        looks = np.column_stack([heights, sds])
+        return Places(mean[:, :2], (spread + spread.mT) / 2, heights, np.asarray(explained), looks)
 
 
 def _fitted(
@@ -420,7 +472,7 @@ class _Fits:
             doubt[:, 4:] = np.where(self.silent, np.inf, doubt[:, 4:])
         return doubt, covered
 
-    def judge(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def judge(self) -> tuple[np.ndarray, ...]:
         """All of _Judged but the states, by rows."""
         height = self.state[:, 2]
         good = self.valid & np.isfinite(self.state).all(axis=1)
@@ -438,12 +490,11 @@ class _Fits:
         told = (self.told & np.isfinite(self.doubt)).sum(axis=1)
         surplus = np.maximum(cost / np.maximum(told - 3, 1), 1.0)  # Birge (1932)
         inverse = np.linalg.inv(self.information)
-        covariance = self.law.spread * surplus[:, None, None] * inverse[:, :2, :2] + self.law.floor_m**2 * np.eye(2)
         cost = cost + ((height - self.mean) / self.height_spread) ** 2 + 2 * np.log(self.height_spread)
         silent = np.isinf(self.doubt)  # tells nothing of the body: as likely as with any other
         cost = cost + (2 * np.log(np.where(silent, self.spread, self.doubt)) + silent).sum(axis=1)
         log_weight = self.log_share - cost / 2 + np.linalg.slogdet(inverse)[1] / 2
-        return covariance, good, log_weight, shared
+        return inverse, self.law.spread * surplus, good, log_weight, shared
 
 
 def _shared(box: np.ndarray, other: np.ndarray) -> np.ndarray:
