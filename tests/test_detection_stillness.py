@@ -62,11 +62,10 @@ def test_somebody_who_sways_by_a_fraction_of_a_pixel_or_more_is_not_doubted(room
     assert told(filmed(room, sway=sway)).mean() > -0.2
 
 
-def test_where_a_sway_could_not_be_seen_its_absence_tells_nothing(room):
-    room[60:110, 120:160] = 60 + 0.05 * (room[60:110, 120:160] - 110)
-    assert told(filmed(room, sway=0.3)).min() > LEAST
+def test_where_a_sway_could_not_be_seen_its_absence_tells_little(room):
+    room[60:110, 120:160] = 60 + 0.02 * (room[60:110, 120:160] - 110)
     assert told(filmed(room)).min() > LEAST
-    assert told(filmed(room, noise=0.3)).min() < LEAST  # a better camera would show it
+    assert told(filmed(room, noise=0.3)).min() < 2 * LEAST  # a better camera would show it
 
 
 def test_somebody_else_at_the_same_place_is_not_the_same_thing(room):
@@ -131,7 +130,8 @@ def test_boxes_without_area_or_outside_tell_nothing(room):
 def test_scores_after_evidence():
     assert after(np.array([0.9, 1.0, 0.0, 0.5]), np.zeros(4)).tolist() == [0.9, 1.0, 0.0, 0.5]
     assert after(np.array([0.9]), np.array([-np.log(9)])) == pytest.approx(0.5)
-    assert 0 < after(np.array([1.0]), np.array([DOUBT]))[0] < 1
+    assert 0 < after(np.array([1.0]), np.array([DOUBT]))[0] < 0.5
+    assert after(np.array([0.995]), np.array([-1e-3])) < 0.995
 
 
 class SureNetwork(FakeNetwork):

@@ -4,10 +4,9 @@ Grey pictures are kept for some seconds, reduced. What a box shows now is compar
 eight seconds ago: in each of nine parts, by least squares, the shift that turns one picture into the other (Lucas and
 Kanade, 1981), and the logarithm of the likelihood ratio of that shift to none. A sway of a tenth of a pixel changes a
 pixel by less than the noise, yet all pixels of the part agree about it; noise, compression and flicker do not. Where a
-part shows nothing that could be seen to move, it tells nothing. The more pictures show no shift, the less probable is a
-person. Moving is no evidence for a person, since screens and curtains move too: it takes back what stillness has told,
-and no more. What stands where somebody passes is the same as some seconds before, so that it is not taken for a person
-again.
+sway could hardly be seen, stillness tells little. The more pictures show no shift, the less probable is a person.
+Moving is no evidence for a person, since screens and curtains move too: it takes back what stillness has told, and no
+more. What stands where somebody passes is the same as some seconds before, so that it is not taken for a person again.
 
 The numbers were chosen on eleven real films of a ceiling fisheye and on random worlds, see
 examples/benchmarks/detection.md.
@@ -27,14 +26,12 @@ STEP_S = 0.24
 """Pictures nearer to each other in time are not both kept."""
 
 MOVED, SLOPE = 2.4, 2.0
-"""Logarithm of the likelihood ratio of a shift that tells nothing, and the nats that a picture tells a unit beside it.
-
-The ratio itself, in nats, is half the squared shift in standard deviations, of the part that moves most: a hand, the
-head."""
+"""Logarithm of the nats for a shift, of the part that moves most, a hand or the head, that tell nothing; and the nats
+that a picture tells a unit beside it."""
 
 SWAY = 0.01
-"""Sway, as a part of a box's size, of people who hardly move. Where it would show less than what tells nothing, stillness
-tells less."""
+"""Sway, as a part of a box's size, of people who hardly move. Where it would show less than what tells nothing,
+stillness tells less."""
 
 LEAST, MOST = -2.0, 1.0
 """Nats that one picture tells at most, against a person and back."""
@@ -42,8 +39,11 @@ LEAST, MOST = -2.0, 1.0
 DOUBT = -5.0
 """Nats that all pictures tell at most: some people keep still for long."""
 
+SUREST = 0.99
+"""Score that stillness takes higher ones for: networks say 1.00 of shelves, too."""
+
 OTHER = 20.0
-"""What no shift explains counts as the noise of the room up to this many times; more is something else that stands there."""
+"""What no shift explains counts as noise up to this many times the room's; more is something else that stands there."""
 
 QUANTUM = 0.02
 """Grey levels squared: less change than this is none, in pictures of a perfect sensor."""
@@ -60,7 +60,7 @@ rooms: people would not stand out, and nothing is told."""
 
 _TILE_PX, _FEWEST_TILES, _UNLIT = 8, 30, 8.0
 _FEWEST_PX = 6
-_GREY = np.float32([0.299, 0.587, 0.114])
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 class Stillness:
@@ -116,17 +116,13 @@ class Stillness:
     def _told(self, x0: int, y0: int, x1: int, y1: int) -> float:
         """The evidence of one part of the reduced picture, px."""
         assert self._noise is not None  # evidence() has looked
-        if not self._earlier:
-            return 0.0
         factor = self._factor
         part = _reduced(self._picture[y0 * factor : y1 * factor, x0 * factor : x1 * factor], factor)
-        then = np.stack([picture[y0:y1, x0:x1] + light for picture, light in self._earlier])
-        told = [_shift(part, one, OTHER * self._noise) for one in then]
-        nats = [
-            np.clip(SLOPE * (np.log(shifted) - MOVED), LEAST * min(swaying / np.exp(MOVED), 1.0), MOST)
-            for shifted, swaying in told
-        ]
-        return float(np.clip(sum(nats), DOUBT, 0.0))
+        nats = 0.0
+        for then, light in self._earlier:
+            shifted, swaying = _shift(part, then[y0:y1, x0:x1] + light, OTHER * self._noise)
+            nats += np.clip(SLOPE * (np.log(shifted) - MOVED), LEAST * min(swaying / np.exp(MOVED), 1.0), MOST)
+        return float(np.clip(nats, DOUBT, 0.0))
 
     def _pictures(self, now: np.ndarray) -> list[tuple[np.ndarray, float]]:
         """Pictures kept that have the ages, youngest first, and how much brighter a reduced one is than each.
@@ -173,8 +169,8 @@ class Stillness:
 
 def after(scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
     """Probabilities (n,) of people with scores (n,) once the evidence (n,), nats, is known."""
-    sure = np.clip(scores, 1e-6, 1 - 1e-6)
-    return np.where(evidence == 0, scores, 1 / (1 + (1 - sure) / sure * np.exp(-evidence)))
+    sure = np.clip(scores, 1e-6, SUREST)
+    return np.minimum(scores, np.where(evidence == 0, 1.0, 1 / (1 + (1 - sure) / sure * np.exp(-evidence))))
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
@@ -191,14 +187,15 @@ def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of a picture (height, width) by x and y, a pixel."""
     import cv2
 
-    return tuple(cv2.Sobel(picture, -1, *axis, ksize=3, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    across, down = (cv2.Sobel(picture, -1, *axis, ksize=3, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return across, down
 
 
 def _shift(now: np.ndarray, then: np.ndarray, most: float) -> tuple[float, float]:
-    """Likelihood ratio, in nats, of a shift to none between two pictures (h, w), in the ninth where it is largest.
+    """Logarithm, nats, of the likelihood ratio of a shift to none between two pictures (h, w), and that of a sway.
 
-    And what a sway of `SWAY` would make it there where it would be seen best. Squared differences that no shift explains
-    are taken for noise up to `most` of them a pixel.
+    Of the ninth where it is largest; the sway, `SWAY`, is that which would be seen best. Squared differences a pixel
+    that no shift explains are taken for noise up to `most`.
     """
     across, down = _slopes((now + then) / 2)
     each = across, down, now - then
