@@ -1,5 +1,11 @@
-"""The heights of people who were seen whole some time ago: they tell where somebody is of whom the feet are hidden."""
+"""Heights of people who were seen whole a while ago: they tell where somebody is whose feet are hidden now.
 
+The box of somebody whose feet are hidden is like that of a smaller person who stands farther away. A film tells them
+apart: people do not shrink. The height of the surest look at a person is kept, not a mean, since the errors of one
+picture and the next are alike.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,11 +13,11 @@ import numpy as np
 from avcli.detection.agreement import overlaps
 from avcli.detection.monocular import Places
 
-SAME = 0.3
-"""Overlap over union of a person's boxes in one picture and the next."""
+SAME, NEXT_S = 0.3, 0.5
+"""Least overlap over union of a person's boxes in two pictures that are no farther apart than this, s."""
 
 SPEED_M_S, REACH_M = 2.0, 0.5
-"""How far somebody who was lost may have gone: m/s, and m besides."""
+"""How far somebody may have gone who was lost: m/s, and m besides."""
 
 FORGET_S = 10.0
 """s after which who was lost is forgotten."""
@@ -19,71 +25,90 @@ FORGET_S = 10.0
 SURE_M = 0.12
 """m; a look tells a height if its standard deviation is less."""
 
-FLOOR_M, DRIFT_M = 0.04, 0.02
-"""m; standard deviation of a height beside that of the look, and its growth in a second, with the root of time."""
+FLOOR_M, DRIFT_M = 0.08, 0.02
+"""m; standard deviation of a height beside that of the look, since people bend; and its growth with the root of s."""
 
 
 @dataclass
 class _Known:
+    """Somebody: the last box, place and time, and the height, its standard deviation and when it was measured."""
+
     box: np.ndarray
     place: np.ndarray
     seen: float
-    height: float
-    sd: float
-    learnt: float
+    height: float = np.nan
+    sd: float = np.inf
+    measured: float = 0.0
+
+    def variance(self, time: float) -> float:
+        return self.sd**2 + DRIFT_M**2 * (time - self.measured)
 
 
 class Heights:
-    """Remembers people's heights; pictures must come in order of time."""
+    """Remembers the heights of the people in a film, whose pictures come in order of time."""
 
     def __init__(self) -> None:
         self._people: list[_Known] = []
 
-    def known(self, boxes: np.ndarray, time: float, places: Places | None = None) -> np.ndarray:
-        """Heights and standard deviations (n, 2) m of the people in boxes (n, 4) px of a time, s; NaN if unknown.
+    def place(self, boxes: np.ndarray, time: float, locate: Callable[[np.ndarray], Places]) -> Places:
+        """Place the people in boxes (n, 4) px of a picture of a time, s.
 
-        Who was lost is known again by the places, where they are given.
+        Args:
+            boxes: (n, 4) px.
+            time: s; one that is not later begins anew.
+            locate: places them where their heights (n, 2) m, with standard deviations, are known; NaN: they are not.
         """
-        self._people = [one for one in self._people if 0 <= time - one.seen <= FORGET_S]
-        self._owners = np.full(len(boxes), -1)
-        told = np.full((len(boxes), 2), np.nan)
-        if self._people and len(boxes):
-            near = overlaps(boxes, np.array([one.box for one in self._people]))
-            near[:, [time - one.seen > 0.5 for one in self._people]] = 0.0
-            self._assign(near, SAME)
-            if places is not None:
-                away = np.linalg.norm(places.positions[:, None] - np.array([one.place for one in self._people]), axis=2)
-                reach = np.array([REACH_M + SPEED_M_S * (time - one.seen) for one in self._people])
-                sd = np.sqrt(np.trace(places.covariances, axis1=1, axis2=2))
-                near = 1 - away / (reach + sd[:, None])
-                near[self._owners >= 0] = 0.0
-                near[:, self._owners[self._owners >= 0]] = 0.0
-                self._assign(np.where(np.isfinite(near), near, 0.0), 1e-6)
-        for row, owner in enumerate(self._owners):
-            if owner >= 0:
-                one = self._people[owner]
-                told[row] = one.height, np.sqrt(one.sd**2 + FLOOR_M**2 + DRIFT_M**2 * (time - one.learnt))
+        if any(one.seen >= time for one in self._people):
+            self._people = []
+        self._people = [one for one in self._people if time - one.seen <= FORGET_S]
+        owners = self._followed(boxes, time)
+        places = locate(self._known(owners, time))
+        found = self._found_again(owners, places, time)
+        if (found != owners).any():
+            owners, places = found, locate(self._known(found, time))
+        self._learn(owners, boxes, places, time)
+        return places
+
+    def _known(self, owners: np.ndarray, time: float) -> np.ndarray:
+        told = np.full((len(owners), 2), np.nan)
+        for row in np.flatnonzero(owners >= 0):
+            one = self._people[owners[row]]
+            told[row] = one.height, np.sqrt(one.variance(time) + FLOOR_M**2)
         return told
 
-    def _assign(self, near: np.ndarray, least: float) -> None:
-        near = near.copy()
-        while near.size and near.max() > least:
-            row, owner = np.unravel_index(near.argmax(), near.shape)
-            self._owners[row] = owner
-            near[row], near[:, owner] = 0.0, 0.0
+    def _followed(self, boxes: np.ndarray, time: float) -> np.ndarray:
+        """Which of the people (n,) each box shows, by their last boxes; -1: nobody known."""
+        near = overlaps(boxes, np.array([one.box for one in self._people]).reshape(-1, 4))
+        near[:, [time - one.seen > NEXT_S for one in self._people]] = 0.0
+        return _assigned(near, SAME, np.full(len(boxes), -1))
 
-    def learn(self, boxes: np.ndarray, places: Places, time: float) -> None:
-        """Take in where the people of the boxes last asked for are, and how tall they look."""
-        for row, owner in enumerate(self._owners):
-            height, sd = places.looks[row]
-            sure = np.isfinite(height) and sd < SURE_M
-            if not np.isfinite(places.positions[row]).all():
-                continue
-            if owner < 0:
-                if sure:
-                    self._people.append(_Known(boxes[row], places.positions[row], time, height, sd, time))
-                continue
-            one = self._people[owner]
+    def _found_again(self, owners: np.ndarray, places: Places, time: float) -> np.ndarray:
+        """The same, where those who were lost are found again by their places."""
+        away = places.positions[:, None] - np.array([one.place for one in self._people]).reshape(-1, 2)
+        reach = np.array([REACH_M + SPEED_M_S * (time - one.seen) for one in self._people])
+        doubt = np.sqrt(np.trace(places.covariances, axis1=1, axis2=2))
+        near = 1 - np.linalg.norm(away, axis=2) / (reach + doubt[:, None])
+        near[owners >= 0] = 0.0
+        near[:, owners[owners >= 0]] = 0.0
+        return _assigned(np.nan_to_num(near), 0.0, owners)
+
+    def _learn(self, owners: np.ndarray, boxes: np.ndarray, places: Places, time: float) -> None:
+        for row in np.flatnonzero(places.seen):
+            height, sd = places.alone[row]
+            if owners[row] < 0:
+                owners[row] = len(self._people)
+                self._people.append(_Known(boxes[row], places.positions[row], time))
+            one = self._people[owners[row]]
             one.box, one.place, one.seen = boxes[row], places.positions[row], time
-            if sure and sd**2 < one.sd**2 + DRIFT_M**2 * (time - one.learnt):
-                one.height, one.sd, one.learnt = height, sd, time
+            if np.isfinite(height) and sd < SURE_M and sd**2 < one.variance(time):
+                one.height, one.sd, one.measured = float(height), float(sd), time
+
+
+def _assigned(near: np.ndarray, least: float, owners: np.ndarray) -> np.ndarray:
+    """Owners (n,) with the pairs of `near` (n, m) above a least value, the nearest first."""
+    owners, near = owners.copy(), near.copy()
+    while near.size and near.max() > least:
+        row, owner = np.unravel_index(near.argmax(), near.shape)
+        owners[row] = owner
+        near[row], near[:, owner] = 0.0, 0.0
+    return owners

@@ -97,12 +97,9 @@ nats better than 1; who is seen by less than 0.3 is 21 cm off instead of 28. On 
 decided nothing) it gains 0.092 nats, and the mean squared error in standard deviations falls from 3.4 to 2.6."""
 
 
-REMEMBERED = 0.9
-"""Probability that a box shows the person whose height is known, in the same posture."""
-
-
-ONLY_HIDDEN = True
-LOWER = 1.0
+REMEMBERED, LOWER = 0.7, 1.0
+"""Probability that a box shows the person whose height is known, in the same posture; and by how many standard
+deviations of that height a box must look lower to be thought of as cut."""
 
 
 class _Hypotheses:
@@ -150,14 +147,14 @@ class Places:
         covariances: (n, 2, 2) m².
         heights: (n,) m; NaN where no body explains the box.
         explained: (n,) bool, whether some body does.
-        looks: (n, 2) m, height by this box alone, and its standard deviation.
+        alone: (n, 2) m, heights by the boxes alone, whatever was known before, and their standard deviations.
     """
 
     positions: np.ndarray
     covariances: np.ndarray
     heights: np.ndarray
     explained: np.ndarray
-    looks: np.ndarray
+    alone: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
@@ -206,13 +203,12 @@ def locate_boxes(
             _REST,
         )
         fits = fits.joined(lying, loose)
-    if room is not None:
-        behind = np.linalg.norm(_behind(fits.state[..., :2], room), axis=-1)
-        fits = replace(fits, log_weight=fits.log_weight - (behind / WALL_SPREAD_M) ** 2 / 2)
-    places = fits.merged()
-    looks = places.looks
-    if known is not None and len(informed := np.flatnonzero(looks[:, 0] < known[:, 0] - LOWER * known[:, 1])):
-        places = replace(fits.remembering(known[informed], informed, most, law).merged(), looks=looks)
+    places = _before_walls(fits, room).merged(law)
+    if known is not None:
+        lower = np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
+        if len(lower):
+            again = _before_walls(fits.remembering(known[lower], lower, most), room).merged(law)
+            places = replace(again, alone=places.alone)
     if unsure is not None:
         places.covariances[:] *= ((law.sure + law.unsure * unsure) ** 2)[:, None, None]
     for index in np.flatnonzero(~places.explained):
@@ -224,6 +220,14 @@ def locate_boxes(
 def _behind(xy: np.ndarray, room: np.ndarray) -> np.ndarray:
     """How far (..., 2) m bodies with axes at (..., 2) are behind the walls of a room (2,)."""
     return np.maximum(np.maximum(BODY_M - xy, xy - room[:2] + BODY_M), 0.0)
+
+
+def _before_walls(fits: "_Judged", room: np.ndarray | None) -> "_Judged":
+    """The fits, with those less probable that are behind a wall of a room (2,)."""
+    if room is None:
+        return fits
+    behind = np.linalg.norm(_behind(fits.state[..., :2], room), axis=-1)
+    return replace(fits, log_weight=fits.log_weight - (behind / WALL_SPREAD_M) ** 2 / 2)
 
 
 @dataclass(frozen=True)
@@ -255,37 +259,43 @@ class _Judged:
             both.append(np.concatenate([mine, wide], axis=1))
         return _Judged(*both)
 
-    def remembering(self, known: np.ndarray, rows: np.ndarray, hypotheses: "_Hypotheses", law: BoxLaw) -> "_Judged":
-        """Add the hypotheses that the people of some boxes are those whose heights (m, 2) m are known."""
+    def remembering(self, known: np.ndarray, rows: np.ndarray, hypotheses: _Hypotheses) -> "_Judged":
+        """Add that some boxes show people of known heights, whose feet may be hidden.
+
+        A known height takes the place of the prior that the fit had. Who is seen whole stays where he or she is, since
+        the box tells it; only the weight changes.
+
+        Args:
+            known: (m, 2) m, heights and their standard deviations.
+            rows: (m,) the boxes.
+            hypotheses: those that were fitted first.
+        """
         count = len(hypotheses)
         mean, spread = hypotheses.mean, hypotheses.spread
         height, sd = known[:, :1], known[:, 1:]
-        worth = 1 / sd**2 - 1 / spread**2  # a prior takes the place of another
         likely = np.log(hypotheses.kind_share / spread) - ((height - mean) / spread) ** 2 / 2
-        use = (worth > 0) & (likely > likely.max(axis=1, keepdims=True) - 1e-9)
-        worth = np.where(use, worth, 1.0)
-        middle = (height / sd**2 - mean / spread**2) / worth
+        use = (likely >= likely.max(axis=1, keepdims=True)) & (sd < spread)
+        precision = np.where(use, 1 / sd**2 - 1 / spread**2, 1.0)  # of a Gaussian, new prior over old prior
+        middle = (height / sd**2 - mean / spread**2) / precision
+        scale = np.log(spread / sd) - ((middle - height) / sd) ** 2 / 2 + ((middle - mean) / spread) ** 2 / 2
         state, covariance = self.state[rows, :count], self.covariance[rows, :count]
-        total = covariance[..., 2, 2] + 1 / worth
-        gain = covariance[..., 2] / total[..., None]
+        total = covariance[..., 2, 2] + 1 / precision
         away = middle - state[..., 2]
-        moved = state + gain * away[..., None]
-        left = covariance - gain[..., :, None] * covariance[..., None, 2, :]
-        if ONLY_HIDDEN:
-            moved = np.where(hypotheses.hiding[:, None], moved, state)
-            left = np.where(hypotheses.hiding[:, None, None], left, covariance)
-        at = np.log(spread / sd) - ((middle - height) / sd) ** 2 / 2 + ((middle - mean) / spread) ** 2 / 2
-        at -= np.log(worth / (2 * np.pi)) / 2
-        told = at - away**2 / total / 2 - np.log(2 * np.pi * total) / 2
-        share = np.log(hypotheses.kind_share)
-        weight = self.log_weight[rows, :count] + told - share + np.log(REMEMBERED)
-        good = self.good[rows, :count] & use & (np.abs(away) < 4 * np.sqrt(total))
-        again = replace(self, log_weight=self.log_weight.copy())
-        again.log_weight[rows] += np.log(1 - REMEMBERED)
-        more = _Judged(moved, left, self.surplus[rows, :count], good, weight, self.shared[rows, :count])
-        return again.joined(more, rows)
+        gain = np.where(hypotheses.hiding[:, None], covariance[..., 2] / total[..., None], 0.0)
+        told = scale - away**2 / total / 2 - np.log(precision * total) / 2
+        more = _Judged(
+            state + gain * away[..., None],
+            covariance - gain[..., :, None] * covariance[..., None, 2, :],
+            self.surplus[rows, :count],
+            self.good[rows, :count] & use & (away**2 < 16 * total),
+            self.log_weight[rows, :count] + told + np.log(REMEMBERED / hypotheses.kind_share),
+            self.shared[rows, :count],
+        )
+        weight = self.log_weight.copy()
+        weight[rows] += np.log(1 - REMEMBERED)
+        return replace(self, log_weight=weight).joined(more, rows)
 
-    def merged(self) -> Places:
+    def merged(self, law: BoxLaw) -> Places:
         """The mean over the hypotheses that explain each box, and the covariance of the mixture."""
         explained = self.good.any(axis=1)
         log_weight = np.where(self.good, self.log_weight, -np.inf)
@@ -294,15 +304,14 @@ class _Judged:
         weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
         state = np.where(self.good[..., None], self.state, 0.0)
         mean = (weight[..., None] * state).sum(axis=1)
-        away = (state - mean[:, None])[..., :2]
-        tall = self.covariance[..., 2, 2] + (state[..., 2] - mean[:, None, 2]) ** 2
-        sds = np.sqrt((weight * np.where(self.good, tall, 0.0)).sum(axis=1))
-        law = self.surplus[..., None, None] * self.covariance[..., :2, :2] + BOX.floor_m**2 * np.eye(2)
-        spread = law + away[..., :, None] * away[..., None, :]
-        spread = (weight[..., None, None] * np.where(self.good[..., None, None], spread, 0.0)).sum(axis=1)
+        away = state - mean[:, None]
+        spread = self.covariance.copy()
+        spread[..., :2, :2] = self.surplus[..., None, None] * spread[..., :2, :2] + law.floor_m**2 * np.eye(2)
+        spread = np.where(self.good[..., None, None], spread + away[..., :, None] * away[..., None, :], 0.0)
+        spread = (weight[..., None, None] * spread).sum(axis=1)
         heights = np.where(explained, mean[:, 2], np.nan)
-        looks = np.column_stack([heights, sds])
-        return Places(mean[:, :2], (spread + spread.mT) / 2, heights, np.asarray(explained), looks)
+        alone = np.column_stack([heights, np.sqrt(spread[:, 2, 2])])
+        return Places(mean[:, :2], (spread + spread.mT)[:, :2, :2] / 2, heights, np.asarray(explained), alone)
 
 
 def _fitted(
