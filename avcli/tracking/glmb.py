@@ -210,7 +210,6 @@ class GLMB:
             if self.record:
                 people.node = Node.steps(people, before, step, survival, self.errors.variance(lean), time)
             people.existence = people.existence * survival
-            prediction.unite(people, self.labelled_rows, self.likely_rows, dt)
         if self.sensors:
             mix, rest = np.exp(-dt * self.turnover), self.detectable
             self.undetected.relax(rest, mix)
