@@ -51,9 +51,9 @@ _CROWD = 3
 """Times a board's corners that may be in that picture: of more it costs too much to tell them from clutter."""
 _UPRIGHT = 0.05
 """Sine of a row's angle to the vertical up to which it is close whether the row leads to the right or to the left."""
-_MOST_BENT = 0.25
-"""What `_bend` gives at most for a board, or a group of corners is no board: it is at most 0.14 on derlunz, dyf and
-fish_1, and mostly more than 0.25 in blotches."""
+_MOST_BENT, _BENT_AT_FIRST = 0.15, 0.25
+"""What `_bend` gives at most for a board, and for corners that are joined but not grown yet, or they are none. It is at
+most 0.14 in 22 real sets, and mostly more than 0.25 in blotches."""
 _TURNS = 0.95
 """Share of the comparisons between neighbouring squares in which dark and bright take turns, in a grid. It is at least
 0.97 on derlunz, dyf and fish_1, and mostly below 0.9 in blotches."""
@@ -75,7 +75,6 @@ class Grid:
         columns, rows: extent of the grid along u and v.
         dark: whether the square between cells (0, 0) and (1, 1) is dark.
         is_cut: whether there are further corners, too few to be told from the edge of a board.
-        bend: see `_bend`.
     """
 
     cells: np.ndarray
@@ -84,7 +83,6 @@ class Grid:
     rows: int
     dark: bool
     is_cut: bool
-    bend: float
 
     def as_board(self, inner: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
         """Number the corners as a board of `inner` corners along a row and a column does.
@@ -534,16 +532,16 @@ def find_grids(
         turns = _alternation(relief, cells)
         if turns[0] < _TURNS:
             continue
-        bend, joined = _bend(cells), set(cells)
-        if bend > _MOST_BENT:
+        if _bend(cells) > _BENT_AT_FIRST:
             continue
+        joined = set(cells)
         _grown(relief, cells, radius, most)
         cells, is_cut = _trimmed(cells)
         if len(cells) < least:
             continue
         if cells.keys() != joined:
-            bend, turns = _bend(cells), _alternation(relief, cells)
-        if bend > _MOST_BENT or turns[0] < _TURNS or turns[1] < _COMPARED:
+            turns = _alternation(relief, cells)
+        if turns[0] < _TURNS or turns[1] < _COMPARED or _bend(cells) > _MOST_BENT:
             continue
         largest = max(largest, len(cells))
         names, pixels = np.array(list(cells)), np.array(list(cells.values()))
@@ -551,7 +549,7 @@ def find_grids(
         names = names - low
         columns, rows = (names.max(0) + 1).tolist()
         order = np.lexsort((names[:, 0], names[:, 1]))
-        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0), is_cut, bend))
+        out.append(Grid(names[order], pixels[order], columns, rows, bool(sum(low) % 2 == 0), is_cut))
     return sorted(out, key=lambda grid: -len(grid.pixels))
 
 
@@ -646,19 +644,17 @@ def _widths(picture: Pyramid) -> Iterator[tuple[int, float]]:
             yield longest, scale
 
 
-def sizes(
-    picture: np.ndarray | Pyramid, least: int = 9, bend: float = _MOST_BENT, *, thorough: bool = True
-) -> list[tuple[int, int]]:
+def sizes(picture: np.ndarray | Pyramid, least: int = 9, *, thorough: bool = True) -> list[tuple[int, int]]:
     """Inner corners (along u, along v) of the whole checkerboards in a picture, the largest first.
 
-    A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count; nor
-    does one that is bent by `bend` or more (see `_bend`). `thorough` is that of `find_board`.
+    A grid that more corners join, though too few for a line of it, is a part of a larger board, and does not count.
+    `thorough` is that of `find_board`.
     """
     picture = Pyramid.of(picture)
     for width, _ in _widths(picture):
         grids = _grids_of(picture, width, least)
         whole = [g for g in grids if len(g.pixels) == g.columns * g.rows >= least]
-        whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut and g.bend < bend]
+        whole = [g for g in whole if min(g.columns, g.rows) >= 2 and not g.is_cut]
         if whole:
             return [(g.columns, g.rows) for g in whole]
         if not thorough and not grids:
