@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import fcntl
+import json
 import os
 import shutil
 import signal
@@ -59,13 +60,13 @@ def run(
     return result
 
 
-def run_experiment(scenario: str, directory: Path) -> None:
-    """Run one scenario by all three modalities into a directory, as `make` does."""
+def run_experiment(directory: Path, *scene: object) -> None:
+    """Run one scenario by all three modalities into a directory, as `make` does; `scene` is what avsim-scene gets."""
     for folder in ("localization", "tracking"):
         (directory / folder).mkdir(parents=True, exist_ok=True)
     found = {sensor: directory / f"localization/{sensor}_localizations.jsonl" for sensor in ("audio", "video")}
     steps = [
-        ("avsim-scene", scenario, "-o", directory / "scene.jsonl"),
+        ("avsim-scene", *scene, "-o", directory / "scene.jsonl"),
         ("avsim-audio", directory / "scene.jsonl", "-o", directory / "audio.jsonl"),
         ("avdetect-audio", directory / "audio.jsonl", "-o", found["audio"]),
         ("avdetect-video", directory / "scene.jsonl", "-o", found["video"]),
@@ -81,14 +82,32 @@ def run_experiment(scenario: str, directory: Path) -> None:
 @pytest.fixture(scope="session")
 def finished_s1(tmp_path_factory) -> Path:
     """A finished S1 experiment, made once for all tests and all workers; nobody may change it."""
+    return _experiment_of_all(tmp_path_factory, "finished", "s1")
+
+
+@pytest.fixture(scope="session")
+def small_s1(finished_s1, tmp_path_factory) -> Path:
+    """The first second of S1 in pictures of half the size, for what needs any experiment; nobody may change it."""
+    camera = json.loads((finished_s1 / "config.json").read_bytes())["camera_config"]
+    for axis in "xy":
+        camera[f"f{axis}_px"] /= 2
+        camera[f"c{axis}_px"] = (camera[f"c{axis}_px"] + 0.5) / 2 - 0.5
+    camera |= {"image_width_px": 960, "image_height_px": 540}
+    given = tmp_path_factory.mktemp("camera") / "camera.json"
+    given.write_text(json.dumps(camera))
+    return _experiment_of_all(tmp_path_factory, "small", "s1", "--duration", 1, "--camera-config", given)
+
+
+def _experiment_of_all(tmp_path_factory, name: str, *scene: object) -> Path:
+    """An experiment that one of the workers makes, for all."""
     shared = tmp_path_factory.getbasetemp()
     shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
-    directory = shared / "finished" / "out" / "s1"
+    directory = shared / name / "out" / "s1"
     directory.parent.mkdir(parents=True, exist_ok=True)
-    with open(shared / "finished" / "lock", "w") as lock:
+    with open(shared / name / "lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (directory / "done").exists():
             shutil.rmtree(directory, ignore_errors=True)
-            run_experiment("s1", directory)
+            run_experiment(directory, *scene)
             (directory / "done").touch()
     return directory

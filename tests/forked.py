@@ -28,13 +28,8 @@ _LOADED_LATE = [
     "moderngl",
     "onnxruntime",
     "orjson",
-    "scipy.ndimage",
     "scipy.optimize",
-    "scipy.signal",
-    "scipy.sparse.csgraph",
-    "scipy.spatial",
     "scipy.special",
-    "scipy.stats",
     "soundfile",
     "trimesh",
 ]

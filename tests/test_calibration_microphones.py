@@ -206,7 +206,8 @@ def test_what_is_wrong_with_channels_goes_into_config_and_detection_puts_it_righ
     assert channels[6]["delay_s"] == pytest.approx(0.005, abs=1e-4)
     assert sum(one["delay_s"] != 0 for one in channels) == 1
     assert all(one["usable"] for one in channels)
-    wav = next((tmp_path / "audio" / "wav").iterdir())
+    wav = tmp_path / "beginning.wav"
+    soundfile.write(wav, faulty[: 2 * fs], fs)
     result = CliRunner().invoke(detect_audio, ["-C", str(tmp_path), str(wav)])
     assert result.exit_code == 0, result.output
     assert "channel" not in result.stderr

@@ -6,7 +6,7 @@ from test_detection_detector import FakeNetwork, config
 
 from avcli.detection.detector import Detector
 from avcli.detection.settings import Settings
-from avcli.detection.stillness import DOUBT, Stillness, after
+from avcli.detection.stillness import DOUBT, LEAST, Stillness, after
 
 BOX = np.array([[120.0, 60.0, 160.0, 110.0]])
 SECONDS = np.arange(0, 10, 0.2)
@@ -18,12 +18,18 @@ def room():
     return np.kron(rng.integers(40, 180, (36, 64, 3)), np.ones((5, 5, 1)))
 
 
+def moved(part, by):
+    """A part moved by a fraction of a pixel."""
+    whole = int(np.floor(by))
+    return (1 - by + whole) * np.roll(part, whole, axis=1) + (by - whole) * np.roll(part, whole + 1, axis=1)
+
+
 def filmed(room, *, sway=0.0, noise=2.0, light=0.0, passer=(), seed=0):
     """Pictures of a room at `SECONDS`; what is in the box moves by `sway` px, somebody passes over it at some times."""
     rng = np.random.default_rng(seed)
     for time in SECONDS:
         picture = room.copy()
-        picture[60:110, 120:160] = np.roll(picture[60:110, 120:160], round(sway * np.sin(2 * time)), axis=1)
+        picture[60:110, 120:160] = moved(picture[60:110, 120:160], sway * np.sin(2 * time))
         if any(abs(time - one) < 0.5 for one in passer):
             picture[50:120, 110:150] = (20, 30, 200)
         picture += noise * rng.standard_normal(picture.shape) + light * time
@@ -51,8 +57,25 @@ def test_a_camera_that_has_stopped_tells_nothing(room):
     assert (told(filmed(room, noise=0.0)) == 0).all()
 
 
-def test_somebody_who_sways_is_not_doubted(room):
-    assert told(filmed(room, sway=3.0)).mean() > -0.2
+@pytest.mark.parametrize("sway", [0.15, 0.5, 3.0, 20.0])
+def test_somebody_who_sways_by_a_fraction_of_a_pixel_or_more_is_not_doubted(room, sway):
+    assert told(filmed(room, sway=sway)).mean() > -0.2
+
+
+def test_where_a_sway_could_not_be_seen_its_absence_tells_little(room):
+    room[60:110, 120:160] = 60 + 0.02 * (room[60:110, 120:160] - 110)
+    assert told(filmed(room)).min() > LEAST
+    assert told(filmed(room, noise=0.3)).min() < 2 * LEAST  # a better camera would show it
+
+
+def test_somebody_else_at_the_same_place_is_not_the_same_thing(room):
+    rng = np.random.default_rng(7)
+    others = [np.kron(rng.integers(40, 180, (10, 8, 3)), np.ones((5, 5, 1))) for _ in range(10)]
+    pictures = []
+    for time, picture in filmed(room):
+        picture[60:110, 120:160] = others[int(time)]
+        pictures.append((time, picture))
+    assert told(pictures)[SECONDS == 5.0] > DOUBT / 2
 
 
 def test_moving_is_no_evidence_for_a_person(room):
@@ -107,7 +130,8 @@ def test_boxes_without_area_or_outside_tell_nothing(room):
 def test_scores_after_evidence():
     assert after(np.array([0.9, 1.0, 0.0, 0.5]), np.zeros(4)).tolist() == [0.9, 1.0, 0.0, 0.5]
     assert after(np.array([0.9]), np.array([-np.log(9)])) == pytest.approx(0.5)
-    assert 0 < after(np.array([1.0]), np.array([DOUBT]))[0] < 1
+    assert 0 < after(np.array([1.0]), np.array([DOUBT]))[0] < 0.5
+    assert after(np.array([0.995]), np.array([-1e-3])) < 0.995
 
 
 class SureNetwork(FakeNetwork):

@@ -10,12 +10,14 @@ import pytest
 from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_tracking_hypotheses import cluster
 from test_tracking_hypotheses import people as standing
 
 from avcli.formats.features import Feature, Population
 from avcli.formats.records import Detections, as_record, encode
 from avcli.tracking.features import FOREIGN, UU, XX, Features, U, X
 from avcli.tracking.fusion import Fusion
+from avcli.tracking.hypotheses import BESIDE, EXCHANGE, TELL
 from avcli.tracking.recognition import Gallery, Left, returned
 
 SCHEMA = ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json"
@@ -59,6 +61,42 @@ def test_the_ratio_of_two_people_is_that_of_their_gaussians():
     for row, centre in enumerate((0.8, -0.8)):
         own = gauss(0.9, centre, 0.45) * gauss(0.1, 0.0, 0.45) / gauss(0.9, 0.0, 1.25) / gauss(0.1, 0.0, 1.25)
         assert found.ratio[row, 0] == pytest.approx((1 - FOREIGN) * own + FOREIGN, rel=1e-3)
+
+
+def test_people_are_as_far_apart_as_one_look_tells():
+    features, crowd = kinds(), people(3)
+    seen(features, crowd, np.zeros((3, 2)))
+    crowd.traits = np.tile(features.prior, (3, 1, 1))
+    crowd.traits[:2, XX] = 0.0  # the first two are known, of the third nothing is
+    crowd.traits[:2, X] = [[1.0, 0.0], [-1.0, 0.0]]
+    apart = features.apart(crowd.traits)
+    np.testing.assert_allclose(apart, apart.T)
+    np.testing.assert_allclose(np.diag(apart), 0, atol=1e-12)
+    assert apart[0, 1] == pytest.approx(2.0**2 / 0.25)
+    jeffreys = [(v / w + w / v - 2) / 2 + d * d * (1 / v + 1 / w) / 2 for v, w, d in ((0.25, 1.25, 1), (0.25, 1.25, 0))]
+    assert apart[0, 2] == pytest.approx(sum(jeffreys))
+
+
+def test_an_exchange_of_two_who_stand_together_stays_possible():
+    features, crowd = kinds(), people(2, apart=0.1)
+    seen(features, crowd, [[1.0, 0.0], [-1.0, 0.0]])
+    alone = cluster({(0, 1): 1.0})
+    more, new = alone.exchanged(crowd, features)
+    assert more.hypotheses == [(0, 1), (2, 3)]
+    assert more.shares == pytest.approx([1 / (1 + EXCHANGE), EXCHANGE / (1 + EXCHANGE)])
+    assert new.label == [0, 1]
+    np.testing.assert_allclose(new.centres([0, 1])[:, 0], [0.1, 0.0])
+    np.testing.assert_array_equal(new.traits, crowd.traits)
+    again, nothing = more.exchanged(type(crowd).join([crowd, new]), features)
+    assert nothing is None or again.shares[1] == pytest.approx(EXCHANGE, rel=0.1)
+
+
+@pytest.mark.parametrize(("apart", "own"), [(BESIDE + 0.01, 1.0), (0.1, 0.0)])
+def test_who_stands_alone_or_looks_like_the_other_is_not_exchanged(apart, own):
+    features, crowd = kinds(), people(2, apart)
+    seen(features, crowd, [[own, 0.0], [-own, 0.0]])
+    assert (features.apart(crowd.traits)[0, 1] < TELL) == (own == 0)
+    assert cluster({(0, 1): 1.0}).exchanged(crowd, features)[1] is None
 
 
 def test_who_was_never_seen_is_the_population():
@@ -256,6 +294,24 @@ def test_people_who_meet_and_turn_back_are_told_apart(seed):
     found = identities(fused(pair(seed)))
     assert found[5] == found[-1]
     assert len(found) > 90
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rare_words_tell_afterwards_who_walked_through_whom(seed):
+    """Whoever seems to turn back and walked on is known again by a look a second, though none is given meanwhile."""
+
+    def records():
+        for one in pair(seed):
+            k = round(10 * one.timestamp)
+            told = one.features["looks"].vectors
+            if k >= 50:  # each goes on along the other one's way
+                told[:] = told[::-1].copy()
+            if k % 10 or 35 < k < 65:
+                told[:] = np.nan
+            yield one
+
+    found = identities(fused(records()))
+    assert found[5] == found[-1][::-1]
 
 
 def test_an_account_says_what_the_features_mean():

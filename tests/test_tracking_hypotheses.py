@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from avcli.formats.experiment import Config
 from avcli.formats.sensors import MICROPHONES
-from avcli.tracking import coverage, gaussian, prediction
+from avcli.tracking import coverage, gaussian
 from avcli.tracking.densities import Densities
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.hypotheses import Cluster
@@ -182,22 +182,6 @@ def test_one_person_found_twice_a_few_centimetres_apart_is_one_track(n, share):
         z = np.vstack([z, again])
         tracker.update(k / 10, "video", z, np.tile(0.0144 * np.eye(2), (len(z), 1, 1)))
         assert len(tracker.tracks(k / 10)) == n
-
-
-def test_two_people_in_one_place_are_doubted_and_two_beside_each_other_are_not():
-    crowd = people([[1, 1, 0, 0], [1.02, 1, 0, 0], [1.5, 1, 0, 0]], [0, 1, 2])
-    crowd.hits[:, 0] = [9, 3, 3]
-    crowd.detectable[0], crowd.detectable[1] = 0.1, 0.8
-    crowd.existence[:] = 0.9
-    prediction.unite(crowd, [0, 1, 2], [0, 1, 2], 0.1)
-    assert crowd.existence[1] < 0.85
-    assert crowd.existence[[0, 2]] == pytest.approx([0.9, 0.9], abs=1e-3)
-    assert 0.1 < crowd.detectable[0, 0] < 0.8, "what detects the other one may detect this one"
-    crowd.existence[:] = 1.0, 0.99, 1.0
-    prediction.unite(crowd, [0, 1, 2], [0, 1, 2], 1e9)
-    assert 0 <= crowd.existence[1] < 1e-6
-    assert np.isfinite(crowd.existence).all()
-    assert (crowd.existence[[0, 2]] == 1).all()
 
 
 def test_names_that_nothing_can_tell_apart_any_more_are_decided():

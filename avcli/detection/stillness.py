@@ -1,10 +1,12 @@
 """How much what a box shows has moved: a person never keeps quite still, a plant or a chair does.
 
-Pictures are kept for some seconds, reduced. What a box shows now is compared with what it showed half a second to eight
-seconds ago, in units of the change that the room itself shows in this film: the noise of its sensor and compression.
-The more pictures show the same, the less probable is a person. Moving is no evidence for a person, since screens and
-curtains move too: it takes back what stillness has told, and no more. What stands where somebody passes is the same as
-some seconds before, so that it is not taken for a person again.
+Grey pictures are kept for some seconds, reduced. What a box shows now is compared with what it showed half a second to
+eight seconds ago: in each of nine parts, by least squares, the shift that turns one picture into the other (Lucas and
+Kanade, 1981), and the logarithm of the likelihood ratio of that shift to none. A sway of a tenth of a pixel changes a
+pixel by less than the noise, yet all pixels of the part agree about it; noise, compression and flicker do not. Where a
+sway could hardly be seen, stillness tells little. The more pictures show no shift, the less probable is a person.
+Moving is no evidence for a person, since screens and curtains move too: it takes back what stillness has told, and no
+more. What stands where somebody passes is the same as some seconds before, so that it is not taken for a person again.
 
 The numbers were chosen on eleven real films of a ceiling fisheye and on random worlds, see
 examples/benchmarks/detection.md.
@@ -23,11 +25,13 @@ NEAREST, FARTHEST = 0.7, 1.4
 STEP_S = 0.24
 """Pictures nearer to each other in time are not both kept."""
 
-MOVING = 3
-"""Of nine parts of a box those that change most count: head, hands; the others may show a table."""
+MOVED, SLOPE = 2.4, 2.0
+"""Logarithm of the nats for a shift, of the part that moves most, a hand or the head, that tell nothing; and the nats
+that a picture tells a unit beside it."""
 
-MOVED, SLOPE = 1.25, 2.0
-"""Logarithm of the change in units of noise that tells nothing, and the nats that a picture tells a unit beside it."""
+SWAY = 0.01
+"""Sway, as a part of a box's size, of people who hardly move. Where it would show less than what tells nothing,
+stillness tells less."""
 
 LEAST, MOST = -2.0, 1.0
 """Nats that one picture tells at most, against a person and back."""
@@ -35,7 +39,13 @@ LEAST, MOST = -2.0, 1.0
 DOUBT = -5.0
 """Nats that all pictures tell at most: some people keep still for long."""
 
-QUANTUM = 0.05
+SUREST = 0.99
+"""Score that stillness takes higher ones for: networks say 1.00 of shelves, too."""
+
+OTHER = 20.0
+"""What no shift explains counts as noise up to this many times the room's; more is something else that stands there."""
+
+QUANTUM = 0.02
 """Grey levels squared: less change than this is none, in pictures of a perfect sensor."""
 
 FIT_S = 2.0
@@ -49,7 +59,8 @@ STEADY = 0.5
 rooms: people would not stand out, and nothing is told."""
 
 _TILE_PX, _FEWEST_TILES, _UNLIT = 8, 30, 8.0
-_FEWEST_PX = 3
+_FEWEST_PX = 6
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 class Stillness:
@@ -57,10 +68,10 @@ class Stillness:
 
     def __init__(self) -> None:
         self._kept: list[tuple[float, np.ndarray]] = []
-        self._noise: np.ndarray | None = None
+        self._noise: float | None = None
         self._fitted_at = -np.inf
         self._picture, self._time = np.zeros((0, 0, 3), np.uint8), -np.inf
-        self._earlier: list[tuple[np.ndarray, np.ndarray]] = []
+        self._earlier: list[tuple[np.ndarray, float]] = []
         self._looked, self._evidence = np.empty((0, 4), int), np.empty(0)
 
     @property
@@ -105,19 +116,16 @@ class Stillness:
     def _told(self, x0: int, y0: int, x1: int, y1: int) -> float:
         """The evidence of one part of the reduced picture, px."""
         assert self._noise is not None  # evidence() has looked
-        if not self._earlier:
-            return 0.0
         factor = self._factor
         part = _reduced(self._picture[y0 * factor : y1 * factor, x0 * factor : x1 * factor], factor)
-        noise = np.maximum(_ninths(_causes(part)) @ self._noise, QUANTUM)
-        then = np.stack([picture[y0:y1, x0:x1] for picture, _ in self._earlier])
-        light = np.stack([light for _, light in self._earlier])
-        changes = np.sort(_ninths(np.moveaxis(_change(part, then, light), 0, 2)) / noise[:, None], axis=0)
-        levels = np.log(np.maximum(changes[-MOVING:].mean(axis=0), 1e-3))
-        return float(np.clip(np.clip(SLOPE * (levels - MOVED), LEAST, MOST).sum(), DOUBT, 0.0))
+        nats = 0.0
+        for then, light in self._earlier:
+            shifted, swaying = _shift(part, then[y0:y1, x0:x1] + light, OTHER * self._noise)
+            nats += np.clip(SLOPE * (np.log(shifted) - MOVED), LEAST * min(swaying / np.exp(MOVED), 1.0), MOST)
+        return float(np.clip(nats, DOUBT, 0.0))
 
-    def _pictures(self, now: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Pictures kept that have the ages, youngest first, and how much brighter (3,) a reduced one is than each.
+    def _pictures(self, now: np.ndarray) -> list[tuple[np.ndarray, float]]:
+        """Pictures kept that have the ages, youngest first, and how much brighter a reduced one is than each.
 
         One that is the same in all pixels tells nothing: a camera that has stopped, or repeats its pictures.
         """
@@ -128,8 +136,7 @@ class Stillness:
             then = self._kept[nearest][1]
             frozen = np.array_equal(now, then)
             if NEAREST * age <= old[nearest] <= FARTHEST * age and not frozen:
-                away = now[::8, ::4].astype(np.int16) - then[::8, ::4]
-                found.append((then, np.median(away.reshape(-1, 3), axis=0)))
+                found.append((then, float(np.median(now[::8, ::4] - then[::8, ::4]))))
         return found
 
     def _fit(self, now: np.ndarray, boxes: np.ndarray) -> None:
@@ -144,38 +151,64 @@ class Stillness:
         free = np.ones((height, width), np.float32)
         for x0, y0, x1, y1 in np.rint(boxes).astype(int):
             free[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 0.0
-        free *= now.max(axis=2) >= _UNLIT
+        free *= now >= _UNLIT
         whole = cv2.resize(free, tiles, interpolation=cv2.INTER_AREA) > 0.99
         if whole.sum() < _FEWEST_TILES:
             return
-        change = _change(now, *(one[None] for one in self._earlier[:2][-1]))[0]
-        change = cv2.resize(change, tiles, interpolation=cv2.INTER_AREA)[whole]
-        causes = cv2.resize(_causes(now), tiles, interpolation=cv2.INTER_AREA)[whole]
-        law = _law(change.astype(float), causes.astype(float))
-        texture = max(float(np.square(causes[:, 1], dtype=float).mean()), QUANTUM)
-        self._noise = law if float((causes @ law).mean()) < STEADY * texture else None
+        then, light = self._earlier[:2][-1]
+        across, down = _slopes(now)
+        change, texture = (
+            cv2.resize(one, tiles, interpolation=cv2.INTER_AREA)[whole].astype(float)
+            for one in ((now - then - light) ** 2, across**2 + down**2)
+        )
+        quiet = change <= np.quantile(change, 0.9)  # what moves is left out
+        self._noise = max(float(np.median(change)), QUANTUM)
+        if change[quiet].mean() >= STEADY * max(texture[quiet].mean(), QUANTUM):
+            self._noise = None
 
 
 def after(scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
     """Probabilities (n,) of people with scores (n,) once the evidence (n,), nats, is known."""
-    sure = np.clip(scores, 1e-6, 1 - 1e-6)
-    return np.where(evidence == 0, scores, 1 / (1 + (1 - sure) / sure * np.exp(-evidence)))
+    sure = np.clip(scores, 1e-6, SUREST)
+    return np.minimum(scores, np.where(evidence == 0, 1.0, 1 / (1 + (1 - sure) / sure * np.exp(-evidence))))
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
-    """A picture (height, width, 3) uint8, each pixel the mean of factor × factor; what is left at the border is cut."""
+    """Grey of a picture (height, width, 3) uint8, each pixel the mean of factor × factor; what is left over is cut."""
     import cv2
 
     height, width = (side // factor for side in picture.shape[:2])
     whole = picture[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)) if factor > 1 else whole
+    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA) if factor > 1 else whole
+    return small @ _GREY
 
 
-def _change(now: np.ndarray, then: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Mean squared differences (n, h, w) of a picture (h, w, 3) from n others, their other light (n, 3) taken out."""
-    away = now.astype(np.float32) - then
-    away -= light[:, None, None].astype(np.float32)
-    return np.asarray(np.einsum("nhwc,nhwc->nhw", away, away) / np.float32(3))
+def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of a picture (height, width) by x and y, a pixel."""
+    import cv2
+
+    across, down = (cv2.Sobel(picture, -1, *axis, ksize=3, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return across, down
+
+
+def _shift(now: np.ndarray, then: np.ndarray, most: float) -> tuple[float, float]:
+    """Logarithm, nats, of the likelihood ratio of a shift to none between two pictures (h, w), and that of a sway.
+
+    Of the ninth where it is largest; the sway, `SWAY`, is that which would be seen best. Squared differences a pixel
+    that no shift explains are taken for noise up to `most`.
+    """
+    across, down = _slopes((now + then) / 2)
+    each = across, down, now - then
+    pairs = [one * two for i, one in enumerate(each) for two in each[i:]]
+    mean = _ninths(np.stack([*each, *pairs], axis=-1))
+    x, y, e = mean[:, :3].T
+    xx, xy, xe, yy, ye, ee = mean[:, 3:].T
+    xx, xy, xe, yy, ye, ee = xx - x * x, xy - x * y, xe - x * e, yy - y * y, ye - y * e, ee - e * e
+    xx, yy = xx + QUANTUM, yy + QUANTUM
+    explained = (yy * xe**2 - 2 * xy * xe * ye + xx * ye**2) / (xx * yy - xy**2)
+    doubled = 2 * np.clip(ee - explained, QUANTUM, most) / (now.size / 9)
+    sway = SWAY**2 * now.size * (xx + yy) / 2
+    return float(max((explained / doubled).max(), 1e-3)), float((sway / doubled).max())
 
 
 def _overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -190,34 +223,3 @@ def _ninths(values: np.ndarray) -> np.ndarray:
     down, across = (side * np.arange(4) // 3 for side in values.shape[:2])
     sums = np.add.reduceat(np.add.reduceat(values, down[:3], axis=0), across[:3], axis=1)
     return np.asarray((sums / np.multiply.outer(np.diff(down), np.diff(across))[..., None]).reshape(9, -1))
-
-
-def _causes(picture: np.ndarray) -> np.ndarray:
-    """What noise grows with, (height, width, 3): nothing, contrast (compression), and darkness (gamma)."""
-    import cv2
-
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    across, down = cv2.spatialGradient(grey) if min(grey.shape) > 1 else (np.zeros(grey.shape),) * 2
-    contrast = np.hypot(across.astype(np.float32), down.astype(np.float32)) / 8
-    return np.stack([np.ones(grey.shape, np.float32), contrast, 1e3 / (grey + np.float32(12)) ** 2], axis=-1)
-
-
-def _law(change: np.ndarray, causes: np.ndarray) -> np.ndarray:
-    """Coefficients (3,), none negative, of causes (n, 3) that explain changes (n,), what moves left out."""
-    expected = np.full(len(change), max(float(np.median(change)), QUANTUM))
-    quiet = change <= np.quantile(change, 0.9)
-    for _ in range(4):
-        weights = quiet / expected
-        law = np.zeros(3)
-        free = np.ones(3, bool)  # a cause that would make for less noise has none, and the others are fitted again
-        while free.any():
-            law[free] = np.linalg.lstsq(causes[:, free] * weights[:, None], change * weights, rcond=None)[0]
-            if (law[free] >= 0).all():
-                break
-            free &= law > 0
-            law[~free] = 0.0
-        expected = np.maximum(causes @ law, QUANTUM)
-        quiet = change < 2 * expected
-        if quiet.sum() < _FEWEST_TILES:
-            break
-    return np.asarray(law)

@@ -336,7 +336,7 @@ void main() {
         ivec2 other = clamp(at + ivec2(int(k == 0) - int(k == 1), int(k == 2) - int(k == 3)), ivec2(0), most);
         edge = edge || texelFetch(seen, other, 0).g != me || dot(texelFetch(surface, other, 0).xyz, n) < 0.95;
     }
-    if (!edge) discard;
+    if (!edge || me < 0.5) discard;   // where the lens images nothing, nothing is to be smoothed
     gl_FragDepth = 0.0;
 }
 """

@@ -285,10 +285,17 @@ class Features:
     # --- people -------------------------------------------------------------------------------------------------------
 
     def apart(self, traits: np.ndarray) -> np.ndarray:
-        """Return how well one look tells people (n, 5, D) apart: squared distances (n, n) in standard deviations."""
-        own = (traits[:, X] - self.mean) / np.sqrt(self.within)
-        length = np.square(own).sum(1)
-        return np.maximum(length[:, None] + length - 2 * own @ own.T, 0.0)
+        """Return how well one look tells people (n, 5, D) apart: (n, n) Jeffreys divergences of what is expected of it.
+
+        Of two well-known people that is their squared distance in standard deviations. Somebody of whom nothing is
+        known differs from somebody who is known, too: the next look will hardly be as it was expected of the latter.
+        """
+        own = traits[:, X] - self.mean
+        variance = np.maximum(traits[:, XX], 0.0) + self.within
+        exact = 1 / variance
+        squares, cross = np.square(own) @ exact.T, own @ (own * exact).T
+        one_way = (variance @ exact.T + squares + (np.square(own) * exact).sum(1) - 2 * cross) / 2
+        return np.maximum(one_way + one_way.T - traits.shape[2], 0.0)
 
     def knows(self, traits: np.ndarray) -> bool:
         """Tell whether half of what there is to know of some kind of a person's (5, D) features is known."""

@@ -41,7 +41,7 @@ from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
 from avcli.tracking.false_places import FalsePlaces
 from avcli.tracking.features import Features
-from avcli.tracking.hypotheses import ABSENT, Cluster
+from avcli.tracking.hypotheses import ABSENT, FEATURED, INDEPENDENT, Cluster
 from avcli.tracking.learning import Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
@@ -210,7 +210,6 @@ class GLMB:
             if self.record:
                 people.node = Node.steps(people, before, step, survival, self.errors.variance(lean), time)
             people.existence = people.existence * survival
-            prediction.unite(people, self.labelled_rows, self.likely_rows, dt)
         if self.sensors:
             mix, rest = np.exp(-dt * self.turnover), self.detectable
             self.undetected.relax(rest, mix)
@@ -592,6 +591,10 @@ class GLMB:
             cluster = Cluster(group.labels, joint, [h.weight for h in group.hypotheses])
             if len(joint) > 1:
                 cluster = cluster.condensed(people, self.features)
+            if len(group.labels) > 1 and self.features.width:
+                cluster, exchanged = cluster.exchanged(people, self.features)
+                if exchanged:
+                    self.people = people = Densities.join([people, exchanged])
             if len(group.labels) > 1 and len(cluster.hypotheses) > 1:
                 cluster = cluster.decided(people, self.features)
             self._settle(cluster)
@@ -615,7 +618,8 @@ class GLMB:
         if len(kept) < 2:
             self.clusters += [cluster] * len(kept)
             return
-        parts = [[at] for at in range(len(cluster.labels))] if self.factorise else cluster.parts()
+        independent = FEATURED if self.features.width else INDEPENDENT
+        parts = [[at] for at in range(len(cluster.labels))] if self.factorise else cluster.parts(independent)
         self.clusters += cluster.split(parts) if len(parts) > 1 else [cluster]
 
     def _lost(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> set[int]:

@@ -17,49 +17,6 @@ from avcli.tracking.model import Population
 BUMP = 0.2  # m; people whose courses come nearer to one another than this would bump
 SOON, JUST = 0.3, 0.1  # s; the nearest point of two courses counts while it is so near in the future or the past
 FACING = -0.9  # cosine of the angle between the courses of people who walk face to face
-# Chosen on seeds from 100 and on own detections of S2 of which the first picture is 1 m off (HOTA by both sensors 76 to
-# 90); a detector that finds people several times gains as well. Tracks of real people (zara01, zara02, hotel, with
-# occlusions) stay within 0.1.
-TOGETHER = 60.0  # rate per second at which the odds fall that two people in one place are two
-SAME, NEAR = 0.05, 0.3  # m, standard deviation of the distance that passes for one place; larger ones are not looked at
-
-
-def unite(people: Densities, rows: Sequence[int], known: Sequence[int], dt: float) -> None:
-    """Doubt that two people are two while they stay in one place, within the next dt seconds.
-
-    Two bodies are not in one place. Where two labels are, one of them began with a detection that erred, or one person
-    is detected twice: each then explains the detections of other sensors, or other ones of the same sensor. The one
-    with fewer detections is doubted, and whatever detects it may as well detect the other one.
-
-    Args:
-        people: densities, changed in place.
-        rows: of all labelled people.
-        known: those of the likeliest joint hypotheses.
-        dt: s.
-    """
-    if len(known) < 2:
-        return
-    centres = people.centres(known)
-    near = squared_distance(centres, centres) < NEAR * NEAR
-    if np.count_nonzero(near) == len(known):
-        return
-    for i, j in zip(*np.triu(near, 1).nonzero(), strict=True):
-        one, other = known[i], known[j]
-        if people.hits[one].sum() < people.hits[other].sum():
-            one, other = other, one
-        spread = (people.mode[[one, other]] * people.cov[[one, other]][..., (0, 1), (0, 1)].sum(-1)).sum() / 2
-        width = SAME * SAME + spread
-        apart = centres[i, :2] - centres[j, :2]
-        share = SAME * SAME / width * math.exp(-float(apart @ apart) / (2 * width))
-        kept = max(math.exp(-TOGETHER * share * dt), 1e-9)
-        label, doubted = people.label[one], people.label[other]
-        able = people.detectable[other]
-        for row in rows:
-            if people.label[row] == doubted:
-                existence = people.existence[row]
-                people.existence[row] = existence * kept / (1 - existence * (1 - kept))
-            elif people.label[row] == label:
-                people.detectable[row] += (1 - kept) * np.maximum(able - people.detectable[row], 0.0)
 
 
 def evade(people: Densities, rows: Sequence[int], known: Sequence[int], population: Population, dt: float) -> None:
