@@ -8,12 +8,13 @@ Image and Vision Computing 22 (2004).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
 from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
 from avcli.detection.fitted import SCORE
+from avcli.detection.heights import Heights
 from avcli.detection.monocular import HEIGHT_M, Places, locate_boxes
 from avcli.detection.network import Boxes
 from avcli.detection.view import View
@@ -68,6 +69,7 @@ class DepthDetector:
         min_height: float = 1.0,
         room: np.ndarray | None = None,
     ):
+        self.heights = Heights()
         self.view, self.min_surface, self.min_height, self.room = view, min_surface, min_height, room
         self.limit = None
         if background is not None:
@@ -91,7 +93,7 @@ class DepthDetector:
                 people.append(person)
         return people
 
-    def place(self, found: Boxes, depth: np.ndarray | None) -> list[Person]:
+    def place(self, found: Boxes, depth: np.ndarray | None, time: float | None = None) -> list[Person]:
         """Measure the positions of the people that a network has found.
 
         Each box takes the body in it that is nearest to the position by the box alone. A box without a body is dropped
@@ -100,6 +102,7 @@ class DepthDetector:
         Args:
             found: the network's people, px of the full picture.
             depth: (h, w) m radial at the view's samples, 0: unknown; None without a depth picture.
+            time: of the picture, s, so that heights seen before help where there is no depth; None: unknown.
         """
         if not len(found):
             return []
@@ -110,7 +113,10 @@ class DepthDetector:
             if found.turned is not None:
                 middle, half, turns = found.turned[:, :2], found.turned[:, 2:4] / 2, found.turned[:, 4]
                 boxes = np.concatenate([middle - half, middle + half], axis=1)
-            return locate_boxes(boxes, self.view, found.parts, turns, self.room, scores=found.scores)
+            alone = partial(locate_boxes, boxes, self.view, found.parts, turns, self.room, scores=found.scores)
+            if depth is not None or time is None:
+                return alone()
+            return self.heights.place(found.boxes, time, lambda known: alone(known=known))
 
         bodies, empty = [], np.zeros(len(found), bool)
         if depth is not None:

@@ -248,7 +248,7 @@ class Detector:
                     watched.see(picture, time, found.boxes)
                     found = found.take(self._believed(found.scores, watched.evidence(found.boxes)))
             with self._timing("depth and positions"):
-                placed = self._place(found, depth)
+                placed = self._place(found, depth, time)
                 people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
             self._last = self._described(picture, people)
         elif watched and time is not None:
@@ -283,11 +283,11 @@ class Detector:
             described = self._looks.describe(picture, people)
             return [replace(person, looks=looks) for person, looks in zip(people, described, strict=True)]
 
-    def _place(self, found: Boxes, depth: Picture | None) -> list[Person]:
+    def _place(self, found: Boxes, depth: Picture | None, time: float | None) -> list[Person]:
         if not len(found):
             return []
         if depth is None or self.settings.monocular:
-            return self._by_box.place(found, None)
+            return self._by_box.place(found, None, time)
         metres = self._metres(self._read(depth, "depth"))
         if self.settings.position == "centre":
             return place_centre(found, metres, self.view)

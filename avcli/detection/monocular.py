@@ -97,6 +97,11 @@ nats better than 1; who is seen by less than 0.3 is 21 cm off instead of 28. On 
 decided nothing) it gains 0.092 nats, and the mean squared error in standard deviations falls from 3.4 to 2.6."""
 
 
+REMEMBERED, LOWER = 0.7, 1.0
+"""Probability that a box shows the person whose height is known, in the same posture; and by how many standard
+deviations of that height a box must look lower to be thought of as cut."""
+
+
 class _Hypotheses:
     """Kinds of bodies, each seen whole and, if they are upright, also with the side of the feet hidden.
 
@@ -115,7 +120,8 @@ class _Hypotheses:
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
-        self.log_share = np.log([kinds[kind].share for kind in self.kind])
+        self.kind_share = np.array([kinds[kind].share for kind in self.kind])
+        self.log_share = np.log(self.kind_share)
         self.log_share += np.tile(np.log(list(shares.values())), len(kinds))
 
     def __len__(self) -> int:
@@ -141,12 +147,14 @@ class Places:
         covariances: (n, 2, 2) m².
         heights: (n,) m; NaN where no body explains the box.
         explained: (n,) bool, whether some body does.
+        alone: (n, 2) m, heights by the boxes alone, whatever was known before, and their standard deviations.
     """
 
     positions: np.ndarray
     covariances: np.ndarray
     heights: np.ndarray
     explained: np.ndarray
+    alone: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
@@ -162,6 +170,7 @@ def locate_boxes(
     room: np.ndarray | None = None,
     law: BoxLaw = BOX,
     scores: np.ndarray | None = None,
+    known: np.ndarray | None = None,
 ) -> Places:
     """Find the positions of the people whose pictures fill boxes.
 
@@ -174,10 +183,11 @@ def locate_boxes(
         law: the fitted errors of boxes and of positions by them.
         scores: (n,) of the network that gave the parts, from 0 to 1; None if unknown. Without parts they tell nothing,
             since each network has its own.
+        known: (n, 2) m, height that a person had before and its standard deviation; NaN if unknown.
     """
     boxes = np.asarray(boxes, float).reshape(-1, 4)
     if not len(boxes):
-        return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool))
+        return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2)))
     most = _MOST if parts is None else _MOST_BY_POINTS
     unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
     fits = _fitted(boxes, view, parts, turns, unsure, law, most)
@@ -193,10 +203,12 @@ def locate_boxes(
             _REST,
         )
         fits = fits.joined(lying, loose)
-    if room is not None:
-        behind = np.linalg.norm(_behind(fits.state[..., :2], room), axis=-1)
-        fits = replace(fits, log_weight=fits.log_weight - (behind / WALL_SPREAD_M) ** 2 / 2)
-    places = fits.merged()
+    places = _before_walls(fits, room).merged(law)
+    if known is not None:
+        lower = np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
+        if len(lower):
+            again = _before_walls(fits.remembering(known[lower], lower, most), room).merged(law)
+            places = replace(again, alone=places.alone)
     if unsure is not None:
         places.covariances[:] *= ((law.sure + law.unsure * unsure) ** 2)[:, None, None]
     for index in np.flatnonzero(~places.explained):
@@ -210,13 +222,22 @@ def _behind(xy: np.ndarray, room: np.ndarray) -> np.ndarray:
     return np.maximum(np.maximum(BODY_M - xy, xy - room[:2] + BODY_M), 0.0)
 
 
+def _before_walls(fits: "_Judged", room: np.ndarray | None) -> "_Judged":
+    """The fits, with those less probable that are behind a wall of a room (2,)."""
+    if room is None:
+        return fits
+    behind = np.linalg.norm(_behind(fits.state[..., :2], room), axis=-1)
+    return replace(fits, log_weight=fits.log_weight - (behind / WALL_SPREAD_M) ** 2 / 2)
+
+
 @dataclass(frozen=True)
 class _Judged:
     """Fits of k hypotheses to n boxes.
 
     Attributes:
         state: (n, k, 3) x, y and height, m.
-        covariance: (n, k, 2, 2) m² of x and y.
+        covariance: (n, k, 3, 3) m² of them by least squares.
+        surplus: (n, k) factor on that, for what the fit does not explain.
         good: (n, k) whether the hypothesis explains the box.
         log_weight: (n, k) of the hypothesis, given the box.
         shared: (n, k) fraction of their union that the box and the body's share.
@@ -224,6 +245,7 @@ class _Judged:
 
     state: np.ndarray
     covariance: np.ndarray
+    surplus: np.ndarray
     good: np.ndarray
     log_weight: np.ndarray
     shared: np.ndarray
@@ -237,7 +259,43 @@ class _Judged:
             both.append(np.concatenate([mine, wide], axis=1))
         return _Judged(*both)
 
-    def merged(self) -> Places:
+    def remembering(self, known: np.ndarray, rows: np.ndarray, hypotheses: _Hypotheses) -> "_Judged":
+        """Add that some boxes show people of known heights, whose feet may be hidden.
+
+        A known height takes the place of the prior that the fit had. Who is seen whole stays where he or she is, since
+        the box tells it; only the weight changes.
+
+        Args:
+            known: (m, 2) m, heights and their standard deviations.
+            rows: (m,) the boxes.
+            hypotheses: those that were fitted first.
+        """
+        count = len(hypotheses)
+        mean, spread = hypotheses.mean, hypotheses.spread
+        height, sd = known[:, :1], known[:, 1:]
+        likely = np.log(hypotheses.kind_share / spread) - ((height - mean) / spread) ** 2 / 2
+        use = (likely >= likely.max(axis=1, keepdims=True)) & (sd < spread)
+        precision = np.where(use, 1 / sd**2 - 1 / spread**2, 1.0)  # of a Gaussian, new prior over old prior
+        middle = (height / sd**2 - mean / spread**2) / precision
+        scale = np.log(spread / sd) - ((middle - height) / sd) ** 2 / 2 + ((middle - mean) / spread) ** 2 / 2
+        state, covariance = self.state[rows, :count], self.covariance[rows, :count]
+        total = covariance[..., 2, 2] + 1 / precision
+        away = middle - state[..., 2]
+        gain = np.where(hypotheses.hiding[:, None], covariance[..., 2] / total[..., None], 0.0)
+        told = scale - away**2 / total / 2 - np.log(precision * total) / 2
+        more = _Judged(
+            state + gain * away[..., None],
+            covariance - gain[..., :, None] * covariance[..., None, 2, :],
+            self.surplus[rows, :count],
+            self.good[rows, :count] & use & (away**2 < 16 * total),
+            self.log_weight[rows, :count] + told + np.log(REMEMBERED / hypotheses.kind_share),
+            self.shared[rows, :count],
+        )
+        weight = self.log_weight.copy()
+        weight[rows] += np.log(1 - REMEMBERED)
+        return replace(self, log_weight=weight).joined(more, rows)
+
+    def merged(self, law: BoxLaw) -> Places:
         """The mean over the hypotheses that explain each box, and the covariance of the mixture."""
         explained = self.good.any(axis=1)
         log_weight = np.where(self.good, self.log_weight, -np.inf)
@@ -246,11 +304,14 @@ class _Judged:
         weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
         state = np.where(self.good[..., None], self.state, 0.0)
         mean = (weight[..., None] * state).sum(axis=1)
-        away = (state - mean[:, None])[..., :2]
-        spread = self.covariance + away[..., :, None] * away[..., None, :]
-        spread = (weight[..., None, None] * np.where(self.good[..., None, None], spread, 0.0)).sum(axis=1)
+        away = state - mean[:, None]
+        spread = self.covariance.copy()
+        spread[..., :2, :2] = self.surplus[..., None, None] * spread[..., :2, :2] + law.floor_m**2 * np.eye(2)
+        spread = np.where(self.good[..., None, None], spread + away[..., :, None] * away[..., None, :], 0.0)
+        spread = (weight[..., None, None] * spread).sum(axis=1)
         heights = np.where(explained, mean[:, 2], np.nan)
-        return Places(mean[:, :2], (spread + spread.mT) / 2, heights, np.asarray(explained))
+        alone = np.column_stack([heights, np.sqrt(spread[:, 2, 2])])
+        return Places(mean[:, :2], (spread + spread.mT)[:, :2, :2] / 2, heights, np.asarray(explained), alone)
 
 
 def _fitted(
@@ -420,7 +481,7 @@ class _Fits:
             doubt[:, 4:] = np.where(self.silent, np.inf, doubt[:, 4:])
         return doubt, covered
 
-    def judge(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def judge(self) -> tuple[np.ndarray, ...]:
         """All of _Judged but the states, by rows."""
         height = self.state[:, 2]
         good = self.valid & np.isfinite(self.state).all(axis=1)
@@ -438,12 +499,11 @@ class _Fits:
         told = (self.told & np.isfinite(self.doubt)).sum(axis=1)
         surplus = np.maximum(cost / np.maximum(told - 3, 1), 1.0)  # Birge (1932)
         inverse = np.linalg.inv(self.information)
-        covariance = self.law.spread * surplus[:, None, None] * inverse[:, :2, :2] + self.law.floor_m**2 * np.eye(2)
         cost = cost + ((height - self.mean) / self.height_spread) ** 2 + 2 * np.log(self.height_spread)
         silent = np.isinf(self.doubt)  # tells nothing of the body: as likely as with any other
         cost = cost + (2 * np.log(np.where(silent, self.spread, self.doubt)) + silent).sum(axis=1)
         log_weight = self.log_share - cost / 2 + np.linalg.slogdet(inverse)[1] / 2
-        return covariance, good, log_weight, shared
+        return inverse, self.law.spread * surplus, good, log_weight, shared
 
 
 def _shared(box: np.ndarray, other: np.ndarray) -> np.ndarray:
