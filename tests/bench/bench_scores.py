@@ -32,7 +32,7 @@ if importlib.util.find_spec("pyroomacoustics") is None:
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np  # noqa: E402
-from array_scenes import MACHINES, SECONDS, Given, machine_scene, machines, recordings, scene  # noqa: E402
+from array_scenes import FEW_FROM, MACHINES, SECONDS, Given, machine_scene, machines, recordings, scene  # noqa: E402
 from fit_localization import NEARBY_S, match  # noqa: E402
 from localization_scenes import Person, Scene  # noqa: E402
 
@@ -116,11 +116,14 @@ def quiet_for(people: Sequence[Person], time: float) -> float:
 
 
 def scenes(options: argparse.Namespace, split: str) -> Iterator[tuple[Given, Scene]]:
-    """Yield the scenes of a split, and those with machines where recordings of these are; kept ones from the cache."""
+    """Yield the scenes of a split, those with few microphones, and those with machines where recordings of these are.
+
+    Scenes that the cache has are not simulated again.
+    """
     spoken = recordings(split, options.speech)
     whole = [
         (f"{split}_{number:04d}.pkl", functools.partial(scene, split, number, spoken))
-        for number in range(options.scenes)
+        for number in (*range(options.scenes), *range(FEW_FROM, FEW_FROM + options.few))
     ]
     if options.noises:
         noises = machines(split, options.noises)
@@ -340,19 +343,20 @@ def _counts(name: str, one: dict[str, Any]) -> str:
     return "| " + " | ".join([name, *(str(one[column]) for column in columns)]) + " |"
 
 
-def options_of(description: str | None) -> argparse.ArgumentParser:
-    """Return the options that measuring and fitting share."""
+def options_of(description: str | None, few: int) -> argparse.ArgumentParser:
+    """Return the options that measuring and fitting share; `few` scenes with few microphones by default."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     shared = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
     parser.add_argument("--speech", type=Path, default=shared, help="folder of CMU ARCTIC's aew and axb")
     parser.add_argument("--noises", type=Path, help="folder of recordings of machines, see bench_steady.py")
     parser.add_argument("--cache", type=Path, help="folder that keeps the simulated scenes")
+    parser.add_argument("--few", type=int, default=few, help="scenes with four to six microphones")
     return parser
 
 
 def main() -> None:
     """Measure, and write the page."""
-    parser = options_of(__doc__)
+    parser = options_of(__doc__, few=0)
     parser.add_argument("--split", choices=("decide", "judge"), default="judge")
     parser.add_argument("--scenes", type=int, default=120)
     parser.add_argument("--out", type=Path, default=Path("bench-out"))

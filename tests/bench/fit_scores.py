@@ -3,8 +3,9 @@
     make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # half an hour; recordings as bench_steady.py has them
     make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
 
-The scenes are those of array_scenes.py, split "decide". What is remembered of a decision does not depend on the score,
-so that the peaks are the same whatever it is. `make bench-scores` measures the result on the split "judge".
+The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones. What is
+remembered of a decision does not depend on the score, so that the peaks are the same whatever it is.
+`make bench-scores` measures the result on the split "judge".
 """
 
 import json
@@ -103,7 +104,7 @@ def _logistic(values: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Fit and write."""
-    parser = options_of(__doc__)
+    parser = options_of(__doc__, few=70)
     parser.add_argument("--scenes", type=int, default=150)
     options = parser.parse_args()
     stated = json.loads(FITTED.read_bytes())
@@ -117,6 +118,7 @@ def main() -> None:
         "command": "tests/bench/fit_scores.py",
         "commit": commit(),
         "scenes": options.scenes,
+        "scenes_with_four_to_six_microphones": options.few,
         "scenes_with_machines": len({one.given.number for one in found if one.given.act in MACHINES}),
         "split": "decide",
         "speech": "CMU ARCTIC aew, and the built-in voices",
