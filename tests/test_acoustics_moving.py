@@ -68,30 +68,28 @@ def decibels(found, expected):
     return 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2))
 
 
-@pytest.mark.parametrize("error_db", [-40, -60])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])
 @pytest.mark.parametrize("beta", [0.0, 0.1])
-def test_moving_source_against_retarded_time(error_db, speed, beta):
+def test_moving_source_against_retarded_time(speed, beta):
     duration = 0.3 if speed > 3 else 0.5
     start, velocity = np.array([0.5, 2.0, 1.6]), speed * np.array([0.95, 0.3, 0.0]) / np.hypot(0.95, 0.3)
     signal = tones(8000, duration)
     dry = signal(np.arange(first_sample(duration, RATE)) / RATE)
     room = surroundings(beta, 25.0)
-    nodes = interpolation(*power_spectrum(dry, RATE), error_db, C)
-    source = MovingSource(room, nodes, 8500 / RATE, error_db - 15)
     times = np.linspace(0, duration, 1 + round(duration / 0.1))
-    heard = render(source, times, lambda t: start + velocity * t, dry).take(0, len(dry) + 1500)
-    for microphone, found in zip(MICROPHONES[:1], heard, strict=False):
-        images = image_microphones(ROOM, microphone, room.reflection, start, 25.0)
-        images = images[np.abs(images.gains) > 9e-5]
-        expected = by_retarded_time(signal, start, velocity, images, len(found))
-    assert decibels(found, expected) < error_db
+    images = image_microphones(ROOM, MICROPHONES[0], room.reflection, start, 25.0)
+    images = images[np.abs(images.gains) > 9e-5]
+    expected = by_retarded_time(signal, start, velocity, images, len(dry) + 1500)
+    for error_db in (-40, -60):
+        nodes = interpolation(*power_spectrum(dry, RATE), error_db, C)
+        source = MovingSource(room, nodes, 8500 / RATE, error_db - 15)
+        heard = render(source, times, lambda t: start + velocity * t, dry)
+        assert decibels(heard.take(0, len(expected))[0], expected) < error_db
 
 
-@pytest.mark.parametrize("error_db", [-40, -60])
 @pytest.mark.parametrize(("speed", "microphone_speed"), [(0.0, 1.0), (1.0, 1.0), (0.0, 10.0), (5.0, 5.0)])
 @pytest.mark.parametrize("beta", [0.0, 0.1])
-def test_moving_microphone_against_retarded_time(error_db, speed, microphone_speed, beta):
+def test_moving_microphone_against_retarded_time(speed, microphone_speed, beta):
     duration = 0.3
     start, velocity = np.array([0.5, 2.0, 1.6]), speed * np.array([0.95, 0.3, 0.0]) / np.hypot(0.95, 0.3)
     there, fleeing = np.array([4.3, 3.5, 2.2]), microphone_speed * np.array([-0.9, -0.4, -0.1]) / np.sqrt(0.98)
@@ -102,16 +100,16 @@ def test_moving_microphone_against_retarded_time(error_db, speed, microphone_spe
         ROOM, np.full(6, -beta), there[None], RATE, 25.0,
         trajectories=(Trajectory(times, there + times[:, None] * fleeing),),
     )  # fmt: skip
-    nodes = interpolation(*power_spectrum(dry, RATE), error_db, C)
-    source = MovingSource(room, nodes, 8500 / RATE, error_db - 15)
-    heard = render(source, np.linspace(0, duration, 4), lambda t: start + velocity * t, dry)
-    found = heard.take(0, len(dry) + 1500)[0]
     images = image_microphones(ROOM, there, room.reflection, start, 25.0)
     images = images[np.abs(images.gains) > 9e-5]
-    expected = by_retarded_time(signal, start, velocity, images, len(found), fleeing)
-    assert decibels(found, expected) < error_db
+    expected = by_retarded_time(signal, start, velocity, images, len(dry) + 1500, fleeing)
+    for error_db in (-40, -60):
+        nodes = interpolation(*power_spectrum(dry, RATE), error_db, C)
+        source = MovingSource(room, nodes, 8500 / RATE, error_db - 15)
+        heard = render(source, np.linspace(0, duration, 4), lambda t: start + velocity * t, dry)
+        assert decibels(heard.take(0, len(expected))[0], expected) < error_db
     if microphone_speed > 5:  # what is tested here is not small
-        still = by_retarded_time(signal, start, velocity, images, len(found))
+        still = by_retarded_time(signal, start, velocity, images, len(expected))
         assert decibels(still, expected) > 0
 
 

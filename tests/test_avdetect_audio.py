@@ -91,9 +91,9 @@ def test_one_record_for_every_time_step_of_the_scene(found):
     for r in found:
         assert (r["sensor"], r["kind"]) == ("audio", "microphones")
         for item in r["objects"]:
-            assert set(item) - {"features"} == {"position", "covariance", "score"}
+            assert set(item) - {"features"} == {"position", "covariance", "score", "machine"}
             assert np.linalg.eigvalsh(item["covariance"])[0] > 0
-            assert 0 <= item["score"] <= 1
+            assert 0 <= item["score"] <= 1 - item["machine"] <= 1
     voices = [item["features"]["voice"] for r in found for item in r["objects"] if "features" in item]
     assert voices
     assert all(one["kind"] == "pitch-envelope" and len(one["vector"]) == len(one["sd"]) for one in voices)

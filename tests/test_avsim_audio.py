@@ -16,16 +16,7 @@ from avcli.acoustics.surroundings import surroundings_of
 from avcli.formats import media
 from avcli.formats.experiment import Config
 
-MICROPHONES = [
-    [0.115, 4.545, 2.493],
-    [2.401, 4.498, 2.385],
-    [4.545, 4.545, 2.484],
-    [4.498, 2.342, 2.380],
-    [4.545, 0.115, 2.489],
-    [2.395, 0.162, 2.378],
-    [0.115, 0.115, 2.489],
-    [2.386, 2.253, 2.489],
-]
+MICROPHONES = [[0.115, 4.545, 2.493], [2.401, 4.498, 2.385], [0.115, 0.115, 2.489], [2.386, 2.253, 2.489]]
 RATE = 16000
 
 
@@ -83,9 +74,9 @@ def test_one_file_for_the_scene_and_its_reverberation(experiment):
         "num_samples": round(1.2 * RATE),
         "tail_samples": round(0.2 * RATE),
         "sample_rate_hz": RATE,
-        "num_channels": 8,
+        "num_channels": 4,
     }
-    assert sound.shape == (8, round(1.2 * RATE))
+    assert sound.shape == (4, round(1.2 * RATE))
     jsonschema.validate(records[0], orjson.loads((ROOT / "avcli/formats/schemas/audio.schema.json").read_bytes()))
     assert 0.001 < np.sqrt(np.mean(sound**2)) < 0.1
     path = experiment / records[0]["audio"]["path"]
@@ -159,8 +150,8 @@ def test_activity_says_when_a_voice_sounds(experiment):
     intervals = records[0]["activity"]["0"]
     assert intervals[0][0] == pytest.approx(0.4, abs=0.011)
     assert intervals[-1][1] == pytest.approx(0.81, abs=0.011)
-    delay = np.linalg.norm(np.array([1.0, 1.0, 1.6]) - MICROPHONES[6]) / 343
-    heard = np.flatnonzero(np.abs(sound[6]) > 1e-2 * np.abs(sound[6]).max()) / RATE
+    delay = np.linalg.norm(np.array([1.0, 1.0, 1.6]) - MICROPHONES[2]) / 343
+    heard = np.flatnonzero(np.abs(sound[2]) > 1e-2 * np.abs(sound[2]).max()) / RATE
     assert heard[0] == pytest.approx(0.4 + delay, abs=0.02)
     assert heard[-1] < 0.82 + delay + 0.01
 
@@ -190,8 +181,8 @@ def test_levels_are_in_pascal(experiment):
         experiment, truth(TIMES, lambda t: ((2.33, 2.33, 1.0), True)), "--rt60", "0", "--level", "66.0206"
     )
     np.testing.assert_allclose(louder, 2 * sound, rtol=1e-4, atol=1e-7)
-    distance = np.linalg.norm(np.array([2.33, 2.33, 1.0]) - MICROPHONES[7])
-    level = 20 * np.log10(np.sqrt(np.mean(sound[7][:16000] ** 2)) * distance / 2e-5)
+    distance = np.linalg.norm(np.array([2.33, 2.33, 1.0]) - MICROPHONES[3])
+    level = 20 * np.log10(np.sqrt(np.mean(sound[3][:16000] ** 2)) * distance / 2e-5)
     assert level == pytest.approx(60, abs=1.5)  # pauses between the words count here
 
 
@@ -240,7 +231,7 @@ def test_noise(experiment):
     _, sound, _ = simulate(experiment, silent, "--noise", "sensor=30")
     assert 20 * np.log10(sound.std() / 2e-5) == pytest.approx(30, abs=0.2)
     correlation = np.corrcoef(sound)
-    assert np.abs(correlation - np.eye(8)).max() < 0.05
+    assert np.abs(correlation - np.eye(4)).max() < 0.05
     _, sound, _ = simulate(experiment, silent, "--noise", "room=40")
     assert 20 * np.log10(sound.std() / 2e-5) == pytest.approx(40, abs=0.5)
     _, pieces, _ = simulate(experiment, silent, "--noise", "room=40", "--noise", "sensor=30", "--chunk", "0.3")
@@ -261,10 +252,10 @@ def test_directivities(experiment):
         ("cardioid", [1, 0, 0], 0.5),
         ("bidirectional", [0, 0, 1], -1.0),
     ):
-        microphones["directivities"], microphones["orientations"] = [kind] * 8, [looks] * 8
+        microphones["directivities"], microphones["orientations"] = [kind] * 4, [looks] * 4
         (experiment / "config.json").write_text(json.dumps(config))
         _, sound, _ = simulate(experiment, still, "--rt60", "0")
-        np.testing.assert_allclose(sound[7], gain * omni[7], atol=1e-4 * np.abs(omni).max())
+        np.testing.assert_allclose(sound[3], gain * omni[3], atol=1e-4 * np.abs(omni).max())
 
 
 def test_a_talking_head_looks_where_it_walks(experiment):
@@ -318,12 +309,12 @@ def test_long_reverberation_ends_in_noise_that_stays(experiment):
 
 def test_microphones_at_one_place_hear_the_same(experiment):
     config = json.loads((experiment / "config.json").read_text())
-    config["microphone_config"]["mic_positions_m"][5] = MICROPHONES[2]
+    config["microphone_config"]["mic_positions_m"][1] = MICROPHONES[2]
     (experiment / "config.json").write_text(json.dumps(config))
     _, sound, _ = simulate(experiment, truth(TIMES, walk))
-    assert np.array_equal(sound[5], sound[2])
-    assert not np.allclose(sound[4], sound[2])
-    assert np.sum(sound[7] ** 2) > 0
+    assert np.array_equal(sound[1], sound[2])
+    assert not np.allclose(sound[0], sound[2])
+    assert np.sum(sound[3] ** 2) > 0
 
 
 def path_of(times, **channels):
@@ -339,14 +330,14 @@ def test_a_microphone_that_moves(experiment, tmp_path):
     """A microphone that is carried before a speaker hears no Doppler shift and no change of level."""
     path = tmp_path / "microphones.jsonl"
     times = np.arange(-2, 15) / 10
-    path.write_text(path_of(times, m2=lambda t: (0.5 + t + 0.1, 2.33, 1.6), m5=lambda t: (3.0, 3, 2)))
+    path.write_text(path_of(times, m2=lambda t: (0.5 + t + 0.1, 2.33, 1.6), m3=lambda t: (3.0, 3, 2)))
     _, sound, messages = simulate(experiment, truth(TIMES, walk), "--rt60", "0", "--microphone-path", path)
     assert messages == ""
     _, fixed, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
-    for channel in (0, 1, 3, 4, 6, 7):
+    for channel in (0, 1):
         assert np.array_equal(sound[channel], fixed[channel]), "who does not move is not touched"
     config = json.loads((experiment / "config.json").read_text())
-    config["microphone_config"]["mic_positions_m"][2:6:3] = [[0.6, 2.33, 1.6], [3.0, 3.0, 2.0]]
+    config["microphone_config"]["mic_positions_m"][2:] = [[0.6, 2.33, 1.6], [3.0, 3.0, 2.0]]
     (experiment / "config.json").write_text(json.dumps(config))
     _, beside, _ = simulate(experiment, truth(TIMES, lambda t: ((0.5, 2.33, 1.6), True)), "--rt60", "0")
     # It flees from the sound, which takes 0.1 m / (c − v), not 0.1 m / c.
@@ -356,7 +347,7 @@ def test_a_microphone_that_moves(experiment, tmp_path):
     expected = np.fft.irfft(np.fft.rfft(beside[2]) * np.exp(-2j * np.pi * frequencies * later), beside.shape[1])
     assert 10 * np.log10(np.sum((sound[2] - expected)[whole] ** 2) / np.sum(expected[whole] ** 2)) < -60
     _, standing, _ = simulate(experiment, truth(TIMES, walk), "--rt60", "0")
-    assert 10 * np.log10(np.sum((sound[5] - standing[5]) ** 2) / np.sum(standing[5] ** 2)) < -75
+    assert 10 * np.log10(np.sum((sound[3] - standing[3]) ** 2) / np.sum(standing[3] ** 2)) < -75
 
 
 def test_pieces_are_the_whole_where_microphones_move(experiment, tmp_path):
@@ -393,7 +384,7 @@ def test_microphone_paths_that_are_wrong(experiment, tmp_path, text, code, messa
 def test_impulse_responses_for_others(experiment, tmp_path):
     simulate(experiment, truth(TIMES, walk), "--rir", tmp_path / "rir.npz", "--error-db", "-60")
     content = np.load(tmp_path / "rir.npz")
-    assert content["rir"].shape[:2] == (11, 8)
+    assert content["rir"].shape[:2] == (11, 4)
     np.testing.assert_allclose(content["source_position_m"], [walk(t)[0] for t in TIMES])
     expected = shoebox_rir(
         content["room_dimensions_m"],
@@ -411,7 +402,7 @@ def test_impulse_responses_as_sofa(experiment, tmp_path):
     sofar = pytest.importorskip("sofar", reason="sofar is not installed: no SOFA files")
     simulate(experiment, truth(TIMES, walk), "--rir", tmp_path / "rir.sofa")
     sofa = sofar.read_sofa(str(tmp_path / "rir.sofa"))
-    assert sofa.Data_IR.shape[:2] == (11, 8)
+    assert sofa.Data_IR.shape[:2] == (11, 4)
     np.testing.assert_allclose(sofa.SourcePosition, [walk(t)[0] for t in TIMES])
 
 
@@ -496,7 +487,7 @@ def test_mouths_on_walls_and_outside(experiment, mouth):
 
 def test_a_mouth_at_a_microphone_and_a_jump(experiment):
     def jump(time):
-        return (MICROPHONES[7] if time < 0.55 else (0.5, 0.5, 1.0)), True
+        return (MICROPHONES[3] if time < 0.55 else (0.5, 0.5, 1.0)), True
 
     _, sound, messages = simulate(experiment, truth(TIMES, jump))
     assert messages == (
@@ -600,14 +591,14 @@ def test_tiny_and_huge_rooms(experiment, dimensions):
 
 def test_one_record_is_silence(experiment):
     _, sound, _ = simulate(experiment, truth([0.0], walk))
-    assert sound.shape == (8, round(0.2 * RATE))
+    assert sound.shape == (4, round(0.2 * RATE))
 
 
 def test_a_clock_of_unix_time(experiment):
     records, sound, _ = simulate(experiment, truth(1_700_000_000 + TIMES, lambda t: ((1.0, 2.0, 1.6), True)))
     assert records[0]["timestamp"] == "1700000000.0000000000"
     assert records[0]["audio"]["start_sample"] == 1_700_000_000 * RATE
-    assert sound.shape == (8, round(1.2 * RATE))
+    assert sound.shape == (4, round(1.2 * RATE))
     assert sound.any()
 
 

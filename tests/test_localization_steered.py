@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
+from avcli.formats.records import as_record, detections
 from avcli.localization.array import Array
+from avcli.localization.correlation import hann
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.steered import SteeredLocalizer
 from avcli.localization.stream import Block
-from avcli.localization.windows import Heard
+from avcli.localization.windows import Band, Correlator, Heard, together
 
 FS = 16000
 PLACE = np.array([1.4, 3.1, 1.55])
@@ -147,6 +149,38 @@ def test_a_walker_whose_recording_begins_or_ends_with_him_is_where_the_sound_was
     decisions = localize(noisy(samples, 30, rng))
     along = np.array([d.positions[0, 0] - 1.0 - 1.5 * d.time for d in decisions])
     assert np.abs(along).max() < 0.06
+
+
+def test_a_machine_is_told_from_a_voice_before_it_is_named():
+    """The score of a machine falls, and the record says why: a doubtful place has a low score by itself."""
+    rng = np.random.default_rng(23)
+    hiss = rng.standard_normal(2 * FS)
+    syllables = 1.0 + 0.8 * np.sin(2.0 * np.pi * 3.7 * np.arange(len(hiss)) / FS)
+    for sound, low, high in ((hiss, 0.7, 1.0), (hiss * syllables, 0.0, 0.3)):
+        decisions = localize(noisy(heard(PLACE, sound, FS), 30, rng), min_score=0.0)
+        told = [one.machines[0] for one in decisions[15:19]]
+        assert low <= min(told) <= max(told) <= high
+        record = as_record(decisions[16].detections())
+        assert record["objects"][0]["machine"] == decisions[16].machines[0]
+        assert record["objects"][0]["score"] <= 1.0 - record["objects"][0]["machine"]
+        assert detections(record).machines.tolist() == decisions[16].machines.tolist()
+
+
+def test_what_rings_on_quietly_where_somebody_begins_or_ends_does_not_count():
+    array = Array(MICROPHONES, FS, ROOM)
+    correlator = Correlator(array, Band.of(SteeredSettings(), FS), 400, 1.0)
+    sound = np.random.default_rng(3).standard_normal((8, correlator.band.size))
+    taper = hann(correlator.band.size)
+
+    def counted(*decibels):
+        windows = [
+            (correlator.correlate(10 ** (db / 20) * sound, taper).correlated, 0.1 * k) for k, db in enumerate(decibels)
+        ]
+        return np.rint(10 * together(windows, np.zeros(8, bool)).offsets).astype(int).tolist()
+
+    assert counted(-20, 0, -30) == [0, 1]
+    assert counted(-30, -60) == [0]
+    assert counted(-60) == [0]
 
 
 def test_two_talkers_at_once():

@@ -248,6 +248,14 @@ def test_near_its_border_a_field_is_between_seen_and_unseen():
     assert field.about(places[0, 0]) == pytest.approx(1.0)
 
 
+def test_who_is_where_no_detection_is_used_has_left():
+    states = np.array([[-0.6, 2.0, 0.0, 0.0], [2.0, 4.6, 0.0, 0.0], [-0.4, 2.0, 0.0, 0.0], [-30.0, 2.0, 0.0, 0.0]])
+    known, unknown = Population.of(Settings(), (4.0, 4.0)), Population.of(Settings())
+    assert known.leaving(states)[[0, 1, 3]].min() > 100 * known.leaving(states)[2]
+    assert unknown.leaving(states).max() < 0.1, "nobody knows where the walls are"
+    assert Population.of(Settings(room_margin=1.0), (4.0, 4.0)).leaving(states)[:3].max() < 0.1
+
+
 def test_who_stands_at_a_wall_leaves_less_readily_than_who_walks_there():
     states = np.array([[0.3, 2.3, 0.0, 0.0], [0.3, 2.3, 0.0, -1.0], [2.3, 2.3, 0.0, 0.0], [2.3, 2.3, 1.0, 0.0]])
     still, walks, amid, through = Population(stay=100.0, pass_by=10.0).leaving(states)

@@ -137,9 +137,13 @@ def _objects(decision: Decision, features: list[dict[str, Any]]) -> list[dict[st
     """Return the talkers of a decision as a record has them, each with its features."""
     objects = []
     rays = decision.rays or (None,) * len(decision.scores)
-    rows = zip(decision.positions, decision.covariances, decision.scores, rays, features, strict=True)
-    for position, covariance, score, ray, told in rows:
+    rows = zip(
+        decision.positions, decision.covariances, decision.scores, decision.machines, rays, features, strict=True
+    )
+    for position, covariance, score, machine, ray, told in rows:
         one: dict[str, Any] = {"position": position, "covariance": covariance, "score": score}
+        if not math.isnan(machine):
+            one["machine"] = machine
         if ray is not None:
             direction = [number for number in ray.direction.tolist() if not math.isnan(number)]
             one |= {"origin": ray.origin, "direction": direction, "direction_sd_deg": math.degrees(ray.sd)}

@@ -108,6 +108,10 @@ DETECTION = Object(
         ),
         "covariance": Key(SPREAD, "covariance of the position, m²; a zero variance means: not observed"),
         "score": Key(PROBABILITY, "probability that the detection is right"),
+        "machine": Key(
+            PROBABILITY,
+            "probability that a machine sounds there, such as a fan, and nobody speaks; the score counts it already",
+        ),
         "bbox_px": Key(BOX, "box [x0, y0, x1, y1] in the full image, px"),
         "height": Key(bounds.COORDINATE, "height of the person, m"),
         "turned_px": Key(

@@ -236,6 +236,7 @@ class Detections:
         range_sds: (n,) m.
         turned_px: (n, 5) middle x, y, width, height in px, and turn in degrees, of boxes turned as the people stand.
         explained: (n,) 0 where no body explains the box that a position comes from.
+        machines: (n,) probability that a machine sounds there and nobody speaks.
     All from `origins` on are NaN where the record does not give them.
     """
 
@@ -255,12 +256,13 @@ class Detections:
     range_sds: np.ndarray = field(default_factory=_unknown)
     turned_px: np.ndarray = field(default_factory=_unknown)
     explained: np.ndarray = field(default_factory=_unknown)
+    machines: np.ndarray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
         count = len(self.positions)
         _fill_unknown(self, count, covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
         _fill_unknown(self, count, origins=(3,), directions=(3,), direction_sds=(), ranges=(), range_sds=())
-        _fill_unknown(self, count, turned_px=(5,), explained=())
+        _fill_unknown(self, count, turned_px=(5,), explained=(), machines=())
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -366,6 +368,7 @@ def detections(record: Mapping[str, Any], bad: Bad = refuse) -> Detections:
         range_sds=_column(rows, "range_sd_m"),
         turned_px=_column(rows, "turned_px", 5),
         explained=_column(rows, "explained"),
+        machines=_column(rows, "machine"),
     )
 
 
@@ -524,6 +527,7 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
             "range_sd_m": item.range_sds,
             "turned_px": item.turned_px,
             "explained": item.explained,
+            "machine": item.machines,
         }
     else:
         named, names = {}, item.names or {}

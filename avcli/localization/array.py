@@ -124,12 +124,14 @@ class Talker:
         covariance: (3, 3) m².
         score: probability that it is right.
         ray: from where in which direction, where the range is not observed.
+        machine: probability that it is a machine, which the score counts; NaN where it is not known.
     """
 
     position: np.ndarray
     covariance: np.ndarray
     score: float
     ray: Ray | None = None
+    machine: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,7 @@ class Decision:
         rays: (n,) from where in which direction, None of a talker whose range is observed too; empty: of nobody.
         steady: (k, 3) m, where something sounds on and on, such as a fan, that is no talker; unit vectors of directions
             where the array is compact.
+        machines: (n,) probability that the detection is a machine, see Talker; empty where there is no talker.
     """
 
     time: float
@@ -160,6 +163,7 @@ class Decision:
     faults: tuple[Fault, ...] = ()
     rays: tuple[Ray | None, ...] = ()
     steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    machines: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(
@@ -182,6 +186,7 @@ class Decision:
             faults=faults,
             rays=tuple(talker.ray for talker in talkers) if any(talker.ray for talker in talkers) else (),
             steady=np.zeros((0, 3)) if steady is None else steady,
+            machines=np.array([talker.machine for talker in talkers], dtype=np.float64),
         )
 
     def detections(self, sensor: str = "audio") -> Detections:
@@ -194,6 +199,7 @@ class Decision:
             self.scores,
             kind=MICROPHONES,
             features=self.features,
+            machines=self.machines,
             **self._partial(),
         )
 

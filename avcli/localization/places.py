@@ -148,7 +148,12 @@ class PlaceFinder:
             noise: what noise does to as many windows.
         """
         return [
-            Talker(one.peak.position, self.covariance(one, heard.offsets, noise), one.score)
+            Talker(
+                one.peak.position,
+                self.covariance(one, heard.offsets, noise),
+                one.score,
+                machine=1.0 - self.law.voice(one.features.steady),
+            )
             for one in sorted(judged, key=lambda one: -one.score)[: self.settings.max_speakers]
             if one.score >= self.settings.min_score
         ]

@@ -14,6 +14,10 @@ _ROUNDING = 3e-6
 """A channel with a root mean square below this, full scale at 1, holds what computing leaves, or the ringing of filters
 before a simulated sound arrives: no converter is so quiet."""
 
+FAINT = 0.003
+"""Power of a window over that of the loudest around a moment, up to which it is left out. Where somebody begins or
+ends, it holds what rings on in the room, or before the sound arrives; whitened it would count as much as the others."""
+
 
 @dataclass(frozen=True)
 class Band:
@@ -282,7 +286,7 @@ class Heard:
 
 
 def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard | None:
-    """Put windows around one moment together, None where too few channels are left in any.
+    """Put windows around one moment together but those that are `FAINT`, None where too few channels are left in any.
 
     Args:
         windows: each with its offset in s from the moment.
@@ -290,10 +294,12 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
     """
     gccs, spectra, shares, parts, offsets, powers, channels = [], [], [], [], [], [], []
     first, second = correlation.pairs(len(out))
-    for window, offset in windows:
-        good = window.good & ~out
-        if good.sum() < 4:
+    usable = [(window, offset) for window, offset in windows if (window.good & ~out).sum() >= 4]
+    loudest = max((float(window.power.sum()) for window, _ in usable), default=0.0)
+    for window, offset in usable:
+        if window.power.sum() < FAINT * loudest:
             continue
+        good = window.good & ~out
         channels.append(float(good.sum()))
         kept = good[first] & good[second]
         whole = bool(good.all())

@@ -17,6 +17,7 @@ WALK = 0.5  # m/s, the least speed of somebody who is walking
 NEAR = 1.0  # m, from a track's position: as near as this the person is there
 BLUR = 2.0  # times the error that the position had when the person was detected last, if that is more
 SOONER = 35.0  # by this factor people who walk near a wall leave sooner
+GONE = 5.0  # rate per second at which people leave who are where no detection is used any more
 REPORT, THERE = 0.5, 0.35  # from which a person is reported: probability to be in the room, and to be there
 AREA = ((0.0, 0.0), (4.66, 4.66))  # m, the thesis's room, where the room is not known
 
@@ -39,6 +40,7 @@ class Population:
         present: people expected in the room before the first record.
         body: m; no new person is expected as near as this to a known one or to another new one.
         evade: rate per second at which people who are about to walk into each other face to face stop.
+        margin: m beyond the area, from which nobody is detected any more.
     """
 
     area: Corners = AREA
@@ -51,15 +53,16 @@ class Population:
     present: float = 2.0
     body: float = 0.2
     evade: float = 2.0
+    margin: float = math.inf
 
     @staticmethod
     def of(settings: Settings, room: tuple[float, float] | None = None) -> Population:
         """Make the model that settings describe, in a room of a size (x, y) in m; None: of unknown size."""
         motion = WALKING if settings.motion == "imm" else Motion((Model(0.0, pulse=settings.process_noise),))
-        area = AREA if room is None else ((0.0, 0.0), room)
+        area, margin = (AREA, math.inf) if room is None else (((0.0, 0.0), room), settings.room_margin)
         if settings.doors == "anywhere":
-            return Population(area, motion, settings.stay, pass_by=settings.stay, appear=1.0)
-        return Population(area, motion, settings.stay, pass_by=settings.stay / SOONER)
+            return Population(area, motion, settings.stay, pass_by=settings.stay, appear=1.0, margin=margin)
+        return Population(area, motion, settings.stay, pass_by=settings.stay / SOONER, margin=margin)
 
     @cached_property
     def corners(self) -> np.ndarray:
@@ -101,10 +104,13 @@ class Population:
     def leaving(self, states: np.ndarray) -> np.ndarray:
         """Return the rate (n,) per second at which people in states (n, 4) m and m/s leave the room."""
         rates = [1 / self.stay] * len(states)
+        (cx, cy), (mx, my) = self._core
         for k, near in enumerate(self.near_walls(states)):
             if near:
-                walks = min(math.hypot(*states[k, 2:].tolist()) / WALK, 1.0)
-                rates[k] = max(walks / self.pass_by, rates[k])
+                x, y, *velocity = states[k].tolist()
+                walks = min(math.hypot(*velocity) / WALK, 1.0)
+                beyond = max(abs(x - cx) - mx, abs(y - cy) - my) - self.edge
+                rates[k] = GONE if beyond > self.margin else max(walks / self.pass_by, rates[k])
         return np.array(rates)
 
     def density(self, positions: np.ndarray, anywhere: float, near_walls: float) -> np.ndarray:

@@ -34,6 +34,8 @@ LIVE_S = 0.5
 """T60 from which scenes are sampled at the lowest rate, since their simulation is dear."""
 MACHINES_FROM, MACHINES = 10000, ("machine", "machine beside a talker")
 """Scenes with a machine are drawn by numbers from here; what they are called."""
+FEW_FROM, FEW = 20000, (4, 4, 5, 6)
+"""Scenes by numbers from here have so few microphones: of the others too few have four, where a score is hardest."""
 DECIDES = {"0", "1"}
 """The recordings of machines that decide, by their numbers; the others judge."""
 IMAGES = 12
@@ -71,7 +73,7 @@ def drawn(split: str, number: int) -> tuple[Given, Array, np.random.Generator]:
     rng = np.random.default_rng([SEEDS[split], number])
     simulator = ("own", "pyroomacoustics")[number % 2]
     kinds = (*KINDS, JUDGED_KIND) if split == "judge" else KINDS
-    kind, count = str(rng.choice(kinds)), int(rng.choice(COUNTS))
+    kind, count = str(rng.choice(kinds)), int(rng.choice(FEW if number >= FEW_FROM else COUNTS))
     if kind == "table":
         count = min(count, 16)
     while True:
