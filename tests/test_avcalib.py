@@ -76,7 +76,7 @@ def test_too_few_pictures_are_refused(pictures, tmp_path):
     out = tmp_path / "camera.json"
     result = run("avcalib", "calibrate", pictures / "board_00.png", pictures / "board_01.png", "-o", out)
     assert result.returncode == 3
-    assert "not observable" in result.stderr
+    assert "the pictures do not tell the lens; it is written by --force only" in result.stderr
     assert not out.exists()
     result = run("avcalib", "calibrate", pictures / "board_00.png", "--force")
     assert result.returncode == 3

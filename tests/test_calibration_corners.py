@@ -122,6 +122,28 @@ def test_a_part_of_a_larger_board_is_not_taken_for_the_board(shots, part):
         assert corners.find(picture, Board(*target.parse_size(part))) is None
 
 
+def test_all_corners_of_a_large_board_are_joined_and_of_texture_only_the_strongest(monkeypatch):
+    joined = []
+    neighbours = saddles._neighbours
+
+    def counted(known):
+        joined.append(len(known.pixels))
+        return neighbours(known)
+
+    monkeypatch.setattr(saddles, "_neighbours", counted)
+    rng = np.random.default_rng(0)
+    squares = np.kron(np.indices((24, 24)).sum(0) % 2, np.full((25, 25), 200.0)) + 30
+    squares = np.pad(squares, 50, constant_values=230.0)
+    board = cv2.warpPerspective(squares, np.array([[1, 0.05, 20], [-0.05, 0.95, 60], [0, 5e-5, 1]]), (760, 720))
+    noisy = np.clip(cv2.GaussianBlur(board, (0, 0), 0.8) + rng.normal(0, 2, board.shape), 0, 255).astype(np.uint8)
+    assert len(saddles.find_board(noisy, (23, 23)).ids) == 529
+    joined.clear()
+    texture = cv2.GaussianBlur(rng.standard_normal((540, 960)), (0, 0), 3.0)
+    texture = np.clip(128 + 60 * texture / texture.std(), 0, 255).astype(np.uint8)
+    assert saddles.sizes(texture) == []
+    assert max(joined) == saddles._JOINABLE
+
+
 def test_a_finger_on_the_board_hides_only_the_corners_under_it(shots):
     _, pictures, true = shots
     for picture, places in zip(pictures, true, strict=True):

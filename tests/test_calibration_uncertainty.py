@@ -308,7 +308,7 @@ def test_what_no_lens_model_has_is_told():
 def test_a_centre_that_moves_is_found_on_a_board_that_is_printed_badly(seed):
     o = near(seed, 20, pupil=0.004, printed=0.01)
     solution, good = robust.fit_robustly(o, *WIDE_SIZE)
-    learned, solution = robust.fit_board(o, solution, good)
+    learned, solution, _ = robust.fit_board(o, solution, good)
     assert solution.pupil == pytest.approx(0.004, rel=0.2)
     actual, stated = far_off(learned, solution)
     assert actual < 2 * stated
@@ -320,16 +320,28 @@ def test_a_bad_print_is_held_no_tighter_than_it_is():
     for seed in range(50, 56):
         o = near(seed, 20, printed=0.01)
         solution, good = robust.fit_robustly(o, *WIDE_SIZE)
-        learned, solution = robust.fit_board(o, solution, good)
+        learned, solution, _ = robust.fit_board(o, solution, good)
         assert solution.sigma_px < 0.06
         assert np.sqrt((learned.errors**2).mean()) == pytest.approx(0.01 * BOARD.square_m, rel=0.25)
         pulls.append(np.divide(*far_off(learned, solution)))
     assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
 
+def test_a_corner_that_hides_behind_a_bad_print_is_left_out():
+    o = near(60, 20, printed=0.01)
+    pixels, bad = o.pixels.copy(), 333
+    pixels[bad] += [3.0, 0.0]
+    spoiled = replace(o, pixels=pixels)
+    solution, good = robust.fit_robustly(spoiled, *WIDE_SIZE)
+    assert good[bad]
+    learned, fitted, left = robust.fit_board(spoiled, solution, good)
+    assert np.flatnonzero(good & ~left).tolist() == [bad]
+    assert fit.view_rms(learned.of_corners(left), fitted).max() < 0.2
+
+
 def test_views_that_also_tell_the_places_of_the_corners_state_more():
     """A view that helps to tell the places pulls them towards itself: its score says less than its share."""
-    learned, solution = robust.fit_board(
+    learned, solution, _ = robust.fit_board(
         *(lambda o: (o, *robust.fit_robustly(o, *WIDE_SIZE)))(near(60, 8, printed=0.01))
     )
     views = fit.by_view(learned, solution).views
@@ -343,7 +355,7 @@ def test_views_that_also_tell_the_places_of_the_corners_state_more():
 
 def test_one_step_to_the_halves_is_as_good_as_a_fit_where_the_print_is_bad():
     o = near(61, 16, printed=0.01, shared=0.05)
-    learned, solution = robust.fit_board(o, *robust.fit_robustly(o, *WIDE_SIZE))
+    learned, solution, _ = robust.fit_board(o, *robust.fit_robustly(o, *WIDE_SIZE))
     grid = field.grid(*WIDE_SIZE, step=60).reshape(-1, 2)
     tested = [field.split_halves(learned, solution, grid, splits=10, refit=refit) for refit in (False, True)]
     assert tested[0].ratio == pytest.approx(tested[1].ratio, rel=0.15)

@@ -289,7 +289,9 @@ def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, 
     if settings.lens_model == choose.AUTO:
         solution, chosen, tried = choose.choose(everything, solution, good, chosen, *size, board_errors=board_errors)
     if board_errors:
-        everything, solution = robust.fit_board(everything, solution, good)
+        everything, solution, good = robust.fit_board(everything, solution, good)
+        chosen = replace(chosen, good=good)
+        printed_px = chosen.rms_px
     return replace(
         judged(board, views, everything, solution, good, chosen, circle, print_tested=np.isfinite(printed_px)),
         flat_px=flat_px,

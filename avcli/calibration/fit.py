@@ -618,7 +618,8 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
         start = refine(observations, start, free_parameters(start.like, few=True), 5.0, 15, 1e-4)
         start = refine(observations, start, lens_only, 2.0, 25, 1e-5)
         start = _reseeded(observations, start)
-    solution = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)
+        start = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)
+    solution = start
     for gain in (1e-5, 1e-8):
         solution = refine(observations, solution, free, _delta(observations, solution), 40, gain)
     spread, sigma = covariance(observations, solution)

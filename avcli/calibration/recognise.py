@@ -18,8 +18,6 @@ _AGREE = 2
 _MOST_ROWS = 40
 _WIDTH, _QUICK_WIDTH = 1280, 960
 """px; markers and circles are looked for in pictures of this width, thoroughly or not."""
-_MOST_BENT = 0.15
-"""How bent the lines of a board may be that is unknown. It is at most 0.136 on derlunz, dyf and fish_1."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True
             inner = wanted.size[0] - 1, wanted.size[1] - 1
             if saddles.find_board(picture, inner, thorough=thorough) is not None:
                 return Board(*wanted.size, scaled=False)
-        for inner in saddles.sizes(picture, LEAST_GUESSED, _MOST_BENT, thorough=thorough)[:1]:
+        for inner in saddles.sizes(picture, LEAST_GUESSED, thorough=thorough)[:1]:
             if min(inner) < 3:
                 break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)

@@ -27,9 +27,10 @@ def words(result: Calibration, seen: Seen) -> list[str]:
     held_out = f"{q.held_out_rms_px:.3f} px" if np.isfinite(q.held_out_rms_px) else "unknown (too few pictures)"
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(lens.names()[4:], parameters[4 : -fit.BESIDE], q.sd[4 : -fit.BESIDE], strict=True)
+    again = seen.count("duplicate")
     lines = [
-        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}, "
-        f"{seen.count('duplicate')} of them as in another picture; the fit uses "
+        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}"
+        f"{f', {again} of them as in another picture' if again else ''}; the fit uses "
         f"{used} picture{'s' if used != 1 else ''} with {len(result.observations.pixels)} corners",
         f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
         f"{held_out}",

@@ -246,11 +246,24 @@ def with_board_errors(
     return replace(observations, errors=errors[observations.corner]), solution
 
 
-def fit_board(observations: Observations, solution: Solution, good: np.ndarray) -> tuple[Observations, Solution]:
-    """Fit with the board's errors: all corners with them, and the solution for those in `good` (n,) bool."""
+def fit_board(
+    observations: Observations, solution: Solution, good: np.ndarray
+) -> tuple[Observations, Solution, np.ndarray]:
+    """Fit with the board's errors, and judge the corners again: until now these errors hid misplaced ones.
+
+    Args:
+        observations, solution, good: as in `with_board_errors`.
+
+    Returns:
+        all corners with the errors, the solution for those that are left, and which these are, (n,) bool.
+    """
     learned, solution = with_board_errors(observations, solution, good)
-    some = learned.of_corners(good)
-    return learned, fit.fit(some, solution, board_shape=solution.bends)
+    everywhere = posed(learned, solution, good)
+    found = belonging(learned, everywhere)
+    if not np.array_equal(found.corners, good):
+        good = found.corners
+        learned, solution = with_board_errors(observations, everywhere.of_views(found.views), good)
+    return learned, fit.fit(learned.of_corners(good), solution, board_shape=solution.bends), good
 
 
 # --- pictures held out ------------------------------------------------------------------------------------------------

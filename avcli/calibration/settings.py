@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from avcli.settings import setting
 
-_SEEN = "as the pictures show; to print, the usual one"
+_SEEN = "as the pictures show"
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,16 @@ class BoardSettings:
     legacy: bool = setting(
         False, "The ChArUco board has an even number of rows and begins with a marker, as OpenCV drew it before 4.6."
     )
+
+
+TO_PRINT: dict[str, dict[str, str]] = {
+    "board": {"default_text": "7x10; 6x6 tags, 7x9 or 4x11 circles"},
+    "kind": {"default_text": "checkerboard"},
+    "square_mm": {"text": "Side of a square or tag in mm, or the distance between circles."},
+    "dictionary": {"default_text": "5X5_250"},
+    "ratio": {"default_text": "0.75; 0.3 of tags, 0.5 of circles"},
+}
+"""What else is said of a board's settings where it is drawn, by the names of the fields. See target.KINDS."""
 
 
 @dataclass(frozen=True)

@@ -168,16 +168,14 @@ def _width(
         (lines[:, :, axis, None] + (away * normal[:, axis, None])[:, None]).astype(np.float32).reshape(len(middles), -1)
         for axis in (0, 1)
     )
-    value = (
-        cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        .reshape(-1, _SAMPLES)
-        .astype(float)
-    )
-    value *= np.where(value[:, -6:].mean(1) < value[:, :6].mean(1), -1.0, 1.0)[:, None]
-    low, high = value[:, :6].mean(1, keepdims=True), value[:, -6:].mean(1, keepdims=True)
-    step = (value - low) / np.maximum(high - low, 1e-9)
-    quarter, middle, last = _crossings(step, np.array([0.25, 0.5, 0.75]))
-    fine = (high - low)[:, 0] > _LEAST_CONTRAST
+    value = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    step = value.reshape(-1, _SAMPLES).astype(np.float32)
+    low, high = step[:, :6].mean(1, keepdims=True), step[:, -6:].mean(1, keepdims=True)
+    rise = high - low  # negative where the edge falls
+    step -= low
+    step /= np.where(rise == 0, 1.0, rise)
+    quarter, middle, last = _crossings(step, np.array([0.25, 0.5, 0.75], np.float32))
+    fine = np.abs(rise)[:, 0] > _LEAST_CONTRAST
     fine &= (np.abs(middle - (_SAMPLES - 1) / 2) < 0.3 * _SAMPLES) & (last > quarter)
     width = np.sort(np.where(fine, last - quarter, np.nan).reshape(len(middles), -1), axis=1)
     median = np.where(np.isnan(width[:, -1]), np.nan, width[:, len(_LINES) // 2])

@@ -60,7 +60,7 @@ def _fit_options(rate_hz: float) -> Callable:
     """Add the options that calibrate and live share."""
     options = (
         click.option("--size", type=Size(), help="Size in px to request from a camera, for example 1920x1080."),
-        click.option("--force", is_flag=True, help="Write the result even if the lens is not observable (exit 3)."),
+        click.option("--force", is_flag=True, help="Write the lens even if the pictures do not tell it (exit 3)."),
         click.option("--html", metavar="FILE", help="Write the report with its plots as one HTML file."),
         click.option("--plot", metavar="FILE", help="Plot residuals, coverage and expected error: .png, .svg or .pdf."),
         click.option("--details", metavar="FILE", help="Write one record per picture: corners, residual, used or not."),
@@ -99,8 +99,9 @@ def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any)
 def live_command(session: Session, source: str, **values: Any) -> None:
     """Calibrate while you film: hints say where to hold the board next, and when it is enough.
 
-    CAMERA may also be a video, which plays at its own pace, or - for JPEGs on standard input. Only the newest picture
-    counts, and only of a board that is held still. Ctrl-C ends the filming earlier.
+    CAMERA is a device or its number (default: /dev/video0), a video, which plays at its own pace, or - for JPEGs on
+    standard input. Only the newest picture counts, and only of a board that is held still. Ctrl-C ends the filming
+    earlier.
     """
     from avcli.calibration import live, watch
     from avcli.formats import serving
@@ -164,7 +165,9 @@ def _finish(session: Session, seen: Seen, values: dict[str, Any]) -> None:
     if values["force"] or not result.quality.refusals:
         write_camera(session, result.camera_config())
     if result.quality.refusals:
-        raise GateNotMet(f"the lens is not observable: {'; '.join(result.quality.refusals)}")
+        written = "all the same, as --force asks" if values["force"] else "by --force only"
+        why = f": {'; '.join(result.quality.refusals)}" if session.quiet else ""  # the verdict has said it
+        raise GateNotMet(f"the pictures do not tell the lens{why}; it is written {written}")
 
 
 def _write_details(path: str | None, seen: Seen, result: Calibration | None) -> None:
@@ -197,7 +200,8 @@ def _report(session: Session, seen: Seen, result: Calibration, plot: str | None,
     "parts",
     multiple=True,
     metavar="NAME",
-    help="Without SOURCE: examine only this part of the installation. Repeat the option for more.  [default: all]",
+    help="Without SOURCE: examine only this part: lens, limits, room, pose, microphones, doors or background. Repeat "
+    "the option for more.  [default: all]",
 )
 @from_settings(settings.BoardSettings)
 @from_settings(settings.PictureSettings)
@@ -240,7 +244,7 @@ def check_command(
 
 
 @main.command("target", epilog="Example: avcalib target --board 7x10 --square 25 --paper A4 -o board.pdf")
-@from_settings(settings.BoardSettings, defaults={"square_mm": 25.0})
+@from_settings(settings.BoardSettings, defaults={"square_mm": 25.0}, words=settings.TO_PRINT)
 @from_settings(settings.PrintSettings)
 @click.option("--kalibr", metavar="FILE", help="Also write the board's description for Kalibr (target.yaml).")
 @common(experiment=False)

@@ -17,7 +17,11 @@ from avcli.settings import Setting, settings_of
 
 
 def from_settings(
-    kind: type, *names: str, leave_out: tuple[str, ...] = (), defaults: Mapping[str, Any] | None = None
+    kind: type,
+    *names: str,
+    leave_out: tuple[str, ...] = (),
+    defaults: Mapping[str, Any] | None = None,
+    words: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Callable:
     """Add an option for each setting of a stage, in the order of declaration.
 
@@ -26,6 +30,7 @@ def from_settings(
         names: the fields to take; none: all that are declared.
         leave_out: fields to leave out.
         defaults: field name -> default, where this command's differs from that of the settings.
+        words: field name -> parts of its `Setting` that this command says in other words.
 
     Returns:
         A decorator. The command gets each value by the field's name.
@@ -36,6 +41,7 @@ def from_settings(
     def decorate(function: Callable) -> Callable:
         for name in reversed(chosen):
             field, setting = known[name]
+            setting = dataclasses.replace(setting, **(words or {}).get(name, {}))
             function = _option(kind, field, setting, defaults or {})(function)
         return function
 

@@ -1,10 +1,10 @@
 """How much what a box shows has moved: a person never keeps quite still, a plant or a chair does.
 
 Grey pictures are kept for some seconds, reduced. What a box shows now is compared with what it showed half a second to
-eight seconds ago: in each of nine parts, by least squares, the shift that turns one picture into the other (Lucas and
-Kanade, 1981), and the logarithm of the likelihood ratio of that shift to none. A sway of a tenth of a pixel changes a
-pixel by less than the noise, yet all pixels of the part agree about it; noise, compression and flicker do not. Where a
-sway could hardly be seen, stillness tells little. The more pictures show no shift, the less probable is a person.
+eight seconds ago: in each of up to nine parts, by least squares, the shift that turns one picture into the other (Lucas
+and Kanade, 1981), and the logarithm of the likelihood ratio of that shift to none. A sway of a tenth of a pixel changes
+a pixel by less than the noise, yet all pixels of the part agree about it; noise, compression and flicker do not. Where
+a sway could hardly be seen, stillness tells little. The more pictures show no shift, the less probable is a person.
 Moving is no evidence for a person, since screens and curtains move too: it takes back what stillness has told, and no
 more. What stands where somebody passes is the same as some seconds before, so that it is not taken for a person again.
 
@@ -32,6 +32,9 @@ that a picture tells a unit beside it."""
 SWAY = 0.01
 """Sway, as a part of a box's size, of people who hardly move. Where it would show less than what tells nothing,
 stillness tells less."""
+
+PART_PX = 6
+"""A box is looked at in nine parts, four, or as a whole, so that no side of a part is shorter than this, reduced px."""
 
 LEAST, MOST = -2.0, 1.0
 """Nats that one picture tells at most, against a person and back."""
@@ -194,19 +197,19 @@ def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _shift(now: np.ndarray, then: np.ndarray, most: float) -> tuple[float, float]:
     """Logarithm, nats, of the likelihood ratio of a shift to none between two pictures (h, w), and that of a sway.
 
-    Of the ninth where it is largest; the sway, `SWAY`, is that which would be seen best. Squared differences a pixel
+    Of the part where it is largest; the sway, `SWAY`, is that which would be seen best. Squared differences a pixel
     that no shift explains are taken for noise up to `most`.
     """
     across, down = _slopes((now + then) / 2)
     each = across, down, now - then
     pairs = [one * two for i, one in enumerate(each) for two in each[i:]]
-    mean = _ninths(np.stack([*each, *pairs], axis=-1))
+    mean = _of_parts(np.stack([*each, *pairs], axis=-1))
     x, y, e = mean[:, :3].T
     xx, xy, xe, yy, ye, ee = mean[:, 3:].T
     xx, xy, xe, yy, ye, ee = xx - x * x, xy - x * y, xe - x * e, yy - y * y, ye - y * e, ee - e * e
     xx, yy = xx + QUANTUM, yy + QUANTUM
     explained = (yy * xe**2 - 2 * xy * xe * ye + xx * ye**2) / (xx * yy - xy**2)
-    doubled = 2 * np.clip(ee - explained, QUANTUM, most) / (now.size / 9)
+    doubled = 2 * np.clip(ee - explained, QUANTUM, most) / (now.size / len(x))
     sway = SWAY**2 * now.size * (xx + yy) / 2
     return float(max((explained / doubled).max(), 1e-3)), float((sway / doubled).max())
 
@@ -218,8 +221,9 @@ def _overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.asarray(shared / np.maximum(areas - shared, 1))
 
 
-def _ninths(values: np.ndarray) -> np.ndarray:
-    """Means (9, c) of the parts of a picture (height, width, c)."""
-    down, across = (side * np.arange(4) // 3 for side in values.shape[:2])
-    sums = np.add.reduceat(np.add.reduceat(values, down[:3], axis=0), across[:3], axis=1)
-    return np.asarray((sums / np.multiply.outer(np.diff(down), np.diff(across))[..., None]).reshape(9, -1))
+def _of_parts(values: np.ndarray) -> np.ndarray:
+    """Means (1, 4 or 9, c) of the parts of a picture (height, width, c)."""
+    count = int(np.clip(min(values.shape[:2]) // PART_PX, 1, 3))
+    down, across = (side * np.arange(count + 1) // count for side in values.shape[:2])
+    sums = np.add.reduceat(np.add.reduceat(values, down[:-1], axis=0), across[:-1], axis=1)
+    return np.asarray((sums / np.multiply.outer(np.diff(down), np.diff(across))[..., None]).reshape(count**2, -1))

@@ -188,12 +188,18 @@ def sources(names: Iterable[str]) -> list[Source]:
     for one in found:
         path, missing = one.name, "no such file or directory"
         if one.kind == "camera":
-            path, missing = f"/dev/video{path.removeprefix('/dev/video')}", "no such camera"
+            path, missing = f"/dev/video{path.removeprefix('/dev/video')}", f"no such camera; {_cameras()}"
         if one.kind == "pattern" and not one.members():
             raise FileNotFoundError(errno.ENOENT, "no file matches this pattern", path)
         if one.kind not in ("stream", "pattern") and not _is_virtual(path) and not os.path.exists(path):
             raise FileNotFoundError(errno.ENOENT, missing, path)
     return found
+
+
+def _cameras() -> str:
+    """Say which cameras there are."""
+    there = sorted(str(path) for path in Path("/dev").glob("video*"))
+    return f"there are {', '.join(there)}" if there else "none is plugged in"
 
 
 def _is_virtual(name: str) -> bool:
