@@ -8,7 +8,7 @@ from avcli.formats.experiment import Wiring
 from avcli.localization.array import Array
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings
 from avcli.localization.ssl3d import ClosedFormLocalizer
-from avcli.localization.steered import SteeredLocalizer
+from avcli.localization.steered import MISFIT, SteeredLocalizer
 from avcli.localization.stream import Block
 
 FS = 16000
@@ -47,6 +47,14 @@ def check(decisions, expected):
     notices = [notice for d in decisions for notice in d.notices]
     assert len(notices) == len(set(notices)) == len(last)
     return last
+
+
+def test_talkers_who_are_left_out_since_microphones_are_misplaced_are_not_dropped_in_silence(talk):
+    moved = MICROPHONES + 0.05 * np.random.default_rng(2).standard_normal(MICROPHONES.shape)
+    decisions = localize(talk, np.clip(moved, 0.05, ROOM - 0.05))
+    assert sum(len(d.positions) > 0 for d in decisions) < 0.6 * len(decisions)
+    assert sum(d.notices.count(MISFIT) for d in decisions) == 1
+    assert not any(MISFIT in d.notices for d in localize(talk))
 
 
 def test_two_channels_of_wrong_polarity(talk):
