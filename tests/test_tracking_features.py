@@ -19,6 +19,7 @@ from avcli.tracking.features import FOREIGN, UU, XX, Features, U, X
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.hypotheses import BESIDE, EXCHANGE, TELL
 from avcli.tracking.recognition import Gallery, Left, returned
+from avcli.tracking.smoothing import Node
 
 SCHEMA = ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json"
 PLAIN = Population(np.zeros(2), np.ones(2), np.full(2, 0.25), correlation_s=1.0, correlated=0.0)
@@ -89,6 +90,14 @@ def test_an_exchange_of_two_who_stand_together_stays_possible():
     np.testing.assert_array_equal(new.traits, crowd.traits)
     again, nothing = more.exchanged(type(crowd).join([crowd, new]), features)
     assert nothing is None or again.shares[1] == pytest.approx(EXCHANGE, rel=0.1)
+
+
+def test_an_exchange_has_a_history_of_its_own():
+    features, crowd = kinds(), people(2, apart=0.1)
+    seen(features, crowd, [[1.0, 0.0], [-1.0, 0.0]])
+    crowd.node = [Node(0.0), Node(0.0)]
+    _, new = cluster({(0, 1): 1.0}).exchanged(crowd, features)
+    assert len({id(node) for node in (*crowd.node, *new.node)}) == 4
 
 
 @pytest.mark.parametrize(("apart", "own"), [(BESIDE + 0.01, 1.0), (0.1, 0.0)])

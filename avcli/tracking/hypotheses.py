@@ -12,6 +12,7 @@ import numpy as np
 
 from avcli.tracking.densities import Densities
 from avcli.tracking.features import Features
+from avcli.tracking.smoothing import Node
 
 ABSENT = -1  # in the place of a row: the label does not exist in this joint hypothesis
 INDEPENDENT = 0.05  # total variation of two labels' joint weights from their product that passes for independence
@@ -159,7 +160,9 @@ class Cluster:
             joint = list(best)
             for own, other in ((there[i], there[j]), (there[j], there[i])):
                 row, who = people.take([best[other]]), best[own]
-                row.label, row.node, row.traits = [people.label[who]], [people.node[who]], people.traits[[who]]
+                node = people.node[who]  # of the same past, but a node of its own: each row writes into its node
+                row.label, row.traits = [people.label[who]], people.traits[[who]]
+                row.node = [node and Node.fork(node, node.time)]
                 joint[own] = len(people) + len(new)
                 new.append(row)
             shares[tuple(joint)] = lacking
