@@ -21,9 +21,11 @@ settings.register_profile(
 )
 settings.load_profile("same every time")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-_CACHE = tempfile.TemporaryDirectory(prefix="avcli-cache-")
-os.environ.setdefault("MESA_SHADER_CACHE_DIR", os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-os.environ["XDG_CACHE_HOME"] = _CACHE.name  # rooms are not left behind; compiled shaders may be
+if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has all this from the process that starts it
+    _CACHE = tempfile.TemporaryDirectory(prefix="avcli-cache-")
+    shaders = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    os.environ.setdefault("MESA_SHADER_CACHE_DIR", shaders)
+    os.environ["XDG_CACHE_HOME"] = _CACHE.name  # rooms are not left behind; compiled shaders may be
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start: each would compile everything again
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores it, and children would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -27,6 +27,10 @@ def schema(name):
     return orjson.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
 
 
+def camera_of(directory):
+    return json.dumps(json.loads((directory / "config.json").read_bytes())["camera_config"])
+
+
 def scores(truth, *tracks):
     result = run("aveval", truth, *tracks, "--format", "jsonl")
     assert result.returncode == 0, result.stderr
@@ -100,8 +104,7 @@ avfuse -C out/s1 a.jsonl v.jsonl | tee t.jsonl | aveval out/s1/groundtruth_sourc
 @pytest.mark.slow
 def test_a_second_run_live_and_otherwise_hashed_gives_the_same_bytes(small_s1, tmp_path):
     path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
-    camera = json.loads((small_s1 / "config.json").read_bytes())["camera_config"]
-    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    (tmp_path / "camera.json").write_text(camera_of(small_s1))
     pipeline = PIPELINE.replace("avsim-scene s1", "avsim-scene s1 --camera-config camera.json")
     result = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", pipeline],
@@ -285,7 +288,9 @@ def test_nothing_in_nothing_out(finished_s1, command):
 
 
 def shortened(block: str) -> str:
-    """A block whose scenes of seconds are shorter: what it shows is the same."""
+    """A block whose scenes of seconds are shorter, and its pictures smaller: what it shows is the same."""
+    block = re.sub(r"(avsim-scene (?:s\d|random|mine\.json)) (?![^|\n]*--(?:lens|no-video|print))",
+                   r"\1 --camera-config small.json ", block)  # fmt: skip
     block = re.sub(r"--duration [1-9]\S*", "--duration 0.5", block)
     return re.sub(r"(avsim-scene s[1-4])(?=[^|\n]* -C )(?![^|\n]*--duration)", r"\1 --duration 0.5", block)
 
@@ -296,6 +301,7 @@ def test_the_examples_of_the_manual_run(small_s1, tmp_path, command):
     from test_house import examples_of, page_of
 
     shutil.copytree(small_s1, tmp_path / "out" / "s1")
+    (tmp_path / "small.json").write_text(camera_of(small_s1))
     environment, nursery = write_shims(tmp_path / "bin")
     for block in examples_of(page_of(command)):
         if re.search(r"\bjq\b", block) and not shutil.which("jq"):
