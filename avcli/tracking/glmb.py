@@ -357,10 +357,15 @@ class GLMB:
             new = shown.whole_only(new)
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
-        ratio = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
+        ratio, known, fresh = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
+        own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
         p_sensor = rates.detection * (1 - blindness.probability)
+        p_hit = [
+            one * rates.detection * (1 - blindness.without(own.get(label, 1.0)))
+            for one, label in zip(reach, people.label, strict=True)
+        ]
         open_eyed = 1 - blindness.probability * (1 - blindness.left)
         p_detect = [one * p_sensor for one in reach]
         return Scan(
@@ -386,8 +391,9 @@ class GLMB:
             local,
             p_sensor,
             rates.detection * open_eyed,
-            [one * open_eyed for one in new],
+            [one * (1 - blindness.without(part) * (1 - blindness.left)) for one, part in zip(new, fresh, strict=True)],
             p_detect,
+            p_hit,
             evidence,
             covered,
             shown,

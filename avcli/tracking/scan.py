@@ -91,6 +91,7 @@ class Scan:
     p_newcomer: float
     newcomers: list[float]
     p_detect: list[float]
+    p_hit: list[float]
     evidence: Evidence | None = None
     covered: np.ndarray | None = None
     partial: Partial | None = None
@@ -215,8 +216,8 @@ def plausibility(
     clutter: list[float],
     new: list[float],
     detection: float,
-) -> float:
-    """Return how much likelier a record is with known and new people than as clutter alone.
+) -> tuple[float, list[float], list[float]]:
+    """Return how much likelier a record is with known and new people than as clutter alone: in all, and each one's part.
 
     Args:
         rows: the densities of the known people.
@@ -226,11 +227,10 @@ def plausibility(
         clutter: J densities per m² of false detections.
         detection: probability that the sensor detects a detectable person.
     """
-    ratio = 1.0
+    known = []
     for row in rows:
         present = existence[row] * reach[row] * detection
         more = math.fsum([g / clutter[j] for j, g in likelihoods[row]])
-        ratio *= min(1 - present + present * more, 1e3)
-    for c, b in zip(clutter, new, strict=True):
-        ratio *= min(1 + b / c, 1e3)
-    return min(ratio, MOST_PLAUSIBLE)
+        known.append(min(1 - present + present * more, 1e3))
+    fresh = [min(1 + b / c, 1e3) for c, b in zip(clutter, new, strict=True)]
+    return min(math.prod(known) * math.prod(fresh), MOST_PLAUSIBLE), known, fresh
