@@ -391,7 +391,7 @@ class GLMB:
             local,
             p_sensor,
             rates.detection * open_eyed,
-            [one * (1 - blindness.without(part) * (1 - blindness.left)) for one, part in zip(new, fresh, strict=True)],
+            [one * open_eyed for one in new],
             p_detect,
             p_hit,
             evidence,
