@@ -57,6 +57,7 @@ from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
+SEES = 1e-5  # probability of blindness below which nobody's own part in it matters
 WATCHED = 0.5  # share of its detection probability from which a camera looks at a place
 SHOWN = 0.45  # existence, as it is reported, from which a person is: lower, ghosts stay; higher, who is hidden goes
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
@@ -357,17 +358,16 @@ class GLMB:
             new = shown.whole_only(new)
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
-        ratio, known, fresh = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
+        ratio, known = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
-        own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
         p_sensor = rates.detection * (1 - blindness.probability)
-        p_hit = [
-            one * rates.detection * (1 - blindness.without(own.get(label, 1.0)))
-            for one, label in zip(reach, people.label, strict=True)
-        ]
+        p_detect = p_hit = [one * p_sensor for one in reach]
+        if blindness.probability > SEES:  # a detection says twice that the sensor sees, unless its own part is left out
+            own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
+            sees = [1 - blindness.without(own.get(label, 1.0)) for label in people.label]
+            p_hit = [one * rates.detection * open_eye for one, open_eye in zip(reach, sees, strict=True)]
         open_eyed = 1 - blindness.probability * (1 - blindness.left)
-        p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
             column,

@@ -61,6 +61,7 @@ class Scan:
         p_newcomer: the same of a person who came since.
         newcomers: J densities per m² of detecting a person never detected before, where there is room for another.
         p_detect: n probabilities that it detects the person, if that person exists.
+        p_hit: the same by all but the person's own detection, of which one that lies there asks.
         covered: (n, M) shares of the detection probability at each person, by motion model; None: all of it.
         partial: what its detections show, None: all show positions.
         view: how the densities look in those that do not.
@@ -216,8 +217,8 @@ def plausibility(
     clutter: list[float],
     new: list[float],
     detection: float,
-) -> tuple[float, list[float], list[float]]:
-    """Return how much likelier a record is with known and new people than as clutter alone: in all, and each one's part.
+) -> tuple[float, list[float]]:
+    """Return how much likelier a record is with known and new people than as clutter alone, and each known one's part.
 
     Args:
         rows: the densities of the known people.
@@ -233,4 +234,4 @@ def plausibility(
         more = math.fsum([g / clutter[j] for j, g in likelihoods[row]])
         known.append(min(1 - present + present * more, 1e3))
     fresh = [min(1 + b / c, 1e3) for c, b in zip(clutter, new, strict=True)]
-    return min(math.prod(known) * math.prod(fresh), MOST_PLAUSIBLE), known, fresh
+    return min(math.prod(known) * math.prod(fresh), MOST_PLAUSIBLE), known
