@@ -717,7 +717,7 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
-        watched = self._watched(mean[:, :2])
+        watched = self.watched(mean[:, :2])
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
@@ -727,7 +727,7 @@ class GLMB:
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
 
-    def _watched(self, positions: np.ndarray) -> list[bool]:
+    def watched(self, positions: np.ndarray) -> list[bool]:
         """Return whether a camera, or without cameras any sensor, looks at each of some positions (n, 2) m."""
         if not isinstance(self.undetected, UnseenMap):
             return [True] * len(positions)

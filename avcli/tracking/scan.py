@@ -234,4 +234,4 @@ def plausibility(
         more = math.fsum([g / clutter[j] for j, g in likelihoods[row]])
         known.append(min(1 - present + present * more, 1e3))
     fresh = [min(1 + b / c, 1e3) for c, b in zip(clutter, new, strict=True)]
-    return min(math.prod(known) * math.prod(fresh), MOST_PLAUSIBLE), known
+    return min(math.prod([*known, *fresh]), MOST_PLAUSIBLE), known
