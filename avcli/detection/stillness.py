@@ -209,7 +209,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _other(now: np.ndarray, then: np.ndarray, least: float) -> bool:
-    """Whether two pictures (h, w) show two things: enough parts are unlike, and differ by more than `least`, squared."""
+    """Whether two pictures (h, w) show two things: parts are unlike, and differ by more than `least`, squared."""
     now, then = now - now.mean(), then - then.mean()
     one, other, both = _of_parts(np.stack([now * now, then * then, now * then], axis=-1)).T
     unlike = both < UNLIKE * np.sqrt(one * other)
