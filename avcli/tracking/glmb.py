@@ -366,7 +366,7 @@ class GLMB:
         open_eyed = 1 - blindness.probability * (1 - blindness.left)
         p_detect = p_hit = [one * p_sensor for one in reach]
         newcomers = [one * open_eyed for one in new]
-        if blindness.probability > SEES:  # a detection would count twice: as a sign that the sensor sees, and as a person
+        if blindness.probability > SEES:  # else a detection says twice that the sensor sees: here, and as a person
             own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
             blind = [blindness.without(own.get(label, 1.0)) for label in people.label]
             p_hit = [one * rates.detection * (1 - b) for one, b in zip(reach, blind, strict=True)]
