@@ -3,7 +3,8 @@
     make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # half an hour; recordings as bench_steady.py has them
     make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
 
-The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones. What is
+The scenes are those of array_scenes.py, split "decide", each with its array as it is said to be and as people build it,
+and more of them with four to six microphones. What is
 remembered of a decision does not depend on the score, so that the peaks are the same whatever it is.
 `make bench-scores` measures the result on the split "judge".
 """
