@@ -70,7 +70,7 @@ class Browser:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait(self, expression, seconds=20):
+    def wait(self, expression, seconds=120):
         deadline = time.monotonic() + seconds
         while not self.run(expression):
             assert time.monotonic() < deadline, expression

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -20,9 +21,11 @@ settings.register_profile(
 )
 settings.load_profile("same every time")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-_CACHE = tempfile.TemporaryDirectory(prefix="avcli-cache-")
-os.environ.setdefault("MESA_SHADER_CACHE_DIR", os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-os.environ["XDG_CACHE_HOME"] = _CACHE.name  # rooms are not left behind; compiled shaders may be
+if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has all this from the process that starts it
+    _CACHE = tempfile.TemporaryDirectory(prefix="avcli-cache-")
+    shaders = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    os.environ.setdefault("MESA_SHADER_CACHE_DIR", shaders)
+    os.environ["XDG_CACHE_HOME"] = _CACHE.name  # rooms are not left behind; compiled shaders may be
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start: each would compile everything again
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's "&" ignores it, and children would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -65,18 +68,25 @@ def run_experiment(directory: Path, *scene: object) -> None:
     for folder in ("localization", "tracking"):
         (directory / folder).mkdir(parents=True, exist_ok=True)
     found = {sensor: directory / f"localization/{sensor}_localizations.jsonl" for sensor in ("audio", "video")}
-    steps = [
-        ("avsim-scene", *scene, "-o", directory / "scene.jsonl"),
+    by_ear = [
         ("avsim-audio", directory / "scene.jsonl", "-o", directory / "audio.jsonl"),
         ("avdetect-audio", directory / "audio.jsonl", "-o", found["audio"]),
-        ("avdetect-video", directory / "scene.jsonl", "-o", found["video"]),
         ("avfuse", found["audio"], "-o", directory / "tracking/audio_tracking.jsonl"),
-        ("avfuse", found["video"], "-o", directory / "tracking/video_tracking.jsonl"),
-        ("avfuse", found["audio"], found["video"], "-o", directory / "tracking/audio_video_tracking.jsonl"),
     ]
-    for name, *options in steps:
-        result = run(name, "-C", directory, *options)
-        assert (result.returncode, result.stderr) == (0, ""), f"{name}: {result.stderr}"
+    by_eye = [
+        ("avdetect-video", directory / "scene.jsonl", "-o", found["video"]),
+        ("avfuse", found["video"], "-o", directory / "tracking/video_tracking.jsonl"),
+    ]
+
+    def steps(*commands: tuple) -> None:
+        for name, *options in commands:
+            result = run(name, "-C", directory, *options)
+            assert (result.returncode, result.stderr) == (0, ""), f"{name}: {result.stderr}"
+
+    steps(("avsim-scene", *scene, "-o", directory / "scene.jsonl"))
+    with ThreadPoolExecutor() as both:  # the other worker waits for this, so that a processor is free
+        list(both.map(lambda branch: steps(*branch), (by_ear, by_eye)))
+    steps(("avfuse", *found.values(), "-o", directory / "tracking/audio_video_tracking.jsonl"))
 
 
 @pytest.fixture(scope="session")

@@ -25,6 +25,8 @@ HANG_S = 1800
 """s; a process that takes longer hangs. A test measures no wall time: on a busy machine everything takes longer."""
 _LOADED_LATE = [
     "cv2",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.figure",
     "moderngl",
     "onnxruntime",
     "orjson",
@@ -130,7 +132,8 @@ def _serve(requests: socket.socket) -> None:
             importlib.import_module(name)
     importlib.import_module("avcli.formats.media").quiet_decoders()  # OpenCV asks once, when it is loaded
     for name in _LOADED_LATE:
-        importlib.import_module(name)
+        with contextlib.suppress(ModuleNotFoundError):  # likewise
+            importlib.import_module(name)
     gc.freeze()
     woken, wake = os.pipe()
     os.set_blocking(wake, False)

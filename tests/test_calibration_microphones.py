@@ -91,7 +91,7 @@ def test_positions_and_a_channel_of_another_device_are_found():
     given = true + rng.normal(0, 0.04, true.shape)
     late, drift = np.zeros(8), np.zeros(8)
     late[5], drift[5] = 4e-4, 5e-6
-    t, path = walk(60, rng)
+    t, path = walk(40, rng)
     heard = said(true, t, path, rng, late=late, drift=drift, offset=0.24)
     found = measured(heard, given, microphones.tracked(t, path, True, 0.01), is_clock_known=False)
     assert found.refusal is None

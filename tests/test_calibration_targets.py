@@ -1,6 +1,7 @@
 """Boards of every kind: drawn, recognised in simulated pictures without being told, and fitted."""
 
 import dataclasses
+import functools
 import struct
 
 import cv2
@@ -26,8 +27,10 @@ BOARDS = {
 }
 
 
-def shots(board, count=6, seed=3, **known):
-    rng = np.random.default_rng(seed)
+@functools.cache
+def shots(board, count=8, **known):
+    """Boards as they were filmed, and their pictures; some tests look at the first of them."""
+    rng = np.random.default_rng(3)
     filmed = film(count, rng, lens=HALF, size=HALF_SIZE, board=board, **known)
     return filmed, [
         photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=board, blur=0.6, oversample=2)
@@ -39,7 +42,7 @@ def shots(board, count=6, seed=3, **known):
 def test_each_print_is_recognised_and_gives_the_lens(name):
     """From pictures alone: what is drawn is found again through a fisheye, and gives its lens."""
     board, said = BOARDS[name], []
-    _, pictures = shots(board, 8)
+    _, pictures = shots(board)
     seen = gather.collect(pictures, Wanted(square_m=board.square_m), say=said.append)
     found = seen.board
     assert found.words.replace("5X5_50", "5X5_250") == board.words
@@ -93,7 +96,7 @@ def test_large_circles_need_their_centres_corrected():
 def test_the_rows_of_a_board_are_counted_over_all_pictures(name):
     """While it is unknown how many rows a board has, more are looked for, and none is invented."""
     board = BOARDS[name]
-    _, pictures = shots(board, 3)
+    pictures = shots(board)[1][:3]
     searched = Wanted().searched(dataclasses.replace(board, rows=4))
     assert searched.rows > 12
     views = [corners.find(picture, searched) for picture in pictures]
@@ -154,7 +157,7 @@ def test_svg_and_pdf_have_the_same_shapes(name):
 
 def test_a_kind_and_a_size_that_are_given_are_kept():
     board = BOARDS["charuco"]
-    _, pictures = shots(board, 3)
+    pictures = shots(board)[1][:3]
     seen = gather.collect(pictures, Wanted(size=(7, 10), kind="charuco"))
     assert (str(seen.board), seen.board.ratio, len(seen.views)) == ("7x10", 0.75, 3)
     said = []
@@ -209,8 +212,8 @@ def test_targets_on_the_command_line(tmp_path):
 
 
 def test_lengths_are_stated_only_where_the_print_was_measured(tmp_path):
-    board = Board(6, 9, 0.07)
-    for number, picture in enumerate(shots(board, 7)[1]):
+    board = BOARDS["checkerboard"]
+    for number, picture in enumerate(shots(board)[1][:7]):
         write_png(tmp_path / f"{number}.png", picture)
     result = run("avcalib", "calibrate", tmp_path, "--board-shape", "yes", "--force")
     assert "% of a square and stretched" in result.stderr

@@ -49,7 +49,7 @@ def test_the_room_follows_slowly_but_not_where_somebody_is(room, rng):
     other[60:120, 100:140] = 250 - other[60:120, 100:140]
     pictures = [filmed(other, rng) for _ in range(20)]  # drawing their noise takes most of the time
     for people, moves in ((BOX, False), (np.zeros((0, 4)), True)):
-        for picture in 10 * pictures:
+        for picture in 8 * pictures:
             background.see(picture)
             background.learn(people)
         background.see(filmed(other, rng))

@@ -9,13 +9,16 @@ from pathlib import Path
 
 import orjson
 import pytest
+from forked import run_forked
 
 FILTER = [sys.executable, str(Path(__file__).with_name("copy_records.py"))]
 GOOD = b'{"timestamp":"0.1000000000","objects":[{"position":[1.0,2.0,null],"score":0.5,"extra":{}}]}\n'
 
 
-def copy(*options, stdin=GOOD, **keywords):
-    return subprocess.run([*FILTER, *map(str, options)], input=stdin, capture_output=True, timeout=60, **keywords)
+def copy(*options, stdin=GOOD):
+    result = run_forked("copy_records", *options, stdin=stdin)
+    result.stderr = result.stderr.encode()
+    return result
 
 
 def started(*options, **keywords):

@@ -304,17 +304,14 @@ def test_music_from_one_place_is_one_source():
 
 @pytest.mark.parametrize("scale", [1e-12, -1.0, 1e20])
 def test_any_scale_and_polarity(talk, found, scale):
-    for one, two in zip(found, localize(talk * scale), strict=True):
+    for one, two in zip(found[:8], localize(talk[:FS] * scale)[:8], strict=True):
         assert two.positions == pytest.approx(one.positions, abs=1e-3)
 
 
-def test_dc_is_not_heard(talk, found):
-    for one, two in zip(found[2:15], localize(talk + 0.3)[2:15], strict=True):
-        assert two.positions == pytest.approx(one.positions, abs=0.02)
-
-
-def test_dc_on_all_channels_is_named_and_none_is_left_out(talk):
+def test_dc_is_not_heard_but_named_on_each_channel_and_none_is_left_out(talk, found):
     decisions = localize(talk + 0.3)
+    for one, two in zip(found[2:15], decisions[2:15], strict=True):
+        assert two.positions == pytest.approx(one.positions, abs=0.02)
     assert noticed(decisions) == {f"channel {c + 1} is shifted by a constant (DC)" for c in range(8)}
     assert np.median(errors(decisions)) < 0.02
 
@@ -337,7 +334,7 @@ def noticed(decisions):
     ids=["dead", "shifted", "twins", "inverted", "clipped", "nan", "inf"],
 )
 def test_a_bad_channel_is_named_and_the_talker_still_found(talk, spoil, word):
-    decisions = localize(spoil(talk))
+    decisions = localize(spoil(talk[:FS]))
     assert np.median(errors(decisions)) < 0.02
     clearest = np.array([d.positions[0] for d in decisions if len(d.positions)])
     assert (np.hypot(*(clearest - PLACE)[:, :2].T) < 0.5).mean() >= 0.9

@@ -27,6 +27,10 @@ def schema(name):
     return orjson.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
 
 
+def camera_of(directory):
+    return json.dumps(json.loads((directory / "config.json").read_bytes())["camera_config"])
+
+
 def scores(truth, *tracks):
     result = run("aveval", truth, *tracks, "--format", "jsonl")
     assert result.returncode == 0, result.stderr
@@ -91,17 +95,19 @@ def test_the_experiment_has_the_layout_of_the_thesis(finished_s1):
 
 PIPELINE = """
 exec 3> >(avsim-audio -C out/s1 | avdetect-audio -C out/s1 >a.jsonl); ears=$!
-avsim-scene s1 -C out/s1 | tee /dev/fd/3 | avdetect-video -C out/s1 >v.jsonl
+avsim-scene s1 --duration 1 -C out/s1 | tee /dev/fd/3 | avdetect-video -C out/s1 >v.jsonl
 exec 3>&-; wait $ears
 avfuse -C out/s1 a.jsonl v.jsonl | tee t.jsonl | aveval out/s1/groundtruth_sources.jsonl -
 """
 
 
 @pytest.mark.slow
-def test_a_second_run_live_and_otherwise_hashed_gives_the_same_bytes(finished_s1, tmp_path):
+def test_a_second_run_live_and_otherwise_hashed_gives_the_same_bytes(small_s1, tmp_path):
     path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
+    (tmp_path / "camera.json").write_text(camera_of(small_s1))
+    pipeline = PIPELINE.replace("avsim-scene s1", "avsim-scene s1 --camera-config camera.json")
     result = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", PIPELINE],
+        ["bash", "-euo", "pipefail", "-c", pipeline],
         cwd=tmp_path,
         env={**os.environ, "PATH": path, "OPENBLAS_NUM_THREADS": "2", "PYTHONHASHSEED": "7"},
         capture_output=True,
@@ -115,22 +121,23 @@ def test_a_second_run_live_and_otherwise_hashed_gives_the_same_bytes(finished_s1
         ("v.jsonl", "localization/video_localizations.jsonl"),
         ("t.jsonl", "tracking/audio_video_tracking.jsonl"),
     ]:
-        assert (tmp_path / file).read_bytes() == (finished_s1 / made).read_bytes(), file
+        assert (tmp_path / file).read_bytes() == (small_s1 / made).read_bytes(), file
 
 
 @pytest.mark.parametrize("stage", ["avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "tee"])
 def test_a_stage_that_fails_at_once_ends_the_others(tmp_path, stage):
     lines = [line for line in PIPELINE.strip().splitlines() if not line.startswith("avfuse")]
-    short = "\n".join(lines).replace("avsim-scene s1", "avsim-scene s1 --duration 0.1 --pictures depth")
+    short = "\n".join(lines).replace("--duration 1", "--duration 0.1 --pictures depth")
     failing = short.replace(f"{stage} ", f"{stage} --no-such-option ", 1)
-    path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
+    environment, nursery = write_shims(tmp_path / "bin")
     result = subprocess.run(
         ["bash", "-o", "pipefail", "-c", failing + "; jobs -p"],
         cwd=tmp_path,
-        env={**os.environ, "PATH": path},
+        env=environment,
         capture_output=True,
         text=True,
         timeout=HANG_S,
+        pass_fds=[nursery],
     )
     assert "--no-such-option" in result.stderr or "unrecognized option" in result.stderr
     assert "Traceback" not in result.stderr
@@ -281,7 +288,9 @@ def test_nothing_in_nothing_out(finished_s1, command):
 
 
 def shortened(block: str) -> str:
-    """A block whose scenes of seconds are shorter: what it shows is the same."""
+    """A block whose scenes of seconds are shorter, and its pictures smaller: what it shows is the same."""
+    block = re.sub(r"(avsim-scene (?:s\d|random|mine\.json)) (?![^|\n]*--(?:lens|no-video|print))",
+                   r"\1 --camera-config small.json ", block)  # fmt: skip
     block = re.sub(r"--duration [1-9]\S*", "--duration 0.5", block)
     return re.sub(r"(avsim-scene s[1-4])(?=[^|\n]* -C )(?![^|\n]*--duration)", r"\1 --duration 0.5", block)
 
@@ -292,6 +301,7 @@ def test_the_examples_of_the_manual_run(small_s1, tmp_path, command):
     from test_house import examples_of, page_of
 
     shutil.copytree(small_s1, tmp_path / "out" / "s1")
+    (tmp_path / "small.json").write_text(camera_of(small_s1))
     environment, nursery = write_shims(tmp_path / "bin")
     for block in examples_of(page_of(command)):
         if re.search(r"\bjq\b", block) and not shutil.which("jq"):

@@ -322,12 +322,19 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(7, 4.5))
+    tools: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         if "p99.9_mm" in row:
-            axes.loglog(row["cpu_ms"], row["p99.9_mm"], "o" if row["lens"] == "kb8" else "s")
-            axes.annotate(f"{row['method']}, {row['lens']}", (row["cpu_ms"], row["p99.9_mm"]), fontsize=7)
+            name = "avcli, 1, 4 and 8 samples" if row["method"].startswith("rounded") else row["method"]
+            tools.setdefault(name, []).append(row)
+    for number, (name, found) in enumerate(tools.items()):
+        for lens, marker in (("kb8", "o"), ("division", "s")):
+            points = [(row["cpu_ms"], row["p99.9_mm"]) for row in found if row["lens"] == lens]
+            if points:
+                axes.loglog(*zip(*points, strict=True), marker, color=f"C{number}", label=f"{name}, {lens}")
     axes.set(xlabel="CPU ms a frame (1920 x 1080, three people)", ylabel="99.9 % depth error, mm")
     axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=7)
     figure.tight_layout()
     figure.savefig(path, metadata={"Date": None})
 
