@@ -18,6 +18,9 @@ from avcli.localization.windows import Heard
 _SURE = float(np.log(0.9 / 0.1))
 """Evidence from which a source is surely heard."""
 
+DOUBTED = 0.88
+"""The largest score while channels are doubted: the others agree on some place where somebody is beyond a wall, too."""
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -104,6 +107,8 @@ class PlaceFinder:
             more = {"fall": fall, "channels": heard.channels, "steady": steadiness(levels[:: -self.apart][::-1])}
             features = self.features(peak, number == 0 and not len(heard.steady), traces, noise, more)
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            if self.health.doubted.any():
+                score = min(score, DOUBTED)
             judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
         return sorted(judged, key=lambda one: -one.evidence)
 
