@@ -89,6 +89,32 @@ def test_a_thing_that_somebody_hid_is_known_again(room):
     assert evidence[later].max() < -1
 
 
+def arrived(room, *, bump=np.inf):
+    """Pictures of a room in which something comes into the box after 5 s, and of a camera that is bumped later."""
+    rng = np.random.default_rng(11)
+    other = np.kron(rng.integers(40, 180, (10, 8, 3)), np.ones((5, 5, 1)))
+    for time in np.arange(0, 20, 0.2):
+        picture = room.copy()
+        if time >= 5:
+            picture[60:110, 120:160] = other
+        picture = np.roll(picture, 3, axis=1) if time >= bump else picture
+        yield time, np.clip(np.rint(picture + 2 * rng.standard_normal(picture.shape)), 0, 255).astype(np.uint8)
+
+
+def test_who_came_after_the_film_began_may_keep_still(room):
+    evidence = told(arrived(room))
+    assert evidence[20:25].max() == DOUBT  # what is there from the beginning
+    assert evidence[26:].min() == 0
+
+
+def test_a_camera_that_was_bumped_does_not_make_people_of_things(room):
+    stillness = Stillness()
+    for time, picture in arrived(room, bump=8.0):
+        stillness.see(picture, time, BOX)
+    thing = np.array([[220.0, 60.0, 260.0, 110.0]])
+    assert stillness.evidence(thing)[0] == DOUBT
+
+
 def test_light_that_changes_everywhere_makes_no_difference(room):
     assert told(filmed(room, light=2.0))[-1] < -4
 
