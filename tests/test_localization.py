@@ -318,7 +318,7 @@ def lasting(steps, **changed):
 
 
 def test_what_is_weak_but_lasts_comes_to_count_and_what_is_unlikely_never_does():
-    weak, ghost = lasting(8, response=1.6, support=0.5), lasting(8, own=0.6)
+    weak, ghost = lasting(8, response=1.9, support=0.5), lasting(8, own=0.6)
     assert weak[0] < 0.0 < weak[-1]
     assert (np.diff(weak) > 0).all()
     assert ghost.max() < -1.4

@@ -237,7 +237,7 @@ class DirectionFinder:
         law: see DirectionLaw.
     """
 
-    outside = misfit = False  # along a ray there is always a place in the room; the law of directions has no misfit
+    outside = False  # along a ray there is always a place in the room
 
     def __init__(self, settings: SteeredSettings, response: RaySearch, masks: Masks, law: DirectionLaw):
         self.settings, self.response, self.masks, self.law = settings, response, masks, law

@@ -50,6 +50,9 @@ WHOLE, DELAYED = 0.75, 0.95
 PARAMETER = 30.0
 """What a delay that is fitted costs of the log likelihood."""
 
+UNSETTLED = 20
+"""In how many windows some channels must have been doubted, and in no fewer than half of all, until it is said."""
+
 FEW = 12
 """Up to how many channels two are doubted, or three and four turned over, at once; of more, one after another."""
 
@@ -124,6 +127,7 @@ class Health:
 
     def _forget(self) -> None:
         self.likelihood, self.windows = np.zeros(len(self.hypotheses)), 0
+        self.disputed, self.doubts = 0, np.zeros(len(self.order))  # windows with doubts, and of each channel
         self.patience = self.waited = EARLIEST
         self.recent: deque[Correlated] = deque(maxlen=RECENT)
         self.likely: Remedy | None = None
@@ -143,6 +147,12 @@ class Health:
     def out(self) -> np.ndarray:
         """Which channels (m,) are left out."""
         return self.doubted | self.held | self.faulty
+
+    @property
+    def unsettled(self) -> int | None:
+        """The channel, from 1, that is doubted most, where some have been most of the time; None where none have."""
+        often = self.disputed >= max(UNSETTLED, 0.5 * self.windows)
+        return int(self.order[np.argmax(self.doubts)]) + 1 if often else None
 
     @property
     def turn(self) -> np.ndarray | None:
@@ -165,6 +175,8 @@ class Health:
             deviation: of a GCC of noise.
         """
         self.windows += 1
+        self.disputed += bool(self.doubted.any())
+        self.doubts += self.doubted
         self._weigh(window)
         if self._response is None:
             return

@@ -1,6 +1,6 @@
 """Where talkers are, decision by decision: peaks of the steered response in metres, their scores and covariances."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,10 +18,9 @@ from avcli.localization.windows import Heard
 _SURE = float(np.log(0.9 / 0.1))
 """Evidence from which a source is surely heard."""
 
-FITS, MISFITS = 0.004, 10
-"""Residual, m, with which delays fit a place; and decisions without anybody that would report somebody if they did,
-from which this is said. S1, S3 and S4 have none. S1 with microphones moved by 3.5 cm at random has 1, 28 and 26 of 41,
-and two live ones of ten healthy random worlds have 13 and 24."""
+DOUBTED = 0.88
+"""The largest score while channels are doubted: where somebody is beyond a wall, the others agree on a place, too. This
+is cautious: in arrays as people build them, 96 % of 786 scores over .9 were right there."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,6 @@ class PlaceFinder:
 
     Attributes:
         outside: whether a source was surely heard, in the latest decision, on the edge of the room or beyond it.
-        misfit: whether talkers have mostly been left out so far because delays fit no place.
     """
 
     def __init__(
@@ -61,8 +59,7 @@ class PlaceFinder:
     ):
         self.settings, self.response, self.health, self.law = settings, response, health, law
         self.talkers = TalkerSearch(array, settings, masks, response)
-        self.outside = self.misfit = False
-        self.reporting = self.misfits = 0  # decisions that report somebody; that would, if the delays fitted
+        self.outside = False
         self.apart = max(1, round(LEVEL_S * settings.rate))  # decisions between two levels of a trace
 
     def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
@@ -88,21 +85,7 @@ class PlaceFinder:
             ]
         )
         self.outside = any(one.evidence > _SURE for one in judged[:1] if self.on_the_edge(one.peak.position)[:2].any())
-        talkers = self.report(time, judged, heard, noise)
-        if talkers:
-            self.reporting += 1
-        elif any(
-            self._score(replace(one.features, residual=min(one.features.residual, FITS)), one.peak)
-            >= self.settings.min_score
-            for one in judged
-        ):
-            self.misfits += 1
-        self.misfit = self.misfits >= max(MISFITS, self.reporting)
-        return talkers
-
-    def _score(self, features: uncertainty.Features, peak: Peak) -> float:
-        """Return the probability that a peak is right."""
-        return self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+        return self.report(time, judged, heard, noise)
 
     def judge(self, peaks: list[Peak], heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Judged]:
         """Return a decision's peaks with their scores, those first for which most speaks.
@@ -124,7 +107,10 @@ class PlaceFinder:
             levels = (*(_latest(traces).levels if traces else ()), peak.level)[-LEVELS * self.apart :]
             more = {"fall": fall, "channels": heard.channels, "steady": steadiness(levels[:: -self.apart][::-1])}
             features = self.features(peak, number == 0 and not len(heard.steady), traces, noise, more)
-            judged.append(Judged(self._score(features, peak), self.law.evidence(features), peak, features, levels))
+            score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            if self.health.doubted.any():
+                score = min(score, DOUBTED)
+            judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
         return sorted(judged, key=lambda one: -one.evidence)
 
     def features(

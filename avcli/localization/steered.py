@@ -28,9 +28,9 @@ from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.voice import VoiceMeter
 from avcli.localization.windows import Band, Correlator, Window, together
 
-MISFIT = (
-    "talkers are left out since the delays fit no place well: microphones are not where config.json says, or the room "
-    "is very live; avcalib microphones can tell"
+UNSETTLED = (
+    "channel {} or others are left out most of the time: they are noisy, or their microphones are not where config.json"
+    " says; avcalib microphones can tell"
 )
 
 
@@ -98,7 +98,7 @@ class SteeredLocalizer:
         self.steady = SteadySources(self.correlator, response, self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
-        self.told_misfit = False
+        self.told_unsettled = False
         self.windows = self.silent = 0  # so far, and those of them without a voice
         self.named = {(fault.channel, fault.kind) for fault in self.health.faults}
         self._noise: NoiseLaw | None = None
@@ -208,12 +208,12 @@ class SteeredLocalizer:
                 talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
                 if self.finder.outside:
                     notices.append("a source is on the edge of the room or outside it")
-                if self.finder.misfit and not self.told_misfit:
-                    notices.append(MISFIT)
-                    self.told_misfit = True
             features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, self.noise(1).deviation)
             notices += self._news() + self.steady.news()
+            if self.health.unsettled and not self.told_unsettled:
+                notices.append(UNSETTLED.format(self.health.unsettled))
+                self.told_unsettled = True
         return Decision.of(time, talkers, notices, features, self.health.faults, self.steady.told)
 
     def _news(self) -> list[str]:

@@ -156,6 +156,9 @@ class TalkerSearch:
                 position, response, value = fitted, response + gain, moved
         ranges = np.linalg.norm(position - self.array.microphones, axis=1)
         misfit = differences - (ranges[steered.first] - ranges[steered.second])
+        # What pairs agree on is of those that are there; their GCCs were scaled up for those that are not.
+        value, height, misfit = value[heard.pairs], np.maximum(height[heard.pairs], 0.0), misfit[heard.pairs]
+        scale = float(np.sqrt(heard.pairs.mean())) / noise.deviation
         places = position + velocity * offsets[:, None]
         each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
         coherence = self.masks.coherence(heard, position, velocity)
@@ -164,12 +167,12 @@ class TalkerSearch:
             position,
             velocity,
             response,
-            agreement=max(float(np.clip(value / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.0),
-            support=float(np.clip(height / (4.0 * noise.deviation), 0.0, 1.0).mean()),
+            agreement=max(float(np.clip(scale * value / 3.0, -1.0, 1.0).mean()), 0.0),
+            support=float(np.clip(scale * height / 4.0, 0.0, 1.0).mean()),
             own=float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12)),
             residual=float(np.sqrt(np.minimum(misfit**2, 0.02**2).mean())),
             strongest=float(max(each) / max(np.mean(each), 0.1 * noise.deviation)),
-            normal=normal / max(np.maximum(height, 0.0).mean(), 1e-9),
+            normal=normal / max(height.mean(), 1e-9),
             gccs=gccs,
             level=10.0 * float(np.log10(max(coherence[middle] @ heard.power[middle], 1e-30))),
         )

@@ -164,13 +164,16 @@ class Law:
         """Return how lasting a peak is: a mean over the decisions of its evidence, each from -4 to 2, plus 2.4.
 
         A peak that is weak but there again and again comes to count. A peak that stays without ever being likely, as
-        a talker's echoes do, counts against itself.
+        a talker's echoes do, counts against itself. Each decision's evidence is its own, without what was remembered
+        before: else what still rings in a room would keep alive for seconds who fell silent.
 
         Args:
             features: its own, and what was nearby before.
             kept: how much of that is kept, 0 to 1.
         """
-        return kept * features.before + (1.0 - kept) * float(np.clip(self.evidence(features), -4.0, 2.0) + 2.4)
+        weights = self.first if features.first else self.further
+        own = self.evidence(features) - weights["before"] * features.before
+        return kept * features.before + (1.0 - kept) * float(np.clip(own, -4.0, 2.0) + 2.4)
 
     def covariance(
         self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray

@@ -268,6 +268,7 @@ class Heard:
         offsets: (windows,) s of each from the moment.
         count: how many whole windows they amount to.
         channels: how many channels there are in the mean, at least 4.
+        pairs: (pairs,) bool, whose GCCs are in any window: of channels that are left out there are none.
         power: (windows, bins) mean over the channels of the squared spectra.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
         above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
@@ -280,6 +281,7 @@ class Heard:
     offsets: np.ndarray
     count: float
     channels: float
+    pairs: np.ndarray
     power: np.ndarray
     steady: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     above: np.ndarray | None = None
@@ -292,7 +294,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         windows: each with its offset in s from the moment.
         out: (m,) bool, which channels are left out.
     """
-    gccs, spectra, shares, parts, offsets, powers, channels = [], [], [], [], [], [], []
+    gccs, spectra, shares, parts, offsets, powers, channels, pairs = [], [], [], [], [], [], [], []
     first, second = correlation.pairs(len(out))
     usable = [(window, offset) for window, offset in windows if (window.good & ~out).sum() >= 4]
     loudest = max((float(window.power.sum()) for window, _ in usable), default=0.0)
@@ -302,6 +304,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         good = window.good & ~out
         channels.append(float(good.sum()))
         kept = good[first] & good[second]
+        pairs.append(kept)
         whole = bool(good.all())
         gccs.append(window.gcc if whole else window.gcc * kept[:, None])
         spectra.append(window.whitened if whole else window.whitened * good[:, None])
@@ -320,5 +323,6 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         np.array(offsets),
         float(weights.sum()),
         float(np.mean(channels)),
+        np.any(pairs, axis=0),
         np.stack(powers),
     )

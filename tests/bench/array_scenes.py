@@ -36,6 +36,9 @@ MACHINES_FROM, MACHINES = 10000, ("machine", "machine beside a talker")
 """Scenes with a machine are drawn by numbers from here; what they are called."""
 FEW_FROM, FEW = 20000, (4, 4, 5, 6)
 """Scenes by numbers from here have so few microphones: of the others too few have four, where a score is hardest."""
+MISPLACED_M, NOISY, LOUDEST_DB, FAULTS = 0.03, 1 / 3, (-5.0, 10.0), 5
+"""m: up to what standard deviation microphones are misplaced in arrays as people build them; the share of these with
+one or two noisy channels; the dB by which a voice is over the noise of one; and the number that draws all this."""
 DECIDES = {"0", "1"}
 """The recordings of machines that decide, by their numbers; the others judge."""
 IMAGES = 12
@@ -54,6 +57,8 @@ class Given:
         rt60: s.
         noise_db: noise below the voices.
         rate: Hz.
+        misplaced: m, the standard deviation in x, y and z by which microphones are not where they are said to be.
+        noisy: how many channels are noise, or drown in it.
     """
 
     split: str
@@ -66,6 +71,8 @@ class Given:
     rt60: float
     noise_db: float
     rate: int
+    misplaced: float = 0.0
+    noisy: int = 0
 
 
 def drawn(split: str, number: int) -> tuple[Given, Array, np.random.Generator]:
@@ -83,7 +90,7 @@ def drawn(split: str, number: int) -> tuple[Given, Array, np.random.Generator]:
         )
         microphones = placed(kind, count, room, rng)
         array = Array(microphones, int(rng.choice(RATES)), room.round(3), SPEED)
-        if array.spread[1] > 0.05 and observes_ranges(array, np.array([0, 0, 0.8]), np.array([*room[:2], 2.0])):
+        if observes(array):
             break
     act = str(rng.choice(ACTS))
     rt60 = float(np.exp(rng.uniform(np.log(0.1), np.log(1.2))))
@@ -94,6 +101,13 @@ def drawn(split: str, number: int) -> tuple[Given, Array, np.random.Generator]:
         int(array.sample_rate),
     )  # fmt: skip
     return given, array, rng
+
+
+def observes(array: Array) -> bool:
+    """Tell whether an array observes places and not mere directions."""
+    return bool(
+        array.spread[1] > 0.05 and observes_ranges(array, np.array([0, 0, 0.8]), np.array([*array.room[:2], 2.0]))
+    )
 
 
 def placed(kind: str, count: int, room: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -160,6 +174,31 @@ def scene(split: str, number: int, speech: Sequence[Sound]) -> tuple[Given, Scen
         noise = np.fft.irfft(spectrum, len(noise), axis=0)
         noise /= noise.std()
     return given, Scene(0, given.rt60, array, (samples + level * noise).astype(np.float32), people)
+
+
+def as_built(given: Given, healthy: Scene) -> tuple[Given, Scene]:
+    """Return a scene with an array as people build it: its places come from a tape, and channels may be noisy.
+
+    Half of the noisy channels are noise alone. Of four microphones all are needed, and none is noisy.
+
+    Args:
+        given, healthy: what `scene` returns.
+    """
+    rng = np.random.default_rng([SEEDS[given.split], given.number, FAULTS])
+    array, samples, count = healthy.array, healthy.samples.copy(), given.count
+    misplaced = float(rng.uniform(0.0, MISPLACED_M))
+    while True:
+        places = array.microphones + rng.normal(0.0, misplaced, array.microphones.shape)
+        if observes(moved := replace(array, microphones=places)):
+            break
+    noisy = int(rng.integers(1, 3 if count > 5 else 2)) if count > 4 and rng.random() < NOISY else 0
+    for channel in rng.choice(count, noisy, replace=False):
+        noise = samples[:, channel].std() * rng.standard_normal(len(samples), np.float32)
+        drowned = rng.random() < 0.5
+        level = 10.0 ** (-rng.uniform(*LOUDEST_DB) / 20.0)
+        samples[:, channel] = samples[:, channel] + level * noise if drowned else noise
+    given = replace(given, misplaced=round(misplaced, 4), noisy=noisy)
+    return given, replace(healthy, array=moved, samples=samples)
 
 
 def own(

@@ -3,9 +3,10 @@
     make setup-bench bench-scores BENCH_FLAGS="--noises FOLDER"    # scores.md and scores.jsonl in bench-out/
     make bench-scores BENCH_FLAGS="--scenes 40 --cache DIR"        # fewer scenes; DIR keeps the simulated ones
 
-The scenes are those of array_scenes.py, by our own simulator and by pyroomacoustics. `make fit-scores` fits to other
-ones. A detection is right within 0.5 m in x and y of a talker who is not taken and who sounds within 0.15 s. With
-recordings of machines (see bench_steady.py) there are scenes in which one sounds, by itself or beside a talker.
+The scenes are those of array_scenes.py, by our own simulator and by pyroomacoustics, each with its array as it is said
+to be, and as people build it. `make fit-scores` fits to other ones. A detection is right within 0.5 m in x and y of a
+talker who is not taken and who sounds within 0.15 s. With recordings of machines (see bench_steady.py) there are scenes
+in which one sounds, by itself or beside a talker.
 """
 
 import argparse
@@ -32,7 +33,18 @@ if importlib.util.find_spec("pyroomacoustics") is None:
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np  # noqa: E402
-from array_scenes import FEW_FROM, MACHINES, SECONDS, Given, machine_scene, machines, recordings, scene  # noqa: E402
+from array_scenes import (  # noqa: E402
+    FEW_FROM,
+    MACHINES,
+    MISPLACED_M,
+    SECONDS,
+    Given,
+    as_built,
+    machine_scene,
+    machines,
+    recordings,
+    scene,
+)
 from fit_localization import NEARBY_S, match  # noqa: E402
 from localization_scenes import Person, Scene  # noqa: E402
 
@@ -66,6 +78,7 @@ class Peak:
         right: whether a talker is there.
         inside: whether the error in x and y is within the 95 % ellipse.
         walks: whether its talker moves.
+        sounds: whether its talker sounds at this time.
         together: whether two talkers sound at this time, its own one of them.
         quiet: s since the last word where nobody sounds now or in the next 0.15 s; 0 else.
     """
@@ -77,6 +90,7 @@ class Peak:
     right: bool
     inside: bool
     walks: bool
+    sounds: bool
     together: bool
     quiet: float
 
@@ -94,7 +108,9 @@ class Witness(PlaceFinder):
         quiet, sounding = quiet_for(self.people, time), [one.sounds(time) for one in self.people]
         for one in judged:
             if not self.people:
-                self.seen.append(Peak(self.given, time, one.features, one.score, False, False, False, False, 0.0))
+                self.seen.append(
+                    Peak(self.given, time, one.features, one.score, False, False, False, False, False, 0.0)
+                )
                 continue
             right, nearest, error = match(one.peak.position, time, self.people, taken)
             person, level, inside = self.people[nearest], error[:2], False
@@ -102,8 +118,11 @@ class Witness(PlaceFinder):
                 spread = self.covariance(one, heard.offsets, noise)[:2, :2]
                 inside = bool(level @ np.linalg.solve(spread, level) < CHI2_95)
             walks = bool(np.linalg.norm(person.at(time + 0.1) - person.at(time - 0.1)) > 0.02)
-            together = sum(sounding) > 1 and sounding[nearest]
-            self.seen.append(Peak(self.given, time, one.features, one.score, right, inside, walks, together, quiet))
+            sounds = sounding[nearest]
+            together = sum(sounding) > 1 and sounds
+            self.seen.append(
+                Peak(self.given, time, one.features, one.score, right, inside, walks, sounds, together, quiet)
+            )
         return []
 
 
@@ -118,7 +137,8 @@ def quiet_for(people: Sequence[Person], time: float) -> float:
 def scenes(options: argparse.Namespace, split: str) -> Iterator[tuple[Given, Scene]]:
     """Yield the scenes of a split, those with few microphones, and those with machines where recordings of these are.
 
-    Scenes that the cache has are not simulated again.
+    Each but those with machines comes twice, with the array as it is said to be and `as_built`. Scenes that the cache
+    has are not simulated again.
     """
     spoken = recordings(split, options.speech)
     whole = [
@@ -134,19 +154,29 @@ def scenes(options: argparse.Namespace, split: str) -> Iterator[tuple[Given, Sce
     for name, make in whole:
         kept = options.cache / name if options.cache else None
         if kept and kept.exists():
-            yield pickle.loads(kept.read_bytes())
-            continue
-        made = make()
-        if kept:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_bytes(pickle.dumps(made))
+            made = pickle.loads(kept.read_bytes())
+        else:
+            made = make()
+            if kept:
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                kept.write_bytes(pickle.dumps(made))
         yield made
+        if made[0].act not in MACHINES:
+            yield as_built(*made)
 
 
-def peaks(heard: Iterator[tuple[Given, Scene]], law: uncertainty.Law) -> tuple[list[Peak], int]:
-    """Return the peaks that the localizer finds in scenes with a law, and how many talkers it could find who sound
-    together, decision by decision."""
-    found, together = list[Peak](), 0
+@dataclass(frozen=True)
+class Spoken:
+    """How many talkers could be found in a scene, decision by decision: all of them, and those who sound together."""
+
+    given: Given
+    all: int
+    together: int
+
+
+def peaks(heard: Iterator[tuple[Given, Scene]], law: uncertainty.Law) -> tuple[list[Peak], list[Spoken]]:
+    """Return the peaks that the localizer finds in scenes with a law, and whom it could find in each scene."""
+    found, spoken = list[Peak](), list[Spoken]()
     for given, one in heard:
         localizer = SteeredLocalizer(one.array, SteeredSettings(), np.random.default_rng(0), law)
         if not isinstance(localizer.finder, PlaceFinder):
@@ -157,9 +187,10 @@ def peaks(heard: Iterator[tuple[Given, Scene]], law: uncertainty.Law) -> tuple[l
         found += witness.seen
         times = np.arange(0.0, SECONDS, 0.1)
         sounding = np.array([[person.sounds(time) for time in times] for person in one.people]).reshape(-1, len(times))
-        together += int((sounding.sum(axis=0) * (sounding.sum(axis=0) > 1)).sum())
+        talking = sounding.sum(axis=0)
+        spoken.append(Spoken(given, int(talking.sum()), int((talking * (talking > 1)).sum())))
         print(f"{given.split} {given.number}: {len(witness.seen)} peaks", file=sys.stderr, flush=True)
-    return found, together
+    return found, spoken
 
 
 def log_loss(right: np.ndarray, score: np.ndarray) -> float:
@@ -186,9 +217,11 @@ def reliability(found: Sequence[Peak], score: np.ndarray) -> list[dict[str, Any]
     return rows
 
 
-def conditions(found: Sequence[Peak]) -> list[dict[str, Any]]:
+def conditions(found: Sequence[Peak], spoken: Sequence[Spoken]) -> list[dict[str, Any]]:
     """Return for each condition how many are reported, how many of these are right, and how many ellipses hold."""
     kinds: dict[str, Any] = {
+        "places off, cm:": lambda one: _step(100 * one.given.misplaced, (0, 1, 2, 3)) if one.given.misplaced else "0",
+        "noisy channels": lambda one: one.given.noisy,
         "simulator": lambda one: one.given.simulator,
         "array": lambda one: one.given.kind,
         "people": lambda one: one.given.act,
@@ -205,6 +238,8 @@ def conditions(found: Sequence[Peak]) -> list[dict[str, Any]]:
             right, sure = [one for one in mine if one.right], [one for one in mine if one.score > SURE]
             if not right:
                 continue
+            # Whether a talker walks is not told of those whom nobody finds.
+            heard = sum(one.all for one in spoken if of(one) == value) if what != "talker" else 0
             rows.append({
                 "condition": f"{what} {value}", "scenes": len({one.given.number for one in mine}),
                 "reported": len(mine),
@@ -212,6 +247,7 @@ def conditions(found: Sequence[Peak]) -> list[dict[str, Any]]:
                 "true": round(len(right) / len(mine), 3), "sure": len(sure),
                 "sure_wrong": sum(not one.right for one in sure),
                 "in_95": round(float(np.mean([one.inside for one in right])), 3),
+                "recall": round(sum(one.sounds for one in right) / heard, 3) if heard else None,
             })  # fmt: skip
     return rows
 
@@ -235,11 +271,11 @@ def counted(score: np.ndarray, right: np.ndarray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def figures(found: Sequence[Peak], together: int, law: uncertainty.Law) -> dict[str, Any]:
+def figures(found: Sequence[Peak], spoken: Sequence[Spoken], law: uncertainty.Law) -> dict[str, Any]:
     """Return what is said and what is true, for first and further peaks and by condition.
 
     Args:
-        found, together: see `peaks`.
+        found, spoken: see `peaks`.
         law: that found them.
     """
     told: dict[str, Any] = {"machines": []}
@@ -251,24 +287,29 @@ def figures(found: Sequence[Peak], together: int, law: uncertainty.Law) -> dict[
             row = {"what": act, "scenes": len({one.given.number for one in mine})}
             told["machines"].append({**row, "now": counted(score, right), "without": counted(level, right)})
     found = [one for one in found if one.given.act not in MACHINES]
+    spoken = [one for one in spoken if one.given.act not in MACHINES]
     for name, first in (("first", True), ("further", False)):
         mine = [one for one in found if one.features.first == first]
         score, right = np.array([one.score for one in mine]), np.array([one.right for one in mine])
+        built = np.array([one.given.misplaced > 0.0 for one in mine])
         evidence = np.array([law.evidence(one.features) for one in mine])
         told[name] = {
             "peaks": len(mine),
             **counted(score, right),
+            "said_places": counted(score[~built], right[~built]),
+            "as_built": counted(score[built], right[built]),
             "evidence": counted(1.0 / (1.0 + np.exp(-np.clip(evidence, -30.0, 30.0))), right),
             "bins": reliability(mine, score),
         }
     reported = [one for one in found if one.score >= 0.5]
     late = [one.quiet for one in reported if one.quiet > LATE_S]
+    together = sum(one.together for one in spoken)
     told["together"] = {
         "recall": round(sum(one.together and one.right for one in reported) / max(together, 1), 3),
         "of": together,
     }
     told["late"] = {"reports": len(late), "latest_s": round(max(late, default=0.0), 2)}
-    return {"scenes": len({one.given.number for one in found}), **told, "conditions": conditions(found)}
+    return {"scenes": len({one.given.number for one in found}), **told, "conditions": conditions(found, spoken)}
 
 
 def page(told: dict[str, Any], split: str) -> str:
@@ -278,7 +319,9 @@ def page(told: dict[str, Any], split: str) -> str:
 By `make bench-scores` (split {split}, {told["scenes"]} scenes of {SECONDS:g} s). Each scene draws its array (4 to 32
 microphones), its room (3 to 20 m), its reverberation time (.1 to 1.2 s), noise (5 to 40 dB below the voices), and what
 one or two people do. Half of them are our own simulator's, half pyroomacoustics'. What decided the scores has other
-seeds and another speaker, and no array of the kind "pairs". A detection is right within 0.5 m in x and y of a talker.
+seeds and another speaker, and no array of the kind "pairs". Each scene comes twice: with microphones where they are
+said to be, and as people build arrays, with places off by a standard deviation of 0 to {100 * MISPLACED_M:g} cm in each
+axis, and in a third of them with one or two noisy channels. A detection is right within 0.5 m in x and y of a talker.
 A bin counts where it has {LEAST} peaks of {RUNS} scenes; its true share may be {FAR} from what is said.
 """
     for name, what in (("first", "The first talker of a decision"), ("further", "Further talkers")):
@@ -292,6 +335,8 @@ A bin counts where it has {LEAST} peaks of {RUNS} scenes; its true share may be 
 | --- | ---: | ---: | ---: | ---: | ---: |
 {_counts("before", one["evidence"])}
 {_counts("now", one)}
+{_counts("now, places as said", one["said_places"])}
+{_counts("now, as built", one["as_built"])}
 
 | score | peaks | scenes | said | true | |
 | --- | ---: | ---: | ---: | ---: | --- |
@@ -326,15 +371,16 @@ lowered where something goes on as steadily.
     text += f"""
 ## By condition
 
-Of what is reported: said, true, how many scores over {SURE} are wrong, and the share of right ones within the 95 %
-ellipse in x and y.
+Of what is reported: said, true, how many scores over {SURE} are wrong, the share of right ones within the 95 % ellipse
+in x and y, and how many of the talkers who sound are reported.
 
-| condition | scenes | reported | said | true | sure | wrong | in 95 % |
-| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+| condition | scenes | reported | said | true | sure | wrong | in 95 % | recall |
+| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
 """
     for row in told["conditions"]:
         text += f"| {row['condition']} | {row['scenes']} | {row['reported']} | {row['said']:.3f} | {row['true']:.3f} |"
-        text += f" {row['sure']} | {row['sure_wrong']} | {row['in_95']:.3f} |\n"
+        text += f" {row['sure']} | {row['sure_wrong']} | {row['in_95']:.3f} |"
+        text += f" {row['recall']:.3f} |\n" if row["recall"] is not None else " |\n"
     return text
 
 
@@ -363,8 +409,8 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     law = uncertainty.fitted_law()
-    found, together = peaks(scenes(options, options.split), law)
-    told = figures(found, together, law)
+    found, spoken = peaks(scenes(options, options.split), law)
+    told = figures(found, spoken, law)
     (options.out / "scores.jsonl").write_text(json.dumps(told) + "\n")
     (options.out / "scores.md").write_text(page(told, options.split))
 

@@ -1,11 +1,11 @@
 """Fit the scores of avdetect-audio to many arrays, and write them to avcli/localization/fitted.json.
 
-    make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # half an hour; recordings as bench_steady.py has them
+    make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # an hour; recordings as bench_steady.py has them
     make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
 
-The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones. What is
-remembered of a decision does not depend on the score, so that the peaks are the same whatever it is.
-`make bench-scores` measures the result on the split "judge".
+The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones, each with its
+array as it is said to be and as people build it. What is remembered of a decision does not depend on the score, so that
+the peaks are the same whatever it is. `make bench-scores` measures the result on the split "judge".
 """
 
 import json
@@ -121,6 +121,7 @@ def main() -> None:
         "scenes_with_four_to_six_microphones": options.few,
         "scenes_with_machines": len({one.given.number for one in found if one.given.act in MACHINES}),
         "split": "decide",
+        "arrays": "each as it is said to be, and as people build it",
         "speech": "CMU ARCTIC aew, and the built-in voices",
         "log_loss": losses,
     }
