@@ -1,6 +1,8 @@
 """A real browser for the tests of pages."""
 
+import atexit
 import base64
+import functools
 import json
 import os
 import select
@@ -11,17 +13,17 @@ import time
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
-class Browser:
-    """A headless Chromium, spoken to by the DevTools protocol over a pipe, with one page open."""
+class _Chromium:
+    """A headless Chromium, spoken to by the DevTools protocol over a pipe: one for all pages of a process."""
 
-    def __init__(self, url):
+    def __init__(self):
         to_read, self._to = os.pipe()
         self._from, to_write = os.pipe()
         command = (
             f'exec "{CHROMIUM}" --headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage '
             f"--remote-debugging-pipe --no-first-run --disable-background-networking 3<&{to_read} 4>&{to_write}"
         )
-        self.process = subprocess.Popen(
+        self._process = subprocess.Popen(
             ["bash", "-c", command],
             pass_fds=(to_read, to_write),
             stdin=subprocess.DEVNULL,
@@ -30,21 +32,15 @@ class Browser:
         )
         os.close(to_read)
         os.close(to_write)
-        self._number, self._rest, self._session = 0, b"", None
-        self.events = []
-        target = self.send("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.send(f"{domain}.enable")
-        self.size(1280, 900)
-        self.send("Page.navigate", url=url)
-        self.wait("document.readyState === 'complete' && !!document.getElementById('clock').textContent")
+        self._number, self._rest = 0, b""
+        atexit.register(self._end)
 
-    def send(self, method, **parameters):
+    def send(self, method, session, events, **parameters):
+        """Send a command to the page of a session (None: to the browser), and return its result; events are added."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
+        if session:
+            message["sessionId"] = session
         os.write(self._to, json.dumps(message).encode() + b"\0")
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
@@ -59,9 +55,37 @@ class Browser:
             if answer.get("id") == self._number:
                 assert "error" not in answer, answer
                 return answer["result"]
-            if "method" in answer:
-                self.events.append(answer)
+            if "method" in answer and answer.get("sessionId") == session:
+                events.append(answer)
         raise TimeoutError(method)
+
+    def _end(self):
+        self._process.terminate()
+        self._process.wait()
+        os.close(self._to)
+        os.close(self._from)
+
+
+_chromium = functools.cache(_Chromium)
+
+
+class Browser:
+    """A browser with one page open, which shares nothing with another one: no storage, no cache."""
+
+    def __init__(self, url):
+        self._session = None
+        self.events = []
+        self._context = self.send("Target.createBrowserContext")["browserContextId"]
+        target = self.send("Target.createTarget", url="about:blank", browserContextId=self._context)["targetId"]
+        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.send(f"{domain}.enable")
+        self.size(1280, 900)
+        self.send("Page.navigate", url=url)
+        self.wait("document.readyState === 'complete' && !!document.getElementById('clock').textContent")
+
+    def send(self, method, **parameters):
+        return _chromium().send(method, self._session, self.events, **parameters)
 
     def run(self, expression):
         answer = self.send(
@@ -113,7 +137,5 @@ class Browser:
         return found
 
     def close(self):
-        self.process.terminate()
-        self.process.wait()
-        os.close(self._to)
-        os.close(self._from)
+        self._session = None
+        self.send("Target.disposeBrowserContext", browserContextId=self._context)

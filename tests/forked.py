@@ -12,6 +12,7 @@ import json
 import os
 import pkgutil
 import resource
+import runpy
 import select
 import signal
 import socket
@@ -60,7 +61,7 @@ def run_forked(
     """Run a command's own main in a process of its own; stdout is bytes, stderr text.
 
     Args:
-        command: "avfuse", or the name of a module beside this one that has a `main`.
+        command: "avfuse", the name of a module beside this one that has a `main`, or the path of a program in Python.
         args: of its command line.
         stdin: content of its standard input, a pipe.
         cwd: its directory, by default this process's.
@@ -180,10 +181,18 @@ def _run(files, command, args, cwd, env, largest_file=None):
             resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         sys.argv = [command, *args]
-        module = f"avcli.commands.{command.replace('-', '_')}" if command.startswith("av") else command
-        importlib.import_module(module).main()
+        if command.endswith(".py"):
+            sys.path.insert(0, str(Path(command).parent))
+            runpy.run_path(command, run_name="__main__")
+        else:
+            module = f"avcli.commands.{command.replace('-', '_')}" if command.startswith("av") else command
+            importlib.import_module(module).main()
+        status = 0
     except SystemExit as end:
         status = end.code or 0
+        if isinstance(status, str):  # what Python does with it
+            print(status, file=sys.stderr)
+            status = 1
     except BaseException:
         traceback.print_exc()
     finally:

@@ -247,12 +247,42 @@ def near(seed, views, pupil=0.0, printed=0.0, shared=0.0):
     return replace(o, pixels=pixels)
 
 
+def uneven(seed, views):
+    """As `near`, but the errors that a view shares are far larger in some views than in others."""
+    o = near(seed, views)
+    rng = np.random.default_rng(seed)
+    u, v = (o.points / o.half_extent).T
+    bends = 0.05 * np.exp(rng.standard_normal((views, 1, 1))) * rng.standard_normal((views, 5, 2))
+    bent = np.einsum("nb,nbi->ni", np.stack([u, v, u * u, u * v, v * v], -1), bends[o.view])
+    return replace(o, pixels=o.pixels + bent)
+
+
 def far_off(o, solution):
     """Actual and stated error of the wide lens for what is far away, px, where corners were seen."""
     grid = field.grid(*WIDE_SIZE, step=60).reshape(-1, 2)
     rays = WIDE.unproject(grid[field.seen_angles(WIDE, grid) < np.nanmax(field.seen_angles(WIDE, o.pixels))])
     off = solution.lens.project(field.turned_to(WIDE, solution.lens, o.pixels, rays)) - WIDE.project(rays)
     return np.sqrt((off**2).sum(1).mean()), np.sqrt((field.errors(solution, o.pixels, rays)[0] ** 2).mean())
+
+
+def test_corners_beyond_the_robust_limit_hold_the_lens_half_as_well():
+    o, solution = filmed(8, 12, 0.3)
+    near_all, far_all = (replace(solution, delta_px=delta) for delta in (1e9, 1e-9))
+    k = solution.free.sum()
+    same, plain = (fit.blocks(o, near_all, newton=newton).gram for newton in (True, False))
+    np.testing.assert_array_equal(same, plain)
+    bent, weighed = (fit.blocks(o, far_all, newton=newton).gram for newton in (True, False))
+    np.testing.assert_allclose(bent[:, :k, :k], weighed[:, :k, :k] / 2)
+    np.testing.assert_allclose(bent[:, :-1, -1], weighed[:, :-1, -1])
+
+
+def test_views_whose_errors_differ_in_size_state_what_is_true():
+    pulls = []
+    for seed in range(300, 316):
+        o = uneven(seed, 24)
+        solution, good = robust.fit_robustly(o, *WIDE_SIZE)
+        pulls.append(np.divide(*far_off(o.of_corners(good), solution)))
+    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.3
 
 
 @pytest.mark.parametrize("seed", [50, 51, 52])

@@ -1,8 +1,6 @@
 """Importers of public data sets, on small files of the same layout."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,6 +9,7 @@ import pytest
 import scipy.io
 import soundfile
 from conftest import run
+from forked import run_forked
 from localization_rooms import MICROPHONES, heard, voice
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "datasets"
@@ -49,8 +48,7 @@ def locata(tmp_path_factory):
 
 
 def importer(name, *arguments):
-    command = [sys.executable, EXAMPLES / f"{name}.py", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True)
+    return run_forked(str(EXAMPLES / f"{name}.py"), *arguments)
 
 
 def imported(folder, out):

@@ -1,33 +1,19 @@
 """examples/sweep: what a worker makes is what the commands make, and a killed worker's scenes are made again."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from conftest import run
+from forked import run_forked
 
 SWEEP = Path(__file__).resolve().parents[1] / "examples" / "sweep"
 FOLDER = Path("s1/audio/seconds~0.5/t60~0/noise~30")
 
 
 def worker(out, seeds="3-4"):
-    command = [
-        sys.executable,
-        SWEEP / "scenes.py",
-        "--scenario",
-        "s1",
-        "--t60",
-        "0",
-        "--noise",
-        "30",
-        "--seconds",
-        "0.5",
-    ]
-    return subprocess.run(
-        list(map(str, [*command, "--seeds", seeds, "--out", out / FOLDER])), capture_output=True, text=True
-    )
+    wanted = "--scenario", "s1", "--t60", "0", "--noise", "30", "--seconds", "0.5", "--seeds", seeds
+    return run_forked(str(SWEEP / "scenes.py"), *wanted, "--out", out / FOLDER)
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +65,8 @@ def test_a_killed_workers_scenes_are_made_again_and_no_other(swept):
 
 
 def test_a_worker_that_fails_says_what_failed(tmp_path):
-    command = [sys.executable, SWEEP / "scenes.py", "--scenario", "nowhere.json", "--t60", "0", "--noise", "30"]
-    result = subprocess.run([*command, "--seeds", "0-0", "--out", tmp_path], capture_output=True, text=True)
+    wanted = "--scenario", "nowhere.json", "--t60", "0", "--noise", "30", "--seeds", "0-0", "--out", tmp_path
+    result = run_forked(str(SWEEP / "scenes.py"), *wanted)
     assert result.returncode == 1
     assert "scenes.py: avsim-scene nowhere.json" in result.stderr
     assert "exit code 2" in result.stderr
@@ -88,7 +74,7 @@ def test_a_worker_that_fails_says_what_failed(tmp_path):
 
 def test_the_table_has_a_row_for_each_combination(swept):
     pytest.importorskip("matplotlib")
-    result = subprocess.run([sys.executable, SWEEP / "collect.py", swept], capture_output=True, text=True)
+    result = run_forked(str(SWEEP / "collect.py"), swept)
     assert result.returncode == 0, result.stderr
     head, _, row = (swept / "table.md").read_text().splitlines()
     cells = dict(zip(head.split(" | "), row.split(" | "), strict=True))

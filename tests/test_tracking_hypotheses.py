@@ -134,6 +134,29 @@ def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
     assert never.probability == 0.0
 
 
+def test_what_one_person_says_of_blindness_can_be_left_out():
+    blindness, others = Blindness(ever=True), Blindness(ever=True)
+    for one in (blindness, others):
+        one.update(1.0, 1e-4)
+    blindness.update(0.1, 40.0 * 0.01)
+    others.update(0.1, 0.01)
+    assert blindness.without(40.0) == pytest.approx(others.probability)
+    assert blindness.without(1.0) == pytest.approx(blindness.probability)
+
+
+@pytest.mark.parametrize("metres", [0.5, 0.8])
+def test_one_detection_while_nobody_else_is_found_is_hardly_the_person_beside_it(metres):
+    """Three people stand; the sensor goes blind, and after 0.8 s something false appears beside one of them."""
+    tracker = GLMB(Settings(learn=False), Population(((0.0, 0.0), (8.0, 6.0))), [sensor("video")])
+    places = np.array([[2.0, 2.0], [5.0, 4.0], [6.0, 1.0]])
+    for k in range(49):
+        z = places if k < 40 else places[:1] + np.array([metres, 0.0]) if k == 48 else places[:0]
+        tracker.update(k / 10, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+        tracks = tracker.tracks(k / 10)
+    assert tracks[0].existence < 0.9
+    assert np.linalg.norm(tracks[0].state[:2] - places[0]) < 0.1
+
+
 def test_the_longer_a_sensor_finds_nobody_the_likelier_it_is_that_everybody_left():
     blindness, left = Blindness(ever=True), []
     for _ in range(200):

@@ -13,21 +13,43 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "bench"))
 
 import fit_existence
 
+from avcli.formats.sensors import MICROPHONES
+from avcli.tracking import coverage
+from avcli.tracking.glmb import GLMB
+from avcli.tracking.model import Population
+from avcli.tracking.settings import Settings, sensor
 from avcli.tracking.trust import FITTED, TRUST, Curve, Trust
 
 probabilities = st.floats(0.0, 1.0)
 
 
-@given(probabilities, probabilities, st.booleans(), st.integers(1, 9))
-def test_who_is_believed_in_more_is_likelier_there(one, other, detected, count):
+@given(probabilities, probabilities, st.booleans(), st.integers(1, 9), st.booleans())
+def test_who_is_believed_in_more_is_likelier_there(one, other, detected, count, watched):
     low, high = sorted((one, other))
-    assert 0 <= TRUST.of(low, detected, count) <= TRUST.of(high, detected, count) <= 1
+    assert 0 <= TRUST.of(low, detected, count, watched) <= TRUST.of(high, detected, count, watched) <= 1
 
 
 @given(st.floats(0.35, 0.95))
 def test_who_is_detected_is_likelier_there_and_most_of_all_who_is_detected_again(believed):
-    said = [TRUST.of(believed, *how) for how in ((False, 1), (True, 1), (True, 2))]
+    said = [TRUST.of(believed, *how, True) for how in ((False, 1), (True, 1), (True, 2))]
     assert said == sorted(said)
+
+
+@given(st.floats(0.35, 0.95), st.integers(1, 9))
+def test_a_miss_says_less_where_no_camera_looks(believed, count):
+    missed, away = (TRUST.of(believed, False, count, watched) for watched in (True, False))
+    assert missed < away
+    assert TRUST.of(believed, True, count, False) == TRUST.of(believed, True, count, True)
+
+
+@pytest.mark.parametrize(("named", "looks"), [(("video", "audio"), [True, False]), (("audio",), [True, True])])
+def test_a_camera_looks_where_it_would_detect_half_of_the_people_it_can_detect(named, looks):
+    share = np.ones((40, 40))
+    share[20:] = coverage.LEAST  # nobody is in the picture beyond x = 2 m
+    field = coverage.Coverage(np.zeros(2), coverage.STEP, share)
+    known = {"video": sensor("video", coverage=field), "audio": sensor("audio", MICROPHONES)}
+    sensors = [known[name] for name in named]
+    assert GLMB(Settings(), Population(), sensors).watched(np.array([[1.0, 1.0], [3.0, 1.0]])) == looks
 
 
 def test_the_fit_finds_the_curve_that_made_the_truth():

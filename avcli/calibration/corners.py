@@ -3,8 +3,9 @@
 A picture is (height, width) uint8 here; `to_grey` makes one of any other.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -47,6 +48,17 @@ class View:
     width: int
     height: int
     blur: Blur | None = None
+
+    @cached_property
+    def middle(self) -> tuple[float, float]:
+        """The mean of the corners, px."""
+        x, y = self.pixels.mean(0).tolist()
+        return x, y
+
+    @cached_property
+    def run(self) -> tuple[int, int]:
+        """The first of the corners and how many there are, where none between the first and the last is missing."""
+        return (int(self.ids[0]), len(self.ids)) if self.ids[-1] - self.ids[0] + 1 == len(self.ids) else (-1, 0)
 
 
 def to_grey(image: np.ndarray) -> np.ndarray:
@@ -137,9 +149,11 @@ def _find_checkerboard(
     return found.ids, pixels
 
 
-def shrunk(picture: Pyramid) -> np.ndarray:
-    """The picture at a size at which the size of a board can be guessed later."""
-    return picture.reduced(_KEEP_WIDTH)[0]
+def shrunk(picture: Pyramid) -> Pyramid:
+    """The picture at a size at which the size of a board can be guessed later, and what it does not show."""
+    small = Pyramid(picture.reduced(_KEEP_WIDTH)[0])
+    small.in_vain, small.crowded = dict(picture.in_vain), picture.crowded
+    return small
 
 
 def _spacing(ids: np.ndarray, pixels: np.ndarray, inner: tuple[int, int]) -> np.ndarray:
@@ -178,7 +192,7 @@ def _subpixel(
     return refined, lost
 
 
-def guess_board(pictures: list[np.ndarray], board: Board) -> Board | None:
+def guess_board(pictures: Sequence[np.ndarray | Pyramid], board: Board) -> Board | None:
     """Find the size of the checkerboard that the pictures show; None where there is none.
 
     Someone may have counted inner corners for squares, or one row too many.

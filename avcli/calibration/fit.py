@@ -30,6 +30,8 @@ BOARD_ERROR = 0.01
 PUPIL = 0.1
 """Standard deviation of the pupil, in squares, before anything is seen. That of seven real lenses is 0.014 to 0.13
 squares (examples/benchmarks/lenses.md)."""
+_BEGUN = 16
+"""Corners of each view at most with which a fit begins."""
 _SCANNED = 8
 """Views at most from which the focal length is guessed."""
 DELTA = 3.0
@@ -350,6 +352,7 @@ def blocks(
     used: np.ndarray | None = None,
     held: float = 0.0,
     beside: np.ndarray | None = None,
+    newton: bool = False,
 ) -> Blocks:
     """The normal equations of `solution.free` and the poses, at the solution and with its robust weights.
 
@@ -359,6 +362,10 @@ def blocks(
         held: 1 / m²; where it is above 0 the corners' places on the board are unknown too, held at the print's.
         beside: (n, 2, m) px, what m more common unknowns do to the projections. They are 0 now, and held at it with a
             standard deviation of DELTA common corners' errors.
+        newton: take the second derivatives of the robust cost in place of its weights. A residual beyond
+            `solution.delta_px` bends the cost only across itself: half of its weight, its direction being chance. A
+            weight is larger, so that steps are safe; but how far a solution moves with its corners follows from the
+            second derivatives (Huber and Ronchetti 2009, section 6.3).
     """
     o, free = observations, solution.free
     prior, common = np.zeros(len(free)), solution.parameters
@@ -378,6 +385,10 @@ def blocks(
     size, corners = columns.shape[2], 0
     place, cross = np.zeros((o.views, 0, 3, 3)), np.zeros((o.views, 0, 3, size))
     errors = np.zeros((0, 3))
+    if newton:  # half as much of the products of the derivatives; those with the residual stay
+        far = np.sqrt(np.where(weight < 1, 0.5, 1.0))[:, None]
+        columns[:, :, :-1] *= far[..., None]
+        columns[:, :, -1] /= far
     if held:
         corner = o.corner
         corners = int(corner.max()) + 1
@@ -512,7 +523,7 @@ def refine_poses(
 
 def by_view(observations: Observations, solution: Solution) -> Blocks:
     """The normal equations of a fit that stands; the board's errors are unknowns if there are any."""
-    return blocks(observations, solution, held=holding(observations, solution))
+    return blocks(observations, solution, held=holding(observations, solution), newton=True)
 
 
 def holding(observations: Observations, solution: Solution) -> float:
@@ -567,7 +578,7 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     OpenCV starts from max(width, height) / pi instead, which asserts or ends in nonsense on most wide lenses.
     """
     few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, _SCANNED)).round().astype(int))
-    sample = _thinned(observations.of_views(few))
+    sample = _thinned(observations.of_views(few), 9)
     middle = (np.array([width, height]) - 1) / 2
     angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
     kind = variants()[model]
@@ -592,10 +603,10 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     focal = np.geomspace(focal[max(best - 1, 0)], focal[min(best + 1, len(focal) - 1)], 9)
     f = float(focal[np.argmin(scores(focal))])
     lens = kind.of_image([f, f, *middle, *coefficients], width, height)
-    return refine_poses(observations, start_from_rays(observations, lens), 6, gain=1e-3)
+    return refine_poses(observations, start_from_rays(observations, lens), 3, gain=1e-2)
 
 
-def _thinned(observations: Observations, most: int = 9) -> Observations:
+def _thinned(observations: Observations, most: int) -> Observations:
     """At most so many corners of each view, spread over the board."""
     keep = np.zeros(len(observations.view), bool)
     for start, count in zip(observations.starts, np.bincount(observations.view), strict=True):
@@ -615,10 +626,12 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
             f"{len(observations.pixels)} corners in {observations.views} views are too few to fit a lens; film more"
         )
     if not start.free.any():
-        start = refine(observations, start, free_parameters(start.like, few=True), 5.0, 15, 1e-4)
-        start = refine(observations, start, lens_only, 2.0, 25, 1e-5)
-        start = _reseeded(observations, start)
-        start = refine(observations, start, lens_only, _delta(observations, start), 15, 1e-5)
+        some = _thinned(observations, _BEGUN)
+        start = refine(some, start, free_parameters(start.like, few=True), 5.0, 15, 1e-4)
+        start = refine(some, start, lens_only, 2.0, 25, 1e-5)
+        started = _reseeded(observations, start)
+        if started is not start:
+            start = refine(observations, started, lens_only, _delta(observations, started), 15, 1e-5)
     solution = start
     for gain in (1e-5, 1e-8):
         solution = refine(observations, solution, free, _delta(observations, solution), 40, gain)

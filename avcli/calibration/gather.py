@@ -57,7 +57,7 @@ class Seen:
         self.board, self.is_known = board, is_known
         self.views: list[View] = []
         self.names: list[str] = []
-        self.misses: list[np.ndarray] = []
+        self.misses: list[Pyramid] = []
         self.size: tuple[int, int] | None = None
         self.samples: dict[tuple[int, int], np.ndarray] = {}
         self.lights: dict[tuple[int, int], Light] = {}
@@ -208,6 +208,13 @@ class Seen:
 
 def is_duplicate(view: View, others: list[View], motion_px: float = 1.0) -> bool:
     """Tell whether a board stood where it stood in one of the others: its corners moved less than `motion_px` (RMS)."""
+    # Whose corners are the same ones did not move less than their mean: few others are left to be compared.
+    (x, y), run, far = view.middle, view.run, motion_px
+    others = [
+        other
+        for other in others
+        if other.run != run or not run[1] or (abs(other.middle[0] - x) < far and abs(other.middle[1] - y) < far)
+    ]
     if not others:
         return False
     counts = np.array([len(other.ids) for other in others])

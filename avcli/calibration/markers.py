@@ -23,6 +23,8 @@ _SEARCH_WIDTH = 1920
 """px; larger pictures are reduced to this before tags are searched."""
 _MOST = 250
 """Markers of a dictionary that are considered: no board has more."""
+_ALL, _FEW = (3, 53, 10), (13, 33, 20)
+"""px; squares by which dark is told from bright: from, to, and by how much they grow."""
 _WRONG_BITS = 1
 """Cells of a tag that may be misread."""
 _LEAST_PAIRS, _AGREE = 4, 0.8
@@ -127,18 +129,20 @@ def _reduced(grey: np.ndarray) -> tuple[np.ndarray, float]:
     return (grey, 1.0) if max(grey.shape) < 1.25 * _SEARCH_WIDTH else Pyramid(grey).reduced(_SEARCH_WIDTH)
 
 
-def _quads(grey: np.ndarray, *, touching: bool) -> np.ndarray:
+def _quads(grey: np.ndarray, *, touching: bool, thresholds: tuple[int, int, int] = _ALL) -> np.ndarray:
     """Black four-sided shapes in a picture, (n, 4, 2) px, clockwise.
 
     Args:
         grey: (height, width) uint8.
         touching: whether shapes may touch at their corners, as an AprilGrid's tags touch the squares between them. They
             are separated by a pixel of white before the search, and that pixel is added again.
+        thresholds: px, the least and the largest square around a pixel against whose mean it is dark, and the step.
     """
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshWinSizeMax = 53
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = thresholds[:2]
+    parameters.adaptiveThreshWinSizeStep = thresholds[2]
     parameters.minMarkerPerimeterRate = 0.02
     detector = cv2.aruco.ArucoDetector(_nothing(), parameters)
     searched = cv2.dilate(grey, np.ones((3, 3), np.uint8)) if touching else grey
@@ -253,8 +257,11 @@ def recognise(grey: np.ndarray, kind: Kind | None = None, dictionary: str = "") 
     for touching in (False, True):
         if kind == ("aprilgrid" if not touching else "charuco"):
             continue
-        quads = _quads(grey, touching=touching)
-        for seen in _readings(grey, quads, dictionary, touching):
+        # Texture has hundreds of outlines. Where a few thresholds show no marker, all of them show no board.
+        few = _quads(grey, touching=touching, thresholds=_FEW)
+        if not any(len(seen.ids) for seen in _readings(grey, few, dictionary, touching)):
+            continue
+        for seen in _readings(grey, _quads(grey, touching=touching), dictionary, touching):
             board = _layout(seen, "aprilgrid" if touching else "charuco")
             if board is not None and (best is None or len(seen.ids) > best[0]):
                 best = len(seen.ids), board
@@ -262,7 +269,7 @@ def recognise(grey: np.ndarray, kind: Kind | None = None, dictionary: str = "") 
 
 
 def _readings(grey: np.ndarray, quads: np.ndarray, dictionary: str, touching: bool) -> Iterator[Markers]:
-    if len(quads) < 3:
+    if not len(quads):
         return
     if touching:
         for border_bits in (2, 1):

@@ -8,10 +8,12 @@ class Pyramid:
 
     Attributes:
         in_vain: longer side in px of a reduced picture -> corners of the least checkerboard that it does not show.
+        crowded: whether it has too many corners for a board, and no board: it is full of texture.
     """
 
     def __init__(self, grey: np.ndarray):
         self.in_vain: dict[int, int] = {}
+        self.crowded = False
         self._halves = [grey]
         self._made: dict[int, tuple[np.ndarray, float]] = {}
 

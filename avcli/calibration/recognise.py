@@ -87,7 +87,8 @@ def largest_of(dictionary: str) -> str:
 def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True) -> Board | None:
     """Tell which board a picture (height, width) uint8 shows; None where there is none, or not the wanted kind.
 
-    Without `thorough`, the picture is looked at smaller, and for a checkerboard only where something speaks for one.
+    Without `thorough`, the picture is looked at smaller, for a checkerboard only where something speaks for
+    one, and for circles only where it is not full of texture.
     """
     kind = wanted.kind
     picture = Pyramid.of(picture)
@@ -105,7 +106,7 @@ def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True
             if min(inner) < 3:
                 break
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)
-    if kind == "checkerboard":
+    if kind == "checkerboard" or (picture.crowded and not thorough):
         return None
     found = circles.recognise(small)
     return found if found is None or kind in (None, found.kind) else None

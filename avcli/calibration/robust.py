@@ -413,7 +413,7 @@ def held_out(
             place[observations.corner[others]] = some.errors
             seen = replace(seen, errors=place[observations.corner][test[observations.view]])
         there = replace(everywhere.of_views(test), parameters=learned.parameters)
-        there = fit.refine_poses(seen, there, 8, solution.delta_px, 1e-5)
+        there = fit.refine_poses(seen, there, 8, solution.delta_px, 1e-4)
         rest = (fit.residuals(seen, there) ** 2).sum(1)
         squared[test[observations.view]] = np.nan_to_num(rest, nan=100.0**2)
     return HeldOut(squared, good)

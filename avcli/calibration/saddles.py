@@ -62,6 +62,8 @@ _COMPARED = 0.5
 """Share of the comparisons in a whole grid that must be right; where corners are hidden, squares are."""
 _IN_SQUARE = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
 """Places in a square where it is compared with its neighbours, in sides."""
+_BLUR, _RADIUS = 1.2, 4.0
+"""px; what pictures are smoothed with, and the circle around a corner on which dark and bright must take turns."""
 _RING = 32
 """Samples on the circle around a corner."""
 
@@ -492,8 +494,8 @@ def _is_cut(every: np.ndarray, left: np.ndarray) -> bool:
 def find_grids(
     grey: np.ndarray,
     *,
-    blur: float = 1.2,
-    radius: float = 4.0,
+    blur: float = _BLUR,
+    radius: float = _RADIUS,
     least: int = 9,
     most: float = np.inf,
     crowd: float = np.inf,
@@ -509,19 +511,27 @@ def find_grids(
         crowd: corners in the picture beyond which no grid is looked for.
     """
     relief = _Relief(grey, blur)
+    corners = _standing(relief, radius)
+    return [] if len(corners.pixels) > crowd else _joined(relief, corners, radius, least, most)
+
+
+def _standing(relief: _Relief, radius: float) -> _Corners:
+    """The corners in a picture, the strongest first."""
     peaks = relief.peaks()
-    if len(peaks) < least:
-        return []
-    corners, _ = _verified(relief, relief.settled(peaks), radius)
-    if len(corners.pixels) > crowd:
-        return []
-    corners = _joinable(corners)
+    if len(peaks) < 4:
+        return _Corners(np.zeros((0, 2)), np.zeros((0, 4)))
+    return _verified(relief, relief.settled(peaks), radius)[0]
+
+
+def _joined(relief: _Relief, corners: _Corners, radius: float, least: int, most: float) -> list[Grid]:
+    """Join corners into grids, as `find_grids`."""
+    count, corners = len(corners.pixels), _joinable(corners)
     out: list[Grid] = []
     largest = 0
     to, back = _neighbours(corners)
     links = (to >= 0).sum(1)
     for found in _labelled(to, back)[:_GRIDS]:
-        if len(found) < max(4, least // 2, largest // 4, len(corners.pixels) // _BY_CHANCE):
+        if len(found) < max(4, least // 2, largest // 4, count // _BY_CHANCE):
             break
         if not _is_joined(links[list(found.values())]):
             continue
@@ -532,7 +542,8 @@ def find_grids(
         turns = _alternation(relief, cells)
         if turns[0] < _TURNS:
             continue
-        if _bend(cells) > _MOST_BENT:
+        bend = _bend(cells)
+        if bend > _MOST_BENT:
             continue
         joined = set(cells)
         _grown(relief, cells, radius, most)
@@ -540,8 +551,7 @@ def find_grids(
         if len(cells) < least:
             continue
         if cells.keys() != joined:
-            turns = _alternation(relief, cells)
-        bend = _bend(cells)
+            turns, bend = _alternation(relief, cells), _bend(cells)
         if turns[0] < _TURNS or turns[1] < _COMPARED or bend > _MOST_BENT:
             continue
         if bend > _BENT and _bend(cells, 3) > _SMOOTH * bend:
@@ -609,12 +619,17 @@ def _wanted(inner: tuple[int, int]) -> dict[str, int]:
 
 
 def _grids_of(picture: Pyramid, width: int, least: int, most: float = np.inf) -> list[Grid]:
-    """As `find_grids` in the picture reduced to a width, px; a picture that showed no grid is not searched again."""
-    if picture.in_vain.get(width, least + 1) <= least:
+    """As `find_grids` in the picture reduced to a width, px; a picture that showed no grid is not searched again.
+
+    One with more corners than are joined, and no grid, is not searched in other sizes: it would show more of the same.
+    """
+    if picture.crowded or picture.in_vain.get(width, least + 1) <= least:
         return []
-    grids = find_grids(picture.reduced(width)[0], least=least, most=most)
+    relief = _Relief(picture.reduced(width)[0], _BLUR)
+    corners = _standing(relief, _RADIUS)
+    grids = _joined(relief, corners, _RADIUS, least, most)
     if not grids:
-        picture.in_vain[width] = least
+        picture.in_vain[width], picture.crowded = least, len(corners.pixels) > _JOINABLE
     return grids
 
 

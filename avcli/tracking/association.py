@@ -70,8 +70,8 @@ def options(scan: Scan, rows: Iterable[int], background: Sequence[float]) -> dic
     caused_by = {}
     existence, p_detect, likelihoods = scan.existence, scan.p_detect, scan.likelihoods
     for row in rows:
-        present = existence[row] * p_detect[row]
-        missed = max(1 - present, 1e-12)
+        present = existence[row] * scan.p_hit[row]
+        missed = max(1 - existence[row] * p_detect[row], 1e-12)
         least = missed * PRUNE  # the same hypothesis but for a miss is likelier by so much
         caused = [
             (math.log(present * g / background[j]), j)

@@ -130,7 +130,7 @@ def first_detections(
         positions = np.concatenate([z, people.mean[:, 0, :2].take(tentative, 0)])
         spread = np.concatenate([spread, people.cov[:, 0, :2, :2].take(tentative, 0)])
     room = _elbow_room(positions, spread[:, 0, 0] + spread[:, 1, 1], people, known, body)
-    number = room[count:] * [scan.existence[i] * scan.p_detect[i] for i in tentative]
+    number = room[count:] * [scan.existence[i] * scan.p_hit[i] for i in tentative]
     unseen = room[:count] * scan.newcomers if poisson else np.zeros(count)
     return number[:, None] * scan.gain[tentative], unseen
 

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from avcli.formats.features import Feature
+from avcli.formats.sensors import CAMERA
 from avcli.tracking import association, gaussian, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
@@ -37,6 +38,7 @@ from avcli.tracking.births import (
     other_detections,
     weighed,
 )
+from avcli.tracking.coverage import covered
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
 from avcli.tracking.false_places import FalsePlaces
@@ -55,6 +57,8 @@ from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
+SEES = 1e-5  # probability of blindness below which nobody's own part in it matters
+WATCHED = 0.5  # share of its detection probability from which a camera looks at a place
 SHOWN = 0.45  # existence, as it is reported, from which a person is: lower, ghosts stay; higher, who is hidden goes
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
 ROUNDS = 20  # of weighing detections that are many more than were expected
@@ -354,12 +358,16 @@ class GLMB:
             new = shown.whole_only(new)
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
-        ratio = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
+        ratio, known = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
         p_sensor = rates.detection * (1 - blindness.probability)
+        p_detect = p_hit = [one * p_sensor for one in reach]
+        if blindness.probability > SEES:  # a detection says twice that the sensor sees, unless its own part is left out
+            own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
+            sees = [1 - blindness.without(own.get(label, 1.0)) for label in people.label]
+            p_hit = [one * rates.detection * open_eye for one, open_eye in zip(reach, sees, strict=True)]
         open_eyed = 1 - blindness.probability * (1 - blindness.left)
-        p_detect = [one * p_sensor for one in reach]
         return Scan(
             sensor,
             column,
@@ -385,6 +393,7 @@ class GLMB:
             rates.detection * open_eyed,
             [one * open_eyed for one in new],
             p_detect,
+            p_hit,
             evidence,
             covered,
             shown,
@@ -708,14 +717,22 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
+        watched = self.watched(mean[:, :2])
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k])
+            there = TRUST.of(believed, latest[k], count[k], watched[k])
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
+
+    def watched(self, positions: np.ndarray) -> list[bool]:
+        """Return whether a camera, or without cameras any sensor, looks at each of some positions (n, 2) m."""
+        if not isinstance(self.undetected, UnseenMap):
+            return [True] * len(positions)
+        cameras = [sensor for sensor in self.sensors if sensor.kind == CAMERA] or self.sensors
+        return (covered(positions, cameras).max(1) >= WATCHED).tolist()
 
     def ends(self) -> Iterator[End]:
         """Yield the latest end of each person's history, also of those who left lately."""

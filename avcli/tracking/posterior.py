@@ -132,5 +132,5 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
 
 def told(scan: Scan, rows: Sequence[int], js: Sequence[int]) -> np.ndarray:
     """Return by how many nats (n,) detections are likelier of people in some rows than of clutter of 1 in a record."""
-    caused = np.array(scan.p_detect).take(rows) * scan.gain[rows, js]
+    caused = np.array(scan.p_hit).take(rows) * scan.gain[rows, js]
     return np.log(np.maximum(caused * (scan.expected_clutter / np.array(scan.clutter).take(js)), 1e-300))

@@ -203,6 +203,10 @@ class Blindness:
         blind = rest + (self.probability - rest) * stay
         self.probability = blind / (blind + (1 - blind) * max(ratio, 1e-300))
 
+    def without(self, ratio: float) -> float:
+        """Return the probability of blindness by the latest record but for one part of it, so much likelier without."""
+        return self.probability / max(self.probability + (1 - self.probability) / max(ratio, 1e-300), 1e-300)
+
     def share(self, other: Blindness) -> None:
         """Take in that another sensor has just lost everybody: what blinds that one may blind this one, too."""
         if self.ever:

@@ -61,6 +61,7 @@ class Scan:
         p_newcomer: the same of a person who came since.
         newcomers: J densities per m² of detecting a person never detected before, where there is room for another.
         p_detect: n probabilities that it detects the person, if that person exists.
+        p_hit: the same by all but the person's own detection, of which one that lies there asks.
         covered: (n, M) shares of the detection probability at each person, by motion model; None: all of it.
         partial: what its detections show, None: all show positions.
         view: how the densities look in those that do not.
@@ -91,6 +92,7 @@ class Scan:
     p_newcomer: float
     newcomers: list[float]
     p_detect: list[float]
+    p_hit: list[float]
     evidence: Evidence | None = None
     covered: np.ndarray | None = None
     partial: Partial | None = None
@@ -215,8 +217,8 @@ def plausibility(
     clutter: list[float],
     new: list[float],
     detection: float,
-) -> float:
-    """Return how much likelier a record is with known and new people than as clutter alone.
+) -> tuple[float, list[float]]:
+    """Return how much likelier a record is with known and new people than as clutter alone, and each known one's part.
 
     Args:
         rows: the densities of the known people.
@@ -226,11 +228,10 @@ def plausibility(
         clutter: J densities per m² of false detections.
         detection: probability that the sensor detects a detectable person.
     """
-    ratio = 1.0
+    known = []
     for row in rows:
         present = existence[row] * reach[row] * detection
         more = math.fsum([g / clutter[j] for j, g in likelihoods[row]])
-        ratio *= min(1 - present + present * more, 1e3)
-    for c, b in zip(clutter, new, strict=True):
-        ratio *= min(1 + b / c, 1e3)
-    return min(ratio, MOST_PLAUSIBLE)
+        known.append(min(1 - present + present * more, 1e3))
+    fresh = [min(1 + b / c, 1e3) for c, b in zip(clutter, new, strict=True)]
+    return min(math.prod([*known, *fresh]), MOST_PLAUSIBLE), known

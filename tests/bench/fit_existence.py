@@ -36,19 +36,19 @@ LONG = ("long-pair", "long-pair-looks", "ten-looks", "crowd100", "60hz", *ONCE) 
 
 
 class Noted:
-    """In place of a `Trust`: says what the filter believes, and notes who was detected, and how often."""
+    """In place of a `Trust`: says what the filter believes, and notes the other arguments."""
 
     def __init__(self) -> None:
-        self.detected: list[tuple[bool, float]] = []
+        self.arguments: list[tuple[bool, float, bool]] = []
 
-    def of(self, believed: float, detected: bool, count: float) -> float:
+    def of(self, believed: float, detected: bool, count: float, watched: bool) -> float:
         if believed > THERE:
-            self.detected.append((detected, count))
+            self.arguments.append((detected, count, watched))
         return believed
 
 
 def records_of(scene: Scene) -> np.ndarray:
-    """Records of the tracks of a scene: (n, 4) what the filter believes, whether detected, how often, whether true."""
+    """Records of the tracks of a scene: (n, 5) the arguments of `Trust.of`, and whether it is true."""
     noted, usual = Noted(), (glmb.TRUST, glmb.SHOWN)
     glmb.TRUST, glmb.SHOWN = noted, 0.0  # type: ignore[assignment]
     try:
@@ -59,7 +59,7 @@ def records_of(scene: Scene) -> np.ndarray:
         one in found for frame, found in zip(tracks, matched(scene.truth, tracks), strict=True) for one in frame.ids
     ]
     believed = np.concatenate([np.zeros(0), *(frame.existence for frame in tracks)])
-    return np.column_stack([believed, np.reshape(noted.detected, (-1, 2)), true])
+    return np.column_stack([believed, np.reshape(noted.arguments, (-1, 3)), true])
 
 
 def fit(believed: np.ndarray, true: np.ndarray) -> Curve:
@@ -83,11 +83,12 @@ def bins(said: np.ndarray, true: np.ndarray) -> list[list[float]]:
 
 
 def described(records: np.ndarray, command: str, synthetic: list[str]) -> dict[str, Any]:
-    """What the file says of curves that are fitted to records (n, 4) of some synthetic cases and of REAL."""
-    believed, detected, count, true = records.T
-    groups = [((count > 1) == again) & ((detected > 0) == now) for again in (False, True) for now in (True, False)]
-    trust = Trust(*(fit(believed[some], true[some]) for some in groups))
-    said = np.array([trust.of(b, d > 0, c) for b, d, c in zip(*records.T[:3].tolist(), strict=True)])
+    """What the file says of curves that are fitted to records (n, 5) of some synthetic cases and of REAL."""
+    believed, detected, count, watched, true = records.T
+    now, again, away = detected > 0, count > 1, (detected == 0) & (watched == 0)
+    groups = [~away & (again == many) & (now == seen) for many in (False, True) for seen in (True, False)]
+    trust = Trust(*(fit(believed[some], true[some]) for some in [*groups, away]))
+    said = np.array([trust.of(b, d > 0, c, w > 0) for b, d, c, w in records[:, :4].tolist()])
     return {
         "origin": "Fitted by tests/bench/fit_existence.py. UCY zara01 and zara02: A. Lerner, Y. Chrysanthou and D. "
         "Lischinski, Crowds by example, Computer Graphics Forum 26(3), 2007; ETH hotel: S. Pellegrini, A. Ess, K. "
