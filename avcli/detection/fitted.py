@@ -26,7 +26,8 @@ class BoxLaw:
 
     Attributes:
         side: standard deviation of a side of a box, as a share of the box's size.
-        part: standard deviation of torso, head and foot, as a share of that of a side.
+        part: standard deviation of the point of a head, as a share of that of a side; those of torso and foot are
+            multiples of it, see avcli.detection.monocular.PART_SPREADS.
         spread: factor on the covariance of the fit, since people sit, bend and stretch out their arms.
         floor_m: standard deviation, m, that is added in both directions.
         part_unsure: where a network gives points with a score of s, their standard deviations grow by this
