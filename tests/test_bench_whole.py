@@ -53,6 +53,7 @@ def test_a_limit_that_is_exceeded_is_told_from_a_goal(limits):
     assert "0 of 1 limits" in said
     assert "Goals that are not reached" in said
     assert "scene (no EGL)" in said
+    assert "none was checked" in whole_page.sentence([], {})
     budget.write(rows, {"processor": "P", "cpus": 1, "reference": {"all": 0.5}})
     written = json.loads(limits.read_text())["limits"]
     assert len(written) == 4, "what people wrote stays, the start is new"

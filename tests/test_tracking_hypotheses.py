@@ -157,6 +157,16 @@ def test_one_detection_while_nobody_else_is_found_is_hardly_the_person_beside_it
     assert np.linalg.norm(tracks[0].state[:2] - places[0]) < 0.1
 
 
+def test_who_is_found_first_when_a_sensor_sees_again_is_nobody_new():
+    """Of three people one comes back after 0.8 s, 0.6 m off; the others stay hidden."""
+    tracker = GLMB(Settings(), Population(((0.0, 0.0), (8.0, 6.0))), [sensor("video")])
+    places = np.array([[2.0, 2.0], [5.0, 4.0], [6.0, 1.0]])
+    for k in range(58):
+        z = places if k < 40 else places[:0] if k < 48 else places[:1] + np.array([0.6, 0.0])
+        tracker.update(k / 10, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+    assert [track.label for track in tracker.tracks(5.7)] == [0]
+
+
 def test_the_longer_a_sensor_finds_nobody_the_likelier_it_is_that_everybody_left():
     blindness, left = Blindness(ever=True), []
     for _ in range(200):

@@ -130,12 +130,12 @@ def test_a_large_cluster_keeps_fewer_hypotheses(monkeypatch):
 @pytest.mark.parametrize("likelihood", [0.0, 1e3, 1e300])
 def test_a_ratio_of_many_detections_stays_finite(likelihood):
     n = 500
-    ratio, parts = scan.plausibility(
+    ratio, known, parts = scan.plausibility(
         list(range(n)), [1.0] * n, [1.0] * n, [[(k, likelihood)] for k in range(n)], [1e-3] * n, [1e3] * n, 0.9
     )
     assert math.isfinite(ratio)
-    assert len(parts) == n
-    assert np.isfinite(parts).all()
+    assert len(known) == len(parts) == n
+    assert np.isfinite(known + parts).all()
 
 
 def test_a_flood_of_detections_gives_finite_tracks():

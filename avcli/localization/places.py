@@ -19,8 +19,8 @@ _SURE = float(np.log(0.9 / 0.1))
 """Evidence from which a source is surely heard."""
 
 DOUBTED = 0.88
-"""The largest score while channels are doubted: where somebody is beyond a wall, the others agree on some place, too. It
-is cautious: of 786 scores over .9 there, in arrays as people build them, 96 % are right."""
+"""The largest score while channels are doubted: where somebody is beyond a wall, the others agree on a place, too. This
+is cautious: in arrays as people build them, 96 % of 786 scores over .9 were right there."""
 
 
 @dataclass(frozen=True)

@@ -358,16 +358,20 @@ class GLMB:
             new = shown.whole_only(new)
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
-        ratio, known = plausibility(self.likely_rows, existence, reach, likely, clutters, new, rates.detection)
+        given = existence, reach, likely, clutters, new, rates.detection
+        ratio, known, parts = plausibility(self.likely_rows, *given)
         existence = self._see(column, ratio, existence)
         blindness = rates.blindness
         p_sensor = rates.detection * (1 - blindness.probability)
-        p_detect = p_hit = [one * p_sensor for one in reach]
-        if blindness.probability > SEES:  # a detection says twice that the sensor sees, unless its own part is left out
-            own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
-            sees = [1 - blindness.without(own.get(label, 1.0)) for label in people.label]
-            p_hit = [one * rates.detection * open_eye for one, open_eye in zip(reach, sees, strict=True)]
         open_eyed = 1 - blindness.probability * (1 - blindness.left)
+        p_detect = p_hit = [one * p_sensor for one in reach]
+        newcomers = [one * open_eyed for one in new]
+        if blindness.probability > SEES:  # a detection would count twice: as a sign that the sensor sees, and as a person
+            own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
+            blind = [blindness.without(own.get(label, 1.0)) for label in people.label]
+            p_hit = [one * rates.detection * (1 - b) for one, b in zip(reach, blind, strict=True)]
+            blind = [blindness.without(part) for part in parts]
+            newcomers = [one * (1 - b * (1 - blindness.left)) for one, b in zip(new, blind, strict=True)]
         return Scan(
             sensor,
             column,
@@ -391,7 +395,7 @@ class GLMB:
             local,
             p_sensor,
             rates.detection * open_eyed,
-            [one * open_eyed for one in new],
+            newcomers,
             p_detect,
             p_hit,
             evidence,

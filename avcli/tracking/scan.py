@@ -217,8 +217,10 @@ def plausibility(
     clutter: list[float],
     new: list[float],
     detection: float,
-) -> tuple[float, list[float]]:
-    """Return how much likelier a record is with known and new people than as clutter alone, and each known one's part.
+) -> tuple[float, list[float], list[float]]:
+    """Return how much likelier a record is with known and new people than as clutter alone.
+
+    In all; each known person's part in it; and for each detection the largest part of those who may have caused it.
 
     Args:
         rows: the densities of the known people.
@@ -228,10 +230,12 @@ def plausibility(
         clutter: J densities per m² of false detections.
         detection: probability that the sensor detects a detectable person.
     """
-    known = []
+    known, fresh = [], [min(1 + b / c, 1e3) for c, b in zip(clutter, new, strict=True)]
+    parts = fresh.copy()
     for row in rows:
         present = existence[row] * reach[row] * detection
         more = math.fsum([g / clutter[j] for j, g in likelihoods[row]])
         known.append(min(1 - present + present * more, 1e3))
-    fresh = [min(1 + b / c, 1e3) for c, b in zip(clutter, new, strict=True)]
-    return min(math.prod([*known, *fresh]), MOST_PLAUSIBLE), known
+        for j, _ in likelihoods[row]:
+            parts[j] = max(parts[j], known[-1])
+    return min(math.prod([*known, *fresh]), MOST_PLAUSIBLE), known, parts

@@ -43,6 +43,8 @@ def sentence(verdict: Sequence[Judged], failed: dict[str, str]) -> str:
     limits = [one for one in verdict if not one.goal]
     over, missed = ([one for one in verdict if one.over and one.goal is goal] for goal in (False, True))
     said = f"{len(limits) - len(over)} of {len(limits)} limits of time are kept."
+    if not limits:
+        said = "Nothing that was measured has a limit of time, so that none was checked."
     said += f" Over the limit, in units: {named(over)}." if over else ""
     said += f" Goals that are not reached, in units: {named(missed)}." if missed else ""
     if failed:
