@@ -3,6 +3,7 @@
 That process has drawn nothing and started no thread, so its children are as good as new.
 """
 
+import atexit
 import contextlib
 import fcntl
 import functools
@@ -122,7 +123,14 @@ def _nursery() -> tuple[socket.socket, subprocess.Popen]:
         start_new_session=True,
     )  # fmt: skip
     its.close()
+    atexit.register(_close, ours, process)
     return ours, process
+
+
+def _close(ours: socket.socket, process: subprocess.Popen) -> None:
+    ours.close()
+    process.terminate()  # a command that was given a copy of the socket may still hold it
+    process.wait()
 
 
 def _serve(requests: socket.socket) -> None:
