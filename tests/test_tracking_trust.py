@@ -15,9 +15,7 @@ import fit_existence
 
 from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import coverage
-from avcli.tracking.glmb import GLMB
-from avcli.tracking.model import Population
-from avcli.tracking.settings import Settings, sensor
+from avcli.tracking.settings import sensor
 from avcli.tracking.trust import FITTED, TRUST, Curve, Trust
 
 probabilities = st.floats(0.0, 1.0)
@@ -49,7 +47,7 @@ def test_a_camera_looks_where_it_would_detect_half_of_the_people_it_can_detect(n
     field = coverage.Coverage(np.zeros(2), coverage.STEP, share)
     known = {"video": sensor("video", coverage=field), "audio": sensor("audio", MICROPHONES)}
     sensors = [known[name] for name in named]
-    assert GLMB(Settings(), Population(), sensors).watched(np.array([[1.0, 1.0], [3.0, 1.0]])) == looks
+    assert coverage.watched(np.array([[1.0, 1.0], [3.0, 1.0]]), sensors) == looks
 
 
 def test_the_fit_finds_the_curve_that_made_the_truth():

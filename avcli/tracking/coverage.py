@@ -22,6 +22,7 @@ NOTHING, ENOUGH = 0.05, 0.25  # shares of them in the picture with which nobody 
 LEAST = (
     0.001  # left where nobody should be detected (arms, a lens not quite as stated), hardly telling who is not there
 )
+WATCHED = 0.5  # share of its detection probability from which a sensor looks at a place
 EDGE = 0.15  # m, standard deviation of where a field ends: lens, pose, height of the person (seeds 100 to 105 of hall)
 AROUND = 3**0.5 * EDGE * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])  # m, five points of a Gaussian
 WEIGHTS = np.array([2, 1, 1, 1, 1]) / 6
@@ -148,6 +149,12 @@ def covered(positions: np.ndarray, sensors: Sequence[Sensor]) -> np.ndarray:
         if sensor.coverage is not None and not sensor.coverage.whole:
             shares[:, k] = sensor.coverage.at(positions)
     return shares
+
+
+def watched(positions: np.ndarray, sensors: Sequence[Sensor]) -> list[bool]:
+    """Return whether a camera, or any sensor where there are no cameras, looks at each of n positions (n, 2) m."""
+    cameras = [sensor for sensor in sensors if sensor.kind == CAMERA] or sensors
+    return (covered(positions, cameras).max(1) >= WATCHED).tolist()
 
 
 def _grid(area: Corners) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:

@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from avcli.formats.features import Feature
-from avcli.formats.sensors import CAMERA
 from avcli.tracking import association, gaussian, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
@@ -38,7 +37,7 @@ from avcli.tracking.births import (
     other_detections,
     weighed,
 )
-from avcli.tracking.coverage import covered
+from avcli.tracking.coverage import watched
 from avcli.tracking.densities import NEVER, Densities
 from avcli.tracking.errors import Errors
 from avcli.tracking.false_places import FalsePlaces
@@ -58,7 +57,6 @@ from avcli.tracking.unseen import UnseenMap
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
 SEES = 1e-5  # probability of blindness below which nobody's own part in it matters
-WATCHED = 0.5  # share of its detection probability from which a camera looks at a place
 SHOWN = 0.45  # existence, as it is reported, from which a person is: lower, ghosts stay; higher, who is hidden goes
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
 ROUNDS = 20  # of weighing detections that are many more than were expected
@@ -721,22 +719,16 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
-        watched = self.watched(mean[:, :2])
+        in_part = isinstance(self.undetected, UnseenMap)
+        looks = watched(mean[:, :2], self.sensors) if in_part else [True] * len(present)
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k], watched[k])
+            there = TRUST.of(believed, latest[k], count[k], looks[k])
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
-
-    def watched(self, positions: np.ndarray) -> list[bool]:
-        """Return whether a camera, or without cameras any sensor, looks at each of some positions (n, 2) m."""
-        if not isinstance(self.undetected, UnseenMap):
-            return [True] * len(positions)
-        cameras = [sensor for sensor in self.sensors if sensor.kind == CAMERA] or self.sensors
-        return (covered(positions, cameras).max(1) >= WATCHED).tolist()
 
     def ends(self) -> Iterator[End]:
         """Yield the latest end of each person's history, also of those who left lately."""
