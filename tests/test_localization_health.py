@@ -89,6 +89,11 @@ def test_a_quiet_channel_is_named_and_does_no_harm(talk):
     assert str(fault) in [notice for d in quiet for notice in d.notices]
 
 
+def test_where_most_channels_are_dead_the_others_are_not_called_loud(talk):
+    last = localize(talk * (np.arange(8) >= 5))[-1].faults
+    assert {(fault.channel, fault.kind) for fault in last} == {(channel, "dead") for channel in range(1, 6)}
+
+
 def test_noise_alone_is_left_out(talk):
     noise = np.random.default_rng(23).standard_normal(len(talk)) * talk.std()
     decisions = localize(np.column_stack([talk[:, :3], noise, talk[:, 4:]]))

@@ -210,10 +210,10 @@ class Health:
         """Compare the channels' levels: the whitened spectra hide how quiet a channel is."""
         power = (window.spectra.real**2 + window.spectra.imag**2).sum(axis=1, dtype=np.float64)
         self.level = self.level + (10.0 * np.log10(np.maximum(power, 1e-30)) - self.level) / min(self.windows, MEMORY)
-        above = self.level - np.median(self.level)
         # At the beginning of a sound without noise, it has not reached all channels yet.
         self.silent = np.where(power <= 1e-6 * np.median(power), self.silent + 1, 0)
-        if self.windows == LEVELLED:
+        if self.windows == LEVELLED and window.good.any():
+            above = self.level - np.median(self.level[window.good])  # dead channels are no measure
             self.loud = np.where((np.abs(above) > UNUSUAL_DB) & window.good, above, 0.0)
 
     def _compared(self, gcc: np.ndarray, good: np.ndarray, deviation: float) -> np.ndarray:
