@@ -149,6 +149,11 @@ class Health:
         return self.doubted | self.held | self.faulty
 
     @property
+    def usable(self) -> int:
+        """How many channels are neither left out nor dead."""
+        return int((~self.out & (self.silent < DEAD)).sum())
+
+    @property
     def unsettled(self) -> int | None:
         """The channel, from 1, that is doubted most, where some have been most of the time; None where none have."""
         often = self.disputed >= max(UNSETTLED, 0.5 * self.windows)

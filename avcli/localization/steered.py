@@ -202,6 +202,8 @@ class SteeredLocalizer:
             heard = together(sounding, self.health.out)
             if heard is None:
                 self.memory.keep([])
+                if self.health.usable < 4:
+                    notices.append("fewer than four channels are left: nobody can be located")
             else:
                 if len(self.steady.places):
                     heard = self.steady.beside(heard)
