@@ -306,16 +306,16 @@ def figures(found: Sequence[Peak], spoken: Sequence[Spoken], law: uncertainty.La
     reported = [one for one in found if one.score >= 0.5]
     late = [one.quiet for one in reported if one.quiet > LATE_S]
     told["together"] = []
-    for few, built in itertools.product((False, True), repeat=2):
-        kind = (few, built)
+    for few, people_built in itertools.product((False, True), repeat=2):
+        kind = (few, people_built)
         of = sum(one.together for one in spoken if (one.given.count < EIGHT, one.given.misplaced > 0.0) == kind)
         mine = [one for one in reported if (one.given.count < EIGHT, one.given.misplaced > 0.0) == kind]
-        right = [one.right for one in mine if one.together]
+        true = [one.right for one in mine if one.together]
         told["together"].append({
-            "array": f"{'4 to 6' if few else '8 and more'} microphones, {'as built' if built else 'places as said'}",
+            "array": f"{'4 to 6' if few else '8 and more'} microphones, {'as built' if people_built else 'as said'}",
             "of": of,
-            "recall": round(sum(right) / max(of, 1), 3),
-            "precision": round(sum(right) / max(len(right), 1), 3),
+            "recall": round(sum(true) / max(of, 1), 3),
+            "precision": round(sum(true) / max(len(true), 1), 3),
         })  # fmt: skip
     told["late"] = {"reports": len(late), "latest_s": round(max(late, default=0.0), 2)}
     return {"scenes": len({one.given.number for one in found}), **told, "conditions": conditions(found, spoken)}
