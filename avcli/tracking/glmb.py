@@ -154,6 +154,7 @@ class GLMB:
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
         people.hits = np.column_stack([people.hits, np.zeros(len(people))])
+        people.doubt = np.column_stack([people.doubt, np.ones(len(people))])
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
         else:
@@ -341,9 +342,8 @@ class GLMB:
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
-        vouched = None
+        doubt = None if score is None else np.where(np.isnan(score), 0.0, 1 - score)
         if score is not None and sensor.score_within < math.inf:  # the score knows nothing of the floor
-            vouched = np.where(np.isnan(score), 1.0, score)
             near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
@@ -382,7 +382,7 @@ class GLMB:
             ahead,
             between,
             odds,
-            vouched,
+            doubt,
             near,
             expected,
             gain,
@@ -722,13 +722,13 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
-        vouched = people.vouched.take(rows).tolist()
+        doubt = np.multiply.reduce(people.doubt.take(rows, 0), 1).tolist()
         in_part = isinstance(self.undetected, UnseenMap)
         looks = watched(mean[:, :2], self.sensors) if in_part else [True] * len(present)
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k], looks[k]) * vouched[k]
+            there = TRUST.of(believed, latest[k], count[k], looks[k]) * (1 - doubt[k])
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
