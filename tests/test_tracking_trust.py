@@ -85,7 +85,7 @@ def existences(scores, name="audio", kind=MICROPHONES, before=()):
 
 def test_doubtful_reports_of_microphones_at_one_place_do_not_become_sure():
     said = existences([0.7, 0.75, 0.62, 0.7, 0.7, 0.66])
-    assert max(said) == pytest.approx(0.75, abs=1e-6)
+    assert 0.7 < max(said) <= 0.75
     assert existences([0.7, 0.7, 0.99, 0.7, 0.7, 0.7])[-1] > 0.95  # one good report is enough
     assert existences([np.nan] * 6)[-1] > 0.95  # a sensor that gives no score is judged by its detections
 

@@ -728,7 +728,7 @@ class GLMB:
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = min(TRUST.of(believed, latest[k], count[k], looks[k]), vouched[k])
+            there = TRUST.of(believed, latest[k], count[k], looks[k]) * vouched[k]
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
