@@ -72,27 +72,8 @@ def test_two_channels_of_wrong_polarity(talk):
 
 
 def test_two_channels_that_are_exchanged(talk):
-    decisions = localize(talk[:, [0, 3, 2, 1, 4, 5, 6, 7]])
-    faults = check(decisions, {(4, "swapped"), (2, "swapped")})
+    faults = check(localize(talk[:, [0, 3, 2, 1, 4, 5, 6, 7]]), {(4, "swapped"), (2, "swapped")})
     assert {fault.channel: fault.microphone for fault in faults} == {2: 4, 4: 2}
-    assert min(d.time for d in decisions if d.faults) < 0.9
-
-
-def test_an_exchange_is_compared_by_all_pairs():
-    """Each pair's GCC at the lags of the microphones whose sound it is."""
-    localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
-    health, correlator = localizer.health, localizer.correlator
-    rng, bins = np.random.default_rng(3), correlator.band.bins
-    whitened = np.exp(2j * np.pi * rng.random((8, bins.stop - bins.start))).astype(np.complex64)
-    points = rng.uniform(0.5, 2.0, (20, 3))
-    right = health._values(correlator.gcc(whitened), points).sum(axis=0).max()
-    changes = [subset for subset, kind in health.hypotheses if kind == "exchanged"]
-    assert len(changes) == len(health.exchanges) == 28
-    for one, other in ((0, 1), (2, 5), (6, 7)):
-        order = np.arange(8)
-        order[[one, other]] = other, one
-        found = health._crossed(correlator.gcc(whitened[order]), points)
-        assert found[changes.index((one, other))] == pytest.approx(right, rel=1e-3)
 
 
 def test_a_late_channel_and_one_of_wrong_polarity(talk):

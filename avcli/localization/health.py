@@ -1,17 +1,15 @@
 """What is wrong with an array's channels: found from the talkers' own sound, named once, and put right where it can be.
 
 A healthy array agrees on where a talker is. Hypotheses about the channels (these are left out, those are of wrong
-polarity, two are exchanged) are compared by how well the array agrees on any place then, window after window. Where
-leaving channels out helps much, they are listened to: steered to the places on which the others agree, a late channel
-correlates with their sum at its delay, and a channel that carries another microphone's sound does so after the two are
-exchanged. A correction is believed only if the whole array, so corrected, agrees much better than the array without the
-channels.
+polarity) are compared by how well the others agree on any place, window after window. Where leaving channels out helps
+much, they are listened to: steered to the places on which the others agree, a late channel correlates with their sum at
+its delay, and a channel that carries another microphone's sound does so after the two are exchanged. A correction is
+believed only if the whole array, so corrected, agrees much better than the array without the channels.
 """
 
 from collections import deque
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
@@ -54,9 +52,6 @@ PARAMETER = 30.0
 
 UNSETTLED = 20
 """In how many windows some channels must have been doubted, and in no fewer than half of all, until it is said."""
-
-Kind = Literal["out", "over", "exchanged"]
-"""What a hypothesis does with channels: it leaves them out, turns them over, or exchanges two."""
 
 FEW = 12
 """Up to how many channels two are doubted, or three and four turned over, at once; of more, one after another."""
@@ -121,15 +116,12 @@ class Health:
         self.size = round(self.band.size * self.band.oversampling)
         self.step = 1.0 / (array.sample_rate * self.band.oversampling)
         self.reach = min(int(LONGEST_S / self.step), self.size // 2 - 2)
-        self.hypotheses: list[tuple[tuple[int, ...], Kind]] = _hypotheses(count) if response else [((), "out")]
+        self.hypotheses = _hypotheses(count) if response else [((), False)]
         self.after = AFTER if count <= FEW else 0  # many pairs tell much at once, and cost much
-        weighted = [(subset, kind) for subset, kind in self.hypotheses if kind != "exchanged"]
-        gains = np.ones((len(weighted), count))
-        for row, (subset, kind) in zip(gains, weighted, strict=True):
-            row[list(subset)] = -1.0 if kind == "over" else 0.0
+        gains = np.ones((len(self.hypotheses), count))
+        for row, (subset, turned) in zip(gains, self.hypotheses, strict=True):
+            row[list(subset)] = -1.0 if turned else 0.0
         self.weights = (gains[:, correlator.first] * gains[:, correlator.second]).T.astype(np.float32)
-        # What each exchange changes: exchanged channels agree in part, so that it is not told by leaving them out.
-        self.exchanges = [_exchange(subset, correlator) for subset, kind in self.hypotheses if kind == "exchanged"]
         self.price = np.array([(DOUBT + EACH * len(subset)) * bool(subset) for subset, _ in self.hypotheses])
         self._forget()
 
@@ -202,7 +194,7 @@ class Health:
         gain = self.likelihood - self.likelihood[0] - self.price
         gain[[not good[list(subset)].all() for subset, _ in self.hypotheses]] = -np.inf
         chosen = int(np.argmax(gain))
-        subset, kind = self.hypotheses[chosen]
+        subset, turned = self.hypotheses[chosen]
         self.doubted[:] = False
         self.doubted[list(subset)] = True
         if not chosen or len(self.recent) < RECENT:
@@ -210,8 +202,8 @@ class Health:
         # To turn one half over is to turn the other half over.
         halves = (set(subset), set(range(len(good))) - set(subset))
         rest = [h for h, (other, _) in enumerate(self.hypotheses) if set(other) not in halves]
-        if kind != "out" and gain[chosen] > max(1.5 * gain[rest].max(), self.likelihood[0]):
-            self._apply(_changed(subset, kind, len(good)))
+        if turned and gain[chosen] > max(1.5 * gain[rest].max(), self.likelihood[0]):
+            self._apply(_turned_over(subset, len(good)))
             return
         self.patience -= 1
         if self.patience == 0:
@@ -240,14 +232,9 @@ class Health:
         kept = good[self.response.first] & good[self.response.second]
         weights = self.weights * kept[:, None]
         clipped = np.minimum(gcc, 10.0 * deviation) * kept[:, None]
-        around = self._around(clipped, deviation)
-        sums = [(self._values(clipped, at).T @ weights).max(axis=0) for at in around]
+        sums = [(self._values(clipped, at).T @ weights).max(axis=0) for at in self._around(clipped, deviation)]
         scale = np.sqrt(np.maximum(np.abs(weights).sum(axis=0), 1.0)) * deviation
-        best = np.maximum(np.max(sums, axis=0), 0.0) / scale
-        if not self.exchanges:
-            return best
-        crossed = np.max([self._crossed(clipped, at) for at in around], axis=0)
-        return np.concatenate([best, np.maximum(crossed, 0.0) / scale[0]])
+        return np.maximum(np.max(sums, axis=0), 0.0) / scale
 
     def _around(self, gcc: np.ndarray, deviation: float) -> list[np.ndarray]:
         """Return the places (n, 3) m around each of those that many pairs answer, whatever the others say."""
@@ -260,37 +247,25 @@ class Health:
         lag = np.rint(self.response.lags(points)).astype(np.intp) + (self.response.rows + self.response.half_lags)
         return gcc.ravel().take(lag)
 
-    def _crossed(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return for each two channels the largest sum of the GCCs at points (n, 3) m, were they exchanged."""
-        lag, middle = np.rint(self.response.lags(points)).astype(np.intp), self.response.half_lags
-        flat, rows = gcc.ravel(), self.response.rows
-        values = flat.take(lag + (rows + middle))
-        whole = values.sum(axis=0)
-        return np.array([
-            (whole - values[pairs].sum(axis=0) + flat.take(sign * lag[pairs] + (rows[row] + middle)).sum(axis=0)).max()
-            for pairs, row, sign in self.exchanges
-        ])  # fmt: skip
-
     def _diagnose(self, gain: np.ndarray, deviation: float) -> None:
         """Listen to the channels of the likeliest hypotheses in the recent windows, and put right what is clear."""
         gain = np.where(np.isfinite(gain), gain + self.price, 0.0)
-        sizes = np.array([len(subset) if kind == "out" else 0 for subset, kind in self.hypotheses])
-        kinds = np.array([kind for _, kind in self.hypotheses])
-        groups = (sizes == 1, sizes == 2, sizes == 3, kinds == "over", kinds == "exchanged")
-        order = [h for group in groups for h in np.argsort(-gain * group)[:CANDIDATES] if gain[h] * group[h] > 0.0]
+        kinds = np.array([-len(subset) if turned else len(subset) for subset, turned in self.hypotheses])
+        sizes = (kinds == 1, kinds == 2, kinds == 3, kinds < 0)
+        order = [h for kind in sizes for h in np.argsort(-gain * kind)[:CANDIDATES] if gain[h] * kind[h] > 0.0]
         good = np.all([window.good for window in self.recent], axis=0) & ~self.faulty
-        healthy = self._reached(_changed((), "over", len(good)), good, deviation)[0]
-        best_out = int(np.argmax(gain * (sizes > 0)))
+        healthy = self._reached(_turned_over((), len(good)), good, deviation)[0]
+        best_out = int(np.argmax(gain * (kinds > 0)))
         remedies, deaf = list[Remedy](), None
         for h in order:
-            subset, kind = self.hypotheses[h]
+            subset, turned = self.hypotheses[h]
             alone, places = self._left(subset, good, deviation)
             # Put right, every pair of the array agrees as well as those do that agreed without these channels.
             left = good.sum() - len(subset)
             whole = alone * good.sum() * (good.sum() - 1) / max(left * (left - 1), 1)
-            if kind != "out":
-                change = _changed(subset, kind, len(good))
-                found = [replace(change, gain=self._reached(change, good, deviation)[0] - healthy)]
+            if turned:
+                over = _turned_over(subset, len(good))
+                found = [replace(over, gain=self._reached(over, good, deviation)[0] - healthy)]
             else:
                 lagged, usual = self._listened(subset, places, good)
                 if deaf is None or h == best_out:
@@ -450,37 +425,21 @@ class Health:
         return tuple(found)
 
 
-def _changed(subset: tuple[int, ...], kind: Kind, count: int) -> Remedy:
-    """Return the remedy that turns some of so many channels over, or exchanges two of them."""
-    order, sign = np.arange(count), np.ones(count)
-    if kind == "exchanged":
-        order[list(subset)] = subset[::-1]
-    else:
-        sign[list(subset)] = -1.0
-    return Remedy(order, sign, np.zeros(count))
+def _turned_over(subset: tuple[int, ...], count: int) -> Remedy:
+    """Return the remedy that turns some of so many channels over."""
+    sign = np.ones(count)
+    sign[list(subset)] = -1.0
+    return Remedy(np.arange(count), sign, np.zeros(count))
 
 
-def _exchange(subset: tuple[int, ...], correlator: Correlator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which pairs (k,) change with two channels, the rows of their GCCs then (k,), and signs of lags (k, 1)."""
-    first, second = correlator.first, correlator.second
-    order = _changed(subset, "exchanged", int(second.max()) + 1).order
-    row = {pair: number for number, pair in enumerate(zip(first.tolist(), second.tolist(), strict=True))}
-    pairs = np.flatnonzero(np.isin(first, subset) | np.isin(second, subset))
-    taken = np.stack([order[first[pairs]], order[second[pairs]]], axis=1)
-    rows = np.array([row[one, other] for one, other in np.sort(taken, axis=1).tolist()])
-    return pairs, rows, np.where(taken[:, :1] < taken[:, 1:], 1, -1)
-
-
-def _hypotheses(count: int) -> list[tuple[tuple[int, ...], Kind]]:
-    """Return which of so many channels each hypothesis doubts, and what it does with them; exchanges are the last."""
+def _hypotheses(count: int) -> list[tuple[tuple[int, ...], bool]]:
+    """Return which of so many channels each hypothesis doubts, and whether it turns them over or leaves them out."""
     largest_out = 3 if 7 <= count <= 8 else 2 if count <= FEW else 1
     out = [subset for size in range(1, 1 + largest_out) for subset in combinations(range(count), size)]
     largest = min(count // 2, 4 if count <= 8 else 2 if count <= FEW else 1)
     over = [subset for size in range(1, largest + 1) for subset in combinations(range(count), size)]
-    two = combinations(range(count), 2) if 5 <= count <= 8 else ()
-    found: list[tuple[tuple[int, ...], Kind]] = [((), "out")]
-    found += [(subset, "out") for subset in out if count - len(subset) >= 4]
-    return found + [(subset, "over") for subset in over] + [(subset, "exchanged") for subset in two]
+    kept = [(subset, False) for subset in out if count - len(subset) >= 4]
+    return [((), False), *kept, *[(subset, True) for subset in over]]
 
 
 _LEVEL = np.arange(-6, 7) * 0.025
