@@ -290,7 +290,7 @@ def features(**changed):
     usual = {"response": 1.3, "agreement": 0.3, "support": 0.4, "before": 0.0, "first": False, "own": 0.8}
     still = dict.fromkeys(("velocity", "pace", "gait"), np.zeros(3))
     more = {"residual": 0.01, "strayed": np.full(3, 0.01), "strongest": 1.3, "dilution": 1.0, "fall": 0.0}
-    return uncertainty.Features(**(usual | still | more | {"channels": 8.0, "steady": 0.0} | changed))
+    return uncertainty.Features(**(usual | still | more | {"channels": 8.0, "doubted": 0.0, "steady": 0.0} | changed))
 
 
 def test_what_sounds_steadily_comes_to_be_a_machine_and_what_rises_and_falls_does_not():
@@ -331,7 +331,7 @@ def test_the_score_falls_with_all_that_speaks_against_a_place(first):
     score = LAW.probability(features(**usual))
     against = [{"before": -1.0}, {"strongest": 1.0}, {"fall": -12.0}]
     if first:
-        against += [{"dilution": 10.0}, {"residual": 0.02}, {"support": 0.1}]
+        against += [{"dilution": 10.0}, {"residual": 0.02}, {"support": 0.1}, {"doubted": 1.0}]
     else:
         against += [{"strayed": np.zeros(3)}, {"response": 1.0}, {"own": 0.5}]
     for changed in against:

@@ -13,9 +13,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "bench"))
 
 import fit_existence
 
-from avcli.formats.sensors import MICROPHONES
+from avcli.formats.records import Detections
+from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.tracking import coverage
-from avcli.tracking.settings import sensor
+from avcli.tracking.fusion import Fusion
+from avcli.tracking.model import Population
+from avcli.tracking.settings import Settings, sensor
 from avcli.tracking.trust import FITTED, TRUST, Curve, Trust
 
 probabilities = st.floats(0.0, 1.0)
@@ -64,3 +67,28 @@ def test_the_shipped_curves_made_existence_truer_where_they_were_fitted():
     assert whole["fit"]["after"]["brier"] < whole["fit"]["before"]["brier"]
     for count, said, true in whole["fit"]["after"]["bins"]:
         assert count < 400 or said == pytest.approx(true, abs=0.05)
+
+
+def existences(scores, name="audio", kind=MICROPHONES, before=()):
+    """Existence of one person at one place after each record of a sensor; `before` are records (name, kind, score)."""
+    fusion, found = Fusion(Settings(), "ms-glmb", 0.0, population=Population()), []
+    records = [*before, *((name, kind, score) for score in scores)]
+    for k, (sensor_name, sensor_kind, score) in enumerate(records):
+        at = 0.1 * (k + 1)
+        seen = Detections(
+            at, sensor_name, np.array([[1.0, 2.0, np.nan]]), np.full((1, 3, 3), np.nan), np.array([score]), sensor_kind
+        )
+        (tracks,) = fusion.step(at, [(at, sensor_name, seen)])
+        found.append(float(max(tracks.existence, default=0.0)))
+    return found
+
+
+def test_doubtful_reports_of_microphones_at_one_place_do_not_become_sure():
+    said = existences([0.7, 0.75, 0.62, 0.7, 0.7, 0.66])
+    assert 0.7 < max(said) <= 0.75
+    assert existences([0.7, 0.7, 0.99, 0.7, 0.7, 0.7])[-1] > 0.95  # one good report is enough
+    assert existences([np.nan] * 6)[-1] > 0.95  # a sensor that gives no score is judged by its detections
+
+
+def test_what_a_camera_detects_too_is_not_bound_by_the_scores_of_microphones():
+    assert existences([0.7] * 3, before=[("video", CAMERA, 0.7)] * 3)[-1] > 0.95

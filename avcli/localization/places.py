@@ -18,10 +18,6 @@ from avcli.localization.windows import Heard
 _SURE = float(np.log(0.9 / 0.1))
 """Evidence from which a source is surely heard."""
 
-DOUBTED = 0.88
-"""The largest score while channels are doubted: where somebody is beyond a wall, the others agree on a place, too. This
-is cautious: in arrays as people build them, 96 % of 786 scores over .9 were right there."""
-
 
 @dataclass(frozen=True)
 class Judged:
@@ -99,17 +95,17 @@ class PlaceFinder:
             memory: what the decisions before found.
         """
         judged, left = [], memory.traces
+        doubted = float(self.health.doubted.any())
         fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
         for number, peak in enumerate(peaks):
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             levels = (*(_latest(traces).levels if traces else ()), peak.level)[-LEVELS * self.apart :]
-            more = {"fall": fall, "channels": heard.channels, "steady": steadiness(levels[:: -self.apart][::-1])}
+            steady = steadiness(levels[:: -self.apart][::-1])
+            more = {"fall": fall, "channels": heard.channels, "doubted": doubted, "steady": steady}
             features = self.features(peak, number == 0 and not len(heard.steady), traces, noise, more)
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
-            if self.health.doubted.any():
-                score = min(score, DOUBTED)
             judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
         return sorted(judged, key=lambda one: -one.evidence)
 

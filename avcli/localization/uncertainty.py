@@ -61,6 +61,8 @@ class Features:
             may be the room alone.
         steady: how steadily it sounds, from 0 (as a voice, or not known yet) to 1, see memory.steadiness.
         channels: how many channels it rests on. Four tell three delays, which some place nearly always fits.
+        doubted: 1 where channels are left out since they disagree with the others, else 0: where somebody is beyond a
+            wall, the others agree on a place, too.
     """
 
     response: float
@@ -78,6 +80,7 @@ class Features:
     dilution: float
     fall: float
     channels: float
+    doubted: float
     steady: float
 
 
@@ -229,6 +232,7 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
         "strongest": min(features.strongest, 3.0),
         "fall": max(features.fall, -30.0),
         "new": float(not features.strayed.any()),
+        "doubted": features.doubted,
         "few": few,
         "few_residual": few * _log(features.residual),
         "few_dilution": few * _log(features.dilution),

@@ -19,7 +19,7 @@ _FINGERS = (0.070, 0.078, 0.072, 0.058)  # lengths
 _Z = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
+@dataclass
 class Part:
     """One rounded cone at n times.
 
@@ -74,12 +74,17 @@ def dress(bones: Skeleton, person: Person) -> list[Part]:
 def touching(parts: list[Part]) -> np.ndarray:
     """For each cone the cones of its group that touch it most, by the gap between their balls; (p, 4), -1 for none."""
     f = np.linspace(0, 1, 4)[:, None]
-    balls = np.stack([part.a[0] * (1 - f) + part.b[0] * f for part in parts])
-    radii = np.stack([part.ra * (1 - f[:, 0]) + part.rb * f[:, 0] for part in parts])
-    between = np.linalg.norm(balls[:, None, :, None] - balls[None, :, None], axis=-1)
-    gap = (between - radii[:, None, :, None] - radii[None, :, None]).min((2, 3))
-    names = np.array([part.group for part in parts])
-    gap[(names[:, None] != names) | np.eye(len(parts), dtype=bool) | (gap > 0)] = np.inf
+    a, b = np.array([(part.a[0], part.b[0]) for part in parts]).transpose(1, 2, 0)[:, :, None]
+    ra, rb = np.array([(part.ra, part.rb) for part in parts]).T
+    balls, radii = a * (1 - f) + b * f, ra * (1 - f) + rb * f  # (3, 4, p), (4, p)
+    numbers: dict[str, int] = {}
+    group = np.array([numbers.setdefault(part.group, len(numbers)) for part in parts])
+    one, other = np.nonzero((group[:, None] == group) & ~np.eye(len(parts), dtype=bool))
+    x, y, z = balls[:, :, None, one] - balls[:, None, :, other]
+    gaps = np.sqrt(x * x + y * y + z * z) - radii[:, None, one] - radii[None, :, other]
+    nearest = gaps.min((0, 1))
+    gap = np.full((len(parts), len(parts)), np.inf)
+    gap[one, other] = np.where(nearest > 0, np.inf, nearest)
     best = np.argsort(gap, 1, kind="stable")[:, :_TOUCHING]
     best = np.pad(best, ((0, 0), (0, _TOUCHING - best.shape[1])), constant_values=-1)
     kept = np.isfinite(np.take_along_axis(gap, np.maximum(best, 0), 1)) & (best >= 0)
@@ -102,7 +107,10 @@ def shadow_balls(bones: Skeleton) -> np.ndarray:
         *((arm.wrist, 0.04) for arm in bones.arms),
         *((arm.shoulder, 0.055) for arm in bones.arms),
     ]  # fmt: skip
-    return np.stack([np.concatenate([at, np.full((len(at), 1), r * unit)], -1) for at, r in balls], 1)
+    rows = np.empty((len(trunk.chest), len(balls), 4))
+    for k, (at, radius) in enumerate(balls):
+        rows[:, k, :3], rows[:, k, 3] = at, radius * unit
+    return rows
 
 
 class _Dress:
@@ -202,11 +210,11 @@ class _Dress:
         skin = _Surface(group=f"hand{side}", material=SKIN, colour=self.look.skin, front=palm)
         knuckles = wrist + 0.075 * unit * along
         self.add(wrist, knuckles, 0.028, 0.036, skin, palm, 0.5)
-        curl = unit_vector(along + 0.45 * palm)
+        bend, curl = unit_vector(along + 0.2 * palm), unit_vector(along + 0.45 * palm)
         for index, finger in enumerate(_FINGERS):
             base = knuckles + (0.026 - 0.0175 * index) * unit * across
             length = finger * unit
-            bent = base + 0.5 * length * unit_vector(along + 0.2 * palm)
+            bent = base + 0.5 * length * bend
             self.add(base, bent, 0.0105, 0.0095, skin)
             self.add(bent, bent + 0.5 * length * curl, 0.0095, 0.0075, skin)
         thumb = wrist + 0.025 * unit * along + 0.024 * unit * across

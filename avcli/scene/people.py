@@ -76,13 +76,16 @@ def pose(people: Sequence[Person], t: np.ndarray) -> Bodies:
     n, p = len(t), len(parts)
 
     def stacked(rows: list[np.ndarray]) -> np.ndarray:
-        return np.stack([np.broadcast_to(row, (n, 3)) for row in rows]).swapaxes(0, 1) if p else np.zeros((n, 0, 3))
+        points = np.empty((len(rows), n, 3))
+        for place, row in zip(points, rows, strict=True):
+            place[:] = row
+        return points.swapaxes(0, 1)
 
     blends = [
         np.where(found >= 0, found + offset, -1)
         for found, offset in zip(map(touching, dressed), offsets[:-1], strict=True)
     ]
-    joints = [body.joints() for body in bones]
+    joints = [found[name] for found in (body.joints() for body in bones) for name in KEYPOINTS]
     return Bodies(
         times=t,
         a=stacked([part.a for part in parts]),
@@ -98,10 +101,6 @@ def pose(people: Sequence[Person], t: np.ndarray) -> Bodies:
         colours=np.array([[part.colour, part.beyond, part.second] for part in parts]).reshape(-1, 3, 3),
         split=np.array([part.split for part in parts]),
         balls=np.stack([shadow_balls(body) for body in bones], 1) if p else np.zeros((n, 0, 20, 4)),
-        keypoints=(
-            np.stack([np.stack([found[name] for name in KEYPOINTS], 1) for found in joints], 1)
-            if p
-            else np.zeros((n, 0, 17, 3))
-        ),
+        keypoints=stacked(joints).reshape(n, len(people), len(KEYPOINTS), 3),
         mouths=stacked([body.mouth for body in bones]),
     )

@@ -277,6 +277,7 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
         place=scan.z[js],
         hits=hits,
         told=np.zeros(n),
+        vouched=np.ones(n) if scan.vouched is None else scan.vouched[js],
         reach=uncertainty(cov[:, 0]),
         label=[-1] * n,
         node=[None] * n,

@@ -231,6 +231,7 @@ class GLMB:
     ) -> None:
         """Update with one record of one sensor, see `trackers.Tracker.update` and `trackers.Partly`."""
         self.predict(time)
+        now = self._now()
         cells: dict[int, int] = {}
         if shown is not None:
             order = partial.in_order(shown, z, noise)
@@ -250,7 +251,7 @@ class GLMB:
         birth = (np.add.reduce(from_tentative, 0) + from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
-        self.errors.learn(self._now(), scan, groups, self.people)
+        self.errors.learn(now, scan, groups, self.people)
         real = [b / whole for b, whole in zip(birth, background, strict=True)]
         others = other_detections if shown is None else partial.other_detections
         room, twice = others(scan, unclaimed, real, self.population.body)
@@ -281,15 +282,15 @@ class GLMB:
             errors = self.errors.described(scan.column)
             false_places = self.false_places.state(scan.column)
             account = journal.account(
-                self._now(), scan, rates, groups, unclaimed, existence, birth, before, errors, false_places
+                now, scan, rates, groups, unclaimed, existence, birth, before, errors, false_places
             )
             journal.add_features(account, scan, self.people.label, self.likely_rows)
             rows = [one.row for one in known]
             leaving = self.habits.leaving(self.people.mean.take(rows, 0)[:, 0])
             journal.add_beliefs(account, rates, leaving, self.people.seen.take(rows, 0).max(1, initial=NEVER))
             self.journal.append({**account, "born": self.born, "died": self.died})
-        self.last_record[scan.column] = self._now()
-        self._rebuild(scan, groups, revealed)
+        self.last_record[scan.column] = now
+        self._rebuild(scan, groups, revealed, now)
         if self.gallery.fresh and scan.evidence:
             self._recognise()
         self.undetected.update(scan)
@@ -340,7 +341,9 @@ class GLMB:
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
+        vouched = None
         if score is not None and sensor.score_within < math.inf:  # the score knows nothing of the floor
+            vouched = np.where(np.isnan(score), 1.0, score)
             near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
@@ -379,6 +382,7 @@ class GLMB:
             ahead,
             between,
             odds,
+            vouched,
             near,
             expected,
             gain,
@@ -501,10 +505,9 @@ class GLMB:
 
     # --- the densities and hypotheses after a record ------------------------------------------------------------------
 
-    def _rebuild(self, scan: Scan, groups: list[Group], revealed: Sequence[Birth]) -> None:
+    def _rebuild(self, scan: Scan, groups: list[Group], revealed: Sequence[Birth], now: float) -> None:
         """Compute each density that is needed once, and make tentative people and clusters of them."""
         want = needed(scan, self.people, self.tentative, groups, revealed)
-        now = self._now()
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
             able = self.undetected.detectable_at(scan.z[want.fresh])
@@ -719,12 +722,13 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
+        vouched = people.vouched.take(rows).tolist()
         in_part = isinstance(self.undetected, UnseenMap)
         looks = watched(mean[:, :2], self.sensors) if in_part else [True] * len(present)
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k], looks[k])
+            there = TRUST.of(believed, latest[k], count[k], looks[k]) * vouched[k]
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))

@@ -14,6 +14,7 @@ from generate import HEIGHT, WIDTH
 from judge import average_precision, judge, pictures_to_judge
 from model import Detector, Exported
 from onnx import TensorProto, helper, numpy_helper
+from worlds import read
 
 from avcli.detection.agreement import platt
 
@@ -105,6 +106,9 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, help="save the weights alone, in half precision, for train.py --start")
     parser.add_argument("--seed", type=int, default=900_000, help="of those pictures")
     parser.add_argument("--panoramas", type=Path, help="photographed rooms for every second of them (backdrops.py)")
+    parser.add_argument(
+        "--worlds", type=Path, help="folder of further such pictures, which training has not seen (worlds.py)"
+    )
     parser.add_argument("--towards", type=float, default=1.0, help="how far to go from --start to the checkpoint")
     parser.add_argument("--start", type=Path, help="weights that the training began with, for --towards")
     options = parser.parse_args()
@@ -124,7 +128,9 @@ def main() -> None:
         torch.save(half, options.weights)
     metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": "16", "iou": "0.5",
                 "imgsz": "[368, 640]"}  # fmt: skip
-    samples = pictures_to_judge(options.seed, options.judge, panoramas=options.panoramas)
+    samples = list(pictures_to_judge(options.seed, options.judge, panoramas=options.panoramas))
+    if options.worlds:
+        samples += [one for path in sorted(options.worlds.glob("[0-9]*[0-9].npz")) for one in read(path)]
     raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
     slope, shift = platt(raw.scores, raw.right > 0)
     content = to_onnx(detector, slope, shift, metadata | {"steps": str(state["step"])})

@@ -3,7 +3,8 @@
 The worlds are those of `avsim-scene random`: six kinds of rooms, materials, clutter, lenses in square and wide
 pictures, postures, and the picture of a webcam or an IP camera with its noise and time stamp. Each becomes one file
 NAME.npz, which `train.py --worlds DIR` reads; a file that is there already is not drawn again. Run several at once,
-with other seeds, where there are several processors.
+with other seeds, where there are several processors. With --makehuman FOLDER the people are those of meshes.py, dressed
+anew in each picture, and some more of them stand about.
 """
 
 import argparse
@@ -14,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from generate import HEIGHT, PAD, WIDTH, Sample
+from meshes import Painter, Wardrobe, paint_people, somebody
 from renders import seen_people
 
 from avcli.detection.view import View
@@ -42,10 +44,12 @@ def scaled(raw: dict) -> dict:
     return raw | {"camera_config": camera}
 
 
-def world(seed: int, people: int, count: int, context, *, empty: bool = False) -> Iterator[Sample]:
+def world(
+    seed: int, people: int, count: int, context, *, empty: bool = False, wardrobe: Wardrobe | None = None
+) -> Iterator[Sample]:
     """Yield `count` pictures of a random world; square ones are turned and cut to the network's shape.
 
-    An `empty` one is furnished for its people, who are not there.
+    An `empty` one is furnished for its people, who are not there. With a wardrobe the people are meshes.
     """
     rng = np.random.default_rng([seed, 17])
     raw = scaled(load.named("random", seed, Wishes(people=people), 10.0))
@@ -60,6 +64,9 @@ def world(seed: int, people: int, count: int, context, *, empty: bool = False) -
     size = camera.width_px, camera.height_px
     view = View(camera.lens, camera.T_room_camera, size, camera.theta_max, 1)
     times = np.sort(rng.uniform(0, 10, count))
+    if wardrobe:
+        yield from _with_meshes(rng, scene, artist, view, effects, times, Painter(context), wardrobe)
+        return
     bodies = pose(scene.people, times)
     drawn = artist.prepare(bodies)
     for k, t in enumerate(times.tolist()):
@@ -72,6 +79,39 @@ def world(seed: int, people: int, count: int, context, *, empty: bool = False) -
             np.array([row[4] for row in rows]).reshape(-1, 3, 2), np.array([row[5] for row in rows]).reshape(-1, 2),
             np.array([row[2] for row in rows]), (frame.ids > 0).astype(np.uint8),
         )  # fmt: skip
+
+
+def _with_meshes(rng, scene, artist, view: View, effects: Effects, times, painter, wardrobe) -> Iterator[Sample]:
+    """The empty room, drawn once, with other people in each picture."""
+    frame = artist.draw(artist.prepare(pose([], times[:1])), 0)
+    room, depth = frame.rgb.astype(np.float32) / 255, frame.depth * np.float32(artist.depth_step)
+    lens = scene.config.camera.lens
+    for t in times.tolist():
+        people = [one for one in scene.people if rng.random() < 0.8]
+        if scene.people:
+            people += [somebody(rng, place) for place in free_floor(rng, scene, view, depth, int(rng.integers(0, 4)))]
+        painted, owner, seen = paint_people(rng, painter, wardrobe, room, depth, view, people, t)
+        picture = (np.clip(painted, 0, 1) * 255).astype(np.uint8)
+        picture = sensor.expose(picture, effects, (lens.cx, lens.cy), rng, t)
+        yield cut(
+            rng, picture, seen.boxes, seen.parts, seen.anchors, seen.visible, (owner > 0).astype(np.uint8)
+        )  # fmt: skip
+
+
+def free_floor(rng, scene, view: View, depth: np.ndarray, count: int) -> np.ndarray:
+    """At most `count` places (n, 2) m where the floor is seen and free, half of them near the camera."""
+    size = scene.config.room.dimensions[:2]
+    near = view.origin[:2] + rng.normal(0, 0.8, (4 * count, 2))
+    places = np.where(rng.random((4 * count, 1)) < 0.5, near, rng.uniform(0, 1, (4 * count, 2)) * size)
+    angle = np.linspace(0, 2 * np.pi, 6, endpoint=False)
+    ring = np.concatenate([[[0.0, 0.0]], 0.25 * np.column_stack([np.cos(angle), np.sin(angle)])])
+    points = np.concatenate([places[:, None] + ring, np.zeros((len(places), 7, 1))], 2)
+    pixels = view.project(points.reshape(-1, 3))
+    inside = view.inside(pixels)
+    column, row = np.rint(np.where(inside[:, None], pixels, 0)).astype(int).T
+    away = np.linalg.norm(points.reshape(-1, 3) - view.origin, axis=1)
+    free = inside & (np.abs(depth[row, column] - away) < 0.08)
+    return places[free.reshape(-1, 7).all(1)][:count]
 
 
 def fainter(effects: Effects, rng: np.random.Generator) -> Effects:
@@ -143,11 +183,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1_000_000, help="of the first world")
     parser.add_argument("--each", type=int, default=6, help="pictures of a world with people; one of an empty world")
     parser.add_argument("--empty", type=float, default=0.4, help="share of worlds without people")
+    parser.add_argument("--makehuman", type=Path, help="folder of MakeHuman's files (meshes.py)")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
     context = render.open_context()
     context.gc_mode = "auto"
+    wardrobe = Wardrobe(options.makehuman) if options.makehuman else None
     for seed in range(options.seed, options.seed + options.count):
         path = options.out / f"{seed}.npz"
         if path.exists():
@@ -155,7 +197,7 @@ def main() -> None:
         rng = np.random.default_rng([seed, 23])
         empty, people = bool(rng.random() < options.empty), int(rng.integers(1, 9))
         try:
-            samples = list(world(seed, people, 1 if empty else options.each, context, empty=empty))
+            samples = list(world(seed, people, 1 if empty else options.each, context, empty=empty, wardrobe=wardrobe))
         except scenario.ScenarioError:
             continue
         write(samples, path)

@@ -61,6 +61,8 @@ CHI2_95 = 5.991
 EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0)
 LATE_S = 0.2
 """s after the last word, from which a report is late."""
+EIGHT = 8
+"""Microphones from which an array has many: two talkers at once are looked at with fewer, and with so many or more."""
 LEAST, RUNS, FAR, SURE = 400, 20, 0.05, 0.9
 """Records and scenes from which a bin counts, how far what is said may be from what is true, and from where a wrong
 score is a confident one."""
@@ -303,11 +305,18 @@ def figures(found: Sequence[Peak], spoken: Sequence[Spoken], law: uncertainty.La
         }
     reported = [one for one in found if one.score >= 0.5]
     late = [one.quiet for one in reported if one.quiet > LATE_S]
-    together = sum(one.together for one in spoken)
-    told["together"] = {
-        "recall": round(sum(one.together and one.right for one in reported) / max(together, 1), 3),
-        "of": together,
-    }
+    told["together"] = []
+    for few, people_built in itertools.product((False, True), repeat=2):
+        kind = (few, people_built)
+        of = sum(one.together for one in spoken if (one.given.count < EIGHT, one.given.misplaced > 0.0) == kind)
+        mine = [one for one in reported if (one.given.count < EIGHT, one.given.misplaced > 0.0) == kind]
+        true = [one.right for one in mine if one.together]
+        told["together"].append({
+            "array": f"{'4 to 6' if few else '8 and more'} microphones, {'as built' if people_built else 'as said'}",
+            "of": of,
+            "recall": round(sum(true) / max(of, 1), 3),
+            "precision": round(sum(true) / max(len(true), 1), 3),
+        })  # fmt: skip
     told["late"] = {"reports": len(late), "latest_s": round(max(late, default=0.0), 2)}
     return {"scenes": len({one.given.number for one in found}), **told, "conditions": conditions(found, spoken)}
 
@@ -345,14 +354,22 @@ A bin counts where it has {LEAST} peaks of {RUNS} scenes; its true share may be 
             verdict = ("too far" if row["far"] else "kept") if row["counts"] else "few"
             text += f"| {row['from']:g} to {row['to']:g} | {row['peaks']} | {row['scenes']} | {row['said']:.3f} |"
             text += f" {row['true']:.3f} | {verdict} |\n"
-    two, late = told["together"], told["late"]
-    text += f"""
+    late = told["late"]
+    text += """
 ## Two at once, and the last word
 
-Two sound together, and each of them could be found, {two["of"]} times: {two["recall"]:.3f} of these are reported;
-"people two" below has how many of the reports are right. Later than {LATE_S} s after the last word, and not within
-{NEARBY_S} s before the next one, there are {late["reports"]} reports, the latest {late["latest_s"]} s after it. A
-decision's windows reach 0.2 s into the next word, and what they hear of it is no tail.
+Two sound together, and each of them could be found: how many of them are reported, and how many of the reports of such
+moments are right.
+
+| | to be found | recall | precision |
+| --- | ---: | ---: | ---: |
+"""
+    for row in told["together"]:
+        text += f"| {row['array']} | {row['of']} | {row['recall']:.3f} | {row['precision']:.3f} |\n"
+    text += f"""
+Later than {LATE_S} s after the last word, and not within {NEARBY_S} s before the next one, there are {late["reports"]}
+reports, the latest {late["latest_s"]} s after it. A decision's windows reach 0.2 s into the next word, and what they
+hear of it is no tail.
 """
     text += """
 ## Machines

@@ -36,6 +36,7 @@ TERMS = {
         "few",
         "few_residual",
         "few_dilution",
+        "doubted",
     ),
     "further": ("one", "evidence", "strongest", "fall", "new", "few", "few_support"),
 }
