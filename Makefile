@@ -22,7 +22,8 @@
 #: make bench-real-audio          talkers in measured rooms that you have: BENCH_FLAGS="--data DIR"
 #: make setup-bench   the peers that some benchmarks compare with
 #: make bench         the pipeline and all stage benchmarks in short, on one page: out/bench/index.html
-#:                    (BENCH_FLAGS=--all: as long as they take; --check: exit 1 where something costs more than its budget)
+#:                    (BENCH_FLAGS=--all: as long as they take; --check: exit 1 where something costs more than its budget,
+#:                    or has none)
 #: make stress        random worlds, sounds, pictures, detections, faults and damaged files for ten minutes; what was lost, if
 #:                    anything (STRESS_FLAGS="--seconds 3600")
 #: make thesis        S1 to S4 as the thesis built its chain, beside ours, each part exchanged by itself (THESIS_FLAGS="--seeds 5")

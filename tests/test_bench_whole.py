@@ -54,10 +54,12 @@ def test_a_limit_that_is_exceeded_is_told_from_a_goal(limits):
     assert "Goals that are not reached" in said
     assert "scene (no EGL)" in said
     assert "none was checked" in whole_page.sentence([], {})
+    assert budget.unjudged(rows) == ["start, --help, avcli avfuse"], "a goal is no limit, and other tools have none"
     budget.write(rows, {"processor": "P", "cpus": 1, "reference": {"all": 0.5}})
     written = json.loads(limits.read_text())["limits"]
     assert len(written) == 4, "what people wrote stays, the start is new"
     assert [line["units"] for line in written if line["why"] == budget.WRITTEN] == [0.3]
+    assert not budget.unjudged(rows)
 
 
 def test_the_page_says_everything_and_escapes_it(limits):

@@ -53,6 +53,14 @@ def judged(rows: Sequence[Row]) -> list[Judged]:
     return verdict
 
 
+def unjudged(rows: Sequence[Row]) -> list[str]:
+    """Name the cases that should have a limit and have none."""
+    lines = json.loads(FILE.read_text())["limits"] if FILE.exists() else []
+    known = {_key(line) for line in lines if not line.get("goal")}
+    keys = dict.fromkeys(_key(row) for row in rows if row.get("units") and _is_guarded(row))
+    return [", ".join(key) for key in keys if key not in known]
+
+
 def write(rows: Sequence[Row], machine: dict[str, Any]) -> None:
     """Renew the lines that this function wrote before and add missing ones; lines of people stay as they are."""
     kept = json.loads(FILE.read_text())["limits"] if FILE.exists() else []
