@@ -9,6 +9,7 @@ from detection_people import KB8, cast, ceiling_view
 
 import avcli.detection.detector
 from avcli.detection.detector import Detector, detect, detections
+from avcli.detection.fitted import FAINT
 from avcli.detection.network import Boxes
 from avcli.detection.settings import Settings
 from avcli.formats import records
@@ -129,6 +130,77 @@ def test_depth_is_read_where_the_network_looks_only(empty, full):
     monocular = with_network(full, empty, settings=Settings(monocular=True))
     assert monocular.look(GREY, depth)[0].method == "monocular"
     assert len(read) == 2
+
+
+OTHER = (3.2, 1.6, 1.0, 0.2, 1.7)
+
+
+class Film:
+    """A network that finds nobody but what it is told, and a detector that knows the empty room."""
+
+    def __init__(self, empty, **options):
+        self.detector = Detector(config(), background=empty, **options)
+        self.detector.network = self
+        self.found = Boxes(np.zeros((0, 4)), np.zeros(0))
+
+    def detect(self, picture, regions):
+        return self.found
+
+    def look(self, *people):
+        return self.detector.look(GREY, steps(*people))
+
+
+def box_of(empty, *people):
+    rows, columns = np.nonzero(steps(*people) < empty - 300)
+    return [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+
+
+def test_who_comes_is_found_by_depth_where_the_network_finds_nobody(empty):
+    film = Film(empty, settings=Settings(refresh=1))
+    assert [len(film.look()) for _ in range(2)] == [0, 0]
+    (found,) = film.look(PERSON)
+    assert np.linalg.norm(found.position[:2] - PERSON[:2]) < 0.12
+    assert (found.method, found.score > 0.9) == ("depth", True)
+    assert len(film.look(PERSON)) == 1  # and stays
+
+
+def test_what_stands_there_from_the_beginning_needs_the_network(empty):
+    """It may be furniture that came since the empty room was recorded."""
+    film = Film(empty, settings=Settings(refresh=1))
+    assert [len(film.look(PERSON)) for _ in range(4)] == [0] * 4
+    film.found = Boxes(np.array([box_of(empty, PERSON)], float), np.array([0.15]))
+    (found,) = film.look(PERSON)
+    assert found.score == pytest.approx(float(FAINT.probability(np.array([0.15]), np.array([False]))[0]))
+    assert film.look(PERSON, OTHER)[0].position[:2] == pytest.approx(OTHER[:2], abs=0.12)  # who came, and no more
+    others = Film(empty, settings=Settings(refresh=1))
+    others.found = film.found
+    assert len(others.look(PERSON, OTHER)) == 0  # of whom the network says nothing: the room is not as it was
+
+
+def test_another_network_s_faint_boxes_tell_nothing(empty):
+    film = Film(empty, settings=Settings(refresh=1))
+    film.detector._faint = None
+    film.found = Boxes(np.array([box_of(empty, PERSON)], float), np.array([0.15]))
+    assert len(film.look(PERSON)) == 0
+
+
+def test_flicker_far_behind_does_not_make_furniture_come(empty):
+    rng, film = np.random.default_rng(3), Film(empty, settings=Settings(refresh=1))
+    for _ in range(30):
+        depth = steps(PERSON)
+        flicker = rng.random(depth.shape) < 0.02
+        depth[flicker] = empty[flicker]
+        assert film.detector.look(GREY, depth) == []
+
+
+def test_a_person_is_not_found_twice(empty):
+    film = Film(empty, settings=Settings(refresh=1))
+    for _ in range(2):
+        film.look()
+    x0, y0, x1, y1 = box_of(empty, PERSON)
+    film.found = Boxes(np.array([[x0 + 4, y0 + 4, x1 - 4, y1 - 4]], float), np.array([0.9]))
+    (found,) = film.look(PERSON)
+    assert found.score == 0.9
 
 
 def test_a_step_is_timed_by_its_name(empty, full):

@@ -68,8 +68,10 @@ def test_the_file_says_what_its_numbers_were_fitted_on():
 @pytest.mark.slow
 def test_the_numbers_describe_todays_detector():
     """On a part of the scenes that were fitted to, the detector is as far off as it was then."""
-    part = KNOWN["fitted_on"]["part"]
-    samples = fit_detection.collect(part["scenes"], part["frames"], KNOWN["fitted_on"]["seed"])
+    origin = KNOWN["fitted_on"]
+    part = origin["part"]
+    samples = fit_detection.collect(part["scenes"], part["frames"], origin["seed"])
+    samples += fit_detection.collect_worlds(part["worlds"], part["frames"], origin["world"])
     for name, (law, loss) in fit_detection.LAWS.items():
         losses = loss(law, fit_detection.joined(samples, name))
         assert len(losses) == pytest.approx(part[name]["samples"], abs=1)

@@ -178,7 +178,10 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
             f"{tally.still} boxes showed only the room as it was learnt (--learn-background), and are left out"
         )
     if tally.held_back:
-        session.note(f"{tally.held_back} boxes kept too still for people, and are held back (see --no-stillness)")
+        session.warn(
+            f"{tally.held_back} boxes kept too still for people, and are held back: things, or people who have hardly "
+            "moved since the film began (--no-stillness reports them)"
+        )
     if tally.outside:
         session.warn(f"{tally.outside} people were found more than 0.3 m behind a wall, and are left out")
 

@@ -13,7 +13,7 @@ from functools import cache, partial
 import numpy as np
 
 from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
-from avcli.detection.fitted import SCORE
+from avcli.detection.fitted import SCORE, FaintLaw
 from avcli.detection.heights import Heights
 from avcli.detection.monocular import HEIGHT_M, Places, locate_boxes
 from avcli.detection.network import Boxes
@@ -21,6 +21,12 @@ from avcli.detection.view import View
 
 MARGIN_M = 0.08
 """m by which a surface must be nearer than the background; more than a sensor's noise, less than a limb."""
+
+CAME_M = 0.2
+"""m by which a surface must be nearer than what the film has shown there before, so that it has come;"""
+
+CAME = 0.5
+"""and the share of a body that must have come."""
 
 TALLEST_M = 2.3
 """m; higher points do not belong to a person."""
@@ -73,6 +79,7 @@ class DepthDetector:
         self.view, self.min_surface, self.min_height, self.room = view, min_surface, min_height, room
         self.limit = None
         if background is not None:
+            self._before = self._shown = np.zeros(background.shape, np.float32)
             self.limit = np.where(background > 0, background - np.float32(MARGIN_M), np.float32(np.inf))
 
     def detect(self, depth: np.ndarray) -> list[Person]:
@@ -83,8 +90,72 @@ class DepthDetector:
         """
         if self.limit is None:
             raise ValueError("people can be found in depth only with the depth picture of the empty room")
+        return self._standing(depth, (depth > 0) & (depth < self.limit))
+
+    def missed(self, depth: np.ndarray, found: Boxes, people: list[Person], law: FaintLaw | None) -> list[Person]:
+        """Find the people of a film's next picture whom the network by itself has missed.
+
+        Somebody who stands where earlier pictures showed what is farther away has come, as furniture does not. Others
+        may be furniture that was brought in since the empty room was recorded: the network's faint boxes tell.
+
+        Args:
+            depth: (h, w) m radial at the view's samples, 0: unknown.
+            found: what the network says of the picture, faint or not.
+            people: who was found in it already.
+            law: how probable people are by faint boxes; None: another network's tell nothing.
+
+        Returns:
+            Those who came, with the score that a body before the empty room has, and the others, with that of the law.
+
+        Raises:
+            ValueError: the detector has no background.
+        """
+        came, stayed, scores, others = self.strangers(depth, found, people)
+        if law is None:
+            return came
+        faint = law.probability(scores, others)
+        return came + [replace(one, score=float(score)) for one, score in zip(stayed, faint, strict=True)]
+
+    def strangers(
+        self, depth: np.ndarray, found: Boxes, people: list[Person]
+    ) -> tuple[list[Person], list[Person], np.ndarray, np.ndarray]:
+        """Who came, the n who may have been there before, and what a FaintLaw asks of these; arguments of `missed`."""
+        if self.limit is None:
+            raise ValueError("whom the network has missed can be found only with the depth picture of the empty room")
+        near = (depth > 0) & (depth < self.limit)
+        nearer = near & (depth < self._shown - CAME_M)
+        self._shown = np.maximum(self._shown, np.minimum(depth, self._before))  # a sensor's flicker is not there twice
+        self._before = depth
+        for left, top, right, bottom in self._sample_boxes(np.array([one.bbox_px for one in people]).reshape(-1, 4)):
+            near[top:bottom, left:right] = False
+        came, stayed = list[Person](), list[Person]()
+        for stranger in self._standing(depth, near) if near.any() else ():
+            if all(np.linalg.norm(stranger.position[:2] - one.position[:2]) > REACH_M for one in people):
+                (came if self._share(stranger, nearer) >= CAME else stayed).append(stranger)
+        scores = np.array([self._scores(one, found).max(initial=0.0) for one in stayed])
+        unknown = scores == 0
+        return came, stayed, scores, unknown.sum() > unknown
+
+    def _share(self, person: Person, mask: np.ndarray) -> float:
+        """The share of a body's surface that is in a mask (h, w) of samples."""
+        surface = person.surface
+        assert surface is not None  # depth has found it
+        columns, rows = self.view.sample_indices(np.column_stack([surface.columns, surface.rows])).T
+        return float(surface.areas[mask[rows, columns]].sum() / surface.areas.sum())
+
+    def _scores(self, person: Person, found: Boxes) -> np.ndarray:
+        """The network's scores (m,) of the boxes that hold at least half of a body."""
+        surface = person.surface
+        assert surface is not None  # depth has found it
+        x, y = surface.columns[:, None], surface.rows[:, None]
+        x0, y0, x1, y1 = found.boxes.T
+        inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+        return found.scores[surface.areas @ inside >= 0.5 * surface.areas.sum()]
+
+    def _standing(self, depth: np.ndarray, mask: np.ndarray) -> list[Person]:
+        """The bodies in the samples of a mask (h, w), without small ones and low furniture."""
         people = []
-        for body in self._bodies(depth, (depth > 0) & (depth < self.limit)):
+        for body in self._bodies(depth, mask):
             surface = body.surface.sum()
             if surface < self.min_surface:
                 continue

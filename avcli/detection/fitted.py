@@ -4,6 +4,8 @@ import json
 from dataclasses import dataclass
 from importlib import resources
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class AxisLaw:
@@ -57,5 +59,28 @@ class ScoreLaw:
     surface_m2: float
 
 
+@dataclass(frozen=True)
+class FaintLaw:
+    """How probable it is that a body before the empty room is a person of whom the network by itself is not sure.
+
+    Attributes:
+        always: logarithm of the odds where the network says one half.
+        network: of the network's own log odds, this part is added.
+        stale: is taken away where another body stands of which the network says nothing: then things have come into
+            the room since it was recorded empty.
+    """
+
+    always: float
+    network: float
+    stale: float
+
+    def probability(self, scores: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Probabilities (n,), by the network's scores (n,), 0 where it says nothing, and whether (n,) others stand."""
+        known = np.clip(scores, 0.01, 0.99)
+        odds = self.always + self.network * np.log(known / (1 - known)) - self.stale * others
+        return np.asarray(1 / (1 + np.exp(-odds)))
+
+
 FITTED = json.loads((resources.files("avcli.detection") / "fitted.json").read_text())
-AXIS, BOX, SCORE = AxisLaw(**FITTED["axis"]), BoxLaw(**FITTED["box"]), ScoreLaw(**FITTED["score"])
+AXIS, BOX = AxisLaw(**FITTED["axis"]), BoxLaw(**FITTED["box"])
+SCORE, FAINT = ScoreLaw(**FITTED["score"]), FaintLaw(**FITTED["faint"])

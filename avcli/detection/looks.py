@@ -48,6 +48,9 @@ _CLIPPED, _GREY = 252, 12
 _FEWEST, _MOST = 6, 300
 """Samples of a part: with fewer it was not seen, and more tell nothing new."""
 
+_SEEN = 1 / 3
+"""Least visible fraction of a body: of whom depth shows less, an arm stands for all of the upper body."""
+
 _ROOM_ROWS, _LEAST_ROOM = 54, 200
 """Rows of samples of the room, and the number of them that its light is measured by at least."""
 
@@ -113,8 +116,8 @@ class Looks:
 
         Returns:
             (n, 2, 7): the vector of each person in the order of COMPONENTS, and its standard deviations. NaN for a part
-            that is not seen, for whoever has no colour in a picture without colours (it may show heat), and for all
-            where the picture does not show enough of the room.
+            that is not seen, for who is mostly hidden, for whoever has no colour in a picture without colours (it may
+            show heat), and for all where the picture does not show enough of the room.
         """
         described = np.full((len(people), 2, len(COMPONENTS)), np.nan)
         gain = self._gain(picture, people)
@@ -123,6 +126,8 @@ class Looks:
         table = np.log(np.arange(256)[:, None] / 255 * gain + _DARK)
         grey = _is_grey(self._of_room(picture), 0.002)
         for index, person in enumerate(people):
+            if person.visible is not None and person.visible < _SEEN:
+                continue
             surface = self._surface(person, people, picture)
             colours = picture[surface.rows, surface.columns]
             if not (grey and _is_grey(colours, 0.05)):

@@ -3,13 +3,15 @@
     make fit-detection [FIT_FLAGS="--scenes 200"]
 
 Scenes, looks, lenses, camera heights and furniture are random (examples/train-detector/renders.py), pictures
-1920 × 1080. Three laws are fitted, each by greatest likelihood: the errors of positions from depth ("axis"), those of
-boxes and of positions by boxes alone ("box"), and the score of what stands before the empty room ("score"). A law of
-fitted.json is replaced only where the new one is better on the scenes that nothing was fitted to. The file also says
-how well the network's own score is calibrated; examples/train-detector/export.py fits that one.
+1920 × 1080. Four laws are fitted, each by greatest likelihood: the errors of positions from depth ("axis"), those of
+boxes and of positions by boxes alone ("box"), the score of what stands before the empty room ("score"), and, in random
+worlds (detection_worlds.py), that of whom the network by itself does not find ("faint"). A law of fitted.json is
+replaced only where the new one is better on the scenes that nothing was fitted to. The file also says how well the
+network's own score is calibrated; examples/train-detector/export.py fits that one.
 """
 
 import argparse
+import contextlib
 import dataclasses
 import itertools
 import json
@@ -22,6 +24,7 @@ from typing import Any
 import cv2
 import numpy as np
 from bench_detection import GATE_M, Tally, scenes
+from detection_worlds import Said, said
 from judge import overlaps
 from renders import Shot
 from scipy.optimize import minimize
@@ -30,10 +33,11 @@ from avcli import __version__
 from avcli.detection import fitted
 from avcli.detection.body import axis_covariance
 from avcli.detection.depth import DepthDetector
-from avcli.detection.fitted import AXIS, BOX, SCORE, AxisLaw, BoxLaw, ScoreLaw
+from avcli.detection.fitted import AXIS, BOX, FAINT, SCORE, AxisLaw, BoxLaw, FaintLaw, ScoreLaw
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes, Network
 from avcli.detection.view import View
+from avcli.scene import render, scenario
 
 FEW = 10
 """The score is not fitted to fewer wrong detections than this."""
@@ -58,12 +62,14 @@ class Samples:
         box: of each body that the network found: box (4,) px, parts (3, 2) px, camera, the true position (2,) m, and
             the network's score.
         score: of each thing before the empty room: visible surface, m², and whether it was a person.
+        faint: of each body before the empty room that is none of the network's people, see detection_worlds.
         network: of each of the network's detections: score, and whether it was a person.
     """
 
     axis: list[AxisSample] = dataclasses.field(default_factory=list)
     box: list[BoxSample] = dataclasses.field(default_factory=list)
     score: list[tuple[float, bool]] = dataclasses.field(default_factory=list)
+    faint: list[Said] = dataclasses.field(default_factory=list)
     network: list[tuple[float, bool]] = dataclasses.field(default_factory=list)
 
 
@@ -83,6 +89,17 @@ def collect(count: int, frames: int, seed: int) -> list[Samples]:
             _add_boxes(samples, shot, view, found)
         samples.network += zip(tally.scores, map(bool, tally.right), strict=True)
         everything.append(samples)
+    return everything
+
+
+def collect_worlds(count: int, frames: int, first: int) -> list[Samples]:
+    """Look at `frames` pictures of each of `count` random worlds, from the seed `first` on: the samples of each."""
+    context = render.open_context()
+    context.gc_mode = "auto"
+    everything = []
+    for seed in range(first, first + count):
+        with contextlib.suppress(scenario.ScenarioError):  # more people than the room holds
+            everything.append(Samples(faint=said(seed, frames, context)))
     return everything
 
 
@@ -170,6 +187,12 @@ def score_loss(law: ScoreLaw, samples: list[tuple[float, bool]]) -> np.ndarray:
     return log_loss(surface / (surface + law.surface_m2), right)
 
 
+def faint_loss(law: FaintLaw, samples: list[Said]) -> np.ndarray:
+    """Log losses (n,) of the probability of a person of whom the network by itself is not sure."""
+    scores, others, right = map(np.array, zip(*samples, strict=True))
+    return log_loss(law.probability(scores, others), right)
+
+
 def log_loss(probability: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Negative log of the probability (n,) of what turned out to be so (n,)."""
     probability = np.clip(probability, 1e-6, 1 - 1e-6)
@@ -179,7 +202,12 @@ def log_loss(probability: np.ndarray, right: np.ndarray) -> np.ndarray:
 # --- the fit ----------------------------------------------------------------------------------------------------------
 
 Loss = Callable[[Any, list], np.ndarray]
-LAWS: dict[str, tuple[Any, Loss]] = {"axis": (AXIS, axis_loss), "box": (BOX, box_loss), "score": (SCORE, score_loss)}
+LAWS: dict[str, tuple[Any, Loss]] = {
+    "axis": (AXIS, axis_loss),
+    "box": (BOX, box_loss),
+    "score": (SCORE, score_loss),
+    "faint": (FAINT, faint_loss),
+}
 
 
 def fit(standing: Any, loss: Loss, samples: list) -> Any:
@@ -269,7 +297,8 @@ def report(fitted_to: list[Samples], others: list[Samples], names: Iterable[str]
         if wrong is not None:
             out["losses"][name]["wrong"] = wrong
         print(name, json.dumps(out["losses"][name]), flush=True)
-    out["losses"]["network"] = calibration(joined(others, "network"))
+    if network := joined(others, "network"):
+        out["losses"]["network"] = calibration(network)
     return out
 
 
@@ -309,10 +338,12 @@ def calibration(samples: list[tuple[float, bool]]) -> dict[str, float]:
     }
 
 
-def part(laws: dict[str, dict[str, float]], seed: int, scenes: int = 4, frames: int = 2) -> dict[str, Any]:
+def part(
+    laws: dict[str, dict[str, float]], seed: int, world: int, scenes: int = 4, worlds: int = 3, frames: int = 2
+) -> dict[str, Any]:
     """The losses of laws on a few of the scenes: a test compares them with those of the detector of its day."""
-    few = collect(scenes, frames, seed)
-    out: dict[str, Any] = {"scenes": scenes, "frames": frames}
+    few = collect(scenes, frames, seed) + collect_worlds(worlds, frames, world)
+    out: dict[str, Any] = {"scenes": scenes, "worlds": worlds, "frames": frames}
     for name, (standing, loss) in LAWS.items():
         losses = loss(type(standing)(**laws[name]), joined(few, name))
         out[name] = {"samples": len(losses), "loss": round(float(losses.mean()), 4)}
@@ -334,30 +365,40 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=4, help="frames of a scene")
     parser.add_argument("--seed", type=int, default=710_000, help="of the scenes that are fitted to")
     parser.add_argument("--other-seed", type=int, default=720_000, help="of the scenes that judge")
+    parser.add_argument("--worlds", type=int, default=60, help="random worlds, of three pictures")
+    parser.add_argument("--world", type=int, default=7000, help="seed of the first world that is fitted to")
+    parser.add_argument("--other-world", type=int, default=5300, help="seed of the first world that judges")
     parser.add_argument("--only", nargs="*", default=list(LAWS), help="laws to fit; the others stay")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     found: dict[str, dict[str, Any]] = {"laws": {}, "losses": {}}
     if options.only:
-        found = report(
-            collect(options.scenes, options.frames, options.seed),
-            collect(options.scenes, options.frames, options.other_seed),
-            options.only,
-        )
+        mine, others = [], []
+        if set(options.only) != {"faint"}:
+            mine, others = (
+                collect(options.scenes, options.frames, seed) for seed in (options.seed, options.other_seed)
+            )
+        if "faint" in options.only:
+            mine += collect_worlds(options.worlds, 3, options.world)
+            others += collect_worlds(options.worlds, 3, options.other_world)
+        found = report(mine, others, options.only)
     stood = fitted.FITTED["fitted_on"]
     found["laws"] = {name: found["laws"].get(name, fitted.FITTED[name]) for name in LAWS}
-    found["losses"] = {name: stood[name] for name in (*LAWS, "network")} | found["losses"]
+    found["losses"] = {name: stood[name] for name in (*LAWS, "network") if name in stood} | found["losses"]
     origin: dict[str, Any] = {
         "command": "tests/bench/fit_detection.py",
-        "data": "renders of random scenes, examples/train-detector/renders.py, 1920 x 1080",
+        "data": "renders of random scenes, examples/train-detector/renders.py, 1920 x 1080; for faint: random worlds",
         "scenes": options.scenes,
         "frames": options.frames,
         "seed": options.seed,
         "other_seed": options.other_seed,
+        "worlds": options.worlds,
+        "world": options.world,
+        "other_world": options.other_world,
         "version": __version__,
         "commit": commit() if options.only else stood["commit"],
     }
-    origin |= {**found["losses"], "part": part(found["laws"], options.seed)}
+    origin |= {**found["losses"], "part": part(found["laws"], options.seed, options.world)}
     text = json.dumps({**found["laws"], "fitted_on": origin}, indent=2)
     options.out.write_text(text + "\n")
 
