@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from avcli.formats.features import Feature
+from avcli.formats.sensors import CAMERA
 from avcli.tracking import association, gaussian, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
@@ -292,6 +293,8 @@ class GLMB:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = now
         self._rebuild(scan, groups, revealed, now)
+        if scan.doubt is not None and scan.sensor.kind == CAMERA:
+            self._believe_who_went(scan.column)
         if self.gallery.fresh and scan.evidence:
             self._recognise()
         self.undetected.update(scan)
@@ -405,6 +408,13 @@ class GLMB:
             shown,
             seen,
         )
+
+    def _believe_who_went(self, column: int) -> None:
+        """Doubt nobody for a camera's scores who went elsewhere: what it takes for people falsely stays where it is."""
+        people, rows = self.people, self.labelled_rows
+        for row, place in zip(rows, people.centres(rows)[:, :2].tolist(), strict=True):
+            if people.doubt[row, column] and self.false_places.elsewhere(people.label[row], place):
+                people.doubt[row, column] = 0.0
 
     def _share(self, scan: Scan) -> None:
         """Let the other sensors that miss people for the same reason know what this one told of it."""
