@@ -42,7 +42,7 @@ def fused(share, seconds, *, path=None, show="likely", settings=None, begin=None
         found = rng.random(3) < [0.9, 0.9, shares[k]]
         n = int(found.sum())
         at = np.column_stack([people[found], np.zeros(n)])
-        record = Detections(k / 10, "ceiling", at, nan[:n], np.full(n, 0.9), "camera")
+        record = Detections(k / 10, "ceiling", at, nan[:n], np.full(n, 0.99), "camera")
         (out,) = fusion.step(k / 10, [(k / 10, "ceiling", record)])
         near = np.linalg.norm(out.positions[:, :2] - here, axis=1) < 0.7
         existence.append(max(out.existence[near], default=0.0))

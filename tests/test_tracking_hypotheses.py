@@ -47,7 +47,7 @@ def people(states, labels):
         place=np.zeros((n, 2)),
         hits=np.ones((n, 1)),
         told=np.zeros(n),
-        vouched=np.ones(n),
+        doubt=np.zeros((n, 1)),
         reach=np.zeros(n),
         label=list(labels),
         node=[None] * n,

@@ -83,12 +83,16 @@ def existences(scores, name="audio", kind=MICROPHONES, before=()):
     return found
 
 
-def test_doubtful_reports_of_microphones_at_one_place_do_not_become_sure():
-    said = existences([0.7, 0.75, 0.62, 0.7, 0.7, 0.66])
+@pytest.mark.parametrize("kind", [MICROPHONES, CAMERA])
+def test_doubtful_reports_at_one_place_do_not_become_sure(kind):
+    said = existences([0.7, 0.75, 0.62, 0.7, 0.7, 0.66], kind=kind)
     assert 0.7 < max(said) <= 0.75
     assert existences([0.7, 0.7, 0.99, 0.7, 0.7, 0.7])[-1] > 0.95  # one good report is enough
     assert existences([np.nan] * 6)[-1] > 0.95  # a sensor that gives no score is judged by its detections
 
 
-def test_what_a_camera_detects_too_is_not_bound_by_the_scores_of_microphones():
-    assert existences([0.7] * 3, before=[("video", CAMERA, 0.7)] * 3)[-1] > 0.95
+def test_sensors_that_doubt_by_themselves_are_surer_together():
+    alone = existences([0.7] * 3)[-1]
+    both = existences([0.7] * 3, before=[("video", CAMERA, 0.8)] * 3)[-1]
+    assert alone < 0.7 < both < 1 - 0.3 * 0.2 + 1e-6
+    assert existences([0.7] * 3, before=[("video", CAMERA, np.nan)] * 3)[-1] > 0.95  # nothing tells how sure it is

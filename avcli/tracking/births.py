@@ -264,8 +264,14 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
     n, able = len(js), detectable
     mean, cov, mode = gaussian.begin(scan.z[js], scan.noise[js] + scan.ahead**2 / 2 * np.eye(2), population.motion)
     able[:, scan.column] = 1.0
-    seen, lean, hits = np.full(able.shape, NEVER), np.zeros(able.shape), np.zeros(able.shape)
+    seen, lean, hits, doubt = (
+        np.full(able.shape, NEVER),
+        np.zeros(able.shape),
+        np.zeros(able.shape),
+        np.ones(able.shape),
+    )
     seen[:, scan.column], lean[:, scan.column], hits[:, scan.column] = time, 1.0, 1.0
+    doubt[:, scan.column] = 0.0 if scan.doubt is None else scan.doubt[js]
     return Densities(
         mean=mean,
         cov=cov,
@@ -277,7 +283,7 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
         place=scan.z[js],
         hits=hits,
         told=np.zeros(n),
-        vouched=np.ones(n) if scan.vouched is None else scan.vouched[js],
+        doubt=doubt,
         reach=uncertainty(cov[:, 0]),
         label=[-1] * n,
         node=[None] * n,

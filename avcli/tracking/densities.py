@@ -30,7 +30,7 @@ class Densities:
         place: (n, 2) m, where any sensor did so last.
         hits: (n, S) how often each sensor did so.
         told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
-        vouched: (n,) probability that the person is there by the best score of these detections; 1: some have none.
+        doubt: (n, S) probability that it is nobody by the best score of each sensor; 0: some have none.
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
@@ -47,7 +47,7 @@ class Densities:
     place: np.ndarray
     hits: np.ndarray
     told: np.ndarray
-    vouched: np.ndarray
+    doubt: np.ndarray
     reach: np.ndarray
     label: list[int]
     node: list[Node | None]
@@ -71,7 +71,7 @@ class Densities:
             place=np.zeros((0, 2)),
             hits=np.zeros((0, 0)),
             told=np.zeros(0),
-            vouched=np.zeros(0),
+            doubt=np.zeros((0, 0)),
             reach=np.zeros(0),
             label=[],
             node=[],

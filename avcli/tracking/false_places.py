@@ -179,6 +179,11 @@ class FalsePlaces:
                 one.label = -1 if one.label == label else one.label
         return doubt
 
+    def elsewhere(self, label: int, place: Sequence[float]) -> bool:
+        """Return whether a place (2,) m is far from where a label was detected first."""
+        first = self.first.get(label)
+        return first is not None and (place[0] - first[0]) ** 2 + (place[1] - first[1]) ** 2 > WENT**2
+
     def density(self, column: int, z: np.ndarray) -> list[float]:
         """Return the density (J,) per m² of false detections at positions (J, 2) m by these places."""
         places = self._settled(column, DOUBT) if len(z) else []
@@ -191,11 +196,11 @@ class FalsePlaces:
 
     def began(self, column: int, label: int, place: Sequence[float], variance: float, new: bool) -> None:
         """Note that a label begins, or comes back, with a detection at a place (2,) m of a variance in m² per axis."""
-        if not self.learns:
-            return
         x, y = place
         if new:
             self.first[label] = x, y
+        if not self.learns:
+            return
         near = [one for one in self.of[column] if _apart(one, x, y) < GATE * one.variance]
         if near:
             min(near, key=lambda one: _apart(one, x, y)).label = label

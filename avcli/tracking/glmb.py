@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from avcli.formats.features import Feature
+from avcli.formats.sensors import CAMERA
 from avcli.tracking import association, gaussian, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
@@ -154,6 +155,7 @@ class GLMB:
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
         people.hits = np.column_stack([people.hits, np.zeros(len(people))])
+        people.doubt = np.column_stack([people.doubt, np.ones(len(people))])
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
         else:
@@ -291,6 +293,8 @@ class GLMB:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = now
         self._rebuild(scan, groups, revealed, now)
+        if scan.doubt is not None and scan.sensor.kind == CAMERA:
+            self._believe_who_went(scan.column)
         if self.gallery.fresh and scan.evidence:
             self._recognise()
         self.undetected.update(scan)
@@ -341,9 +345,8 @@ class GLMB:
         existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
-        vouched = None
+        doubt = None if score is None else np.where(np.isnan(score), 0.0, 1 - score)
         if score is not None and sensor.score_within < math.inf:  # the score knows nothing of the floor
-            vouched = np.where(np.isnan(score), 1.0, score)
             near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
@@ -382,7 +385,7 @@ class GLMB:
             ahead,
             between,
             odds,
-            vouched,
+            doubt,
             near,
             expected,
             gain,
@@ -405,6 +408,13 @@ class GLMB:
             shown,
             seen,
         )
+
+    def _believe_who_went(self, column: int) -> None:
+        """Doubt nobody for a camera's scores who went elsewhere: what it takes for people falsely stays where it is."""
+        people, rows = self.people, self.labelled_rows
+        for row, place in zip(rows, people.centres(rows)[:, :2].tolist(), strict=True):
+            if people.doubt[row, column] and self.false_places.elsewhere(people.label[row], place):
+                people.doubt[row, column] = 0.0
 
     def _share(self, scan: Scan) -> None:
         """Let the other sensors that miss people for the same reason know what this one told of it."""
@@ -722,13 +732,13 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
-        vouched = people.vouched.take(rows).tolist()
+        doubt = np.multiply.reduce(people.doubt.take(rows, 0), 1).tolist()
         in_part = isinstance(self.undetected, UnseenMap)
         looks = watched(mean[:, :2], self.sensors) if in_part else [True] * len(present)
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k], looks[k]) * vouched[k]
+            there = TRUST.of(believed, latest[k], count[k], looks[k]) * (1 - doubt[k])
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))

@@ -400,7 +400,7 @@ def cells(
         place=at[:, :2].copy(),
         hits=np.zeros(able.shape),
         told=np.zeros(n),
-        vouched=np.ones(n),
+        doubt=np.zeros(able.shape),
         reach=births.uncertainty(cov[:, 0]),
         label=[-1] * n,
         node=[None] * n,

@@ -125,7 +125,7 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
         new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)
         new.hits[old:, column] += 1
         new.told[old:] += told(scan, rows, js)
-        new.vouched[old:] = 1.0 if scan.vouched is None else np.maximum(new.vouched[old:], scan.vouched[js])
+        new.doubt[old:, column] = 0.0 if scan.doubt is None else np.minimum(new.doubt[old:, column], scan.doubt[js])
         if scan.evidence:
             new.traits[old:] = features.update(new.traits[old:], scan.evidence, rows, js)
     return new

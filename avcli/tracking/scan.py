@@ -44,7 +44,7 @@ class Scan:
         ahead: m, how far in front of the body's axis the sensor localizes people.
         between: what its lasting errors have to do with those of the densities.
         odds: J log odds of the scores, NaN: unknown.
-        vouched: (J,) probabilities of people by scores that say so, 1: unknown; None: all are.
+        doubt: (J,) probabilities by the scores that it is nobody, 0: unknown; None: all are.
         near: J odds, at most 1, that a detection is as near to its person as its score asks.
         expected: (n, M, 6) of what it should detect of the densities, see `gaussian.innovation`.
         gain: (n, J) likelihood of each detection under each density, per m²; 0 outside the gate.
@@ -77,7 +77,7 @@ class Scan:
     ahead: float
     between: Between
     odds: list[float]
-    vouched: np.ndarray | None
+    doubt: np.ndarray | None
     near: list[float]
     expected: np.ndarray
     gain: np.ndarray
