@@ -69,18 +69,17 @@ def test_the_shipped_curves_made_existence_truer_where_they_were_fitted():
         assert count < 400 or said == pytest.approx(true, abs=0.05)
 
 
-def existences(scores, name="audio", kind=MICROPHONES, before=()):
+def existences(scores, name="audio", kind=MICROPHONES, before=(), lag=0.0):
     """Existence of one person at one place after each record of a sensor; `before` are records (name, kind, score)."""
-    fusion, found = Fusion(Settings(), "ms-glmb", 0.0, population=Population()), []
+    fusion, found = Fusion(Settings(), "ms-glmb", lag, population=Population()), []
     records = [*before, *((name, kind, score) for score in scores)]
     for k, (sensor_name, sensor_kind, score) in enumerate(records):
         at = 0.1 * (k + 1)
         seen = Detections(
             at, sensor_name, np.array([[1.0, 2.0, np.nan]]), np.full((1, 3, 3), np.nan), np.array([score]), sensor_kind
         )
-        (tracks,) = fusion.step(at, [(at, sensor_name, seen)])
-        found.append(float(max(tracks.existence, default=0.0)))
-    return found
+        found += fusion.step(at, [(at, sensor_name, seen)])
+    return [float(max(tracks.existence, default=0.0)) for tracks in [*found, *fusion.finish()]]
 
 
 @pytest.mark.parametrize("kind", [MICROPHONES, CAMERA])
@@ -88,6 +87,8 @@ def test_doubtful_reports_at_one_place_do_not_become_sure(kind):
     said = existences([0.7, 0.75, 0.62, 0.7, 0.7, 0.66], kind=kind)
     assert 0.7 < max(said) <= 0.75
     assert existences([0.7, 0.7, 0.99, 0.7, 0.7, 0.7])[-1] > 0.95  # one good report is enough
+    assert max(existences([0.7, 0.75, 0.62, 0.7], kind=kind, lag=2)) <= 0.75
+    assert 0 < existences([0.2] * 6)[-1] <= 0.2  # who is shown does not depend on it
     assert existences([np.nan] * 6)[-1] > 0.95  # a sensor that gives no score is judged by its detections
 
 

@@ -675,7 +675,8 @@ class GLMB:
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
-            self.retired[label] = End(label, meant, node, mean[0], cov[0], min(existence / meant, 1.0))
+            nobody = float(people.doubt[best].prod())
+            self.retired[label] = End(label, meant, node, mean[0], cov[0], min(existence / meant, 1.0), nobody)
         if lost and isinstance(self.undetected, UnseenMap):
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
             self.undetected.receive(mean[0, :2], cov[0, :2, :2], existence, people.detectable[best])
@@ -738,9 +739,10 @@ class GLMB:
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k], looks[k]) * (1 - doubt[k])
+            there = TRUST.of(believed, latest[k], count[k], looks[k])
             if believed > min(least, THERE) and there > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
+                there *= 1 - doubt[k]
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
 
@@ -756,7 +758,8 @@ class GLMB:
                     node.detectable = people.detectable[one.row]
                     node.seen, node.reach = float(people.seen[one.row].max()), float(people.reach[one.row])
                     node.lasting = float(self.errors.variance(people.lean[one.row]))
-                    yield End(one.label, one.meant, node, mean[k], cov[k], min(one.existence / one.meant, 1.0))
+                    existence, nobody = min(one.existence / one.meant, 1.0), float(people.doubt[one.row].prod())
+                    yield End(one.label, one.meant, node, mean[k], cov[k], existence, nobody)
         yield from self.retired.values()
 
     def forget(self, time: float) -> None:

@@ -138,6 +138,7 @@ class End(NamedTuple):
         mean: (4,), the estimate at its time.
         cov: (4, 4).
         existence: probability, if the label is meant.
+        doubt: probability that it is nobody by the sensors' scores, see `Densities`.
     """
 
     label: int
@@ -146,6 +147,7 @@ class End(NamedTuple):
     mean: np.ndarray
     cov: np.ndarray
     existence: float
+    doubt: float
 
 
 def backwards(
@@ -219,6 +221,7 @@ class Delayed:
                     if there > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
                         spread = cov + node.lasting * POSITION
+                        there *= 1 - end.doubt
                         wanted[now].append(Track(end.label, mean, spread, there, detectable, node.seen))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
 
