@@ -19,6 +19,8 @@ from avcli.formats.footage import Picture
 from avcli.formats.media import MediaError
 
 _THREADS = 4
+"""Pictures that are searched at once for markers or circles, which OpenCV does without Python's lock. The search for
+checkerboards holds the lock: several at once would cost a quarter more."""
 _MISSES = 4
 """Pictures without a board that are kept, to guess another board's size from."""
 _GUESS_AFTER = (4, 12)
@@ -429,10 +431,16 @@ class _Search:
             return number < _THOROUGH
         return self.thorough and (bool(self.seen.views) or number < _GUESS_AFTER[0] or number % _SELDOM == 0)
 
-    def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
-        """Yield what is seen in each picture, in order; threads look at several pictures at once.
+    @property
+    def at_once(self) -> int:
+        """How many pictures to look at at once."""
+        sought = self.sought
+        return 1 if isinstance(sought, Board) and sought.kind == "checkerboard" else _THREADS
 
-        OpenCV releases Python's lock, so that threads help. The board may change on the way.
+    def look_ahead(self, pictures: Iterable[Picture | np.ndarray]) -> Iterator[Look]:
+        """Yield what is seen in each picture, in order; threads look at pictures while the next ones are read.
+
+        The board may change on the way.
         """
         waiting: deque[tuple[Picture, Board | Wanted, Future]] = deque()
 
@@ -441,7 +449,7 @@ class _Search:
             current, careful = self.sought, self.is_thorough(len(self.seen))
             return picture, *(found.result() if board is current else look(picture.image, current, careful))
 
-        with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
+        with ThreadPoolExecutor(min(self.at_once, os.cpu_count() or 1)) as pool:
             failure = None
             try:
                 try:
@@ -449,11 +457,13 @@ class _Search:
                         picture = (
                             item if isinstance(item, Picture) else Picture(f"picture {number}", float(number), item)
                         )
+                        while len(waiting) >= self.at_once:
+                            yield oldest()
                         board = self.sought
                         rest = isinstance(board, Wanted) and self._is_passed(number)
                         seen = pool.submit(look, picture.image, None if rest else board, self.is_thorough(number))
                         waiting.append((picture, board, seen))
-                        if self.eager or len(waiting) >= _THREADS:
+                        if self.eager:
                             yield oldest()
                 except MediaError as error:  # what came before is still good
                     failure = error
