@@ -23,10 +23,10 @@ MARGIN_M = 0.08
 """m by which a surface must be nearer than the background; more than a sensor's noise, less than a limb."""
 
 CAME_M = 0.2
-"""m by which a surface must be nearer than what the film has shown there before, so that it has come;"""
+"""m by which a surface is nearer than what the film has shown there before, if it has come during the film."""
 
 CAME = 0.5
-"""and the share of a body that must have come."""
+"""Least share of a body's surface that has come, of somebody who has come."""
 
 TALLEST_M = 2.3
 """m; higher points do not belong to a person."""

@@ -150,8 +150,8 @@ CONFIDENCE, CONFIDENCE_BEFORE_ROOM = 0.5, 0.3
 
 FAINTEST, MISSED = 0.02, 0.7
 """Least score of the network's boxes that tell something of a body before the empty room, and least score of a person
-whom the network by itself has missed. In random worlds (seeds 7000 to 7059) nearly nobody is between .5 and that where
-the room is as it was recorded; where furniture came into it, half of what is between them is furniture."""
+whom the network by itself has missed. Chosen on random worlds (seeds 7000 to 7059): in a room as it was recorded hardly
+anybody has a score between .5 and .7; where furniture came in since, half of those that have are furniture."""
 
 MOST_BOXES = 200
 """Boxes from which the height of a camera is judged."""

@@ -410,7 +410,7 @@ class GLMB:
         )
 
     def _believe_who_went(self, column: int) -> None:
-        """Doubt nobody for a camera's scores who went elsewhere: what it takes for people falsely stays where it is."""
+        """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""
         people, rows = self.people, self.labelled_rows
         for row, place in zip(rows, people.centres(rows)[:, :2].tolist(), strict=True):
             if people.doubt[row, column] and self.false_places.elsewhere(people.label[row], place):
