@@ -428,17 +428,17 @@ class Painter:
 
     def draw(
         self, meshes: list[tuple[np.ndarray, np.ndarray, np.ndarray]], view: View, depth: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Draw figures: each its vertices (n, 3) m, triangles (t, 3) and colours (n, 3) of its surface in light.
 
         Args:
-            meshes: of the people.
+            meshes: of people or things.
             view: of the camera.
             depth: (height, width) m along each ray, of what may hide them; infinite where nothing does.
 
         Returns:
-            colour (height, width, 3) float32, the share of people in each pixel (height, width), and whom it shows
-            (height, width) uint8, 1 the first.
+            colour (height, width, 3) float32, the share of figures in each pixel (height, width), which one it shows
+            (height, width) uint8, 1 the first, and the depth (height, width) m with them.
         """
         width, height = view.size
         frame = self._target((_FINE * width, _FINE * height))
@@ -469,7 +469,9 @@ class Painter:
         owner = np.frombuffer(frame.read(components=4, attachment=1), np.uint8).reshape(_FINE * height, -1, 4)[..., 0]
         colour = cv2.resize(paint, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
         share = colour[..., 3]
-        return colour[..., :3], share, np.ascontiguousarray(owner[::_FINE, ::_FINE])
+        reached = np.frombuffer(frame.read(components=1, attachment=-1, dtype="f4"), np.float32)
+        reached = _FAR * reached.reshape(_FINE * height, -1)[::_FINE, ::_FINE]
+        return colour[..., :3], share, np.ascontiguousarray(owner[::_FINE, ::_FINE]), reached
 
 
 def projected(vertices: np.ndarray, triangles: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
@@ -484,17 +486,20 @@ def projected(vertices: np.ndarray, triangles: np.ndarray, view: View) -> tuple[
     return at, triangles[good[triangles].all(1)]
 
 
-def lit(rng: np.random.Generator, vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """Colours (n, 3) of a surface in the light of a room: lamps above, and folds."""
+def lit(
+    rng: np.random.Generator, vertices: np.ndarray, triangles: np.ndarray, colours: np.ndarray, folds: bool = True
+) -> np.ndarray:
+    """Colours (n, 3) of a surface in the light of a room: lamps above, and the folds of cloth."""
     edges = vertices[triangles[:, 1:]] - vertices[triangles[:, :1]]
     across = np.cross(edges[:, 0], edges[:, 1])
     normals = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(normals, triangles[:, corner], across)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    folds = np.column_stack([_waves(rng, vertices, length) for length in (0.06, 0.12, 0.25)])
-    normals = normals + rng.uniform(0.05, 0.3) * folds
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    if folds:
+        waves = np.column_stack([_waves(rng, vertices, length) for length in (0.06, 0.12, 0.25)])
+        normals = normals + rng.uniform(0.05, 0.3) * waves
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     light = 0.32 + 0.22 * normals[:, 2]
     for _ in range(int(rng.integers(1, 4))):
         way = np.append(rng.normal(0, 0.5, 2), 1.0)
@@ -541,7 +546,7 @@ def paint_people(
         at = posed(body, skeleton(person, np.array([t])), 0)
         meshes.append((at, body.triangles, lit(rng, at, body.triangles, body.colours)))
     picture = picture * _shade(people, meshes, view, depth, rng)[..., None]
-    colour, share, owner = painter.draw(meshes, view, depth)
+    colour, share, owner, _ = painter.draw(meshes, view, depth)
     light = rng.uniform(0.7, 1.15) * rng.uniform(0.92, 1.08, 3).astype(np.float32)
     out = picture * (1 - share[..., None]) + np.clip(colour * light, 0, 1)
     boxes, parts, anchors, visible = [], [], [], []

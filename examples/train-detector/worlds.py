@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from generate import HEIGHT, PAD, WIDTH, Sample
 from meshes import Painter, Wardrobe, paint_people, somebody
+from pieces import Piece, furnish, pieces
 from renders import seen_people
 
 from avcli.detection.view import View
@@ -45,7 +46,14 @@ def scaled(raw: dict) -> dict:
 
 
 def world(
-    seed: int, people: int, count: int, context, *, empty: bool = False, wardrobe: Wardrobe | None = None
+    seed: int,
+    people: int,
+    count: int,
+    context,
+    *,
+    empty: bool = False,
+    wardrobe: Wardrobe | None = None,
+    furniture: list[Piece] | None = None,
 ) -> Iterator[Sample]:
     """Yield `count` pictures of a random world; square ones are turned and cut to the network's shape.
 
@@ -65,7 +73,7 @@ def world(
     view = View(camera.lens, camera.T_room_camera, size, camera.theta_max, 1)
     times = np.sort(rng.uniform(0, 10, count))
     if wardrobe:
-        yield from _with_meshes(rng, scene, artist, view, effects, times, Painter(context), wardrobe)
+        yield from _with_meshes(rng, scene, artist, view, effects, times, Painter(context), wardrobe, furniture or [])
         return
     bodies = pose(scene.people, times)
     drawn = artist.prepare(bodies)
@@ -81,11 +89,16 @@ def world(
         )  # fmt: skip
 
 
-def _with_meshes(rng, scene, artist, view: View, effects: Effects, times, painter, wardrobe) -> Iterator[Sample]:
+def _with_meshes(
+    rng, scene, artist, view: View, effects: Effects, times, painter, wardrobe, furniture
+) -> Iterator[Sample]:
     """The empty room, drawn once, with other people in each picture."""
     frame = artist.draw(artist.prepare(pose([], times[:1])), 0)
     room, depth = frame.rgb.astype(np.float32) / 255, frame.depth * np.float32(artist.depth_step)
     lens = scene.config.camera.lens
+    if furniture:
+        places = free_floor(rng, scene, view, depth, int(rng.integers(2, 14)))
+        room, depth = furnish(rng, painter, furniture, room, depth, view, places)
     for t in times.tolist():
         people = [one for one in scene.people if rng.random() < 0.8]
         if scene.people:
@@ -184,12 +197,14 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=6, help="pictures of a world with people; one of an empty world")
     parser.add_argument("--empty", type=float, default=0.4, help="share of worlds without people")
     parser.add_argument("--makehuman", type=Path, help="folder of MakeHuman's files (meshes.py)")
+    parser.add_argument("--pieces", type=Path, help="with --makehuman, folder of furniture as meshes (pieces.py)")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
     context = render.open_context()
     context.gc_mode = "auto"
     wardrobe = Wardrobe(options.makehuman) if options.makehuman else None
+    furniture = pieces(options.pieces) if options.pieces else None
     for seed in range(options.seed, options.seed + options.count):
         path = options.out / f"{seed}.npz"
         if path.exists():
@@ -197,7 +212,10 @@ def main() -> None:
         rng = np.random.default_rng([seed, 23])
         empty, people = bool(rng.random() < options.empty), int(rng.integers(1, 9))
         try:
-            samples = list(world(seed, people, 1 if empty else options.each, context, empty=empty, wardrobe=wardrobe))
+            drawn = world(
+                seed, people, 1 if empty else options.each, context, empty=empty, wardrobe=wardrobe, furniture=furniture
+            )
+            samples = list(drawn)
         except scenario.ScenarioError:
             continue
         write(samples, path)
