@@ -61,10 +61,11 @@ def test_a_figure_is_drawn_where_the_lens_shows_it_and_hidden_by_what_is_nearer(
     square = np.array([[0.4, 0.2, 1.0], [0.8, 0.2, 1.0], [0.8, 0.6, 1.0], [0.4, 0.6, 1.0]])
     mesh = square, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([1.0, 0.5, 0.0], (4, 1))
     painter = meshes.Painter(render.open_context())
-    colour, share, owner, _ = painter.draw([mesh], view, np.full(size[::-1], np.inf))
+    colour, share, owner, reached = painter.draw([mesh], view, np.full(size[::-1], np.inf))
     column, row = np.rint(view.project(square.mean(0)[None])[0]).astype(int)
     assert owner[row, column] == 1
     assert share[row, column] == 1
+    assert reached[row, column] == pytest.approx(np.linalg.norm(square.mean(0) - view.origin), abs=0.02)
     np.testing.assert_allclose(colour[row, column], [1, 0.5, 0], atol=0.01)
     corners = view.project(square)
     v, u = np.nonzero(owner)

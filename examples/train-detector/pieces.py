@@ -143,10 +143,12 @@ def furnish(
     for place in places:
         odds = 1 / (0.5 + footprint**2)
         odds[height > max(0.4 * view.origin[2], np.hypot(*(place - view.origin[:2])) - 0.5)] = 0.0
+        if not odds.any():
+            continue
         base = _changed(rng, known[rng.choice(len(known), p=odds / odds.sum())])
         put(base, np.append(place, 0.0))
         top = base.vertices[:, 2].max()
-        if base.size[:2].min() > 0.4 and 0.4 < top < 1.3:
+        if things and base.size[:2].min() > 0.4 and 0.4 < top < 1.3:
             for _ in range(int(rng.integers(0, 4))):
                 spot = place + rng.uniform(-0.35, 0.35, 2) * base.size[:2]
                 put(_changed(rng, things[rng.integers(len(things))]), np.append(spot, top))

@@ -199,6 +199,8 @@ def main() -> None:
     parser.add_argument("--makehuman", type=Path, help="folder of MakeHuman's files (meshes.py)")
     parser.add_argument("--pieces", type=Path, help="with --makehuman, folder of furniture as meshes (pieces.py)")
     options = parser.parse_args()
+    if options.pieces and not options.makehuman:
+        parser.error("--pieces wants --makehuman")
     options.out.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
     context = render.open_context()
