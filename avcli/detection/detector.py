@@ -13,6 +13,7 @@ from avcli.detection.background import Background
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.fitted import FAINT
+from avcli.detection.following import FOLLOWED, Following
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
 from avcli.detection.monocular import locate_boxes
@@ -119,6 +120,7 @@ class Tally:
         nowhere: without a place: none of their rays reaches the room.
         outside: of people beyond the walls, who were left out.
         still: that show only the room as it was learnt, and were left out.
+        followed: of people with a low score who were found at the same place a moment before.
         held_back: that would have been people, but keep too still.
         pictures, unchanged: pictures so far, and those of them in which nothing had moved.
         boxes: (4,) px, the first `MOST_BOXES` of those that were placed by the box alone.
@@ -129,6 +131,7 @@ class Tally:
     nowhere: int = 0
     outside: int = 0
     still: int = 0
+    followed: int = 0
     held_back: int = 0
     pictures: int = 0
     unchanged: int = 0
@@ -208,6 +211,7 @@ class Detector:
         self._before = background is not None and not chosen.monocular and chosen.position == "body"
         self._faint = FAINT if self._before and model is None and not chosen.learn_background else None
         self._least = self._least_score(model is None)
+        self._following = Following() if chosen.confidence is None and not self._before else None
         self.network = self._network(model) if chosen.detector == "net" else None
         self.windows = self._windows(self.network) if self.network and self.settings.windows else None
         if self.network is None and background is None:
@@ -252,7 +256,7 @@ class Detector:
         if len(regions):
             with self._timing("network"):
                 found = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
-            everything, found = found, self._moving(found.take(found.scores >= self._least))
+            everything, found = found, self._moving(found.take(self._found(found, depth, time)))
             if watched and time is not None:
                 with self._timing("stillness"):
                     watched.see(picture, time, found.boxes)
@@ -269,9 +273,18 @@ class Detector:
         """Whether the colour picture alone tells who is there: no depth says what stands before the empty room."""
         return depth is None or self.settings.monocular or self._background is None
 
+    def _found(self, found: Boxes, depth: Picture | None, time: float | None) -> np.ndarray:
+        """Who (n,) of the network's people is found: by the picture alone, or followed from those before."""
+        sure = found.scores >= self._least
+        if self._following is None or time is None or not self._by_colour(depth):
+            return sure
+        people = self._following.found(found.boxes, found.scores, self._least, time)
+        self.tally.followed += int((people & ~sure).sum())
+        return people
+
     def _believed(self, scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
-        """Which (n,) of the network's people stay above the least score; the others are counted."""
-        believed = after(scores, evidence) >= self._least
+        """Which (n,) of the network's people stay above their least score; the others are counted."""
+        believed = after(scores, evidence) >= np.minimum(scores, self._least)
         self.tally.held_back += int((~believed).sum())
         return believed
 
@@ -282,7 +295,7 @@ class Detector:
         return [
             replace(person, score=float(score))
             for person, score in zip(people, left, strict=True)
-            if score >= self._least
+            if score >= min(person.score, self._least)
         ]
 
     def _described(self, picture: np.ndarray, people: list[Person]) -> list[Person]:
@@ -385,7 +398,8 @@ class Detector:
         chosen = self.settings
         try:
             shape = (1, 1) if chosen.windows else self._size
-            least = min(self._least, FAINTEST) if self._faint else self._least
+            fainter = FAINTEST if self._faint else FOLLOWED if self._following else 1.0
+            least = min(self._least, fainter)
             return Network(content, chosen.imgsz, least, chosen.iou, chosen.threads, shape)
         except ModelError as error:
             raise ModelError(f"{model}: {error}") from None

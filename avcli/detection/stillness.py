@@ -15,6 +15,8 @@ examples/benchmarks/detection.md.
 
 import numpy as np
 
+from avcli.detection.agreement import overlaps
+
 WIDTH_PX = 320
 """Width, about, at which pictures are compared."""
 
@@ -122,7 +124,7 @@ class Stillness:
         corners = np.clip(corners, 0, [width, height, width, height]).astype(int)
         told = np.zeros(len(boxes))
         for k, corner in enumerate(corners):
-            alike = _overlap(corner, self._looked)
+            alike = overlaps(corner[None], self._looked)[0]
             if len(alike) and alike.max() >= ALIKE:
                 told[k] = self._evidence[alike.argmax()]
             elif (corner[2:] - corner[:2]).min() >= _FEWEST_PX:
@@ -247,13 +249,6 @@ def _shift(now: np.ndarray, then: np.ndarray, most: float) -> tuple[float, float
     doubled = 2 * np.clip(ee - explained, QUANTUM, most) / (now.size / len(x))
     sway = SWAY**2 * now.size * (xx + yy) / 2
     return float(max((explained / doubled).max(), 1e-3)), float((sway / doubled).max())
-
-
-def _overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Overlap over union (n,) of a box (4,) with others (n, 4)."""
-    shared = np.maximum(np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2]), 0).prod(axis=1)
-    areas = (others[:, 2:] - others[:, :2]).prod(axis=1) + (box[2:] - box[:2]).prod()
-    return np.asarray(shared / np.maximum(areas - shared, 1))
 
 
 def _of_parts(values: np.ndarray) -> np.ndarray:
