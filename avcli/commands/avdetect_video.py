@@ -166,7 +166,7 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
         session.note_skipped("windows", still, seen + still, "in which nothing had changed", "network")
     session.note_skipped("pictures", tally.unchanged, tally.pictures, "in which nothing had changed", "network")
     if tally.followed:
-        session.note(f"{tally.followed} boxes with a low score were followed from the pictures before")
+        session.note(f"boxes with a low score that were followed from the pictures before: {tally.followed}")
     if tally.unexplained:
         session.warn(
             f"{tally.unexplained} of {tally.by_box} boxes that were placed without depth fit no body: people who lie, "
