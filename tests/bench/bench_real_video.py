@@ -10,7 +10,8 @@ Networks: the package's own, what `avcalib detector` made of it, and each other 
 --windows N, in N turned windows. A box is found if it overlaps a label by more than .3 (or .5, for AP.5). The lens is
 not known: it is taken as equidistant over the picture's shorter side, which serves to lay the windows and to place true
 boxes: `placed` is the share of them that get a position, `explained` the share that a body explains, at the camera
-height of --heights at which most are. Times are CPU milliseconds of one thread.
+height of --heights at which most are. With --films RATE the pictures are those of films, in order, and the detector by
+colour alone looks at them, following people and not. Times are CPU milliseconds of one thread.
 """
 
 import argparse
@@ -27,13 +28,17 @@ import numpy as np
 from bench_detection import table
 
 from avcli.detection.agreement import Found, average_precision, judged
+from avcli.detection.detector import Detector
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes, Network
+from avcli.detection.settings import Settings
 from avcli.detection.view import View
 from avcli.detection.windows import WindowedNetwork
+from avcli.formats.experiment import Config
 from avcli.formats.media import read_rgb
-from avcli.lens import KannalaBrandt
-from avcli.pose import camera_pose
+
+HEIGHT_M = 2.7
+"""Height at which a film's camera is taken to hang."""
 
 LEAST = 0.05
 """Score from which boxes count for the average precision."""
@@ -66,11 +71,21 @@ def row(name: str, found: list[Found], confidence: float, ms: float) -> dict[str
     }
 
 
-def fisheye(size: tuple[int, int], height: float) -> View:
+def camera(size: tuple[int, int], height: float) -> dict[str, Any]:
     """An equidistant lens that shows a half space over the shorter side of a picture (width, height), looking down."""
     focal = min(size) / np.pi
-    lens = KannalaBrandt(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, 0.0, 0.0, 0.0, 0.0)
-    return View(lens, camera_pose([0, 0, height], [90, 0, 0]), size, np.deg2rad(92))
+    return {
+        "lens_model": "kannala_brandt", "fx_px": focal, "fy_px": focal,
+        "cx_px": (size[0] - 1) / 2, "cy_px": (size[1] - 1) / 2,
+        "image_width_px": size[0], "image_height_px": size[1],
+        "camera_position_m": [0, 0, height], "camera_rotation_deg": [90, 0, 0],
+    }  # fmt: skip
+
+
+def fisheye(size: tuple[int, int], height: float) -> View:
+    """The view of that camera."""
+    made = Config({"camera_config": camera(size, height)}).camera
+    return View(made.lens, made.T_room_camera, size, np.deg2rad(92))
 
 
 def placed(labels: list[tuple[tuple[int, int], np.ndarray]], heights: list[float]) -> dict[str, Any]:
@@ -138,6 +153,34 @@ def evaluate(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
     return [{"set": folder.name, **one} for one in [*rows, geometry]]
 
 
+def films(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of a set whose pictures are of films: the detector by colour alone, following people and not."""
+    shots: dict[int, dict[int, Path]] = {}
+    for path in folder.rglob("images/*"):
+        if re.search(options.only, path.name):
+            film, number = map(int, re.findall(r"\d+", path.name)[:2])
+            shots.setdefault(film, {})[number] = path
+    rows = []
+    for name, confidence in (("people followed", None), ("people, --confidence .5", 0.5)):
+        found, begin = [], time.process_time()
+        for pictures in shots.values():
+            detector = None
+            for number, path in sorted(pictures.items()):
+                picture = read_rgb(path)
+                size = picture.shape[1], picture.shape[0]
+                if detector is None:
+                    settings = Settings(monocular=True, features=False, confidence=confidence)
+                    detector = Detector(Config({"camera_config": camera(size, HEIGHT_M)}), settings=settings)
+                people = detector.look(picture, None, number / options.films)
+                people.sort(key=lambda person: -person.score)
+                boxes = np.array([person.bbox_px for person in people]).reshape(-1, 4)
+                scores = np.array([person.score for person in people])
+                found.append((boxes, scores, labelled(path) * np.tile(size, 2)))
+        ms = (time.process_time() - begin) * 1e3 / max(len(found), 1)
+        rows.append({"set": folder.name, **row(f"films, {name}", found, 0.0, ms)})
+    return rows
+
+
 def main() -> None:
     """Evaluate all sets and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -148,6 +191,9 @@ def main() -> None:
     parser.add_argument("--confidence", type=float, default=0.3, help="of the models; the package's own has .5")
     parser.add_argument("--own-size", type=int, nargs=2, default=(640, 384), help="a second input of the package's own")
     parser.add_argument("--only", default="", help="pictures whose names match this regular expression")
+    parser.add_argument(
+        "--films", type=float, help="the names' first two numbers are a film's and a picture's, so many a second"
+    )
     parser.add_argument("--step", type=int, default=1, help="every so many pictures")
     parser.add_argument(
         "--heights", type=float, nargs="+", default=[2.1, 2.4, 2.7, 3.0, 3.5, 4.0], help="of cameras, m"
@@ -157,11 +203,12 @@ def main() -> None:
     sets = sorted(path for path in options.data.iterdir() if path.is_dir())
     if not sets:
         parser.error(f"{options.data} has no folders")
-    rows = [one for folder in sets for one in evaluate(folder, options)]
+    look = films if options.films else evaluate
+    rows = [one for folder in sets for one in look(folder, options)]
     rows = [{key: round(value, 4) if isinstance(value, float) else value for key, value in one.items()} for one in rows]
     options.out.mkdir(parents=True, exist_ok=True)
     parts = [[one for one in rows if ("AP.3" in one) == boxes] for boxes in (True, False)]
-    text = "\n".join(map(table, parts))
+    text = "\n".join(table(part) for part in parts if part)
     print(text)
     (options.out / "real-video.md").write_text(text)
     (options.out / "real-video.jsonl").write_text("".join(json.dumps(one) + "\n" for one in rows))
