@@ -1,4 +1,4 @@
-"""Who was found a moment ago is followed at a lower score, and nobody else is."""
+"""A person who was found a moment ago is followed at a lower score, and nobody else is."""
 
 import numpy as np
 import pytest
@@ -47,6 +47,18 @@ def test_who_walks_is_followed_from_picture_to_picture():
 )
 def test_who_was_not_seen_for_long_is_found_anew(pause, follows):
     assert found((5.0, 0.9, BOX), (5.0 + pause, 0.4, BOX)) == [True, follows]
+
+
+def test_who_is_there_while_nothing_changes_is_not_lost():
+    following = Following()
+    for time in (0.0, 0.1):
+        following.found(BOX, np.array([0.9]), LEAST, time)
+    for time in np.arange(0.2, 4.0, 0.1):
+        following.unchanged(time)
+    assert following.found(BOX, np.array([0.4]), LEAST, 4.5)[0]
+    following.found(BOX[:0], np.empty(0), LEAST, 4.6)  # the person is hidden
+    following.unchanged(5.6)
+    assert not following.found(BOX, np.array([0.4]), LEAST, 5.7)[0]
 
 
 def test_one_person_is_one_box():

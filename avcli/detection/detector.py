@@ -120,7 +120,7 @@ class Tally:
         nowhere: without a place: none of their rays reaches the room.
         outside: of people beyond the walls, who were left out.
         still: that show only the room as it was learnt, and were left out.
-        followed: of people with a low score who were found at the same place a moment before.
+        followed: with a low score, of people who were found at the same place a moment before.
         held_back: that would have been people, but keep too still.
         pictures, unchanged: pictures so far, and those of them in which nothing had moved.
         boxes: (4,) px, the first `MOST_BOXES` of those that were placed by the box alone.
@@ -265,8 +265,11 @@ class Detector:
                 placed = self._place(found, everything, depth, time)
                 people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
             self._last = self._described(picture, people)
-        elif watched and time is not None:
-            watched.see(picture, time, _boxes(self._last))
+        elif time is not None:
+            if self._following:
+                self._following.unchanged(time)
+            if watched:
+                watched.see(picture, time, _boxes(self._last))
         return self._last if watched is None else self._doubted(self._last, watched)
 
     def _by_colour(self, depth: Picture | None) -> bool:
@@ -274,7 +277,7 @@ class Detector:
         return depth is None or self.settings.monocular or self._background is None
 
     def _found(self, found: Boxes, depth: Picture | None, time: float | None) -> np.ndarray:
-        """Who (n,) of the network's people is found: by the picture alone, or followed from those before."""
+        """Which (n,) of the network's people are found by their score, or followed from the pictures before."""
         sure = found.scores >= self._least
         if self._following is None or time is None or not self._by_colour(depth):
             return sure

@@ -1,8 +1,8 @@
-"""Who was found a moment ago is found at a lower score: a film's second chance for who is half hidden, or turns.
+"""People who were found a moment ago are found again at a lower score, for example half hidden ones.
 
-Scores that are too low to find somebody are high enough to go on (the second association of ByteTrack, Zhang et al.,
-2022, section 3). The numbers were chosen on eleven real films of a ceiling fisheye, see
-examples/benchmarks/detection.md.
+A score that is too low to find somebody new is high enough to follow somebody (the second association of ByteTrack,
+Zhang et al., 2022, section 3). The numbers were chosen on eleven real films of a ceiling fisheye and on random worlds,
+see examples/benchmarks/detection.md.
 """
 
 import numpy as np
@@ -10,14 +10,14 @@ import numpy as np
 from avcli.detection.agreement import overlaps
 
 FOLLOWED = 0.3
-"""Least score of who is followed."""
+"""Least score of a person who is followed."""
 
-SEEN = 2
-"""Pictures in which the score alone must have been enough, before somebody is followed. With one, things that flicker
+HITS = 2
+"""Pictures in which the score alone found the person before he or she is followed. With one, things that flicker
 about the score when a film begins are followed (two of 24 random worlds lose 9 and 14 points of HOTA)."""
 
 LOST_S = 1.0
-"""s; who is not seen for longer has to be found anew."""
+"""s; a person who is not seen for longer must be found anew."""
 
 OVERLAP = 0.3
 """Least intersection over union of a person's boxes in two pictures."""
@@ -27,10 +27,11 @@ class Following:
     """Remembers the boxes of the people whom the last pictures of a film showed."""
 
     def __init__(self) -> None:
-        self._boxes, self._seen, self._times = np.empty((0, 4)), np.empty(0), np.empty(0, int)
+        self._time = -np.inf
+        self._boxes, self._seen, self._hits = np.empty((0, 4)), np.empty(0), np.empty(0, int)
 
     def found(self, boxes: np.ndarray, scores: np.ndarray, least: float, time: float) -> np.ndarray:
-        """Say who (n,) is found in the next picture: by the score, or followed from the pictures before.
+        """Say which people (n,) the next picture shows: found by the score, or followed from the pictures before.
 
         Args:
             boxes: (n, 4) px.
@@ -38,18 +39,24 @@ class Following:
             least: score from which somebody is found wherever he or she is.
             time: of the picture, s. What was seen at this time or later is forgotten.
         """
+        self._time = time
         known = (self._seen < time) & (time - self._seen <= LOST_S)
-        self._boxes, self._seen, self._times = self._boxes[known], self._seen[known], self._times[known]
+        self._boxes, self._seen, self._hits = self._boxes[known], self._seen[known], self._hits[known]
         found, new = scores >= least, scores >= least
         shared = overlaps(boxes, self._boxes)
         for k in np.flatnonzero(scores >= FOLLOWED) if known.any() else ():
             nearest = int(shared[k].argmax())
-            if shared[k, nearest] >= OVERLAP and (found[k] or self._times[nearest] >= SEEN):
+            if shared[k, nearest] >= OVERLAP and (found[k] or self._hits[nearest] >= HITS):
                 self._boxes[nearest], self._seen[nearest] = boxes[k], time
-                self._times[nearest] += found[k]
+                self._hits[nearest] += found[k]
                 found[k], new[k] = True, False
                 shared[:, nearest] = 0.0  # a person has one box in a picture
         self._boxes = np.concatenate([self._boxes, boxes[new]])
         self._seen = np.append(self._seen, np.full(int(new.sum()), time))
-        self._times = np.append(self._times, np.ones(int(new.sum()), int))
+        self._hits = np.append(self._hits, np.ones(int(new.sum()), int))
         return found
+
+    def unchanged(self, time: float) -> None:
+        """Take in that the picture of a time, s, shows what the last one showed."""
+        self._seen[self._seen == self._time] = time
+        self._time = time

@@ -23,7 +23,7 @@ class Settings:
         unit="P",
         least=0.0,
         most=1.0,
-        default_text="0.5; 0.3 of who was found twice just before at the same place, and of the package's own "
+        default_text="0.5; 0.3 for a person who was found there a moment before, and for the package's own "
         "network where the empty room's depth tells who is there",
         only="net",
     )
