@@ -24,7 +24,7 @@ from avcli.settings import DEFAULT_RT60_S, settings_of
 
 MARGIN = 48
 """samples before and after an impulse that its form may spread to where all frequencies are absorbed alike."""
-STRIDE_M = 0.5
+STRIDE_M = 0.75
 """m; the audible images are chosen anew after source and microphones have moved by this much."""
 MOTION_STEP_S = 0.001
 """s; a microphone moves in a straight line for so long: at 10 m/s² it is wrong by no more than 1.3 µm."""
