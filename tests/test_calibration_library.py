@@ -8,7 +8,7 @@ import pytest
 from calibration_boards import BOARD, THESIS, exact, film, photograph
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, choose, fit, gather, robust
+from avcli.calibration import calibrate, choose, corners, fit, gather, robust
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.media import MediaError, write_png
@@ -152,3 +152,17 @@ def test_the_config_names_the_model_that_was_fitted(shots):
 def test_an_unknown_model_names_the_known_ones(shots):
     with pytest.raises(ValueError, match="known are kannala_brandt"):
         calibrate.calibrate(shots, settings=FitSettings(lens_model="pinhole"))
+
+
+def test_pictures_before_the_first_board_are_looked_at_again(shots, monkeypatch):
+    """While no picture shows a board, most are looked at quickly; a board that is only found thoroughly is not lost."""
+    find = corners.find
+
+    def only_thoroughly(picture, board, *, thorough=True, likely=True):
+        return find(picture, board) if thorough else None
+
+    monkeypatch.setattr(corners, "find", only_thoroughly)
+    blank = np.full_like(shots[0], 128)
+    seen = gather.collect([blank, blank, blank, *shots[:7]], BOARD)
+    assert [row["why"] for row in seen.records()] == ["no board"] * 3 + ["no fit"] * 7
+    assert seen.names == [f"picture {number}" for number in range(3, 10)]

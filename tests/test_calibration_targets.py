@@ -11,7 +11,7 @@ from calibration_boards import exact, field_error, film, photograph, printed
 from conftest import run
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, circles, corners, drawing, fit, gather, recognise, saddles
+from avcli.calibration import calibrate, circles, corners, drawing, fit, gather, markers, recognise, saddles
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.target import Board
 from avcli.formats.media import write_png
@@ -238,3 +238,13 @@ def test_a_part_of_a_board_is_not_taken_for_a_smaller_board():
     assert sorted((grids[0].columns, grids[0].rows)) == [9, 9]
     assert grids[0].is_cut
     assert not saddles.sizes(picture)
+
+
+def test_the_map_from_the_unit_square_is_that_of_opencv():
+    rng = np.random.default_rng(0)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    quads = (100 * (square + rng.uniform(-0.3, 0.3, (50, 4, 2))) + rng.uniform(0, 1000, (50, 1, 2))).astype(np.float32)
+    expected = [cv2.getPerspectiveTransform(square, quad) for quad in quads]
+    assert np.allclose(markers._from_unit_square(quads.astype(float)), expected, rtol=1e-9, atol=1e-9)
+    in_a_line = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]]])
+    assert np.isfinite(markers._from_unit_square(in_a_line)).all()

@@ -145,9 +145,10 @@ def _spots(grey: np.ndarray) -> np.ndarray:
         right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
         possible &= (left > 1) & (top > 1) & (right < grey.shape[1] - 1) & (bottom < grey.shape[0] - 1)  # not cut
         possible[0] = False
-        flat = np.flatnonzero(possible[labels])
-        which = labels.ravel()[flat]
-        dx, dy = flat % grey.shape[1] - middles[which, 0], flat // grey.shape[1] - middles[which, 1]
+        flat = np.flatnonzero(np.take(possible, np.asarray(labels, np.int32))).astype(np.int32)
+        which, y = labels.ravel()[flat].astype(np.intp), flat // np.int32(grey.shape[1])
+        x_mean, y_mean = np.ascontiguousarray(middles.T)
+        dx, dy = flat - y * np.int32(grey.shape[1]) - x_mean[which], y - y_mean[which]
         moments = [
             np.bincount(which, a * b, len(area)) / np.maximum(area, 1) for a, b in ((dx, dx), (dx, dy), (dy, dy))
         ]

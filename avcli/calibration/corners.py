@@ -86,7 +86,7 @@ def _grey_of_rgb(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_RGB2GRAY)
 
 
-def find(picture: np.ndarray | Pyramid, board: Board, *, thorough: bool = True) -> View | None:
+def find(picture: np.ndarray | Pyramid, board: Board, *, thorough: bool = True, likely: bool = True) -> View | None:
     """Find a board's corners; None where there is no board.
 
     Args:
@@ -94,6 +94,7 @@ def find(picture: np.ndarray | Pyramid, board: Board, *, thorough: bool = True) 
         board: a checkerboard must be in the picture with its four sides, up to a fifth of its corners hidden; a grid
             of circles wholly; of a board with markers six corners are enough.
         thorough: see saddles.find_board.
+        likely: whether a checkerboard is likely to be there; it is then looked for in a very small picture first.
     """
     picture = Pyramid.of(picture)
     grey = picture.grey
@@ -105,7 +106,7 @@ def find(picture: np.ndarray | Pyramid, board: Board, *, thorough: bool = True) 
     elif board.has_circles:
         found = circles.find(grey, board)
     else:
-        found = _find_checkerboard(picture, board.inner, thorough)
+        found = _find_checkerboard(picture, board.inner, thorough, likely)
     if not found:
         return None
     view = view_of(grey, *found)
@@ -135,7 +136,7 @@ def view_of(grey: np.ndarray, ids: np.ndarray, pixels: np.ndarray) -> View:
 
 
 def _find_checkerboard(
-    picture: Pyramid, inner: tuple[int, int], thorough: bool, quickly: bool = True
+    picture: Pyramid, inner: tuple[int, int], thorough: bool, quickly: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
     found = saddles.find_board(picture, inner, thorough=thorough, quickly=quickly)
     if found is None:

@@ -31,7 +31,7 @@ _SELDOM = 8
 is recognised, it is searched in the pictures between them too. Where a board is known and none was found, only every
 eighth picture is searched thoroughly. So a folder without a board costs no more than one with boards."""
 _THOROUGH = 2
-"""Pictures in which an unknown board is looked for thoroughly."""
+"""Pictures that are looked at thoroughly while none before them shows a board."""
 _NAMED = 5
 """Pictures that a message names before it counts the others."""
 
@@ -338,6 +338,8 @@ class _Search:
         """Add a picture and return the view in it; after some of them, recognise the board or try another size."""
         view = found if isinstance(found, View) else None
         known = self.seen.is_known
+        if view is not None and not self.seen.views:
+            self.look_again()
         self._add(picture, grey, view)
         if not known:
             self.first = [*self.first[1 - _GUESS_AFTER[-1] :], picture]
@@ -400,6 +402,13 @@ class _Search:
             if seen.board.rows != self.rows:
                 self.say(f"with all pictures it is {_with_article(seen.board.words)}")
 
+    def look_again(self) -> None:
+        """Once a picture shows the board, look thoroughly at those before it, of which most were looked at quickly."""
+        if self.thorough and _THOROUGH < len(self.first) == len(self.seen):
+            self.seen.forget(len(self.first))
+            for picture in self.first:
+                self._add(picture, *self._again(picture))
+
     def try_another_size(self) -> None:
         """If hardly any of the first pictures shows the board, look in them for one of the size that they show."""
         given = self.seen.board
@@ -429,7 +438,11 @@ class _Search:
         """Whether to look at a picture thoroughly: seldom where none before it showed a board."""
         if not self.seen.is_known:
             return number < _THOROUGH
-        return self.thorough and (bool(self.seen.views) or number < _GUESS_AFTER[0] or number % _SELDOM == 0)
+        return self.thorough and (bool(self.seen.views) or number < _THOROUGH or number % _SELDOM == 0)
+
+    def is_likely(self, number: int) -> bool:
+        """Whether a picture is likely to show the board: one before it does, or it is one of the first."""
+        return bool(self.seen.views) or number < _GUESS_AFTER[0]
 
     @property
     def at_once(self) -> int:
@@ -446,8 +459,10 @@ class _Search:
 
         def oldest() -> Look:
             picture, board, found = waiting.popleft()
-            current, careful = self.sought, self.is_thorough(len(self.seen))
-            return picture, *(found.result() if board is current else look(picture.image, current, careful))
+            current, number = self.sought, len(self.seen)
+            if board is current:
+                return picture, *found.result()
+            return picture, *look(picture.image, current, self.is_thorough(number), self.is_likely(number))
 
         with ThreadPoolExecutor(min(self.at_once, os.cpu_count() or 1)) as pool:
             failure = None
@@ -461,7 +476,8 @@ class _Search:
                             yield oldest()
                         board = self.sought
                         rest = isinstance(board, Wanted) and self._is_passed(number)
-                        seen = pool.submit(look, picture.image, None if rest else board, self.is_thorough(number))
+                        how = self.is_thorough(number), self.is_likely(number)
+                        seen = pool.submit(look, picture.image, None if rest else board, *how)
                         waiting.append((picture, board, seen))
                         if self.eager:
                             yield oldest()
@@ -476,14 +492,14 @@ class _Search:
                 raise failure
 
 
-def look(image: np.ndarray, board: Board | Wanted | None, thorough: bool) -> tuple[Pyramid, Found]:
+def look(image: np.ndarray, board: Board | Wanted | None, thorough: bool, likely: bool) -> tuple[Pyramid, Found]:
     """Look at a picture as a camera gives it: the picture in grey, and the view of the board, or the board it shows."""
     grey = Pyramid(corners.to_grey(image))
     if board is None:
         return grey, None
     if isinstance(board, Wanted):
         return grey, recognise.look(grey, board, thorough=thorough)
-    return grey, corners.find(grey, board, thorough=thorough)
+    return grey, corners.find(grey, board, thorough=thorough, likely=likely)
 
 
 def _with_article(words: str) -> str:

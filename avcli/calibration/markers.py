@@ -107,8 +107,8 @@ def _charuco_detector(board: Board) -> "cv2.aruco.CharucoDetector":
 
 def _find_tags(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     small, scale = _reduced(grey)
-    quads = _quads(small, touching=True)
-    seen = _identified(small, quads, board.dictionary, board.border_bits, wrong=_WRONG_BITS)
+    reader = _Reader(small, _quads(small, touching=True))
+    seen = _identified(reader, board.dictionary, board.border_bits, wrong=_WRONG_BITS)
     known = seen.ids < board.columns * board.rows
     ids, corners = seen.ids[known], (seen.corners[known] + 0.5) * scale - 0.5
     if len(ids) < 2:
@@ -164,23 +164,22 @@ def _nothing() -> "cv2.aruco.Dictionary":
     return cv2.aruco.Dictionary(whole.bytesList[:1], whole.markerSize, 0)
 
 
-def _identified(grey: np.ndarray, quads: np.ndarray, dictionary: str, border_bits: int, *, wrong: int = 0) -> Markers:
-    """Which of the quads are markers of a dictionary; a marker that is seen twice is left out.
+def _identified(reader: "_Reader", dictionary: str, border_bits: int, *, wrong: int = 0) -> Markers:
+    """Which of a reader's quads are markers of a dictionary; a marker that is seen twice is left out.
 
     Args:
-        grey: (height, width) uint8.
-        quads: (n, 4, 2) px, clockwise.
+        reader: of the picture and the quads.
         dictionary, border_bits: as in Board.
         wrong: bits that may differ.
     """
     codes, size = _codes(dictionary)
-    black, good = _cells(grey, quads, size + 2 * border_bits)
+    black, good = reader.cells(size + 2 * border_bits)
     inside = black[:, border_bits : border_bits + size, border_bits : border_bits + size]
     border = np.ones(black.shape[1:], bool)
     border[border_bits:-border_bits, border_bits:-border_bits] = False
-    good &= black[:, border].mean(1) >= 1 - wrong / border.sum()
+    good = good & (black[:, border].mean(1) >= 1 - wrong / border.sum())
     ids, corners = [], []
-    for quad, bits in zip(quads[good], inside[good], strict=True):
+    for quad, bits in zip(reader.quads[good], inside[good], strict=True):
         turned = np.stack([np.rot90(~bits, turn).ravel() for turn in range(4)])
         differ = (turned[:, None] != codes[None]).sum(2)
         turn, marker = np.unravel_index(np.argmin(differ), differ.shape)
@@ -192,24 +191,53 @@ def _identified(grey: np.ndarray, quads: np.ndarray, dictionary: str, border_bit
     return Markers(dictionary, names[counts == 1], np.array([corners[i] for i in once]).reshape(-1, 4, 2), border_bits)
 
 
-def _cells(grey: np.ndarray, quads: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Read the cells of each quad: (n, cells, cells) bool, true where black, and whether there is contrast (n,)."""
-    import cv2
+class _Reader:
+    """Reads quads of a picture as black and white cells, each number of cells once.
 
-    middles = (np.arange(cells) + 0.5) / cells
-    x, y = (a.ravel() for a in np.meshgrid(middles, middles))
-    places = np.empty((len(quads), cells * cells, 2), np.float32)
-    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    for place, quad in zip(places, quads, strict=True):
-        place[:] = cv2.perspectiveTransform(
-            np.stack([x, y], -1)[None], cv2.getPerspectiveTransform(unit, quad.astype(np.float32))
-        )[0]
-    if not len(quads):
-        return np.zeros((0, cells, cells), bool), np.zeros(0, bool)
-    value = cv2.remap(grey, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    low, high = np.quantile(value, 0.05, axis=1), np.quantile(value, 0.95, axis=1)
-    black = value < ((low + high) / 2)[:, None]
-    return black.reshape(-1, cells, cells), high - low > 20
+    Args:
+        grey: (height, width) uint8.
+        quads: (n, 4, 2) px, clockwise.
+    """
+
+    def __init__(self, grey: np.ndarray, quads: np.ndarray) -> None:
+        self.quads, self._grey = quads, grey
+        self._of_square = _from_unit_square(quads)
+        self._read: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+
+    def cells(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """The cells of each quad, (n, count, count) bool, true where black, and whether there is contrast, (n,)."""
+        if count not in self._read:
+            self._read[count] = self._cells(count)
+        return self._read[count]
+
+    def _cells(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        import cv2
+
+        if not len(self.quads):
+            return np.zeros((0, count, count), bool), np.zeros(0, bool)
+        middles = (np.arange(count) + 0.5) / count
+        x, y = (a.ravel() for a in np.meshgrid(middles, middles))
+        u, v, w = np.moveaxis(self._of_square @ np.stack([x, y, np.ones(len(x))]), 1, 0)
+        x, y = (u / w).astype(np.float32), (v / w).astype(np.float32)
+        value = cv2.remap(self._grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        low, high = np.quantile(value, [0.05, 0.95], axis=1)
+        black = value < ((low + high) / 2)[:, None]
+        return black.reshape(-1, count, count), high - low > 20
+
+
+def _from_unit_square(quads: np.ndarray) -> np.ndarray:
+    """The projective maps from the unit square to quads (n, 4, 2), (n, 3, 3) (P. S. Heckbert, 1989, section 2.2.3)."""
+    first, second, third, fourth = np.moveaxis(quads, 1, 0)
+    one, other, rest = second - third, fourth - third, first - second + third - fourth
+    area = one[:, 0] * other[:, 1] - other[:, 0] * one[:, 1]
+    area = np.where(area == 0, np.inf, area)  # three corners in a line: no map leads there
+    g = (rest[:, 0] * other[:, 1] - other[:, 0] * rest[:, 1]) / area
+    h = (one[:, 0] * rest[:, 1] - rest[:, 0] * one[:, 1]) / area
+    along, across = second - first + g[:, None] * second, fourth - first + h[:, None] * fourth
+    maps = np.empty((len(quads), 3, 3))
+    maps[:, :2, 0], maps[:, :2, 1], maps[:, :2, 2] = along, across, first
+    maps[:, 2, 0], maps[:, 2, 1], maps[:, 2, 2] = g, h, 1.0
+    return maps
 
 
 @cache
@@ -271,15 +299,16 @@ def recognise(grey: np.ndarray, kind: Kind | None = None, dictionary: str = "") 
 def _readings(grey: np.ndarray, quads: np.ndarray, dictionary: str, touching: bool) -> Iterator[Markers]:
     if not len(quads):
         return
+    reader = _Reader(grey, quads)
     if touching:
         for border_bits in (2, 1):
-            yield _identified(grey, quads, dictionary or "APRILTAG_36h11", border_bits)
+            yield _identified(reader, dictionary or "APRILTAG_36h11", border_bits)
         return
     if dictionary:
-        yield _identified(grey, quads, dictionary, 1)
+        yield _identified(reader, dictionary, 1)
         return
     for family, sizes in _FAMILIES:
-        seen = _identified(grey, quads, f"{family}_{sizes[-1]}" if sizes else family, 1)
+        seen = _identified(reader, f"{family}_{sizes[-1]}" if sizes else family, 1)
         if sizes and len(seen.ids):
             smallest = next(size for size in sizes if seen.ids.max() < size)
             seen = Markers(f"{family}_{smallest}", seen.ids, seen.corners, 1)

@@ -16,7 +16,7 @@ _NOMINAL_M = 0.095
 _AGREE = 2
 """Pictures that must show the same board; one may show a tiled floor or another print."""
 _MOST_ROWS = 40
-_WIDTH, _QUICK_WIDTH = 1280, 960
+_WIDTH, _QUICK_WIDTH, _CROWDED_WIDTH = 1280, 960, 640
 """px; markers and circles are looked for in pictures of this width, thoroughly or not."""
 
 
@@ -108,7 +108,8 @@ def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True
             return Board(min(inner) + 1, max(inner) + 1, scaled=False)
     if kind == "checkerboard" or (picture.crowded and not thorough):
         return None
-    found = circles.recognise(small)
+    # In a picture full of texture the search for circles would cost most.
+    found = circles.recognise(picture.reduced(_CROWDED_WIDTH)[0] if picture.crowded else small)
     return found if found is None or kind in (None, found.kind) else None
 
 

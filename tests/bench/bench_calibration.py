@@ -29,6 +29,7 @@ from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film, ph
 
 from avcli.calibration import calibrate, corners, fit, gather, opencv, quality, robust, target
 from avcli.calibration.corners import View
+from avcli.calibration.recognise import Wanted
 from avcli.formats import footage
 from avcli.lens import KannalaBrandt, Lens
 
@@ -251,6 +252,64 @@ def speed_rows(quick: bool) -> Iterator[Row]:
         }
 
 
+def texture_rows(seeds: int) -> Iterator[Row]:
+    """CPU seconds from 24 pictures of boards in memory to a lens, and of as many of texture without a board."""
+    known: dict[str, target.Board | Wanted] = {
+        "size and kind known": BOARD, "kind known": Wanted(kind="checkerboard"), "nothing known": Wanted(),
+    }  # fmt: skip
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        filmed = film(_TEXTURES, rng)
+        poses = zip(filmed.rotations, filmed.translations, strict=True)
+        pictures = {"boards": [photograph(R, t, rng) for R, t in poses]}
+        pictures |= {make.__name__: [make(rng) for _ in range(_TEXTURES)] for make in (blotches, rectangles, tiles)}
+        for name, wanted in known.items():
+            spent = {what: min(_calibrated(shots, wanted) for _ in range(_IN_TURN)) for what, shots in pictures.items()}
+            yield {"seed": seed, "known": name, **spent}
+
+
+_TEXTURES = 24
+
+
+def _calibrated(pictures: list[np.ndarray], wanted: target.Board | Wanted) -> float:
+    begin = time.process_time()
+    seen = gather.collect(pictures, wanted)
+    if len(seen.views) > 3:
+        calibrate.calibrate_views(seen.board, seen.views)
+    return time.process_time() - begin
+
+
+def blotches(rng: np.random.Generator) -> np.ndarray:
+    """Blurred noise, (height, width) uint8."""
+    noise = cv2.GaussianBlur(rng.standard_normal(SIZE[::-1]), (0, 0), 3.0)
+    return np.clip(128 + 60 * noise / noise.std(), 0, 255).astype(np.uint8)
+
+
+def rectangles(rng: np.random.Generator) -> np.ndarray:
+    """Rectangles of all greys, turned and over each other, (height, width) uint8."""
+    picture = np.full(SIZE[::-1], 128, np.uint8)
+    for _ in range(400):
+        middle, sides = rng.uniform(0, SIZE).tolist(), rng.uniform(20, 200, 2).tolist()
+        corners_px = cv2.boxPoints((middle, sides, float(rng.uniform(0, 180))))
+        cv2.fillPoly(picture, [np.rint(corners_px).astype(int)], (int(rng.integers(256)),))
+    return _taken(picture, rng)
+
+
+def tiles(rng: np.random.Generator) -> np.ndarray:
+    """A tiled floor with dark joints, turned, (height, width) uint8."""
+    width, height = SIZE
+    side = int(rng.integers(40, 90))
+    picture = np.kron(rng.uniform(60, 220, (height // side + 1, width // side + 1)), np.ones((side, side)))
+    picture[::side], picture[:, ::side] = 30, 30
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), float(rng.uniform(0, 90)), 1.3)
+    return _taken(cv2.warpAffine(picture, turn, SIZE, borderMode=cv2.BORDER_REFLECT), rng)
+
+
+def _taken(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    noisy = np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
+    return cv2.GaussianBlur(noisy, (0, 0), 0.8)
+
+
 def _least(rows: list[Row]) -> Row:
     """The least of each number."""
     return {key: min(row[key] for row in rows) for key in rows[0]}
@@ -386,7 +445,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--quick", action="store_true", help="fewer sets")
-    parser.add_argument("--only", choices=["photographs", "methods", "speed", "sets"])
+    parser.add_argument("--only", choices=["photographs", "methods", "speed", "texture", "sets"])
     parser.add_argument(
         "--sets", type=Path, action="append", default=[], help="a folder of sets of pictures (lens_sets)"
     )
@@ -447,6 +506,11 @@ def main() -> None:
                 ("all, over OpenCV's", of("over", np.min, "{:.2f}")),
             ]
             parts.append("## Speed\n\n" + table(rows, ["speed", "tool"], columns))
+        if options.only in (None, "texture"):
+            rows = list(collected(texture_rows(min(options.seeds, 3))))
+            kinds = [name for name in rows[0] if name not in ("seed", "known")]
+            columns = [(f"{name}, CPU s", of(name, np.median, "{:.3f}")) for name in kinds]
+            parts.append("## Pictures without a board\n\n" + table(rows, ["known"], columns))
         if options.only in (None, "sets"):
             for folder in options.sets:
                 sets_in = sorted(path for path in folder.iterdir() if path.is_dir())
