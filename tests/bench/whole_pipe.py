@@ -9,8 +9,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
+import bench_pipe
 import numpy as np
 from figures import Row, figure
 from scipy import fft
@@ -23,66 +24,38 @@ BIN = Path(sys.executable).parent
 FRAMES, MICROPHONES, WINDOWS = 41, 8, 2
 
 
-class Running:
-    """A process whose processor time is known when it has ended."""
+def _environment(cache: Path) -> dict[str, str]:
+    """Without pictures of rooms from before, but with the driver's shaders."""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    environment.setdefault("MESA_SHADER_CACHE_DIR", os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")))
+    return environment
 
-    def __init__(self, command: Sequence[object], stdin: IO[bytes] | None, stdout: IO[bytes] | int, cache: Path):
-        first, *others = map(str, command)
-        environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-        environment.setdefault("MESA_SHADER_CACHE_DIR", os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")))
-        program = str(BIN / first) if first.startswith("av") else first
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - cpu_s closes it
-        self._process = subprocess.Popen(
-            [program, *others], stdin=stdin, stdout=stdout, stderr=self._said, env=environment
-        )
-        self.name = first
-        self.stdout = self._process.stdout
-        if stdin is not None:
-            stdin.close()
 
-    def cpu_s(self) -> float:
-        """Wait for its end; RuntimeError with its last words where that is a bad one."""
-        _, status, used = os.wait4(self._process.pid, 0)
-        self._process.returncode = os.waitstatus_to_exitcode(status)
-        with self._said as said:
+def cpu_s(command: Sequence[object], cache: Path, into: Path | None = None) -> float:
+    """Processor time of a command, its standard output into a file; RuntimeError with its last words if it fails."""
+    first, *others = map(str, command)
+    with tempfile.TemporaryFile() as said, open(into or os.devnull, "wb") as out:
+        process = subprocess.Popen([str(BIN / first), *others], stdout=out, stderr=said, env=_environment(cache))
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
             said.seek(0)
-            if self._process.returncode:
-                words = said.read().decode(errors="replace").strip()[-300:]
-                raise RuntimeError(f"{self.name} ended with {self._process.returncode}: {words}")
-        return used.ru_utime + used.ru_stime
-
-
-def pipe(folder: Path, cache: Path) -> tuple[dict[str, float], float]:
-    """Run S1 as one pipe of processes with raw frames; return CPU s of each command, and wall s of all."""
-    os.mkfifo(folder / "truth")
-    at = ("-C", folder)
-    begin = time.perf_counter()
-    with open(folder / "v.jsonl", "wb") as seen, open(folder / "a.jsonl", "wb") as heard:
-        scene = Running(["avsim-scene", "s1", *at, "--frames", "npy"], None, subprocess.PIPE, cache)
-        both = Running(["tee", folder / "truth", folder / "scene.jsonl"], scene.stdout, subprocess.PIPE, cache)
-        eye = Running(["avdetect-video", *at], both.stdout, seen, cache)
-        sound = Running(["avsim-audio", *at, folder / "truth"], None, subprocess.PIPE, cache)
-        ear = Running(["avdetect-audio", *at], sound.stdout, heard, cache)
-        spent = {one.name: one.cpu_s() for one in (scene, both, eye, sound, ear)}
-    tracker = Running(["avfuse", *at, folder / "a.jsonl", folder / "v.jsonl"], None, subprocess.PIPE, cache)
-    truth = folder / "groundtruth_sources.jsonl"
-    score = Running(["aveval", truth, "-"], tracker.stdout, subprocess.DEVNULL, cache)
-    spent |= {one.name: one.cpu_s() for one in (tracker, score)}
-    return spent, time.perf_counter() - begin
+            words = said.read().decode(errors="replace").strip()[-300:]
+            raise RuntimeError(f"{first} ended with {process.returncode}: {words}")
+    return used.ru_utime + used.ru_stime
 
 
 def pipe_rows() -> Iterator[Row]:
     """S1 as one pipe, with the least that the machine needs for it; and by `make -j2 s1`."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary) / "s1"
-        folder.mkdir()
-        spent, wall = pipe(folder, Path(temporary) / "cache")
-        del spent["tee"]
-        for name, seconds in spent.items():
+        bench_pipe.hold_memory()
+        run = bench_pipe.run_pipe("s1", Path(temporary), _environment(Path(temporary) / "cache"))
+        for name, seconds in run["cpu_s"].items():
             yield figure("pipe", "S1", f"avcli {name}", seconds, "S1")
-        yield {**figure("pipe", "S1", "avcli, all", sum(spent.values()), "S1"), "wall_s": wall}
-        for name, (seconds, what) in limits(folder).items():
+        yield {**figure("pipe", "S1", "avcli, all", sum(run["cpu_s"].values()), "S1"), "wall_s": run["wall_s"]}
+        for name, (seconds, what) in limits(Path(temporary) / "out").items():
             yield {**figure("pipe", "S1, the least", name, seconds, "S1"), "what": what}
+    with tempfile.TemporaryDirectory() as temporary:
         yield made(Path(temporary))
 
 
@@ -137,18 +110,16 @@ def start_rows() -> Iterator[Row]:
     """Each command's --help, and what it takes to do the least that it can do, mostly one record."""
     with tempfile.TemporaryDirectory() as temporary:
         folder, cache = Path(temporary), Path(temporary) / "cache"
-        pipe(folder, cache)
-        for name in ("v.jsonl", "scene.jsonl", "groundtruth_sources.jsonl"):
-            lines = (folder / name).read_text().splitlines(keepends=True)
-            (folder / f"one-{name}").write_text("".join(lines[:1]))
-        at = ("-C", folder)
-        truth = folder / "one-groundtruth_sources.jsonl"
+        at, scene, seen = ("-C", folder), folder / "scene.jsonl", folder / "v.jsonl"
+        cpu_s(["avsim-scene", "s1", *at, "--duration", "0.01"], cache, scene)  # one record
+        cpu_s(["avdetect-video", *at, scene], cache, seen)
+        truth = folder / "groundtruth_sources.jsonl"
         work: dict[str, list[object]] = {
             "avsim-scene": ["s1", "-C", folder / "other", "--no-video"],
             "avsim-audio": [*at, truth],
             "avdetect-audio": [],  # it waits for whole windows of sound: the pipe measures it
-            "avdetect-video": [*at, folder / "one-scene.jsonl"],
-            "avfuse": [*at, folder / "one-v.jsonl"],
+            "avdetect-video": [*at, scene],
+            "avfuse": [*at, seen],
             "aveval": [truth, truth],
             "avcalib": ["check", folder / "config.json"],
             "avview": [truth, "--html", folder / "page.html"],
@@ -158,6 +129,6 @@ def start_rows() -> Iterator[Row]:
             for case, given in cases.items():
                 if not given:
                     continue
-                spent = min(Running([name, *given], None, subprocess.DEVNULL, cache).cpu_s() for _ in range(3))
+                spent = min(cpu_s([name, *given], cache) for _ in range(3))
                 yield figure("start", case, f"avcli {name}", spent, "start")
                 shutil.rmtree(folder / "other", ignore_errors=True)
