@@ -369,6 +369,7 @@ def main() -> None:
     parser.add_argument("--world", type=int, default=7000, help="seed of the first world that is fitted to")
     parser.add_argument("--other-world", type=int, default=5300, help="seed of the first world that judges")
     parser.add_argument("--only", nargs="*", default=list(LAWS), help="laws to fit; the others stay")
+    parser.add_argument("--keep", nargs="*", default=[], choices=LAWS, help="laws that stay in any case")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     found: dict[str, dict[str, Any]] = {"laws": {}, "losses": {}}
@@ -382,6 +383,9 @@ def main() -> None:
             mine += collect_worlds(options.worlds, 3, options.world)
             others += collect_worlds(options.worlds, 3, options.other_world)
         found = report(mine, others, options.only)
+        for name in options.keep:
+            found["laws"].pop(name, None)
+            found["losses"].get(name, {})["replaced"] = False
     stood = fitted.FITTED["fitted_on"]
     found["laws"] = {name: found["laws"].get(name, fitted.FITTED[name]) for name in LAWS}
     found["losses"] = {name: stood[name] for name in (*LAWS, "network") if name in stood} | found["losses"]
@@ -398,6 +402,7 @@ def main() -> None:
         "version": __version__,
         "commit": commit() if options.only else stood["commit"],
     }
+    origin["kept"] = options.keep if options.only else stood["kept"]
     origin |= {**found["losses"], "part": part(found["laws"], options.seed, options.world)}
     text = json.dumps({**found["laws"], "fitted_on": origin}, indent=2)
     options.out.write_text(text + "\n")
