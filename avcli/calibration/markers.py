@@ -218,7 +218,8 @@ class _Reader:
         middles = (np.arange(count) + 0.5) / count
         x, y = (a.ravel() for a in np.meshgrid(middles, middles))
         u, v, w = np.moveaxis(self._of_square @ np.stack([x, y, np.ones(len(x))]), 1, 0)
-        x, y = (u / w).astype(np.float32), (v / w).astype(np.float32)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of shapes that no square maps to
+            x, y = (u / w).astype(np.float32), (v / w).astype(np.float32)
         value = cv2.remap(self._grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         low, high = np.quantile(value, [0.05, 0.95], axis=1)
         black = value < ((low + high) / 2)[:, None]
