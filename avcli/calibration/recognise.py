@@ -17,7 +17,7 @@ _AGREE = 2
 """Pictures that must show the same board; one may show a tiled floor or another print."""
 _MOST_ROWS = 40
 _WIDTH, _QUICK_WIDTH, _CROWDED_WIDTH = 1280, 960, 640
-"""px; markers and circles are looked for in pictures of this width, thoroughly or not."""
+"""px; markers and circles are looked for in pictures of this width: thoroughly, quickly, and circles in texture."""
 
 
 @dataclass(frozen=True)
