@@ -438,6 +438,17 @@ def test_records_without_frames_are_not_passed_over_in_silence(tmp_path):
     assert run("avdetect-video", "-C", tmp_path).stderr == ""  # an empty stream is no mistake
 
 
+def test_a_time_that_goes_back_is_said_once_and_nothing_is_lost(made):
+    lines = (made / "frames.jsonl").read_text().splitlines()
+    mixed = "".join(f"{lines[k]}\n" for k in (2, 1, 2, 0))
+    result = run(*DEPTH, "-C", made, stdin=mixed)
+    assert result.returncode == 0
+    assert [len(json.loads(line)["objects"]) for line in result.stdout.splitlines()] == [2, 1, 2, 0]
+    first, count = result.stderr.splitlines()
+    assert "time goes back from 0.2000 to 0.1000 s" in first
+    assert count.startswith("avdetect-video: 2 ")
+
+
 def test_a_named_camera_of_several_is_used(tmp_path):
     lens = {"lens_model": "kannala_brandt", "fx_px": 60, "fy_px": 60, "cx_px": 79.5, "cy_px": 59.5}
     camera = lens | {"image_width_px": 160, "image_height_px": 120, "camera_rotation_deg": [90, 0, 0]}

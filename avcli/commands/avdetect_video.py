@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -286,17 +287,27 @@ def _frame(outside: bool, record: Any, _bad: object) -> records.Frame | None:
 
 
 def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> Iterator[footage.UnreadShot]:
-    """Yield the time steps of frame records; the other records are passed over. Says so if there are no frames."""
+    """Yield the time steps of frame records; other records are passed over.
+
+    Says so if there are no frames, or if time goes back.
+    """
     from avcli.formats import footage, media
 
-    root, others, any_frame = session.media_root, 0, False
+    root, others, last = session.media_root, 0, -math.inf
     for frame in frames:
-        others, any_frame = others + (frame is None), any_frame or frame is not None
+        others += frame is None
         if frame is not None:
+            if frame.timestamp < last:
+                session.warn(
+                    f"time goes back from {last:.4f} to {frame.timestamp:.4f} s: people are found anew from there on, "
+                    "and avfuse drops what comes too late",
+                    kind="a frame is earlier than the frame before it",
+                )
+            last = frame.timestamp
             colour = partial(media.read_rgb, root / frame.rgb) if frame.rgb else None
             distance = partial(media.read_depth, root / frame.depth) if frame.depth else None
             yield footage.UnreadShot(frame.timestamp, colour, distance)
-    if others and not any_frame:
+    if others and last == -math.inf:
         session.warn(f"none of the {others} records is a frame with a picture, so nobody was looked for")
 
 
