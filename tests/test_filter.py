@@ -191,6 +191,32 @@ main([])
     assert (result.returncode, result.stdout, result.stderr) == (-number, b"", b"")
 
 
+def test_a_signal_waits_for_an_import(tmp_path):
+    (tmp_path / "loaded.py").write_text(f"""
+import os
+class Field:
+    def __set_name__(self, owner, name):  # Python 3.11 makes a RuntimeError of what is raised here
+        os.kill(os.getpid(), {int(signal.SIGTERM)})
+        sum(range(1000))
+class Record:
+    field = Field()
+print("loaded", flush=True)
+""")
+    program = """
+import time, click
+from avcli.commands.filter import Filter
+@click.command("x", cls=Filter)
+def main():
+    import loaded
+    for _ in range(600):
+        time.sleep(0.1)
+    print("went on")
+main([])
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120, cwd=tmp_path)
+    assert (result.returncode, result.stdout, result.stderr) == (-signal.SIGTERM, b"loaded\n", b"")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_leaves_the_old_file_and_no_other(tmp_path, number):
     old = tmp_path / "old.jsonl"

@@ -326,6 +326,16 @@ def test_few_people_are_left_undetected_where_a_sensor_looks_and_they_come_in_at
     assert unseen.number[unseen.centres.reshape(*unseen.shape, 2)[..., 0] > 10].sum() > 0.5  # they have not left
 
 
+@pytest.mark.parametrize("room", [(0.001, 0.001), (0.001, 2.0), (4.66, 4.66), (1e4, 1e4), (1e4, 3.0)])
+def test_people_are_expected_in_a_room_of_any_size(room):
+    population = Population(((0.0, 0.0), room))
+    unseen = UnseenMap(population, Habits(population, False), [])
+    assert unseen.area.sum() == pytest.approx(room[0] * room[1])
+    assert unseen.number.sum() == pytest.approx(population.present)
+    assert unseen.arrivals.sum() == pytest.approx(population.arrivals)
+    assert unseen.arrivals.min() >= 0
+
+
 def test_who_is_out_of_sight_for_long_cannot_be_told_from_others_and_is_counted_among_them():
     tracker = GLMB(Settings(), Population(((0.0, 0.0), (20.0, 10.0))), [half_seen()])
     for k in range(20):  # a person walks out of the picture

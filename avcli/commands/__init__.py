@@ -1,7 +1,7 @@
 """The eight commands: the only place that knows click, streams and exit codes."""
 
+import _signal as signal  # type: ignore[import-not-found]  # what lies under signal, whose own import can be interrupted
 import os
-import signal
 import sys
 
 # Our matrices are small: threads of BLAS wait for each other in busy loops, and in a pipe take the other filters' time.

@@ -26,6 +26,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import click
@@ -126,21 +127,32 @@ class FilterGroup(Filter, click.Group):
 _ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
 
-def _kill(number: int, _frame: object) -> NoReturn:
+def _kill(number: int, frame: FrameType | None) -> None:
     for each in _ENDING:  # a second signal ends the process at once, even where the clean-up waits for something
         if signal.getsignal(each) is _kill:
             signal.signal(each, signal.SIG_DFL)
+    while frame is not None:
+        if frame.f_globals.get("__name__") == _IMPORT:
+            return _kill_later(number)  # libraries in C that are being loaded may crash, or raise another error
+        frame = frame.f_back
     raise _Killed(number)
+
+
+_IMPORT = "importlib._bootstrap"
+
+
+def _kill_later(number: int) -> None:
+    signal.signal(signal.SIGALRM, lambda _number, frame: _kill(number, frame))
+    signal.setitimer(signal.ITIMER_REAL, 0.01)
 
 
 def _deliver_again(unraisable: sys.UnraisableHookArgs) -> None:
     """Deliver a signal again that arrived inside a __del__ (moderngl has many): Python drops what is raised there."""
     killed = unraisable.exc_value
-    if not isinstance(killed, _Killed):
+    if isinstance(killed, _Killed):
+        _kill_later(killed.number)
+    else:
         sys.__unraisablehook__(unraisable)
-        return
-    signal.signal(signal.SIGALRM, lambda _number, frame: _kill(killed.number, frame))
-    signal.setitimer(signal.ITIMER_REAL, 0.01)  # later, outside the __del__
 
 
 def _die_of(number: int) -> NoReturn:

@@ -58,9 +58,9 @@ class UnseenMap:
         self.points = fine.reshape(nx, PARTS, ny, PARTS, 2).swapaxes(1, 2).reshape(-1, 2)
         self.shape = nx, ny
         self.centres = self.points.reshape(nx * ny, PARTS**2, 2).mean(1)
-        inside = self._of_cells((self.points <= high).all(1).astype(float))
-        walls = self._of_cells(population.density(self.points, 0.0, population.strip) * (self.points <= high).all(1))
-        self.area = inside * self.step**2
+        inside, core = self._overlap(low, high), self._overlap(low + population.edge, high - population.edge)
+        walls = inside - core
+        self.area = inside
         self.arrivals = sum(
             rate * part / part.sum() for rate, part in zip(population.birth_rate, (inside, walls), strict=True)
         )
@@ -69,6 +69,12 @@ class UnseenMap:
         self.bases = [_modes(n) for n in (nx, ny)]
         for one in sensors:
             self.add(one)
+
+    def _overlap(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return how much of each cell, (nx, ny) m², lies in a rectangle with these corners, (2,) m each."""
+        borders = [self.low[axis] + self.step * np.arange(n + 1) for axis, n in enumerate(self.shape)]
+        across, along = (np.diff(borders[k].clip(low[k], max(low[k], high[k]))) for k in (0, 1))
+        return np.outer(across, along)
 
     def _of_cells(self, values: np.ndarray) -> np.ndarray:
         """Average values at the points to the cells."""
