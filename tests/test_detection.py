@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre, separate
-from avcli.detection.gate import Gate
+from avcli.detection.gate import LEARNING, Gate
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes
 from avcli.detection.overlay import draw
@@ -388,6 +388,8 @@ def test_the_gate_sees_five_millimetres_and_no_noise(noise):
 
     gate = Gate(refresh=100)
     assert gate.changes(frame(900)).tolist() == [[0, 0, 1920, 1080]]
+    learning = [gate.changes(frame(900)).tolist() for _ in range(LEARNING)]
+    assert learning == [[[0, 0, 1920, 1080]] if noise else []] * LEARNING
     assert not any(len(gate.changes(frame(900))) for _ in range(5))
     x0, y0, x1, y1 = gate.changes(frame(904)).T  # 5 mm at 2.5 m is about two pixels; noise of 6 hides one or two
     assert x0.min() < 938 < x1.max() or x0.min() < 866 < x1.max()
@@ -395,6 +397,36 @@ def test_the_gate_sees_five_millimetres_and_no_noise(noise):
     assert y0.min() > 304
     assert y1.max() < 696
     assert not len(gate.changes(frame(904)))
+
+
+def test_the_gate_sees_a_small_person_where_noise_is_faint_though_it_is_loud_elsewhere():
+    rng = np.random.default_rng(0)
+    lit = cv2.circle(np.zeros((720, 1280), np.uint8), (640, 360), 350, 1, -1)
+    noise = np.where(np.arange(1280) < 500, 4.0, 16.0) * lit
+
+    def frame(x):
+        picture = np.where(lit[..., None], np.full((720, 1280, 3), 90.0), 0.0)
+        picture[340:370, x : x + 14] = 40
+        return np.clip(picture + rng.normal(0, 1, picture.shape) * noise[..., None], 0, 255).astype(np.uint8)
+
+    gate = Gate(refresh=1000)
+    for _ in range(1 + LEARNING):
+        gate.changes(frame(340))
+    assert sum(len(gate.changes(frame(340))) for _ in range(30)) <= 2
+    ((x0, y0, x1, y1),) = gate.changes(frame(352))
+    assert x0 <= 340 < 366 <= x1
+    assert y0 <= 340 < 370 <= y1
+    assert x1 - x0 <= 240
+
+
+def test_the_gate_learns_noise_that_begins_later():
+    rng = np.random.default_rng(0)
+    gate = Gate(refresh=1000)
+    for _ in range(20):
+        gate.changes(np.full((240, 320, 3), 90, np.uint8))
+    noisy = [len(gate.changes(rng.normal(90, 8, (240, 320, 3)).astype(np.uint8))) for _ in range(30)]
+    assert noisy[: LEARNING + 1] == [1] * (LEARNING + 1)
+    assert sum(noisy[LEARNING + 1 :]) <= 1
 
 
 def test_the_gate_looks_again_now_and_then():
