@@ -3,6 +3,7 @@
 import dataclasses
 import doctest
 
+import cv2
 import numpy as np
 import pytest
 from detection_people import KB8, cast, ceiling_view
@@ -175,6 +176,37 @@ def test_what_stands_there_from_the_beginning_needs_the_network(empty):
     others = Film(empty, settings=Settings(refresh=1))
     others.found = film.found
     assert len(others.look(PERSON, OTHER)) == 0  # of whom the network says nothing: the room is not as it was
+
+
+@pytest.mark.parametrize("sway", [0.0, 1.0])
+def test_who_moves_there_is_somebody(empty, sway):
+    """Where another thing came of which the network says nothing, a faint box does not suffice."""
+    film, rng = Film(empty, settings=Settings(refresh=1)), np.random.default_rng(0)
+    x0, y0, x1, y1 = box_of(empty, PERSON)
+    film.found = Boxes(np.array([[x0, y0, x1, y1]], float), np.array([0.1]))
+    texture = rng.integers(40, 200, GREY.shape).astype(np.uint8)
+    texture = cv2.GaussianBlur(texture, (0, 0), 4)
+    counts = []
+    for time in np.arange(0, 4, 0.2):
+        picture = texture.copy()
+        by = np.float32([[1, 0, sway * 6 * np.sin(2 * time)], [0, 1, 0]])
+        picture[y0:y1, x0:x1] = cv2.warpAffine(texture[y0:y1, x0:x1], by, (x1 - x0, y1 - y0), borderMode=1)
+        noisy = np.clip(picture + rng.normal(0, 1, picture.shape), 0, 255).astype(np.uint8)
+        counts.append(len(film.detector.look(noisy, steps(PERSON, OTHER), time)))
+    assert counts[0] == 0
+    assert counts[-5:] == [sway > 0] * 5
+
+
+def test_whether_a_body_moves_is_unknown_in_the_box_of_somebody_who_was_found(empty):
+    class Watched:
+        motion = staticmethod(lambda *_: 5.0)
+
+    film = Film(empty, settings=Settings(refresh=1))
+    film.found = Boxes(np.array([box_of(empty, PERSON), box_of(empty, OTHER)], float), np.array([0.9, 0.9]))
+    one, other = film.look(PERSON, OTHER)
+    assert avcli.detection.detector._motion(one, [], Watched()) == 5.0
+    assert avcli.detection.detector._motion(one, [other], Watched()) == 5.0
+    assert avcli.detection.detector._motion(one, [other, one], Watched()) == 0.0
 
 
 def test_another_network_s_faint_boxes_tell_nothing(empty):

@@ -82,6 +82,37 @@ def test_moving_is_no_evidence_for_a_person(room):
     assert told(filmed(room, sway=20.0)).max() == 0
 
 
+def motion(pictures, rows=(60, 110), columns=(120, 160)):
+    stillness, nats = Stillness(), []
+    y, x = (grid.ravel() for grid in np.mgrid[rows[0] : rows[1] : 2, columns[0] : columns[1] : 2])
+    for time, picture in pictures:
+        stillness.see(picture, time, BOX)
+        nats.append(stillness.motion(BOX[0], x, y))
+    return np.array(nats)
+
+
+@pytest.mark.parametrize("sway", [0.5, 3.0])
+def test_a_body_that_moves_before_the_empty_room_is_a_person(room, sway):
+    nats = motion(filmed(room, sway=sway))
+    assert nats[0] == 0
+    assert np.median(nats[SECONDS > 2]) > 2
+
+
+def test_a_body_that_keeps_still_tells_nothing_by_its_motion(room):
+    assert motion(filmed(room)).max() == 0
+    assert motion(filmed(room, noise=0.0)).max() == 0
+
+
+def test_what_moves_in_the_box_beside_a_body_is_not_the_body(room):
+    def pictures():
+        for time, picture in filmed(room):
+            picture[60:110, 140:160] = moved(picture[60:110, 140:160].astype(float), 3 * np.sin(2 * time))
+            yield time, picture
+
+    assert motion(pictures(), columns=(142, 158)).max() > 2
+    assert motion(pictures(), columns=(120, 136)).max() == 0
+
+
 def test_a_thing_that_somebody_hid_is_known_again(room):
     evidence = told(filmed(room, passer=(6.0,)))
     hidden, later = abs(SECONDS - 6) < 0.15, SECONDS > 7.3

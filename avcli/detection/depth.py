@@ -92,17 +92,26 @@ class DepthDetector:
             raise ValueError("people can be found in depth only with the depth picture of the empty room")
         return self._standing(depth, (depth > 0) & (depth < self.limit))
 
-    def missed(self, depth: np.ndarray, found: Boxes, people: list[Person], law: FaintLaw | None) -> list[Person]:
+    def missed(
+        self,
+        depth: np.ndarray,
+        found: Boxes,
+        people: list[Person],
+        law: FaintLaw | None,
+        motion: Callable[[Person], float] = lambda _: 0.0,
+    ) -> list[Person]:
         """Find the people of a film's next picture whom the network by itself has missed.
 
         Somebody who stands where earlier pictures showed what is farther away has come, as furniture does not. Others
-        may be furniture that was brought in since the empty room was recorded: the network's faint boxes tell.
+        may be furniture that was brought in since the empty room was recorded: the network's faint boxes tell, and
+        whether they move.
 
         Args:
             depth: (h, w) m radial at the view's samples, 0: unknown.
             found: what the network says of the picture, faint or not.
             people: who was found in it already.
             law: how probable people are by faint boxes; None: another network's tell nothing.
+            motion: what the motion of a body tells, nats.
 
         Returns:
             Those who came, with the score that a body before the empty room has, and the others, with that of the law.
@@ -113,7 +122,7 @@ class DepthDetector:
         came, stayed, scores, others = self.strangers(depth, found, people)
         if law is None:
             return came
-        faint = law.probability(scores, others)
+        faint = law.probability(scores, others, np.array([motion(one) for one in stayed]))
         return came + [replace(one, score=float(score)) for one, score in zip(stayed, faint, strict=True)]
 
     def strangers(

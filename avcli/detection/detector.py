@@ -142,6 +142,20 @@ def _boxes(people: list[Person]) -> np.ndarray:
     return np.array([person.bbox_px for person in people]).reshape(-1, 4)
 
 
+def _motion(body: Person, people: list[Person], watched: Stillness) -> float:
+    """What its motion tells of a body, nats; nothing where people who were found may be what moves there."""
+    box, surface = body.bbox_px, body.surface
+    assert surface is not None  # depth has found it
+    others = _boxes(people)
+    shared = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
+    if (np.maximum(shared, 0.0).prod(axis=1) >= OTHERS * (box[2:] - box[:2]).prod()).any():
+        return 0.0
+    return watched.motion(box, surface.columns, surface.rows)
+
+
+OTHERS = 0.3
+"""Share of a body's box in that of somebody who was found, from which it is unknown who moves there."""
+
 STILL = 0.1
 """A box of which less differs from the room as it was learnt shows the room."""
 
@@ -218,6 +232,7 @@ class Detector:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
         self._stillness = Stillness() if self.settings.stillness else None
+        self._strangers = False  # bodies stand before the empty room of whom the network is not sure
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
         self.tally = Tally()
@@ -252,7 +267,8 @@ class Detector:
         self.tally.unchanged += not len(regions)
         if self._room_colours is not None:
             self._room_colours.see(picture)
-        watched = self._stillness if time is not None and self._by_colour(depth) else None
+        doubts = self._by_colour(depth)
+        watched = self._stillness if time is not None and (doubts or self._strangers) else None
         if len(regions):
             with self._timing("network"):
                 found = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
@@ -260,7 +276,8 @@ class Detector:
             if watched and time is not None:
                 with self._timing("stillness"):
                     watched.see(picture, time, found.boxes)
-                    found = found.take(self._believed(found.scores, watched.evidence(found.boxes)))
+                    if doubts:
+                        found = found.take(self._believed(found.scores, watched.evidence(found.boxes)))
             with self._timing("depth and positions"):
                 placed = self._place(found, everything, depth, time)
                 people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
@@ -270,7 +287,7 @@ class Detector:
                 self._following.unchanged(time)
             if watched:
                 watched.see(picture, time, _boxes(self._last))
-        return self._last if watched is None else self._doubted(self._last, watched)
+        return self._doubted(self._last, watched) if watched and doubts else self._last
 
     def _by_colour(self, depth: Picture | None) -> bool:
         """Whether the colour picture alone tells who is there: no depth says what stands before the empty room."""
@@ -319,7 +336,11 @@ class Detector:
         people = self._before_room.place(found, metres)
         if not self._before:
             return people
-        missed = self._before_room.missed(metres, everything, people, self._faint)
+        watched = self._stillness if self._strangers and time is not None else None
+        missed = self._before_room.missed(
+            metres, everything, people, self._faint, lambda one: _motion(one, people, watched) if watched else 0.0
+        )
+        self._strangers |= bool(missed)
         return people + [one for one in missed if one.score >= max(self._least, MISSED)]
 
     @cached_property

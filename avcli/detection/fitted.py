@@ -74,10 +74,12 @@ class FaintLaw:
     network: float
     stale: float
 
-    def probability(self, scores: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Probabilities (n,), by the network's scores (n,), 0 where it says nothing, and whether (n,) others stand."""
+    def probability(self, scores: np.ndarray, others: np.ndarray, motion: np.ndarray | float = 0.0) -> np.ndarray:
+        """Probabilities (n,), by the network's scores (n,), 0 where it says nothing, whether (n,) others stand, and
+        what their motion tells, (n,) nats.
+        """
         known = np.clip(scores, 0.01, 0.99)
-        odds = self.always + self.network * np.log(known / (1 - known)) - self.stale * others
+        odds = self.always + self.network * np.log(known / (1 - known)) - self.stale * others + motion
         return np.asarray(1 / (1 + np.exp(-odds)))
 
 

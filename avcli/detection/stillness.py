@@ -73,6 +73,9 @@ STEADY = 0.5
 """Where the room changes by more than this part of its squared contrast, the camera moves, or pictures are of several
 rooms: people would not stand out, and nothing is told."""
 
+SEEN = 0.25
+"""Share of a part that must show a body for the part to tell whether the body moves."""
+
 _TILE_PX, _FEWEST_TILES, _UNLIT = 8, 30, 8.0
 _FEWEST_PX = 6
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
@@ -119,11 +122,8 @@ class Stillness:
         """Logarithms (n,) of likelihood ratios, person over thing, of boxes (n, 4) px: 0, nothing told, to `DOUBT`."""
         if self._noise is None or not len(boxes):
             return np.zeros(len(boxes))
-        height, width = self._kept[-1][1].shape[:2]
-        corners = np.concatenate([np.floor(boxes[:, :2] / self._factor), np.ceil(boxes[:, 2:] / self._factor)], axis=1)
-        corners = np.clip(corners, 0, [width, height, width, height]).astype(int)
         told = np.zeros(len(boxes))
-        for k, corner in enumerate(corners):
+        for k, corner in enumerate(self._corners(boxes)):
             alike = overlaps(corner[None], self._looked)[0]
             if len(alike) and alike.max() >= ALIKE:
                 told[k] = self._evidence[alike.argmax()]
@@ -133,19 +133,55 @@ class Stillness:
                 self._evidence = np.append(self._evidence, told[k])
         return told
 
+    def motion(self, box: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> float:
+        """Logarithm of the likelihood ratio, person over thing, of a body that has moved: from 0, nothing told.
+
+        It is for a body that stands before the empty room, which is neither a screen nor a curtain.
+
+        Args:
+            box: (4,) px about the body.
+            columns, rows: (n,) px of samples of the body's surface; what else the box shows does not count.
+        """
+        (corner,) = self._corners(box[None]) if self._noise is not None else (np.zeros(4, int),)
+        x0, y0, x1, y1 = corner.tolist()
+        if min(x1 - x0, y1 - y0) < _FEWEST_PX:
+            return 0.0
+        import cv2
+
+        height, width = self._kept[-1][1].shape[:2]
+        seen = np.zeros((height, width), np.uint8)
+        y, x = rows.astype(int) // self._factor, columns.astype(int) // self._factor
+        seen[np.minimum(y, height - 1), np.minimum(x, width - 1)] = 1
+        whole = cv2.morphologyEx(seen[y0:y1, x0:x1], cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        return max(self._nats(self._part(x0, y0, x1, y1), x0, y0, whole.astype(np.float32)), 0.0)
+
+    def _corners(self, boxes: np.ndarray) -> np.ndarray:
+        """Corners (n, 4) in the reduced picture, px, of boxes (n, 4) px."""
+        height, width = self._kept[-1][1].shape[:2]
+        corners = np.concatenate([np.floor(boxes[:, :2] / self._factor), np.ceil(boxes[:, 2:] / self._factor)], axis=1)
+        return np.clip(corners, 0, [width, height, width, height]).astype(int)
+
+    def _part(self, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
+        factor = self._factor
+        return _reduced(self._picture[y0 * factor : y1 * factor, x0 * factor : x1 * factor], factor)
+
     def _told(self, x0: int, y0: int, x1: int, y1: int) -> float:
         """The evidence of one part of the reduced picture, px."""
         assert self._noise is not None  # evidence() has looked
-        factor = self._factor
-        part = _reduced(self._picture[y0 * factor : y1 * factor, x0 * factor : x1 * factor], factor)
-        least = CHANGE * self._noise
+        part, least = self._part(x0, y0, x1, y1), CHANGE * self._noise
         if len(self._first) == 2 and all(_other(part, then[y0:y1, x0:x1], least) for _, then in self._first):
             return 0.0
-        nats = 0.0
+        return float(np.clip(self._nats(part, x0, y0), DOUBT, 0.0))
+
+    def _nats(self, part: np.ndarray, x0: int, y0: int, seen: np.ndarray | None = None) -> float:
+        """What the pictures before tell of a part (h, w) at a place, px, or of what of it is `seen`, (h, w) 0 or 1."""
+        assert self._noise is not None  # who calls has looked
+        nats, (height, width) = 0.0, part.shape
         for then, light in self._earlier:
-            shifted, swaying = _shift(part, then[y0:y1, x0:x1] + light, OTHER * self._noise)
-            nats += np.clip(SLOPE * (np.log(shifted) - MOVED), LEAST * min(swaying / np.exp(MOVED), 1.0), MOST)
-        return float(np.clip(nats, DOUBT, 0.0))
+            before = then[y0 : y0 + height, x0 : x0 + width] + light
+            shifted, swaying = _shift(part, before, OTHER * self._noise, seen)
+            nats += float(np.clip(SLOPE * (np.log(shifted) - MOVED), LEAST * min(swaying / np.exp(MOVED), 1.0), MOST))
+        return nats
 
     def _pictures(self, now: np.ndarray) -> list[tuple[np.ndarray, float]]:
         """Pictures kept that have the ages, youngest first, and how much brighter a reduced one is than each.
@@ -231,16 +267,22 @@ def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, down
 
 
-def _shift(now: np.ndarray, then: np.ndarray, most: float) -> tuple[float, float]:
+def _shift(now: np.ndarray, then: np.ndarray, most: float, seen: np.ndarray | None = None) -> tuple[float, float]:
     """Logarithm, nats, of the likelihood ratio of a shift to none between two pictures (h, w), and that of a sway.
 
     Of the part where it is largest; the sway, `SWAY`, is that which would be seen best. Squared differences a pixel
-    that no shift explains are taken for noise up to `most`.
+    that no shift explains are taken for noise up to `most`. Pixels that are not `seen`, (h, w) 0 or 1, do not count;
+    two parts of a body must then have moved, since a camera's time stamp changes, too.
     """
     across, down = _slopes((now + then) / 2)
     each = across, down, now - then
     pairs = [one * two for i, one in enumerate(each) for two in each[i:]]
-    mean = _of_parts(np.stack([*each, *pairs], axis=-1))
+    values, shares = np.stack([*each, *pairs], axis=-1), np.ones(1)
+    if seen is None:
+        mean = _of_parts(values)
+    else:
+        shares = _of_parts(seen[..., None])[:, 0]
+        mean = _of_parts(values * seen[..., None]) / np.maximum(shares, 1e-6)[:, None]
     x, y, e = mean[:, :3].T
     xx, xy, xe, yy, ye, ee = mean[:, 3:].T
     xx, xy, xe, yy, ye, ee = xx - x * x, xy - x * y, xe - x * e, yy - y * y, ye - y * e, ee - e * e
@@ -248,7 +290,9 @@ def _shift(now: np.ndarray, then: np.ndarray, most: float) -> tuple[float, float
     explained = (yy * xe**2 - 2 * xy * xe * ye + xx * ye**2) / (xx * yy - xy**2)
     doubled = 2 * np.clip(ee - explained, QUANTUM, most) / (now.size / len(x))
     sway = SWAY**2 * now.size * (xx + yy) / 2
-    return float(max((explained / doubled).max(), 1e-3)), float((sway / doubled).max())
+    shifts, sways = (np.where(shares >= SEEN, one * shares / doubled, 0.0) for one in (explained, sway))
+    told = shifts.max() if seen is None else np.sort(shifts)[-2] if len(shifts) > 1 else 0.0
+    return float(max(told, 1e-3)), float(sways.max())
 
 
 def _of_parts(values: np.ndarray) -> np.ndarray:
