@@ -148,12 +148,12 @@ def _motion(body: Person, people: list[Person], watched: Stillness) -> float:
     assert surface is not None  # depth has found it
     others = _boxes(people)
     shared = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
-    if (np.maximum(shared, 0.0).prod(axis=1) >= OTHERS * (box[2:] - box[:2]).prod()).any():
+    if (np.maximum(shared, 0.0).prod(axis=1) >= COVERED * (box[2:] - box[:2]).prod()).any():
         return 0.0
     return watched.motion(box, surface.columns, surface.rows)
 
 
-OTHERS = 0.3
+COVERED = 0.3
 """Share of a body's box in that of somebody who was found, from which it is unknown who moves there."""
 
 STILL = 0.1
