@@ -15,7 +15,7 @@ from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import coverage, gaussian
 from avcli.tracking.densities import Densities
 from avcli.tracking.glmb import GLMB
-from avcli.tracking.hypotheses import Cluster
+from avcli.tracking.hypotheses import Cluster, condensed, decided
 from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
 from avcli.tracking.rates import Blindness
@@ -86,7 +86,7 @@ def test_parts_keep_every_marginal(seed):
 def test_densities_that_are_alike_become_one_with_the_moments_of_both():
     crowd = people([[1, 1, 0, 0], [1.05, 1, 0, 0], [3, 3, 0, 0]], [0, 0, 1])
     mean, cov = gaussian.moments(crowd.mean, crowd.cov, crowd.mode)
-    merged = cluster({(0, 2): 0.75, (1, 2): 0.25}).condensed(crowd)
+    (merged,) = condensed([cluster({(0, 2): 0.75, (1, 2): 0.25})], crowd)
     assert merged.hypotheses == [(0, 2)]
     assert merged.shares == pytest.approx([1.0])
     got, spread = gaussian.moments(crowd.mean[[0]], crowd.cov[[0]], crowd.mode[[0]])
@@ -116,7 +116,7 @@ def test_groups_that_are_merged_together_are_as_if_each_was_merged_alone():
 def test_two_people_and_places_far_apart_never_merge(labels):
     crowd = people([[1, 1, 0, 0], [1, 1, 0, 0] if labels[1] else [1.3, 1, 0, 0]], labels)
     rows = {(0, 1): 1.0} if labels[1] else {(0,): 0.5, (1,): 0.5}
-    assert cluster(rows).condensed(crowd).hypotheses == list(rows)
+    assert condensed([cluster(rows)], crowd)[0].hypotheses == list(rows)
 
 
 def test_a_sensor_that_loses_everybody_at_once_is_taken_for_blind():
@@ -222,11 +222,11 @@ def test_names_that_nothing_can_tell_apart_any_more_are_decided():
     here, there, near = [1, 1, 0.5, 0], [3, 3, 0, 0.5], [1.02, 1.01, 0.45, 0]
     crowd = people([here, there, there, near, [2, 2, 0, 0]], [0, 0, 1, 1, 1])
     either = cluster({(0, 2): 0.55, (1, 3): 0.35, (0, 4): 0.1})  # somebody at (2, 2) is another matter
-    decided = either.decided(crowd)
-    assert decided.hypotheses == [(0, 2), (0, 4)]
-    assert decided.shares == pytest.approx([0.9, 0.1])
+    (one,) = decided([either], crowd)
+    assert one.hypotheses == [(0, 2), (0, 4)]
+    assert one.shares == pytest.approx([0.9, 0.1])
     crowd.detectable[3] = 0.5  # one speaks and the other does not: that may yet tell who is who
-    assert either.decided(crowd).hypotheses == [(0, 2), (1, 3), (0, 4)]
+    assert decided([either], crowd)[0].hypotheses == [(0, 2), (1, 3), (0, 4)]
 
 
 def camera(focal, **more):

@@ -265,14 +265,15 @@ def _greedy(weight: float, hypothesis: Joint, options: Options) -> Association:
     """One feasible association: each person in turn takes the best detection that is left."""
     pairs, used = [], 0
     for row in hypothesis:
-        j = MISSED
+        j, bit = MISSED, 0
         if row >= 0:
             for option in options[row]:
                 gain, j = option
-                if not used & _bit(j):
+                bit = _bit(j)
+                if not used & bit:
                     break
             weight += gain
-            used |= _bit(j)
+            used |= bit
         pairs.append((row, j))
     return weight, tuple(pairs), used
 

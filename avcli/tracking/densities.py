@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from itertools import accumulate
 from operator import attrgetter
 from typing import Any
 
@@ -101,25 +102,27 @@ class Densities:
         """Give the first row of each group the moments of all its rows, model by model, weighted by their shares."""
         rows, first = [row for group in groups for row in group], [group[0] for group in groups]
         of = [k for k, group in enumerate(groups) for _ in group]
+        begin = list(accumulate([len(group) for group in groups[:-1]], initial=0))
         totals = [math.fsum(some) for some in shares]
-        share = np.zeros((len(groups), len(rows)))
-        share[of, range(len(rows))] = [one / totals[k] for k, some in enumerate(shares) for one in some]
-        modes, means = self.mode.take(rows, 0), self.mean.take(rows, 0).swapaxes(0, 1)
-        self.mode[first] = mode = share @ modes
-        weight = share * modes.T[:, None] / mode.T[..., None]  # (M, groups, rows)
-        mean = weight @ means
-        away = means - mean.take(of, 1)
-        covs = self.cov.take(rows, 0).swapaxes(0, 1) + away[..., None] * away[..., None, :]
-        self.mean[first] = mean.swapaxes(0, 1)
-        cov = weight @ covs.reshape(len(covs), len(rows), 16)
-        self.cov[first] = cov.swapaxes(0, 1).reshape(len(groups), -1, 4, 4)
+        share = np.array([one / total for some, total in zip(shares, totals, strict=True) for one in some])
+
+        def mixed(values: np.ndarray, weight: np.ndarray = share) -> np.ndarray:
+            weight = weight.reshape(weight.shape + (1,) * (values.ndim - weight.ndim))
+            return np.add.reduceat(weight * values, begin, 0)
+
+        modes, means = self.mode.take(rows, 0), self.mean.take(rows, 0)
+        self.mode[first] = mode = mixed(modes)
+        weight = share[:, None] * modes / mode.take(of, 0)
+        self.mean[first] = mean = mixed(means, weight)
+        away = means - mean.take(of, 0)
+        self.cov[first] = mixed(self.cov.take(rows, 0) + away[..., None] * away[..., None, :], weight)
         for column in (self.existence, self.detectable, self.lean):
-            column[first] = share @ column.take(rows, 0)
+            column[first] = mixed(column.take(rows, 0))
         if self.traits.size:
             traits = self.traits.take(rows, 0)
-            trait = np.tensordot(share, traits, 1)
+            trait = mixed(traits)
             x, u = (traits - trait.take(of, 0))[:, :2].swapaxes(0, 1)
-            trait[:, 2:] += np.tensordot(share, np.stack([x * x, x * u, u * u], 1), 1)
+            trait[:, 2:] += mixed(np.stack([x * x, x * u, u * u], 1))
             self.traits[first] = trait
 
 

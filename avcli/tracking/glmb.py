@@ -25,7 +25,7 @@ import numpy as np
 
 from avcli.formats.features import Feature
 from avcli.formats.sensors import CAMERA
-from avcli.tracking import association, gaussian, journal, partial, prediction
+from avcli.tracking import association, gaussian, hypotheses, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
     BORN,
@@ -452,6 +452,9 @@ class GLMB:
         blindness, people, now = self.rates[column].blindness, self.people, self._now()
         dt, leaving = now - self.last_record[column], 0.0
         blindness.update(dt, ratio)
+        if blindness.probability < 0.5:  # then nobody has left because of it
+            blindness.empty(dt, leaving)
+            return existence
         if blindness.probability >= ONSET and not blindness.left:
             rows = [row for row in self.likely_rows if existence[row] > 0.5]
             leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
@@ -608,24 +611,34 @@ class GLMB:
 
     def _recluster(self, groups: Iterable[Group], row_of: dict[Pair, int]) -> None:
         """Make clusters of the hypotheses after a record; row_of: (row before, detection) -> row after."""
-        people, self.clusters = self.people, []
         self.lost = self._lost(groups, row_of)
-        for group in groups:
-            joint = [tuple(map(row_of.__getitem__, h.pairs)) for h in group.hypotheses]
-            cluster = Cluster(group.labels, joint, [h.weight for h in group.hypotheses])
-            if len(joint) > 1:
-                cluster = cluster.condensed(people, self.features)
-            if len(group.labels) > 1 and self.features.width:
-                cluster, exchanged = cluster.exchanged(people, self.features)
-                if exchanged:
-                    self.people = people = Densities.join([people, exchanged])
-            if len(group.labels) > 1 and len(cluster.hypotheses) > 1:
-                cluster = cluster.decided(people, self.features)
+        clusters = [
+            Cluster(
+                group.labels,
+                [tuple(map(row_of.__getitem__, h.pairs)) for h in group.hypotheses],
+                [h.weight for h in group.hypotheses],
+            )
+            for group in groups
+        ]
+        clusters = hypotheses.condensed(clusters, self.people, self.features)
+        if self.features.width:
+            clusters = [self._exchanged(cluster) for cluster in clusters]
+        self.clusters = []
+        for cluster in hypotheses.decided(clusters, self.people, self.features):
             self._settle(cluster)
         self.labelled_rows = sorted(
             {row for cluster in self.clusters for joint in cluster.hypotheses for row in joint if row >= 0}
         )
         self.likely_rows = [row for cluster in self.clusters for row in cluster.hypotheses[0] if row >= 0]
+
+    def _exchanged(self, cluster: Cluster) -> Cluster:
+        """Keep that two people whose features differ may be exchanged."""
+        if len(cluster.labels) < 2:
+            return cluster
+        cluster, exchanged = cluster.exchanged(self.people, self.features)
+        if exchanged:
+            self.people = Densities.join([self.people, exchanged])
+        return cluster
 
     def _settle(self, cluster: Cluster) -> None:
         """Keep a cluster: without the labels that hardly exist, and in parts that are independent of each other."""

@@ -68,6 +68,16 @@ class Cluster:
         found = np.array(self.shares) @ np.where(rows >= 0, existence.take(rows), 0.0)
         return np.minimum(found, 1.0).tolist()  # shares add up to 1 but for rounding
 
+    def row_shares(self) -> dict[int, float]:
+        """Return the weight of each row of all labels, where there are several hypotheses."""
+        shares: dict[int, float] = {}
+        if len(self.hypotheses) > 1:
+            for joint, share in zip(self.hypotheses, self.shares, strict=True):
+                for row in joint:
+                    shares[row] = shares.get(row, 0.0) + share
+            shares.pop(ABSENT, None)
+        return shares
+
     def replaced(self, labels: list[int], hypotheses: Sequence[Joint]) -> Cluster:
         """Return the cluster of other hypotheses, one for each of this one's; equal ones become one."""
         shares: dict[Joint, float] = {}
@@ -116,24 +126,6 @@ class Cluster:
             parts.append(sorted(part))
         return parts
 
-    def condensed(self, people: Densities, features: Features | None = None) -> Cluster:
-        """Return the cluster with each label's rows that are ALIKE merged, in `people`, and so equal hypotheses."""
-        places = np.array(self.hypotheses) + 1  # of ABSENT: 0
-        shares = np.bincount(places.ravel(), np.repeat(self.shares, places.shape[1]))[1:].tolist()
-        there, label = [row for row, share in enumerate(shares) if share], people.label
-        rows = sorted(there, key=lambda row: (label[row], -shares[row], row))
-        if len(rows) <= len(self.labels):
-            return self
-        groups = _alike(rows, people, features)
-        if len(groups) == len(rows):
-            return self
-        same = {ABSENT: ABSENT}  # row -> the row that it becomes
-        for group in groups:
-            same.update(dict.fromkeys(group, group[0]))
-        several = [group for group in groups if len(group) > 1]
-        people.merge(several, [[shares[row] for row in group] for group in several])
-        return self.replaced(self.labels, [tuple(map(same.__getitem__, joint)) for joint in self.hypotheses])
-
     def exchanged(self, people: Densities, features: Features) -> tuple[Cluster, Densities | None]:
         """Return the cluster with the exchange of any two people who stand together and whose features differ.
 
@@ -179,29 +171,69 @@ class Cluster:
         crossed = (apart[:, 0, 1] < apart[:, 0, 0]) & (apart[:, 1, 0] < apart[:, 1, 1]) & (rows >= 0).all(1)
         return float(np.array(self.shares) @ crossed)
 
-    def decided(self, people: Densities, features: Features | None = None) -> Cluster:
-        """Return the cluster without hypotheses that differ from a likelier one only in which person has which label.
 
-        Where the same people stand at the same positions under exchanged labels, no later record can tell which is
-        right. The likelier labels stay, so that they do not come and go with the last digits of the weights.
-        """
-        rows = sorted({row for hypothesis in self.hypotheses for row in hypothesis if row >= 0})
-        if len(rows) <= len(self.labels):
-            return self
-        state = people.centres(rows) / TWINS
-        apart = np.square(state[:, None] - state).sum(-1)
-        detectable = people.detectable.take(rows, 0) / TWIN_DETECTABLE
-        apart += np.square(detectable[:, None] - detectable).sum(-1)
-        if features and features.width:
-            apart += features.apart(people.traits.take(rows, 0)) / TELL
-        twin = (apart < 1).argmax(1).tolist()
-        twin_of = {ABSENT: ABSENT, **dict(zip(rows, twin, strict=True))}
-        shares: dict[Joint, float] = {}
-        first: dict[tuple[int, ...], Joint] = {}
-        for hypothesis, share in zip(self.hypotheses, self.shares, strict=True):
-            likelier = first.setdefault(tuple(sorted([twin_of[row] for row in hypothesis])), hypothesis)
-            shares[likelier] = shares.get(likelier, 0.0) + share
-        return self if len(shares) == len(self.hypotheses) else _by_share(self.labels, shares)
+def condensed(clusters: Sequence[Cluster], people: Densities, features: Features | None = None) -> list[Cluster]:
+    """Return the clusters with each label's rows that are ALIKE merged, in `people`, and so equal hypotheses.
+
+    All clusters at once: they share no row, and a call of NumPy costs more than what it computes for one of them.
+    """
+    if max([len(cluster.hypotheses) for cluster in clusters], default=1) == 1:
+        return list(clusters)
+    states = (people.centres(range(len(people))) / ALIKE).view(complex).tolist()
+    several: list[list[int]] = []
+    worth: list[list[float]] = []
+    out = []
+    for cluster in clusters:
+        groups: list[list[int]] = []
+        shares = cluster.row_shares()
+        if len(shares) > len(cluster.labels):
+            rows = sorted(shares, key=lambda row: (people.label[row], -shares[row], row))
+            groups = [group for group in _alike(rows, states, people, features) if len(group) > 1]
+        if groups:
+            same = {row: group[0] for group in groups for row in group}
+            cluster = cluster.replaced(
+                cluster.labels, [tuple([same.get(row, row) for row in joint]) for joint in cluster.hypotheses]
+            )
+            several += groups
+            worth += [[shares[row] for row in group] for group in groups]
+        out.append(cluster)
+    if several:
+        people.merge(several, worth)
+    return out
+
+
+def decided(clusters: Sequence[Cluster], people: Densities, features: Features | None = None) -> list[Cluster]:
+    """Return the clusters without hypotheses that differ from a likelier one only in which person has which label.
+
+    Where the same people stand at the same positions under exchanged labels, no later record can tell which is
+    right. The likelier labels stay, so that they do not come and go with the last digits of the weights.
+    """
+    doubtful = [k for k, one in enumerate(clusters) if len(one.labels) > 1 and len(one.hypotheses) > 1]
+    out = list(clusters)
+    if doubtful:
+        states = np.hstack([people.centres(range(len(people))) / TWINS, people.detectable / TWIN_DETECTABLE])
+        for k in doubtful:
+            out[k] = _decided(clusters[k], states, people, features)
+    return out
+
+
+def _decided(cluster: Cluster, states: np.ndarray, people: Densities, features: Features | None) -> Cluster:
+    """Decide one cluster; states: (rows of `people`, 4 + S), in units of what tells two people apart."""
+    rows = sorted({row for hypothesis in cluster.hypotheses for row in hypothesis if row >= 0})
+    if len(rows) <= len(cluster.labels):
+        return cluster
+    state = states.take(rows, 0)
+    apart = np.add.reduce(np.square(state[:, None] - state), 2)
+    if features and features.width:
+        apart += features.apart(people.traits.take(rows, 0)) / TELL
+    twin = (apart < 1).argmax(1).tolist()
+    twin_of = {ABSENT: ABSENT, **dict(zip(rows, twin, strict=True))}
+    shares: dict[Joint, float] = {}
+    first: dict[tuple[int, ...], Joint] = {}
+    for hypothesis, share in zip(cluster.hypotheses, cluster.shares, strict=True):
+        likelier = first.setdefault(tuple(sorted([twin_of[row] for row in hypothesis])), hypothesis)
+        shares[likelier] = shares.get(likelier, 0.0) + share
+    return cluster if len(shares) == len(cluster.hypotheses) else _by_share(cluster.labels, shares)
 
 
 def _by_share(labels: list[int], shares: dict[Joint, float]) -> Cluster:
@@ -209,14 +241,19 @@ def _by_share(labels: list[int], shares: dict[Joint, float]) -> Cluster:
     return Cluster(labels, hypotheses, [math.log(shares[hypothesis]) for hypothesis in hypotheses])
 
 
-def _alike(rows: Sequence[int], people: Densities, features: Features | None) -> list[list[int]]:
-    """Group rows, sorted by label and then by weight, with the likeliest row of their label that they are ALIKE."""
-    states = (people.centres(rows) / ALIKE).view(complex).tolist()
+def _alike(
+    rows: Sequence[int], states: Sequence[Sequence[complex]], people: Densities, features: Features | None
+) -> list[list[int]]:
+    """Group rows, sorted by label and then by weight, with the likeliest row of their label that they are ALIKE.
+
+    states: position and velocity of each row of `people`, in units of ALIKE.
+    """
     unlike = (features.apart(people.traits.take(rows, 0)) / TELL).tolist() if features and features.width else None
     groups: list[list[int]] = []
     heads: list[tuple[complex, complex, list[int], int]] = []  # of one label: state, group and number of the likeliest
     label = None
-    for at, (row, (position, velocity)) in enumerate(zip(rows, states, strict=True)):
+    for at, row in enumerate(rows):
+        position, velocity = states[row]
         if people.label[row] != label:
             heads, label = [], people.label[row]
         for its_position, its_velocity, group, head in heads:
