@@ -25,7 +25,7 @@ import numpy as np
 
 from avcli.formats.features import Feature
 from avcli.formats.sensors import CAMERA
-from avcli.tracking import association, gaussian, hypotheses, journal, partial, prediction
+from avcli.tracking import association, gaussian, hypotheses, journal, partial, prediction, spells
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
     BORN,
@@ -49,9 +49,10 @@ from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
-from avcli.tracking.scan import Scan, distinct, likelihoods, plausibility, possible, strays
+from avcli.tracking.scan import Likelihoods, Scan, distinct, likelihoods, plausibility, possible, strays
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
+from avcli.tracking.spells import Spell
 from avcli.tracking.trust import TRUST
 from avcli.tracking.unseen import UnseenMap
 
@@ -129,6 +130,7 @@ class GLMB:
         self.last_record: list[float] = []  # s
         self.errors = Errors(settings.learn)
         self.false_places = FalsePlaces(settings.learn)
+        self.spells: dict[int, Spell] = {}  # by column: of the sensors that seem blind
         self.pairs = self.near = 0  # of people and detections so far, and those of them within the gate
         self.next_label, self.pruned = 0, PRUNED  # and that at which what is known of labels is pruned next
         self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
@@ -342,7 +344,6 @@ class GLMB:
                     row: [(j, density * evidence.ratio.item(row, j)) for j, density in some]
                     for row, some in astray.items()
                 }
-        existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
         doubt = None if score is None else np.where(np.isnan(score), 0.0, 1 - score)
@@ -353,19 +354,27 @@ class GLMB:
         local = self.false_places.density(column, z)
         factors = [1.0] * len(z) if score is None else rates.clutter_factors(odds, near)
         clutters = [clutter * factor + more for factor, more in zip(factors, local, strict=True)]
-        reach, covered = detectable, None
+        covered = None
         if sensor.coverage and not sensor.coverage.whole:
             covered = sensor.coverage.about(people.mean[..., :2])
-            reach = (people.detectable[:, column] * (people.mode * covered).sum(1)).tolist()
+        existence, detectable, reach = self._reached(column, covered)
         new = self.undetected.arriving(z, rates.detection, column)
         if shown is not None:
             new = shown.whole_only(new)
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
-        given = existence, reach, likely, clutters, new, rates.detection
-        ratio, known, parts = plausibility(self.likely_rows, *given)
-        existence = self._see(column, ratio, existence)
-        blindness = rates.blindness
+        known_people = self.likely_rows
+        ratio, known, parts = plausibility(known_people, existence, reach, likely, clutters, new, rates.detection)
+        if column in self.spells and self._sees(column, ratio, existence, likely, clutters, new, covered):
+            existence, detectable, reach = self._reached(column, covered)
+            ratio, known, parts = plausibility(known_people, existence, reach, likely, clutters, new, rates.detection)
+        before, existence, blindness = existence, self._see(column, ratio, existence), rates.blindness
+        if blindness.probability < 0.5:
+            if column in self.spells:
+                del self.spells[column]
+        elif column not in self.spells and blindness.tells:
+            self.spells[column] = Spell(blindness.before, blindness.emptiness(self._leaving(existence)))
+            self._sees(column, ratio, before, likely, clutters, new, covered, 1.0)
         p_sensor = rates.detection * (1 - blindness.probability)
         open_eyed = 1 - blindness.probability * (1 - blindness.left)
         p_detect = p_hit = [one * p_sensor for one in reach]
@@ -408,6 +417,45 @@ class GLMB:
             shown,
             seen,
         )
+
+    def _reached(self, column: int, covered: np.ndarray | None) -> tuple[list[float], list[float], list[float]]:
+        """Return of each density existence, and whether the sensor can detect the person anywhere and there."""
+        people = self.people
+        existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
+        if covered is None:
+            return existence, detectable, detectable
+        return existence, detectable, (people.detectable[:, column] * (people.mode * covered).sum(1)).tolist()
+
+    def _sees(
+        self,
+        column: int,
+        ratio: float,
+        existence: Sequence[float],
+        likely: Likelihoods,
+        clutter: Sequence[float],
+        new: Sequence[float],
+        covered: np.ndarray | None,
+        blind: float | None = None,
+    ) -> bool:
+        """Tell a sensor's spell of a record; returns whether it sees: then who is missed has left or is hidden.
+
+        blind: probability that the sensor is blind before the record.
+        """
+        people, rows, rates, spell = self.people, self.likely_rows, self.rates[column], self.spells[column]
+        dt = self._now() - self.last_record[column]
+        blind = rates.blindness.predicted(dt) if blind is None else blind
+        leaving = self.habits.leaving(people.mean.take(rows, 0)[:, 0])
+        seen = spells.seen(people, rows, column, existence, leaving, rates.detection, covered, likely, clutter)
+        others = spells.of_new_people(new, clutter)
+        otherwise = math.log(max(blind + (1 - blind) * ratio, spells.LEAST))
+        if not spell.follow(seen, others, otherwise, rates.hiding.hide, rates.hiding.show, dt):
+            return False
+        for row in self.labelled_rows:
+            if people.label[row] in spell.before:
+                people.existence[row], people.detectable[row, column] = spell.before[people.label[row]]
+        rates.blindness.acquit()
+        del self.spells[column]
+        return True
 
     def _believe_who_went(self, column: int) -> None:
         """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""
@@ -456,8 +504,7 @@ class GLMB:
             blindness.empty(dt, leaving)
             return existence
         if blindness.probability >= ONSET and not blindness.left:
-            rows = [row for row in self.likely_rows if existence[row] > 0.5]
-            leaving = float(self.habits.leaving(people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
+            leaving = self._leaving(existence)
         before = max(one.blindness.left for one in self.rates)
         onset = not blindness.left
         blindness.empty(dt, leaving)
@@ -473,6 +520,11 @@ class GLMB:
         lost = (people.seen.max(1) == seen) & (seen < now)  # no other sensor has detected them since
         people.existence = np.where(lost, people.existence * stay, people.existence)
         return people.existence.tolist()
+
+    def _leaving(self, existence: Sequence[float]) -> float:
+        """Return the least of the rates, per second, at which the people who are probably there leave."""
+        rows = [row for row in self.likely_rows if existence[row] > 0.5]
+        return float(self.habits.leaving(self.people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
 
     def _associate(self, scan: Scan, background: Sequence[float]) -> tuple[list[Group], list[float]]:
         """Update the joint hypotheses; also returns J probabilities that no labelled person caused the detection."""

@@ -178,7 +178,7 @@ class Blindness:
     it detects nobody, the likelier it is that they left. Which of the two it was earlier tells, too.
 
     Attributes:
-        probability: that it is blind, or that everybody left.
+        probability: that it is blind, or that everybody left; `before`: before the last record.
         left: probability of the latter in that case.
         returned, emptied: how often somebody was detected again after that, and nobody, with the prior's worth.
     """
@@ -191,16 +191,25 @@ class Blindness:
             tells: whether people who are not detected may have left (silence does not tell that).
         """
         self.ever, self.tells, self.probability, self.left, self._odds = ever, tells, 0.0, 0.0, EMPTIED
+        self.before = 0.0
         self.returned, self.emptied = 1.0, EMPTIED
         self._records = 0  # since it sees again, with 1 where it does not; 0: that is long ago
         self._again = 0  # of these, in which known people are detected, from the first that it had lost
+
+    def predicted(self, dt: float) -> float:
+        """Return the probability of blindness dt s after the last record."""
+        rest, stay = BLIND / (BLIND + SIGHTED), math.exp(-(BLIND + SIGHTED) * dt)
+        return rest + (self.probability - rest) * stay
+
+    def acquit(self) -> None:
+        """Take in that it certainly saw all the time."""
+        self.probability, self.left, self._odds, self._records, self._again = 0.0, 0.0, EMPTIED, 0, 0
 
     def update(self, dt: float, ratio: float) -> None:
         """Take in that a record, dt s after the last one, is so much likelier if the sensor is not blind."""
         if not self.ever:
             return
-        rest, stay = BLIND / (BLIND + SIGHTED), math.exp(-(BLIND + SIGHTED) * dt)
-        blind = rest + (self.probability - rest) * stay
+        self.before = blind = self.predicted(dt)
         self.probability = blind / (blind + (1 - blind) * max(ratio, 1e-300))
 
     def without(self, ratio: float) -> float:
@@ -211,6 +220,10 @@ class Blindness:
         """Take in that another sensor has just lost everybody: what blinds that one may blind this one, too."""
         if self.ever:
             self.probability += (1 - self.probability) * COMMON * (1 - other.left)
+
+    def emptiness(self, leaving: float) -> float:
+        """Return the odds, at first, that people whom it suddenly misses left; leaving: see `empty`."""
+        return max(self.emptied / self.returned, TOGETHER * leaving / BLIND)
 
     def empty(self, dt: float, leaving: float) -> None:
         """Weigh whether everybody left, after `update`.
@@ -235,7 +248,7 @@ class Blindness:
         elif self.probability < ONSET:
             return
         else:
-            self._odds, self._records = max(self.emptied / self.returned, TOGETHER * leaving / BLIND), 1
+            self._odds, self._records = self.emptiness(leaving), 1
         self.left = self._odds / (1 + self._odds)
 
     def learn(self, gaps: Sequence[float], dt: float) -> None:
