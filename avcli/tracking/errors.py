@@ -261,6 +261,11 @@ class Errors:
             self.waiting[column], self.count[column] = [], 0
             self._learn(time, column, Pairs.of(waiting))
 
+    def widen(self, column: int, times: float) -> None:
+        """Take a sensor's noise for larger, its variance so many times, and doubt what was learnt of it."""
+        self.factor[column, 0] = min(self.factor[column, 0] * times, MOST)
+        self.worth[column] = min(self.worth[column], BELIEVED)
+
     def _learn(self, time: float, column: int, pairs: Pairs) -> None:
         """Learn from detections of one sensor since it learnt the last time."""
         mean, cov = gaussian.moments(pairs.mean, pairs.cov, pairs.mode)

@@ -49,6 +49,7 @@ from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import ONSET, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
+from avcli.tracking.scales import WIDER, Scales
 from avcli.tracking.scan import Likelihoods, Scan, distinct, likelihoods, plausibility, possible, strays
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
@@ -129,6 +130,7 @@ class GLMB:
         self.detectable, self.turnover = np.zeros(0), np.zeros(0)  # of each sensor: see `rates.Hiding`
         self.last_record: list[float] = []  # s
         self.errors = Errors(settings.learn)
+        self.scales: list[Scales] = []
         self.false_places = FalsePlaces(settings.learn)
         self.spells: dict[int, Spell] = {}  # by column: of the sensors that seem blind
         self.pairs = self.near = 0  # of people and detections so far, and those of them within the gate
@@ -148,6 +150,8 @@ class GLMB:
         self.sensors.append(sensor)
         self.rates.append(Rates(sensor))
         self.errors.add(sensor)
+        self.scales.append(Scales(sensor))
+        self.habits.log_clutter.append(math.log(sensor.clutter + 1e-9))
         self.false_places.add()
         if sensor.name in self.known:
             self.rates[-1].restore(self.known[sensor.name])
@@ -256,6 +260,8 @@ class GLMB:
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
         self.errors.learn(now, scan, groups, self.people)
+        if settings.learn and shown is None and self.scales[scan.column].due():
+            self._widen(scan)
         real = [b / whole for b, whole in zip(birth, background, strict=True)]
         others = other_detections if shown is None else partial.other_detections
         room, twice = others(scan, unclaimed, real, self.population.body)
@@ -270,8 +276,9 @@ class GLMB:
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
             self._learn(groups, scan)
-        self.habits.log_clutter = [math.log(max(one.clutter, 1e-9)) for one in self.rates]
-        rates.learn_score(scan.odds, scan.near, [1 - f for f in false])
+        self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
+        if score is not None:
+            rates.learn_score(scan.odds, scan.near, [1 - f for f in false])
         if scan.evidence:
             self.features.learn(self.people, scan.evidence, groups)
         newborn = None if poisson else settings.newborn
@@ -536,6 +543,13 @@ class GLMB:
         competing = association.competing(self.clusters, options)
         groups = [association.associate(members, options, unclaimed, most) for members in competing]
         return groups, [min(max(u, 0.0), 1.0) for u in unclaimed]
+
+    def _widen(self, scan: Scan) -> None:
+        """Take the noise of a record's sensor for larger, if its detections certainly say so."""
+        scales, surface = self.scales[scan.column], scan.sensor.field(self.population.surface)
+        if scales.wider(scan, self.people, self.likely_rows, surface):
+            self.errors.widen(scan.column, WIDER)
+            scales.begin()
 
     def _learn(self, groups: Iterable[Group], scan: Scan) -> None:
         """Learn from the known people whom a record detected: they were there since they were detected last."""

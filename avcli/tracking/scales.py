@@ -1,0 +1,89 @@
+"""Whether the noise of a sensor is much larger than it is taken for, by all detections, also those far from everybody.
+
+The noise is learnt from detections whose people are sure, see `errors`. Where it is far too small, most detections lie
+outside every gate, are taken for clutter, and teach nothing. So two sensors are compared: one whose noise is as it is
+taken for, and one with four times the variance. Each has its own clutter and its own detection probability.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from avcli.tracking import gaussian
+from avcli.tracking.densities import Densities
+from avcli.tracking.settings import Sensor
+
+if TYPE_CHECKING:
+    from avcli.tracking.scan import Scan
+
+WIDER = 4.0  # factor on the variance of the other sensor's noise
+# Chosen on noise-untold, runners, clutter and cov-low of `make bench-tracking`, seeds 100 to 103.
+CERTAIN, DOUBT = 20.0, -3.0  # nats from which the noise is larger; and at least, so that a later change is seen, too
+RECORDS, PEOPLE = 3.0, 14.0  # what the stated clutter and detection probability are worth, see `rates`
+SURE, FAST = 0.9, 2.5  # existence and m/s of the people who count: who runs turns more sharply than is expected
+SELDOM = 8  # records of which one is looked at while nothing speaks for larger noise
+KEEP = 0.995  # weight of what was counted before, for each record
+
+
+class Scales:
+    """One sensor's evidence that its noise is `WIDER`.
+
+    Attributes:
+        nats: by how much its detections are likelier then.
+    """
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor, self._count = sensor, 0
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all evidence: the noise is taken for another one from now on."""
+        self.nats = 0.0
+        self._records, self._people = RECORDS, PEOPLE
+        self._clutter, self._hits = [RECORDS * self._sensor.clutter] * 2, [PEOPLE * self._sensor.detection] * 2
+
+    def due(self) -> bool:
+        """Return whether the next record is to be looked at: one of some, while nothing speaks for larger noise."""
+        self._count += 1
+        return self.nats > DOUBT or self._count % SELDOM == 0
+
+    def wider(self, scan: Scan, people: Densities, rows: Sequence[int], surface: float) -> bool:
+        """Take in one record, and return whether the noise certainly is larger.
+
+        Args:
+            scan: the record.
+            people: the densities before it.
+            rows: of the known people.
+            surface: m², over which false detections are spread.
+
+        Source:
+            R. P. S. Mahler, "Multitarget Bayes filtering via first-order multitarget moments", IEEE TAES 39(4), 2003
+            (the likelihood of a record where people and clutter are Poisson).
+        """
+        some = [row for row in rows if scan.existence[row] > SURE]
+        speed = np.hypot(*people.centres(some)[:, 2:].T).tolist()
+        rows = [row for row, one in zip(some, speed, strict=True) if one < FAST]
+        if len(rows) < max(len(scan.z), 1) or scan.p_sensor < 1e-3:
+            return False  # where more is detected than people are known, clutter or newcomers are near
+        there = np.array([scan.existence[row] * scan.p_detect[row] / scan.p_sensor for row in rows])
+        likelihoods = [np.zeros((len(rows), 0))] * 2
+        if len(scan.z):
+            expected, mode = scan.expected.take(rows, 0), people.mode.take(rows, 0)
+            logs = [gaussian.loglikelihood(expected, scan.z, times * scan.noise)[0] for times in (1.0, WIDER)]
+            likelihoods = [(mode[:, None] @ np.exp(log))[:, 0] for log in logs]
+        present, nats = float(there.sum()), []
+        for k, likelihood in enumerate(likelihoods):
+            clutter, detection = self._clutter[k] / self._records, min(self._hits[k] / self._people, 0.99)
+            false = clutter / surface + np.array(scan.local)
+            whole = np.maximum(false + detection * there @ likelihood, 1e-300)
+            nats.append(math.fsum(np.log(whole).tolist()) - clutter - detection * present)
+            share = float((false / whole).sum())
+            self._clutter[k] = KEEP * self._clutter[k] + share
+            self._hits[k] = KEEP * self._hits[k] + len(scan.z) - share
+        self._records, self._people = KEEP * self._records + 1, KEEP * self._people + present
+        self.nats = max(self.nats + nats[1] - nats[0], DOUBT)
+        return self.nats > CERTAIN
