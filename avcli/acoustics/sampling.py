@@ -5,6 +5,7 @@ are spaced in distance, not in time: a spacing below c / (2 f) is enough at ever
 needs one node.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,11 @@ class Interpolation:
 
     STEPS = 1024
 
+    @functools.cached_property
+    def _steps(self) -> np.ndarray:
+        """What the kernel changes by from each place of the table to the next."""
+        return np.append(np.diff(self.table), 0.0)
+
     @property
     def window_s(self) -> float:
         """Length of the window of a node at 1 m/s, s."""
@@ -50,10 +56,13 @@ class Interpolation:
 
     def weights(self, places: np.ndarray) -> np.ndarray:
         """Return the weights at places relative to a node, (n,) in units of the spacing: (n,)."""
-        cells = np.clip((places + self.half_width) * self.STEPS, 0.0, len(self.table) - 1.0)
-        below = np.minimum(cells.astype(np.intp), len(self.table) - 2)
+        cells = (places + self.half_width) * self.STEPS
+        np.maximum(np.minimum(cells, len(self.table) - 1.0, out=cells), 0.0, out=cells)
+        below = cells.astype(np.intp)
         cells -= below
-        return self.table[below] + cells * (self.table[below + 1] - self.table[below])
+        cells *= self._steps.take(below)
+        cells += self.table.take(below)
+        return cells
 
 
 def interpolation(

@@ -141,7 +141,7 @@ class Voice:
             return np.zeros(count)
         if not self._speaking:
             self._place = 0
-        sound = self._cycle[(self._place + np.arange(count)) % len(self._cycle)]
+        sound = self._cycle.take(np.arange(self._place, self._place + count), mode="wrap")
         self._place = (self._place + count) % len(self._cycle)
         if not speaking:
             fade = min(self._fade, count)

@@ -7,6 +7,7 @@ import numpy as np
 
 from avcli.acoustics.delayline import DirectSource
 from avcli.acoustics.moving import MovingSource, first_sample
+from avcli.acoustics.responses import LONGEST_TAPS
 from avcli.acoustics.sampling import Interpolation, Switching, interpolation
 from avcli.acoustics.signals import (
     FADE_S,
@@ -140,7 +141,7 @@ class Speakers:
         if self._finished:
             return np.inf
         now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz)
-        return min([now - self._surroundings.margin, *(source.settled for _, source in self._sources)])
+        return min([now - self._surroundings.spread - LONGEST_TAPS, *(source.settled for _, source in self._sources)])
 
     @property
     def bounded(self) -> bool:
