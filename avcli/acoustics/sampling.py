@@ -5,6 +5,7 @@ are spaced in distance, not in time: a spacing below c / (2 f) is enough at ever
 needs one node.
 """
 
+import bisect
 import functools
 from dataclasses import dataclass
 
@@ -102,13 +103,14 @@ def interpolation(
     bands = np.linspace(0.0, frequencies.max(initial=0.0) or 1.0, 2049)
     power = np.histogram(frequencies, bands, weights=power)[0]
     frequencies = (bands[1:] + bands[:-1]) / 2
-    spacing = 0.25
-    while power.sum() > 0 and spacing > 1e-4:
+    spacings = 0.25 * 0.97 ** np.arange(258)
+
+    def is_close_enough(spacing: float) -> bool:
         lost = np.sum(power * np.interp(frequencies * spacing / speed_of_sound_m_s, turns, errors))
-        if lost <= allowed:
-            break
-        spacing *= 0.97
-    return Interpolation(spacing, half_width, kernel)
+        return bool(lost <= allowed)
+
+    chosen = bisect.bisect_left(spacings, True, hi=len(spacings) - 1, key=is_close_enough)
+    return Interpolation(float(spacings[chosen]), half_width, kernel)
 
 
 @dataclass(frozen=True)

@@ -189,16 +189,16 @@ class Speakers:
 
     def _meet(self, identity: int) -> _Person:
         rate, voice = self._surroundings.sample_rate_hz, self._voices[identity % len(self._voices)]
+        power, frequencies = power_spectrum(voice, rate)
         sampling: Interpolation | Switching
         if self._switch_s is not None:
             sampling = Switching(self._switch_s)
         else:
-            power, frequencies = power_spectrum(voice, rate)
             sampling = interpolation(power, frequencies, self._error_db - 5, self._surroundings.speed_of_sound_m_s)
         return _Person(
             voice=Voice(voice, rate, self._pause_s),
             sampling=sampling,
-            band=bandwidth(voice, rate, self._error_db - 10) / rate,
+            band=bandwidth(power, frequencies, self._error_db - 10) / rate,
             quiet=active_level(voice, rate) * 10 ** (QUIET_DB / 20),
         )
 
