@@ -10,7 +10,7 @@ from avcli.acoustics import bands, hear
 from avcli.acoustics.bands import BANDS_HZ, BEHIND_DB, Bands, curves, spectra_of_bands
 from avcli.acoustics.decay import image_rt60
 from avcli.acoustics.images import arrivals
-from avcli.acoustics.responses import Responses, impulse_responses
+from avcli.acoustics.responses import TAPS, Responses, impulse_responses, lowpass
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.surroundings import Surroundings, surroundings_of
 from avcli.formats.experiment import Config
@@ -40,8 +40,8 @@ def config(**keys):
 
 
 def response(surroundings, place=PLACE, heading=AHEAD, rng=None):
-    found = Responses(surroundings, LENGTH, 0.5, -60.0, rng)
-    return np.fft.irfft(found.at(place, heading, surroundings.microphones_m[None]), LENGTH)
+    found = Responses(surroundings, LENGTH, lowpass(0.5, -60.0), -60.0, rng)
+    return np.fft.irfft(found.at([(place, heading, surroundings.microphones_m[None])])[0], LENGTH)
 
 
 def in_octave(sound, middle_hz):
@@ -71,7 +71,7 @@ def test_bands_that_are_all_alike_sound_as_without_bands():
     plain = Surroundings(ROOM, np.full(6, -0.8), MICROPHONES, RATE, 40.0)
     alike = replace(plain, bands=Bands(np.full((6, 8), 0.36), np.zeros(8), np.zeros(8), np.full(8, 0.3)))
     expected, found = response(plain), response(alike)
-    later = alike.margin - plain.margin
+    later = alike.spread - plain.spread
     error = found[:, later:] - expected[:, : LENGTH - later]
     assert 10 * np.log10(np.sum(error**2) / np.sum(expected**2)) < -100
 
@@ -85,7 +85,7 @@ def test_each_band_decays_in_its_time(ism_decay_db):
         microphones, place = rng.uniform(0.5, ROOM - 0.5, (2, 3)), rng.uniform(0.5, ROOM - 0.5)
         here = replace(around, microphones_m=microphones, directivities=None, orientations=None)
         for sound in response(here, place, rng=np.random.default_rng(seed))[
-            :, around.margin : around.margin + around.longest_delay
+            :, TAPS + around.spread : TAPS + around.spread + around.longest_delay
         ]:
             for middle in BANDS_HZ[2:6]:
                 energy = np.cumsum(in_octave(sound, middle)[::-1] ** 2)[::-1]
@@ -239,7 +239,7 @@ def test_what_walls_scatter_is_heard_after_the_sound_itself():
     assert around.bands.scattering is not None
     mirrors = replace(around, bands=replace(around.bands, scattering=None))
     found = [response(here, rng=np.random.default_rng(0)) for here in (around, mirrors)]
-    direct = np.linalg.norm(MICROPHONES - PLACE, axis=1) * around.samples_per_m + around.margin
+    direct = np.linalg.norm(MICROPHONES - PLACE, axis=1) * around.samples_per_m + TAPS + around.spread
     ringing = np.arange(LENGTH) < direct[:, None] - bands.reach_samples(RATE)
     for one in found:
         assert (one**2)[ringing].sum() < 1e-6 * (one**2).sum()

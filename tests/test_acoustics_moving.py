@@ -5,7 +5,7 @@ import pytest
 
 from avcli.acoustics.images import image_microphones, shoebox_rir
 from avcli.acoustics.moving import MovingSource, first_sample
-from avcli.acoustics.responses import Responses
+from avcli.acoustics.responses import LONGEST_TAPS, Responses, lowpass
 from avcli.acoustics.sampling import Switching, interpolation
 from avcli.acoustics.signals import power_spectrum
 from avcli.acoustics.speakers import Speakers
@@ -121,7 +121,7 @@ def test_a_microphone_that_rests_takes_one_response(monkeypatch):
     nodes = interpolation(*power_spectrum(dry, RATE), -60, C)
     source = MovingSource(room, nodes, 8500 / RATE, -75)
     reckon, places = source._responses.at, []
-    monkeypatch.setattr(source._responses, "at", lambda *place: places.append(place) or reckon(*place))
+    monkeypatch.setattr(source._responses, "at", lambda some: places.extend(some) or reckon(some))
     here = np.array([1.0, 2.0, 1.6])
     heard = render(source, np.arange(31) / 10, lambda t: here, dry).take(0, 3 * RATE)
     assert 0.5 / nodes.spacing_m < len(places) < 1.2 / nodes.spacing_m
@@ -206,12 +206,14 @@ def test_a_mouth_that_passes_a_microphone_closely(nearest):
 def test_the_paths_stay_audible_when_a_mouth_leaves_a_microphone():
     """Beside the direct sound at 1 cm all others are faint: they are not left out at half a metre."""
     room = surroundings(0.8, 40.0, error_db=-40.0)
-    images = Responses(room, 1 << 14, 0.5, -60.0)
-    every = Responses(surroundings(0.8, 40.0), 1 << 14, 0.5, -60.0)
+    images = Responses(room, 1 << 14, lowpass(0.5, -60.0), -60.0)
+    every = Responses(surroundings(0.8, 40.0), 1 << 14, lowpass(0.5, -60.0), -60.0)
     places = MICROPHONES[1] - (0, 0, 0.01), MICROPHONES[1] - (0, 0, 0.5)
     for found in (images, every):
-        found.at(places[0], np.array([1.0, 0, 0]), MICROPHONES[None])
-    heard, expected = (found.at(places[1], np.array([1.0, 0, 0]), MICROPHONES[None])[1] for found in (images, every))
+        found.at([(places[0], np.array([1.0, 0, 0]), MICROPHONES[None])])
+    heard, expected = (
+        found.at([(places[1], np.array([1.0, 0, 0]), MICROPHONES[None])])[0, 1] for found in (images, every)
+    )
     assert decibels(heard.view(float), expected.view(float)) < -38
 
 
@@ -224,8 +226,8 @@ def test_the_noise_after_the_images_is_diffuse():
     window = np.hanning(1024)[:, None]
     place = np.array([1.0, 1.0, 1.6]), np.array([1.0, 0, 0]), microphones[None]
     for seed in range(50):
-        responses = Responses(room, length, 0.5, -60.0, np.random.default_rng(seed))
-        late = np.fft.irfft(responses.at(*place), length)[:, 1100:9000].T
+        responses = Responses(room, length, lowpass(0.5, -60.0), -60.0, np.random.default_rng(seed))
+        late = np.fft.irfft(responses.at([place])[0], length)[:, 1100:9000].T
         late *= np.exp(3 * np.log(10) / 0.6 * np.arange(len(late)) / rate)[:, None]
         for begin in range(0, 6500, 512):
             spectra = np.fft.rfft(late[begin : begin + 1024] * window, axis=0)
@@ -352,7 +354,7 @@ def test_standing_still_takes_one_response(monkeypatch):
     nodes = interpolation(np.ones(10), np.arange(10) * 800.0, -40, C)
     source = MovingSource(room, nodes)
     reckon, places = source._responses.at, []
-    monkeypatch.setattr(source._responses, "at", lambda *place: places.append(place) or reckon(*place))
+    monkeypatch.setattr(source._responses, "at", lambda some: places.extend(some) or reckon(some))
     render(source, np.arange(31) / 10, lambda t: np.array([1.0, 2, 1.6]), np.ones(3 * RATE))
     assert len(places) == 1
 
@@ -379,6 +381,19 @@ def test_the_samples_do_not_depend_on_how_they_are_taken(pieces):
     source.finish()
     found.append(source.take(now, RATE))
     assert np.array_equal(np.concatenate(found, axis=1), whole)
+
+
+@pytest.mark.parametrize(
+    ("band", "every"), [(0.05, 4), (0.12, 4), (0.16, 3), (0.2, 2), (0.2465, 2), (0.249, 1), (0.5, 1)]
+)
+def test_the_low_pass_leaves_the_band_and_removes_the_image_of_left_out_samples(band, every):
+    filtered = lowpass(band, -55.0)
+    assert filtered.every == every
+    assert filtered.taps <= LONGEST_TAPS
+    levels, frequencies = np.abs(filtered.spectrum(1 << 14)), np.fft.rfftfreq(1 << 14)
+    np.testing.assert_allclose(levels[frequencies <= min(band, 0.5 - filtered.transition)], 1.0, atol=1e-3)
+    assert (levels[frequencies > filtered.edge] < 1e-3).all()
+    assert filtered.edge <= (1 / every - band + 1e-12 if every > 1 else 0.5)
 
 
 def test_the_nodes_are_spaced_by_the_signals_bandwidth():

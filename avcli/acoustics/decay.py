@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.absorption import SABINE, decay_rates, sabine_rt60, volume, wall_areas
-from avcli.acoustics.images import image_count, image_microphones
+from avcli.acoustics.images import image_count
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
 COUNTED_IMAGES, PAIRS = 2_000, 100
@@ -146,23 +146,34 @@ class _Decay:
         apart = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
         places = places[apart > min(1.0, np.linalg.norm(self._room) / 4)][:count]
         self._axes = [self._axis(*of_axis) for of_axis in zip(self._room, places.transpose(2, 1, 0), strict=True)]
-        self._pairs = [self._near(pair) for pair in places]
+        self._pairs = self._near(places)
 
     def _axis(self, length: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return of all images along an axis the squared distances, as cells, and the orders at its two walls."""
-        most = int(self._end / (2 * length)) + 1
-        n, q = np.repeat(np.arange(-most, most + 1), 2), np.tile([0, 1], 2 * most + 1)
+        n, q = _along(length, self._end)
         distances = (1 - 2 * q) * places[1][:, None] + 2 * n * length - places[0][:, None]
         cells = (CELLS * (distances / self._end) ** 2).ravel().astype(int)
         inside = cells < CELLS
         orders = (np.tile(np.abs(order), len(places[0]))[inside] for order in (n - q, n))
         return (cells[inside], *orders)
 
-    def _near(self, pair: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distances of the images of one pair of places within the reach, (n,), and their orders, (6, n)."""
-        coefficients = np.ones(6)
-        images = image_microphones(self._room, pair[1], coefficients, pair[0], self._reach)
-        return images.distances(pair[0]), images.orders(self._room, pair[1])
+    def _near(self, places: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return of each pair of places the distances of the images within the reach, (n,), and orders, (6, n)."""
+        axes = [_along(length, self._reach) for length in self._room]
+        every = np.indices([len(n) for n, _ in axes]).reshape(3, -1)
+        orders = np.concatenate(
+            [np.abs(np.stack([n - q, n], dtype=float))[:, of_axis] for (n, q), of_axis in zip(axes, every, strict=True)]
+        )
+        pairs = []
+        for source, microphone in places:
+            x, y, z = (
+                ((1 - 2 * q) * there + 2 * n * length - here) ** 2
+                for (n, q), there, length, here in zip(axes, microphone, self._room, source, strict=True)
+            )
+            squares = np.add.outer(np.add.outer(x, y), z).ravel()
+            near = np.flatnonzero(squares <= self._reach**2)
+            pairs.append((np.sqrt(squares[near]), orders.take(near, axis=1)))
+        return pairs
 
     def time(self, absorption: ArrayLike, air: float = 0.0) -> float:
         """Return T30, s, the mean over pairs of places; see `image_rt60`."""
@@ -205,3 +216,9 @@ class _Decay:
         shares, rates = shares * rates / (rates + 2 * air * self._speed), rates + 2 * air * self._speed
         rest = np.sum(shares * np.exp(-rates * self._end / self._speed)) * self._speed / (4 * np.pi * self.volume)
         return np.interp(distances**2, np.append(squares, squares[-1] + squares[0] / 1.5), beyond) + rest
+
+
+def _along(length: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return n and q of the images along an axis to beyond a reach; see `images`."""
+    most = int(reach / (2 * length)) + 1
+    return np.repeat(np.arange(-most, most + 1), 2), np.tile([0, 1], 2 * most + 1)

@@ -6,11 +6,13 @@ still while the source walks. Image (n, q) of an axis of length L lies at (1 −
 """
 
 import functools
+import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from avcli.acoustics.absorption import audible_time, volume
 from avcli.numeric import SPEED_OF_SOUND_M_S, fft_length
@@ -23,6 +25,36 @@ SINGLE_DB = -60.0
 """dB; for a larger error single precision is enough: in S1 it leaves -88 dB, from 8 to 11 kHz -77 dB."""
 MOST_IMAGES = 10_000_000
 """images of one microphone; beyond them a response would take gigabytes and seconds."""
+
+
+CELLS_AT_ONCE = 1 << 18
+"""cells that are transformed at once: numpy prepares each call, which takes as long as a transform of 20,000 cells."""
+
+
+def at_once(cells: int) -> int:
+    """Return how many sums of so many cells are transformed at once."""
+    return max(1, min(CELLS_AT_ONCE // cells, 16))
+
+
+class _Scratch(threading.local):
+    """Memory that is used again."""
+
+    def __init__(self) -> None:
+        self.held: dict[str, np.ndarray] = {}
+
+
+_SCRATCH = _Scratch()
+
+
+def scratch(use: str, shape: tuple[int, ...], dtype: DTypeLike = float) -> np.ndarray:
+    """Return memory for a use, with anything in it, until this thread calls for the same use: an array of a shape.
+
+    To ask the system for it each time takes as long as to compute with it.
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if use not in _SCRATCH.held or _SCRATCH.held[use].size < size:
+        _SCRATCH.held[use] = np.empty(size, np.uint8)
+    return _SCRATCH.held[use][:size].view(dtype).reshape(shape)
 
 
 @dataclass(frozen=True)
@@ -299,7 +331,7 @@ class DelaySpectrum:
             lambda f: (np.cos(2 * np.pi * np.outer(f, cells)) * weights).sum(axis=1), 16 + 4 * width, [0.0, highest]
         )
         self._inverse = 1 / smooth(np.arange(self.bins) / self._cells)
-        self._whole, self._spreads = np.empty((2, self.TOGETHER), np.intp), np.empty(self.TOGETHER, pair)
+        self._at_once = at_once(self._cells)
 
     def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the spectra of several sums, (m, bins) complex128.
@@ -307,21 +339,32 @@ class DelaySpectrum:
         Args:
             impulses: m times delays, (n,) samples in [0, length), and amplitudes, (n,).
         """
-        grids = np.zeros((len(impulses), self._cells + 2 * self._width + 2))
+        spectra = np.empty((len(impulses), self.bins), complex)
+        for first in range(0, len(impulses), self._at_once):
+            some = slice(first, first + self._at_once)
+            np.multiply(self._halves(impulses[some])[:, : self.bins], self._inverse, out=spectra[some])
+        return spectra
+
+    def _halves(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """Return the spectra of the grids over which impulses are spread, (m, cells / 2 + 1), until called again."""
+        grids = scratch("grids", (len(impulses), self._cells + 2 * self._width + 2))
         for grid, (delays, amplitudes) in zip(grids, impulses, strict=True):
             self._spread(grid, delays, amplitudes)
         margin = (self._width + 1) // 2  # what was spread over an end goes round to the other
         circles, rest = grids[:, margin : margin + self._cells], grids[:, margin + self._cells :]
         circles[:, self._cells - margin :] += grids[:, :margin]
         circles[:, : rest.shape[1]] += rest
-        return np.fft.rfft(circles)[:, : self.bins] * self._inverse
+        return np.fft.rfft(circles, out=scratch("halves", (len(impulses), self._cells // 2 + 1), complex))
 
     def _spread(self, grid: np.ndarray, delays: np.ndarray, amplitudes: np.ndarray) -> None:
-        sums = np.zeros(len(grid) - 2, self._taps[0].dtype)
+        sums = scratch("sums", (len(grid) - 2,), self._taps[0].dtype)
+        sums.fill(0)
+        whole = scratch("whole", (2, self.TOGETHER), np.intp)
+        spreads = scratch("spreads", (self.TOGETHER,), self._taps[0].dtype)
         for begin in range(0, len(delays), self.TOGETHER):
             some = slice(begin, begin + self.TOGETHER)
             count = len(delays[some])
-            (first, rows), spread = self._whole[:, :count], self._spreads[:count]
+            (first, rows), spread = whole[:, :count], spreads[:count]
             # In steps of 1 / ROWS of a cell, as whole numbers: the upper digits are the cell, the lower ones the row.
             # The product is exact in any precision, by a power of two.
             first[:] = delays[some] * np.float32(self._oversampling * self.ROWS)
@@ -333,6 +376,7 @@ class DelaySpectrum:
                 taps.take(rows, mode="clip", out=spread)
                 np.multiply(spread, amplitudes[some], out=spread)
                 np.add.at(sums[2 * k :], first, spread)
+        grid[0] = grid[-1] = 0
         grid[1:-1] = sums.real
         grid[2:] += sums.imag
 

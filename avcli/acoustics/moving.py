@@ -15,12 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from avcli.acoustics.images import NEAREST_M
-from avcli.acoustics.responses import Responses
+from avcli.acoustics.images import NEAREST_M, at_once, scratch
+from avcli.acoustics.responses import Responses, lowpass
 from avcli.acoustics.sampling import Interpolation, Switching
 from avcli.acoustics.surroundings import Surroundings
 from avcli.acoustics.trajectory import KNOTS_AROUND, cubic, knot_velocity
 from avcli.numeric import fft_length
+
+MOMENT_S = 0.0005
+"""s between the moments at which the pace of a source is reckoned; in between it changes evenly."""
 
 
 class MovingSource:
@@ -51,15 +54,21 @@ class MovingSource:
         heading: ArrayLike = (1.0, 0.0, 0.0),
         rng: np.random.Generator | None = None,
     ):
-        self._surroundings, self._nodes, self._margin = surroundings, nodes, surroundings.margin
+        self._surroundings, self._nodes = surroundings, nodes
+        # A response that is switched has a broad band; it is told by every sample, as gpuRIR does.
+        filtered = lowpass(band, error_db, most=1 if isinstance(nodes, Switching) else 4)
+        self._every, self._margin = filtered.every, surroundings.spread + filtered.taps
         longest = surroundings.longest_delay
         window = int(nodes.window_s * surroundings.sample_rate_hz)
-        self._length = fft_length(longest + 2 * self._margin + min(max(window, longest // 4), 4 * longest + 4096))
-        self._block = self._length - longest - 2 * self._margin
-        self._responses = Responses(surroundings, self._length, band, error_db, rng, isinstance(nodes, Switching))
+        least = longest + 2 * self._margin + min(max(window, longest // 4), 4 * longest + 4096)
+        self._length = self._every * fft_length(-(-least // self._every))
+        self._block = (self._length - longest - 2 * self._margin) // self._every
+        self._responses = Responses(surroundings, self._length, filtered, error_db, rng, isinstance(nodes, Switching))
 
         self._way = Way(surroundings.sample_rate_hz)
-        self._begin = 0  # the sample that the arrays below begin with
+        self._origin = 0  # the first sample
+        # Of the signal every so many samples are taken; these are counted from the first on.
+        self._begin = 0  # the one that the arrays below begin with
         self._dry, self._path = np.zeros(0), np.zeros(0)  # signal, and where on the path it was emitted, in nodes
         self._travelled = 0.0  # length of the path so far, in nodes
         self._places: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}  # node -> position, heading, time
@@ -67,11 +76,10 @@ class MovingSource:
         self._last: float = np.inf  # the last node
         self._heading = np.asarray(heading, dtype=float)
 
-        self._origin = 0  # the first sample
         self._spectra: dict[int, np.ndarray] = {}  # number of a block of the signal -> what is heard of it so far
         self._pending_begin, self._pending = 0, np.zeros(0)
-        self._pending_place: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # position, heading, microphones
-        self._transfer: np.ndarray | None = None
+        self._pending_place: _Place | None = None
+        self._sent: list[_Sent] = []  # to be added to the spectra
         self._heard = Heard(len(surroundings.microphones_m), 0)
         self.computed = self.passed = 0
 
@@ -87,8 +95,8 @@ class MovingSource:
             ValueError: the time does not increase, or `dry` has another length.
         """
         if self._way.time is None:
-            self._begin = self._origin = self._pending_begin = first_sample(time_s, self._surroundings.sample_rate_hz)
-            self._heard = Heard(len(self._surroundings.microphones_m), self._begin - self._margin)
+            self._origin = first_sample(time_s, self._surroundings.sample_rate_hz)
+            self._heard = Heard(len(self._surroundings.microphones_m), self._origin - self._margin)
         for part in self._way.to(time_s, position_m, dry):
             self._go(part)
         self._render()
@@ -112,8 +120,8 @@ class MovingSource:
         """The sample before which the sound does not change any more; infinite when all is settled."""
         if self._last == -np.inf:
             return np.inf
-        next_block = (self._pending_begin - self._origin) // self._block
-        return self._origin + min([*self._spectra, next_block]) * self._block - self._margin
+        blocks = [*self._spectra, *(sent.number for sent in self._sent), self._pending_begin // self._block]
+        return self._origin + min(blocks) * self._block * self._every - self._margin
 
     @property
     def bounded(self) -> bool:
@@ -133,29 +141,26 @@ class MovingSource:
         """Note the nodes on the next part of the path."""
         cubic, t0, t1 = part.cubic, part.cubic.t0, part.cubic.t1
         rate, nodes = self._surroundings.sample_rate_hz, self._nodes
-        first = first_sample(t0, rate)
-        times = np.arange(first, first_sample(t1, rate)) / rate
-        if len(times) == 0:
-            if part.ends and self._places:
-                beyond = self._beyond(self._travelled)
-                pace = float(self._nodes_a_second(cubic, np.array([t1]))[0])
-                self._add_nodes(cubic, beyond, first / rate + (beyond - self._travelled) / pace)
-            return
-        steps = self._nodes_a_second(cubic, times) / rate
+        first, last = first_sample(t0, rate), first_sample(t1, rate)
+        moments = np.append(np.arange(first, last, max(1, int(MOMENT_S * rate))), last)
+        paces = self._nodes_a_second(cubic, moments / rate)
         start = self._travelled if self._places else 0.0
-        path = start + np.concatenate([[0.0], np.cumsum(steps)])
+        path = start + np.append(0.0, np.cumsum(np.diff(moments) * (paces[1:] + paces[:-1]) / (2 * rate)))
         crossed = np.arange(np.ceil(start), np.ceil(path[-1]), dtype=int)
-        at = np.interp(crossed, path, np.append(times, times[-1] + 1 / rate))
-        if not self._places:
-            crossed = np.concatenate([np.arange(1 - nodes.half_width, 0), crossed])
-            at = np.concatenate([times[0] + np.arange(1 - nodes.half_width, 0) / (steps[0] * rate), at])
-        if part.ends:
-            beyond = self._beyond(path[-1])
-            crossed = np.concatenate([crossed, beyond])
-            at = np.concatenate([at, times[-1] + (beyond - path[-2]) / (steps[-1] * rate)])
+        at = np.interp(crossed, path, moments / rate)
+        if not self._places and last > first:
+            before = np.arange(1 - nodes.half_width, 0)
+            crossed, at = np.append(before, crossed), np.append(first / rate + before / paces[0], at)
+        if part.ends and (self._places or last > first):
+            end = np.ceil(path[-1])  # nodes after it, on which its last samples are interpolated
+            beyond = np.arange(end, end + nodes.half_width + 1, dtype=int)
+            crossed, at = np.append(crossed, beyond), np.append(at, last / rate + (beyond - path[-1]) / paces[-1])
         self._add_nodes(cubic, crossed, at)
         self._travelled = float(path[-1])
-        self._dry, self._path = np.append(self._dry, part.dry), np.append(self._path, path[:-1])
+        skipped = (self._origin - first) % self._every
+        kept = np.arange(first + skipped, last, self._every)
+        self._dry = np.append(self._dry, part.dry[skipped :: self._every] * self._every)
+        self._path = np.append(self._path, np.interp(kept, moments, path))
 
     def _nodes_a_second(self, cubic: "Cubic", times: np.ndarray) -> np.ndarray:
         """Return how many nodes a second the source passes at times on a part of its path, (n,)."""
@@ -164,19 +169,9 @@ class MovingSource:
         heard_s = surroundings.longest_delay / surroundings.sample_rate_hz
         receding = surroundings.fastest_microphone(cubic.t0, cubic.t1 + heard_s)
         speeds = (speeds + receding) / (1 - receding / surroundings.speed_of_sound_m_s)
-        return self._nodes.nodes_a_second(speeds, self._nearest(cubic, times))
-
-    def _nearest(self, cubic: "Cubic", times: np.ndarray) -> np.ndarray:
-        """Return the distance of the nearest microphone at times on a part of the path, (n,) m, found every 0.5 ms."""
-        every = max(1, int(0.0005 * self._surroundings.sample_rate_hz))
-        moments = np.append(times[::every], times[-1])
-        away = cubic.position(moments)[:, None] - self._surroundings.microphones_at(moments)
-        distances = np.sqrt((away**2).sum(axis=2).min(axis=1))
-        return np.maximum(np.interp(times, moments, distances), NEAREST_M)
-
-    def _beyond(self, end: float) -> np.ndarray:
-        """Return the nodes after the end of the path, on which its last samples are interpolated."""
-        return np.arange(np.ceil(end), np.ceil(end) + self._nodes.half_width + 1, dtype=int)
+        away = cubic.position(times)[:, None] - surroundings.microphones_at(times)
+        nearest = np.sqrt((away**2).sum(axis=2).min(axis=1))
+        return self._nodes.nodes_a_second(speeds, np.maximum(nearest, NEAREST_M))
 
     def _add_nodes(self, cubic: "Cubic", nodes: np.ndarray, at: np.ndarray) -> None:
         """Note where the source is at nodes, and how it looks there; the path goes straight on beyond its ends."""
@@ -196,18 +191,18 @@ class MovingSource:
             last = int(np.searchsorted(self._path, self._node + nodes.half_width, side="left"))
             position, heading, time = self._places.pop(self._node)
             place = position, heading, self._surroundings.microphones_from(time)
-            if self._pending_place is None or not all(map(np.array_equal, place, self._pending_place)):
+            if self._pending_place is None or not self._pending_place.is_at(place):
                 self._convolve(len(self._pending))
                 self._pending_begin = self._begin + first
-                self._pending_place, self._transfer = place, None
+                self._pending_place = _Place(place)
             sound = self._dry[first:last]
             if sound.any():
+                sound = sound * nodes.weights(self._path[first:last] - self._node)
                 offset = self._begin + first - self._pending_begin
-                missing = offset + last - first - len(self._pending)
-                self._pending = np.append(self._pending, np.zeros(max(missing, 0)))
-                self._pending[offset : offset + last - first] += sound * nodes.weights(
-                    self._path[first:last] - self._node
-                )
+                if len(self._pending) < offset + len(sound):
+                    missing = np.zeros(offset + len(sound) - len(self._pending))
+                    self._pending = np.concatenate([self._pending, missing])
+                self._pending[offset : offset + len(sound)] += sound
             # Sound before the next node's reach is complete.
             reached = int(np.searchsorted(self._path, self._node + 1 - nodes.half_width, side="right"))
             while (left := self._left_of_block()) <= self._begin + reached - self._pending_begin:
@@ -219,7 +214,7 @@ class MovingSource:
 
     def _left_of_block(self) -> int:
         """Return how many samples are left of the block in which the first pending sample is."""
-        return self._block - (self._pending_begin - self._origin) % self._block
+        return self._block - self._pending_begin % self._block
 
     def _convolve(self, count: int) -> None:
         """Send the first `count` pending samples through the room."""
@@ -230,29 +225,94 @@ class MovingSource:
             count -= length
 
     def _emit(self, sound: np.ndarray) -> None:
-        """Add what is heard of the first pending samples to the spectra of their block."""
+        """Let the first pending samples be heard, as soon as there are some more to be transformed with them."""
         if not sound.any():
             return
-        if self._transfer is None:
-            assert self._pending_place is not None  # pending sound has a position
-            self._transfer = self._responses.at(*self._pending_place)
-            self.computed += 1
-        number, offset = divmod(self._pending_begin - self._origin, self._block)
-        block = np.zeros(self._length)
-        block[offset : offset + len(sound)] = sound
-        heard = np.fft.rfft(block)[: self._responses.bins] * self._transfer
-        if number in self._spectra:
-            self._spectra[number] += heard
-        else:
-            self._spectra[number] = heard
+        assert self._pending_place is not None  # pending sound has a position
+        self._sent.append(_Sent(*divmod(self._pending_begin, self._block), sound, self._pending_place))
+        if len(self._sent) == at_once(self._length // self._every):
+            self._add_up()
+
+    def _add_up(self) -> None:
+        """Add what is heard of the sent sounds to the spectra of their blocks."""
+        if not self._sent:
+            return
+        responses, product = self._responses, scratch("product", (self._responses.bins,), self._responses.dtype)
+        for i, (sent, dry) in enumerate(zip(self._sent, self._transformed(), strict=True)):
+            if sent.of.response is None:
+                new = dict.fromkeys(later.of for later in self._sent[i:] if later.of.response is None)
+                some = list(new)[: responses.at_once]
+                for place, response in zip(some, responses.at([place.place for place in some]), strict=True):
+                    place.response = response
+                self.computed += len(some)
+            assert sent.of.response is not None
+            if sent.number not in self._spectra:
+                self._spectra[sent.number] = dry * sent.of.response
+                continue
+            for heard, response in zip(self._spectra[sent.number], sent.of.response, strict=True):
+                heard += np.multiply(dry, response, out=product)
+        self._sent = []
+
+    def _transformed(self) -> np.ndarray:
+        """Return the spectra of the sent sounds in their blocks, (n, bins)."""
+        length, count, bins = self._length // self._every, len(self._sent), self._responses.bins
+        blocks = scratch("blocks", (count, length))
+        blocks.fill(0.0)
+        for block, sent in zip(blocks, self._sent, strict=True):
+            block[sent.offset : sent.offset + len(sent.sound)] = sent.sound
+        halves = np.fft.rfft(blocks, out=scratch("halves", (count, length // 2 + 1), complex))
+        spectra = np.empty((count, bins), self._responses.dtype)
+        here = min(bins, halves.shape[1])
+        spectra[:, :here] = halves[:, :here]
+        image = 2 * (length // 2) - bins  # above the half comes the image, of which the low pass leaves a little
+        np.conjugate(halves[:, here - 2 : image : -1], out=spectra[:, here:], casting="same_kind")
+        return spectra
 
     def _settle(self, before: float) -> None:
         """Turn the spectra of the blocks that end before a sample into sound: positions that overlap share one FFT."""
-        for number in list(self._spectra):
-            begin = self._origin + number * self._block
-            if begin + self._block <= before:
-                sound = np.fft.irfft(self._spectra.pop(number), self._length)
-                self._heard.add(slice(None), begin - self._margin, sound)
+        ended = [
+            number
+            for number in {*self._spectra, *(sent.number for sent in self._sent)}
+            if (number + 1) * self._block <= before
+        ]
+        if ended:
+            self._add_up()
+        for number in sorted(ended):
+            sound = np.fft.irfft(self._spectra.pop(number), self._length)
+            self._heard.add(slice(None), self._origin + number * self._block * self._every - self._margin, sound)
+
+
+@dataclass(eq=False)
+class _Place:
+    """A place of the source.
+
+    Attributes:
+        place: its position, (3,) m, its heading, (3,), and where the microphones are from then on, (k, m, 3) m.
+        response: the spectra of the responses from there, (m, bins), once they are needed.
+    """
+
+    place: tuple[np.ndarray, np.ndarray, np.ndarray]
+    response: np.ndarray | None = None
+
+    def is_at(self, place: tuple[np.ndarray, np.ndarray, np.ndarray]) -> bool:
+        """Whether another place is the same."""
+        return all((here == there).all() for here, there in zip(self.place, place, strict=True))
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """A part of the signal that is emitted at one place.
+
+    Attributes:
+        number, offset: of its block, and its first sample in it.
+        sound: (n,).
+        of: the place.
+    """
+
+    number: int
+    offset: int
+    sound: np.ndarray
+    of: _Place
 
 
 def first_sample(time_s: float, sample_rate_hz: float) -> int:
@@ -392,7 +452,7 @@ class Cubic:
     def position(self, times: np.ndarray) -> np.ndarray:
         step = self.t1 - self.t0
         u = ((np.asarray(times) - self.t0) / step)[:, None]
-        inside = np.clip(u, 0.0, 1.0)
+        inside = np.minimum(np.maximum(u, 0.0), 1.0)
         points = cubic(inside, step, self.p0, self.v0, self.p1, self.v1)
         return points + np.minimum(u, 0.0) * step * self.v0 + np.maximum(u - 1.0, 0.0) * step * self.v1
 

@@ -13,7 +13,7 @@ import numpy as np
 from avcli.acoustics.images import NEAREST_M
 from avcli.acoustics.noise import Noise
 from avcli.acoustics.settings import Settings
-from avcli.acoustics.signals import pascal, source_signal
+from avcli.acoustics.signals import SourceSignals, pascal
 from avcli.acoustics.speakers import Speakers
 from avcli.acoustics.surroundings import surroundings_of
 from avcli.acoustics.trajectory import Trajectory
@@ -75,7 +75,7 @@ class Recorder:
         recordings = speech or built_in_voices()
         self._speakers = Speakers(
             self.surroundings,
-            [source_signal(recording, rate, settings.level_db) for recording in recordings],
+            SourceSignals(recordings, rate, settings.level_db),
             error_db=settings.error_db,
             switch_s=settings.switch_s,
             pause_s=settings.pause_s,

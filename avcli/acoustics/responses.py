@@ -1,17 +1,73 @@
 """Room impulse responses from a source at positions along its path to the microphones, as spectra."""
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.bands import spectra_of_bands
-from avcli.acoustics.images import NEAREST_M, DelaySpectrum, Images, audible, image_microphones
+from avcli.acoustics.images import NEAREST_M, SINGLE_DB, DelaySpectrum, Images, at_once, audible, image_microphones
 from avcli.acoustics.noise import diffuse_noise
-from avcli.acoustics.surroundings import MARGIN, MOTION_STEP_S, STRIDE_M, Surroundings
+from avcli.acoustics.surroundings import MOTION_STEP_S, STRIDE_M, Surroundings
 from avcli.materials.decay import energy_decay, scattered_energy
 from avcli.numeric import fft_length
 
 TAIL_REFERENCE_S = 0.01
 """s; the level of the noise that continues the images is that of their last part of this length (as in gpuRIR)."""
+
+TAPS, LONGEST_TAPS = 48, 400
+"""samples before and after an impulse that a low pass spreads it to, and the most of them."""
+
+
+@dataclass(frozen=True)
+class Lowpass:
+    """A low pass that is short in time, a Kaiser-windowed sinc (J. F. Kaiser, 1974): blocks join without a trace.
+
+    Attributes:
+        every: of so many samples of the signal one is needed: the low pass fills in the others.
+        taps: samples before and after an impulse that it spreads it to, and no further.
+        edge: frequency above which nothing is left, cycles a sample.
+        transition: width in which it falls to that, cycles a sample.
+        attenuation: dB.
+    """
+
+    every: int
+    taps: int
+    edge: float
+    transition: float
+    attenuation: float
+
+    def spectrum(self, length: int) -> np.ndarray:
+        """Return its spectrum for a transform of a length, (length // 2 + 1,)."""
+        taps = np.arange(-self.taps, self.taps + 1)
+        cutoff, above = self.edge - self.transition / 2, self.attenuation
+        beta = 0.1102 * (above - 8.7) if above > 50 else 0.5842 * (above - 21) ** 0.4
+        response = np.zeros(length)
+        response[taps] = 2 * cutoff * np.sinc(2 * cutoff * taps) * np.kaiser(len(taps), beta)
+        return np.fft.rfft(response).real
+
+
+def lowpass(band: float, error_db: float, most: int = 4) -> Lowpass:
+    """Return the low pass for a signal of a band, cycles a sample, at an error, dB.
+
+    A signal that is bounded to a quarter of the sample rate is told by every other sample; between its band and the
+    image of it that this leaves, the low pass must fall. It is as long as that takes.
+
+    Args:
+        band: the highest frequency that the signal holds, cycles a sample.
+        error_db: dB.
+        most: every so many samples at most one is needed.
+    """
+    attenuation = 10 - error_db
+    steepness = (attenuation - 7.95) / (14.36 * 2)  # transition and taps have a product
+    for every in range(most, 1, -1):
+        room = 1 / every - 2 * band
+        if room * LONGEST_TAPS >= steepness:
+            taps = max(TAPS, int(np.ceil(steepness / room)))
+            return Lowpass(every, taps, band + steepness / taps, steepness / taps, attenuation)
+    return Lowpass(1, TAPS, min(0.5, band + steepness / TAPS), steepness / TAPS, attenuation)
 
 
 class Responses:
@@ -19,8 +75,8 @@ class Responses:
 
     Args:
         surroundings: the room and the microphones.
-        length: samples of the transform, at least surroundings.longest_delay + 2 MARGIN.
-        band: highest frequency that the signal holds, cycles a sample.
+        length: samples of the transform, at least surroundings.longest_delay and the margin twice.
+        lowpass: what the responses are filtered with; None: nothing.
         error_db: numerical error, dB.
         rng: draws the noise that continues the images; None: without.
         fresh: draw it anew for each position and microphone, as gpuRIR does; otherwise it stays the same, as in a
@@ -28,6 +84,8 @@ class Responses:
 
     Attributes:
         bins: number of bins that a spectrum has.
+        margin: samples before and after an impulse that its band-limited form may spread to.
+        dtype: of a spectrum; it is in single precision where the error allows it.
         bounded: whether the source has been nearer than NEAREST_M to a microphone, which hears it as at that distance.
     """
 
@@ -35,17 +93,18 @@ class Responses:
         self,
         surroundings: Surroundings,
         length: int,
-        band: float,
+        lowpass: Lowpass | None,
         error_db: float,
         rng: np.random.Generator | None = None,
         fresh: bool = False,
     ):
         self._surroundings, self._length, self._rng, self._fresh = surroundings, length, rng, fresh
         self._error_db = error_db
-        lowpass, edge = _lowpass(length, band, error_db)
-        self._spectrum = DelaySpectrum(length, edge, error_db)
+        self._spectrum = DelaySpectrum(length, lowpass.edge if lowpass else 0.5, error_db)
         self.bins = self._spectrum.bins
-        self._lowpass = lowpass[: self.bins]
+        self.margin = surroundings.spread + (lowpass.taps if lowpass else 0)
+        self.dtype = np.dtype(np.complex64 if error_db > SINGLE_DB else np.complex128)
+        self._lowpass = lowpass.spectrum(length)[: self.bins] if lowpass else 1.0
         self._chosen_at: tuple[np.ndarray, np.ndarray] | None = None  # source, microphones
         self._images: list[Images] = []
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
@@ -72,24 +131,32 @@ class Responses:
             self._of_bands = spectra_of_bands(length, self.bins, surroundings.sample_rate_hz)
             self._used = np.flatnonzero(np.abs(self._of_bands).max(axis=1) > 1e-3)
 
-    def at(self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> np.ndarray:
-        """Return the spectra of the responses, delayed by MARGIN, (m, bins) complex128.
+    @property
+    def at_once(self) -> int:
+        """For how many places it is best to ask at once."""
+        return max(1, at_once(self._length) // (len(self._surroundings.microphones_m) * len(self._used)))
+
+    def at(self, places: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> np.ndarray:
+        """Return the spectra of the responses at n places of the source, delayed by the margin: (n, m, bins).
 
         Args:
-            position: (3,) m.
-            heading: (3,) unit vector in which the source looks.
-            microphones: (k, m, 3) m, where they are from now on; see `Surroundings.microphones_from`.
+            places: position, (3,) m, heading, a unit vector in which the source looks, and where the microphones are
+                from then on, (k, m, 3) m; see `Surroundings.microphones_from`. Each is not far from the one before.
         """
-        impulses = self.impulses(position, heading, microphones)
-        for delays, _ in impulses:
-            delays += self._surroundings.margin
-        spectra = self.joined(self._spectrum(impulses))
-        if self._rng is not None and (self._continued or self._scatters):
-            if self._tail is None or self._fresh:
-                self._tail = self.noise(position, microphones[0], self._rng)
-            spectra += self._tail
-        spectra *= self._lowpass
-        return spectra
+        impulses, tails = [], []
+        for position, heading, microphones in places:
+            of_place = self.impulses(position, heading, microphones)
+            for delays, _ in of_place:
+                delays += self.margin
+            impulses += of_place
+            if self._rng is not None and (self._continued or self._scatters):
+                if self._tail is None or self._fresh:
+                    self._tail = self.noise(position, microphones[0], self._rng)
+                tails.append(self._tail)
+        spectra = self.joined(self._spectrum(impulses)).reshape(len(places), -1, self.bins)
+        if tails:
+            spectra += tails
+        return np.multiply(spectra, self._lowpass, dtype=self.dtype, casting="same_kind")
 
     def impulses(
         self, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray
@@ -104,20 +171,30 @@ class Responses:
             microphones: (k, m, 3) m, where they are from now on.
         """
         now = microphones[0]
-        if self._chosen_at is None or _apart(position, self._chosen_at[0]) + _apart(now, self._chosen_at[1]) > STRIDE_M:
+        if self._chosen_at is None or self._gone(position, now) > STRIDE_M:
             self._chosen_at = position, now
             self._walls, self._tail = [], None
             self._images = [self._choose(microphone, position, heading, now) for microphone in range(len(now))]
-        moved = microphones - self._chosen_at[1]
+        moved = microphones - self._chosen_at[1] if any(self._surroundings.trajectories) else None
         impulses = []
         for microphone, images in enumerate(self._images):
-            delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, moved[:, microphone])
+            by = None if moved is None else moved[:, microphone]
+            delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, by)
             if self._surroundings.bands is None:
                 impulses.append((delays, amplitudes))
                 continue
             gains = self._walls[microphone] if towards is None else self._walls[microphone] * towards[:, self._used]
             impulses += [(delays.copy(), of_band) for of_band in gains.T * amplitudes]
         return impulses
+
+    def _gone(self, position: np.ndarray, microphones: np.ndarray) -> float:
+        """Return how far source and microphones are from where the images were chosen, m."""
+        assert self._chosen_at is not None
+        source, before = self._chosen_at
+        gone = math.dist(position, source)
+        if any(self._surroundings.trajectories):
+            gone += float(np.linalg.norm(microphones - before, axis=-1).max())
+        return gone
 
     def joined(self, spectra: np.ndarray) -> np.ndarray:
         """Return the spectra of the microphones, (m, bins), from those of `impulses`."""
@@ -127,7 +204,7 @@ class Responses:
         return np.einsum("mkb,kb->mb", by_band, self._of_bands[self._used, : spectra.shape[1]])
 
     def noise(self, position: np.ndarray, microphones: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return the spectra of what is heard beside the images, delayed by MARGIN, (m, bins), after `impulses`.
+        """Return the spectra of what is heard beside the images, delayed by the margin, (m, bins), after `impulses`.
 
         It is the sound that walls have scattered, and what continues the images.
 
@@ -148,7 +225,7 @@ class Responses:
         noise = noise * (np.arange(noise.shape[1]) > begins[:, None])
         tail = np.zeros((len(microphones), self._length))
         for band, envelope in zip(self._used, envelopes, strict=True):
-            tail[:, s.margin :][:, : noise.shape[1]] = noise * envelope
+            tail[:, self.margin :][:, : noise.shape[1]] = noise * envelope
             late += np.fft.rfft(tail)[:, : self.bins] * self._of_bands[band]
         return late
 
@@ -194,7 +271,7 @@ class Responses:
                     envelope = np.exp(-3 * np.log(10) / s.rt60_s * times)
                 else:
                     envelope = np.sqrt(self._decay(band, np.arange(count) / s.sample_rate_hz))
-                tail[:, self._tail_begin + s.margin :][:, :count] = envelope * noise
+                tail[:, self._tail_begin + self.margin :][:, :count] = envelope * noise
                 self._noise[band] = np.fft.rfft(tail)[:, : self.bins]
                 if s.bands is not None:
                     self._noise[band] *= self._of_bands[band]
@@ -220,7 +297,7 @@ class Responses:
                 images.orders(s.room_dimensions_m, microphones[microphone]), images.distances(position)
             )
             images = Images(images.positions, np.sign(images.gains), images.mirrored)
-        delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, np.zeros((1, 3)))
+        delays, amplitudes, towards = self._arrivals(microphone, images, position, heading, None)
         heard = gains if towards is None else gains * towards
         if self._continued:
             last = delays > self._tail_begin - self._last
@@ -235,18 +312,18 @@ class Responses:
         return images.in_precision_for(self._error_db)
 
     def _arrivals(
-        self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray
+        self, microphone: int, images: Images, position: np.ndarray, heading: np.ndarray, moved: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return delays and amplitudes of images whose microphone has moved, (k, 3) m, since they were chosen.
+        """Return delays and amplitudes of images whose microphone has moved, (k, 3) m, since they were chosen, or not.
 
         The third is the source's gain towards them in bands, (n, 8); None where it is the same all around.
         """
         s = self._surroundings
         receding: np.ndarray | float = 0.0
-        if (moved != moved[0]).any():
+        if moved is not None and (moved != moved[0]).any():
             images, distances, receding = images.at_arrival(position, moved, MOTION_STEP_S * s.speed_of_sound_m_s)
         else:
-            images = images.moved(moved[0]) if moved[0].any() else images
+            images = images if moved is None else images.moved(moved[0])
             distances = images.distances(position)
         self.bounded |= bool((distances < NEAREST_M).any())
         amplitudes = images.amplitudes(distances)
@@ -275,10 +352,6 @@ def _of_all_directions(a: ArrayLike) -> np.ndarray:
     return pattern**2 + (1 - pattern) ** 2 / 3
 
 
-def _apart(here: np.ndarray, there: np.ndarray) -> float:
-    return float(np.linalg.norm(here - there, axis=-1).max())
-
-
 def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np.ndarray:
     """Return the impulse responses of the microphones to a source at each of k positions, (k, m, n) float64.
 
@@ -293,29 +366,12 @@ def impulse_responses(surroundings: Surroundings, positions_m: np.ndarray) -> np
     distinct, copies = np.unique(positions_m, axis=0, return_inverse=True)
     responses = np.empty((len(distinct), len(surroundings.microphones_m), samples))
     scatters = surroundings.bands is not None and surroundings.bands.scattering is not None
-    images = Responses(surroundings, spectrum.length, 0.5, -60.0, np.random.default_rng(0) if scatters else None)
+    images = Responses(surroundings, spectrum.length, None, -60.0, np.random.default_rng(0) if scatters else None)
     for response, position in zip(responses, distinct, strict=True):
         impulses = images.impulses(position, np.array([1.0, 0.0, 0.0]), surroundings.microphones_m[None])
         spectra = images.joined(spectrum(impulses))
         response[:] = np.fft.irfft(spectra, spectrum.length)[:, :samples]
         if scatters:
             late = images.noise(position, surroundings.microphones_m, np.random.default_rng(0))
-            response += np.fft.irfft(late, spectrum.length)[:, surroundings.margin :][:, :samples]
+            response += np.fft.irfft(late, spectrum.length)[:, images.margin :][:, :samples]
     return responses[copies.ravel()]
-
-
-def _lowpass(length: int, band: float, error_db: float) -> tuple[np.ndarray, float]:
-    """Return the spectrum of a low pass that is short in time, (length // 2 + 1,), and its edge, cycles a sample.
-
-    It is a Kaiser-windowed sinc (J. F. Kaiser, 1974): an impulse between samples spreads over ±MARGIN samples and no
-    further, so that blocks join without a trace.
-    """
-    attenuation = 10 - error_db
-    transition = (attenuation - 7.95) / (14.36 * 2 * MARGIN)
-    edge = min(0.5, band + transition)
-    taps = np.arange(-MARGIN, MARGIN + 1)
-    cutoff = edge - transition / 2
-    beta = 0.1102 * (attenuation - 8.7) if attenuation > 50 else 0.5842 * (attenuation - 21) ** 0.4
-    response = np.zeros(length)
-    response[taps] = 2 * cutoff * np.sinc(2 * cutoff * taps) * np.kaiser(len(taps), beta)
-    return np.fft.rfft(response).real, edge

@@ -5,6 +5,8 @@ are spaced in distance, not in time: a spacing below c / (2 f) is enough at ever
 needs one node.
 """
 
+import bisect
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +36,11 @@ class Interpolation:
 
     STEPS = 1024
 
+    @functools.cached_property
+    def _steps(self) -> np.ndarray:
+        """What the kernel changes by from each place of the table to the next."""
+        return np.append(np.diff(self.table), 0.0)
+
     @property
     def window_s(self) -> float:
         """Length of the window of a node at 1 m/s, s."""
@@ -50,10 +57,13 @@ class Interpolation:
 
     def weights(self, places: np.ndarray) -> np.ndarray:
         """Return the weights at places relative to a node, (n,) in units of the spacing: (n,)."""
-        cells = np.clip((places + self.half_width) * self.STEPS, 0.0, len(self.table) - 1.0)
-        below = np.minimum(cells.astype(np.intp), len(self.table) - 2)
+        cells = (places + self.half_width) * self.STEPS
+        np.maximum(np.minimum(cells, len(self.table) - 1.0, out=cells), 0.0, out=cells)
+        below = cells.astype(np.intp)
         cells -= below
-        return self.table[below] + cells * (self.table[below + 1] - self.table[below])
+        cells *= self._steps.take(below)
+        cells += self.table.take(below)
+        return cells
 
 
 def interpolation(
@@ -93,13 +103,14 @@ def interpolation(
     bands = np.linspace(0.0, frequencies.max(initial=0.0) or 1.0, 2049)
     power = np.histogram(frequencies, bands, weights=power)[0]
     frequencies = (bands[1:] + bands[:-1]) / 2
-    spacing = 0.25
-    while power.sum() > 0 and spacing > 1e-4:
+    spacings = 0.25 * 0.97 ** np.arange(258)
+
+    def is_close_enough(spacing: float) -> bool:
         lost = np.sum(power * np.interp(frequencies * spacing / speed_of_sound_m_s, turns, errors))
-        if lost <= allowed:
-            break
-        spacing *= 0.97
-    return Interpolation(spacing, half_width, kernel)
+        return bool(lost <= allowed)
+
+    chosen = bisect.bisect_left(spacings, True, hi=len(spacings) - 1, key=is_close_enough)
+    return Interpolation(float(spacings[chosen]), half_width, kernel)
 
 
 @dataclass(frozen=True)

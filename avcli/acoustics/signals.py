@@ -3,6 +3,9 @@
 A sample of 1.0 is 1 Pa at a microphone, and a source signal s is heard at r metres as s / (4π r).
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from avcli.formats.media import Sound
@@ -92,6 +95,22 @@ def source_signal(recording: Sound, sample_rate_hz: int, level_db_spl: float) ->
     return at_level(resample(mono, recording.sample_rate_hz, sample_rate_hz), sample_rate_hz, level_db_spl)
 
 
+class SourceSignals(Sequence[np.ndarray]):
+    """The source signals of recordings, each made when it is first asked for; see `source_signal`."""
+
+    def __init__(self, recordings: Sequence[Sound], sample_rate_hz: int, level_db_spl: float):
+        self._recordings, self._rate, self._level = recordings, sample_rate_hz, level_db_spl
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._recordings)
+
+    def __getitem__(self, number: Any) -> Any:
+        if number not in self._made:
+            self._made[number] = source_signal(self._recordings[number], self._rate, self._level)
+        return self._made[number]
+
+
 def recording_faults(recording: Sound) -> list[str]:
     """Return what is unusual about a recording for a voice, as ends of sentences that begin with its name."""
     faults = []
@@ -111,9 +130,8 @@ def power_spectrum(signal: np.ndarray, sample_rate_hz: float) -> tuple[np.ndarra
     return np.abs(np.fft.rfft(signal)) ** 2, np.fft.rfftfreq(len(signal), 1 / sample_rate_hz)
 
 
-def bandwidth(signal: np.ndarray, sample_rate_hz: float, error_db: float) -> float:
-    """Return the frequency, Hz, above which a signal holds less than an error (dB) of its power."""
-    power, frequencies = power_spectrum(signal, sample_rate_hz)
+def bandwidth(power: np.ndarray, frequencies: np.ndarray, error_db: float) -> float:
+    """Return the frequency, Hz, above which a power spectrum holds less than an error (dB) of its power."""
     rest = np.cumsum(power[::-1])[::-1]
     above = np.flatnonzero(rest > 10 ** (error_db / 10) * rest[0]) if len(rest) else np.zeros(0, int)
     return float(frequencies[above[-1]]) if len(above) else 0.0
@@ -141,7 +159,7 @@ class Voice:
             return np.zeros(count)
         if not self._speaking:
             self._place = 0
-        sound = self._cycle[(self._place + np.arange(count)) % len(self._cycle)]
+        sound = self._cycle.take(np.arange(self._place, self._place + count), mode="wrap")
         self._place = (self._place + count) % len(self._cycle)
         if not speaking:
             fade = min(self._fade, count)

@@ -7,6 +7,7 @@ import numpy as np
 
 from avcli.acoustics.delayline import DirectSource
 from avcli.acoustics.moving import MovingSource, first_sample
+from avcli.acoustics.responses import LONGEST_TAPS
 from avcli.acoustics.sampling import Interpolation, Switching, interpolation
 from avcli.acoustics.signals import (
     FADE_S,
@@ -140,7 +141,7 @@ class Speakers:
         if self._finished:
             return np.inf
         now = -np.inf if self.time is None else first_sample(self.time, self._surroundings.sample_rate_hz)
-        return min([now - self._surroundings.margin, *(source.settled for _, source in self._sources)])
+        return min([now - self._surroundings.spread - LONGEST_TAPS, *(source.settled for _, source in self._sources)])
 
     @property
     def bounded(self) -> bool:
@@ -188,16 +189,16 @@ class Speakers:
 
     def _meet(self, identity: int) -> _Person:
         rate, voice = self._surroundings.sample_rate_hz, self._voices[identity % len(self._voices)]
+        power, frequencies = power_spectrum(voice, rate)
         sampling: Interpolation | Switching
         if self._switch_s is not None:
             sampling = Switching(self._switch_s)
         else:
-            power, frequencies = power_spectrum(voice, rate)
             sampling = interpolation(power, frequencies, self._error_db - 5, self._surroundings.speed_of_sound_m_s)
         return _Person(
             voice=Voice(voice, rate, self._pause_s),
             sampling=sampling,
-            band=bandwidth(voice, rate, self._error_db - 10) / rate,
+            band=bandwidth(power, frequencies, self._error_db - 10) / rate,
             quiet=active_level(voice, rate) * 10 ** (QUIET_DB / 20),
         )
 

@@ -22,8 +22,6 @@ from avcli.materials.decay import LEAST_ABSORBED, MIDDLE, air_loss, contents_los
 from avcli.numeric import SPEED_OF_SOUND_M_S
 from avcli.settings import DEFAULT_RT60_S, settings_of
 
-MARGIN = 48
-"""samples before and after an impulse that its form may spread to where all frequencies are absorbed alike."""
 STRIDE_M = 0.75
 """m; the audible images are chosen anew after source and microphones have moved by this much."""
 MOTION_STEP_S = 0.001
@@ -88,9 +86,9 @@ class Surroundings:
         return self.sample_rate_hz / self.speed_of_sound_m_s
 
     @property
-    def margin(self) -> int:
-        """Samples before and after an impulse that its band-limited form may spread to."""
-        return MARGIN if self.bands is None else MARGIN + reach_samples(self.sample_rate_hz)
+    def spread(self) -> int:
+        """Samples before and after an impulse that the octave bands may spread it to."""
+        return 0 if self.bands is None else reach_samples(self.sample_rate_hz)
 
     @property
     def tail_s(self) -> float:
@@ -126,6 +124,8 @@ class Surroundings:
 
         There is one position for every MOTION_STEP_S; k is 1 where no microphone ever moves.
         """
+        if not any(self.trajectories):
+            return self.microphones_m[None]
         count = int(np.ceil(self.longest_delay / self.sample_rate_hz / MOTION_STEP_S)) + 2
         return self.microphones_at(time_s + MOTION_STEP_S * np.arange(count))
 

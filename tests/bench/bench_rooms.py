@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from avcli.acoustics.bands import BANDS_HZ
-from avcli.acoustics.responses import Responses
+from avcli.acoustics.responses import Responses, lowpass
 from avcli.acoustics.settings import Settings
 from avcli.acoustics.surroundings import surroundings_of
 from avcli.formats.experiment import Config
@@ -104,15 +104,16 @@ def rows_of(kind: str, seed: int, options: argparse.Namespace) -> list[dict[str,
     assert bands is not None
     rng, found = np.random.default_rng(seed), []
     places, microphones = [], []
-    length = fft_length(around.longest_delay + 2 * around.margin)
+    filtered = lowpass(0.5, ERROR_DB)
+    length = fft_length(around.longest_delay + 2 * (filtered.taps + around.spread))
     for number in range(options.pairs):
         place, first = rng.uniform(0.4, size - 0.4, (2, 3))
         away = np.append(rng.normal(size=2), 0.0)
         two = np.array([first, first + APART_M * away / np.linalg.norm(away)])
         here = replace(around, microphones_m=two, directivities=None, orientations=None)
-        responses = Responses(here, length, 0.5, ERROR_DB, np.random.default_rng(number))
-        spectra = responses.at(place, np.array([1.0, 0.0, 0.0]), two[None])
-        found.append(np.fft.irfft(spectra, length)[:, around.margin :][:, : around.longest_delay])
+        responses = Responses(here, length, filtered, ERROR_DB, np.random.default_rng(number))
+        spectra = responses.at([(place, np.array([1.0, 0.0, 0.0]), two[None])])[0]
+        found.append(np.fft.irfft(spectra, length)[:, responses.margin :][:, : around.longest_delay])
         places.append(place.tolist())
         microphones.append(two.tolist())
     stated = config.room.reverberation_time_s
