@@ -318,6 +318,12 @@ def test_far_boards_leave_the_shift_of_the_centre_to_what_is_known_before():
     assert abs(solution.pupil) < 3 * fit.PUPIL * BOARD.square_m
 
 
+def test_a_lens_that_went_astray_states_no_error():
+    astray = uncertainty.Views(np.full((5, 3, 3), np.eye(3)), np.full((5, 3), 1e300), np.ones(5), np.full(5, 70.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert np.isinf(uncertainty.covariance(astray)).all()
+
+
 def test_what_no_lens_model_has_is_told():
     o = near(70, 20, pupil=0.002, shared=0.05)
     whole, good = robust.fit_robustly(o, *WIDE_SIZE)

@@ -89,7 +89,7 @@ def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
             together; None: of these views alone, their number less one.
 
     Returns:
-        infinite where there are no residuals to spare.
+        infinite where there are no residuals to spare, or where there are no numbers.
     """
     count = views.score.shape[-2]
     known = np.isfinite(views.variance)
@@ -112,6 +112,8 @@ def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
         along = root * _times(turn, rest)
     drawn = _times(axes, along)
     spread = _turned(drawn) @ drawn * student(count - 1 if freedom is None else freedom)
+    known = known & np.isfinite(spread).all((-2, -1))  # a lens that went astray may have left no numbers
+    spread = np.where(known[..., None, None], spread, 0.0)
     size, direction = np.linalg.eigh(spread)
     spread = direction * np.maximum(size, variance[..., None])[..., None, :] @ _turned(direction)
     return np.where(known[..., None, None], _symmetric(to_unit @ spread @ _turned(to_unit)), np.inf)
