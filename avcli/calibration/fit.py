@@ -32,6 +32,8 @@ BOARD_ERROR = 0.01
 PUPIL = 0.1
 """Standard deviation of the pupil, in squares, before anything is seen. That of seven real lenses is 0.014 to 0.13
 squares (examples/benchmarks/lenses.md)."""
+_HAS_A_SAY = 0.1
+"""Part of PUPIL: where the views tell the pupil better, what is known before weighs less than 1 % beside them."""
 _BEGUN = 16
 """Corners of each view at most with which a fit begins."""
 _SCANNED = 8
@@ -137,7 +139,8 @@ class Solution:
         sigma_px: standard deviation of a common corner's error along one axis.
         delta_px: residual beyond which a corner counts less (Huber).
         doubt: how many times larger the standard deviation is with which the views tell the pupil, than if the error
-            of each corner were its own. What is known of it before weighs so much more beside the corners.
+            of each corner were its own. What is known of it before weighs so much more beside the corners. 1 where that
+            has no say.
         like: any lens of the model that is fitted.
     """
 
@@ -642,14 +645,16 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
     solution = start
     for gain in (1e-5, 1e-8):
         solution = refine(observations, solution, free, _delta(observations, solution), 40, gain)
-        if gain == 1e-5:
-            solution = replace(solution, doubt=_doubt(observations, solution))
     spread, sigma = covariance(observations, solution)
+    if spread[-1, -1] > (_HAS_A_SAY * PUPIL * observations.square) ** 2:
+        solution = replace(solution, doubt=_doubt(observations, solution))
+        solution = refine(observations, solution, free, solution.delta_px, 40)
+        spread, sigma = covariance(observations, solution)
     return replace(solution, covariance=spread, sigma_px=sigma)
 
 
 def _doubt(observations: Observations, solution: Solution) -> float:
-    """`Solution.doubt` of a fit that stands, or nearly: by views, over that of independent corners."""
+    """`Solution.doubt` of a fit that stands: by views, over that of independent corners."""
     views = by_view(observations, replace(solution, doubt=1.0)).views
     known, least = uncertainty.covariance(views)[-1, -1], uncertainty.noise(views)[-1, -1]
     return float(np.sqrt(known / least)) if np.isfinite(known) and least > 0 else 1.0
