@@ -32,6 +32,7 @@ SAMPLES: dict[str, Lens] = {
     "kannala_brandt": FISHEYE,
     "brown_conrady": ORDINARY,
     "fisheye not centred": TangentialKannalaBrandt(600, 601, 955, 540, 0.02, -0.003, 1e-3, -2e-4, p1=8e-4, p2=-5e-4),
+    "fisheye behind a prism": TangentialKannalaBrandt(600, 601, 955, 540, 0.02, -0.003, 0, 0, 8e-4, -5e-4, 2e-3, -1e-3),
     "rational": LENSES["rational"](900, 901, 955, 540, 0.3, 0.05, 0.01, 0.6, 0.12, 0.02, 1e-3, -2e-3),
     "double_sphere": LENSES["double_sphere"](600, 601, 955, 540, -0.2, 0.6),
     "eucm": LENSES["eucm"](800, 801, 955, 540, 0.6, 1.1),
@@ -45,6 +46,7 @@ EXACT = {
     "eucm": {"kalibr"},
     "ucm": {"kalibr"},
     "fisheye not centred": {"colmap"},
+    "fisheye behind a prism": {"colmap"},
 }
 TOOLS = [name for name in exchange.FORMATS if name != "avcli"]
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, THESIS, exact, film, photograph
+from calibration_boards import BOARD, THESIS, exact, field_error, film, photograph
 from test_calibration_corners import HALF, HALF_SIZE
 
-from avcli.calibration import calibrate, choose, corners, fit, gather, robust
+from avcli.calibration import calibrate, choose, corners, fit, gather, quality, robust
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
 from avcli.formats.media import MediaError, write_png
@@ -104,7 +104,7 @@ TRUE = {
     "double_sphere": DoubleSphere(700.0, 703.0, 951.0, 548.0, -0.2, 0.59),
     "eucm": ExtendedUnified(860.0, 863.0, 951.0, 548.0, 0.62, 1.1),
     "ucm": Unified(860.0, 863.0, 951.0, 548.0, 0.6),
-    "kannala_brandt+tangential": TangentialKannalaBrandt(*THESIS.parameters, 1e-3, -5e-4),
+    "kannala_brandt+tangential": TangentialKannalaBrandt(*THESIS.parameters, 1e-3, -5e-4, 2e-3, 1e-3),
     "brown_conrady+tangential": TangentialBrownConrady(1400.0, 1403.0, 951.0, 548.0, -0.12, 0.03, 0.0, 0.0, 1e-3, 5e-4),
 }
 
@@ -147,6 +147,27 @@ def test_the_config_names_the_model_that_was_fitted(shots):
     assert found.camera_config()["lens_model"] == "brown_conrady"
     assert isinstance(found.lens, BrownConrady)
     assert isinstance(calibrate.calibrate(shots, settings=FitSettings(board_shape="no")).lens, KannalaBrandt)
+
+
+def test_a_lens_behind_a_tilted_window_gets_a_prism_unless_a_model_is_asked_for():
+    size = (480, 360)
+    lens = TangentialKannalaBrandt(190.0, 190.5, 238.0, 181.0, 0.1, 0.03, 0.0, 0.0, 0.013, 0.004, -0.009, -0.03)
+    rng = np.random.default_rng(2)
+    filmed = film(12, rng, lens=lens, size=size)
+    pictures = [
+        photograph(R, t, rng, lens=lens, size=size, oversample=2)
+        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+    ]
+    found = calibrate.calibrate(pictures, board=(6, 8))
+    assert type(found.lens) is TangentialKannalaBrandt
+    assert [one.name for one in found.tried] == [choose.NEXT, choose.START]
+    assert "describe" not in found.verdict
+    assert field_error(found.lens, lens, size)[0] < 0.1
+    plain = calibrate.calibrate(pictures, board=(6, 8), settings=FitSettings(lens_model="kannala_brandt"))
+    assert type(plain.lens) is KannalaBrandt
+    assert not plain.tried
+    assert plain.quality.missed > quality.MISSED_LIMIT > found.quality.missed
+    assert found.held_out.rms_px < 0.5 * plain.held_out.rms_px
 
 
 def test_an_unknown_model_names_the_known_ones(shots):

@@ -318,6 +318,30 @@ def test_far_boards_leave_the_shift_of_the_centre_to_what_is_known_before():
     assert abs(solution.pupil) < 3 * fit.PUPIL * BOARD.square_m
 
 
+def test_what_is_known_of_the_centre_weighs_more_where_views_disagree():
+    rng = np.random.default_rng(4)
+    o = exact(film(12, rng, distance=(2.0, 3.0), whole=False, tilt=0.2), noise=0.05, rng=rng)
+    u, v = (o.points / o.half_extent).T
+    bends = 0.5 * rng.standard_normal((12, 5, 2))
+    bent = np.einsum("nb,nbi->ni", np.stack([u, v, u * u, u * v, v * v], -1), bends[o.view])
+    o = replace(o, pixels=o.pixels + bent)
+    solution = fit.fit(o, fit.scan_focal(o, 1920, 1080))
+    alone = fit.by_view(o, replace(solution, doubt=1.0)).views
+    assert solution.doubt == pytest.approx(
+        np.sqrt(uncertainty.covariance(alone)[-1, -1] / uncertainty.noise(alone)[-1, -1]), rel=0.1
+    )
+    assert solution.doubt > 2
+    known = fit.PUPIL * BOARD.square_m
+    assert np.sqrt(solution.covariance[-1, -1]) < 1.5 * known < np.sqrt(uncertainty.covariance(alone)[-1, -1])
+    assert abs(solution.pupil) < fit.PUPIL * BOARD.square_m
+
+
+def test_a_lens_that_went_astray_states_no_error():
+    astray = uncertainty.Views(np.full((5, 3, 3), np.eye(3)), np.full((5, 3), 1e300), np.ones(5), np.full(5, 70.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert np.isinf(uncertainty.covariance(astray)).all()
+
+
 def test_what_no_lens_model_has_is_told():
     o = near(70, 20, pupil=0.002, shared=0.05)
     whole, good = robust.fit_robustly(o, *WIDE_SIZE)

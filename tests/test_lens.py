@@ -66,6 +66,8 @@ EQUAL_AREA = Equisolid(600.0, 600.0, 960.0, 540.0)
 BENT_AREA = Equisolid(600.0, 610.0, 960.0, 540.0, -0.05, 0.01)
 ASKEW = TangentialKannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006, 1e-3, -5e-4)
 SKEWED = TangentialKannalaBrandt(500.0, 510.0, 960.0, 540.0, -0.02, 0.0, 0.0, 0.0, 0.004, 0.006)
+PRISM = TangentialKannalaBrandt(390.0, 391.0, 955.0, 545.0, 0.1, 0.03, 0.0, 0.0, 0.013, 0.004, -0.009, -0.03)
+FOLDED = replace(PRISM, k1=-0.1, k2=-0.02)
 OPENCV5 = TangentialBrownConrady(800.0, 790.0, 950.0, 530.0, -0.25, 0.08, -0.02, 0.003, 1e-3, 2e-3)
 OPENCV8 = Rational(900.0, 905.0, 955.0, 545.0, 0.4, 0.03, 0.001, 0.6, 0.1, 0.005, 1e-3, -8e-4)
 UNTURNED = Rational(900.0, 905.0, 955.0, 545.0, 0.4, 0.03, 0.001, 0.6, 0.1, 0.005)
@@ -75,7 +77,7 @@ FLAT = Unified(700.0, 702.0, 955.0, 545.0, 0.2)
 EXTENDED = ExtendedUnified(700.0, 702.0, 955.0, 545.0, 0.62, 1.1)
 DOUBLE = DoubleSphere(500.0, 502.0, 955.0, 545.0, -0.2, 0.59)
 FAR = DoubleSphere(700.0, 702.0, 955.0, 545.0, 0.3, 0.45)
-TURNED = [ASKEW, SKEWED, OPENCV5, OPENCV8]
+TURNED = [ASKEW, SKEWED, PRISM, FOLDED, OPENCV5, OPENCV8]
 EXAMPLES = [
     *(REAL, WIDE, BENT, VIRTUAL, BARREL, LISTING, EQUAL_AREA, BENT_AREA, UNTURNED),
     *(STEREOGRAPHIC, ROUND, FLAT, EXTENDED, DOUBLE, FAR, *TURNED),
@@ -315,12 +317,14 @@ term = st.floats(-0.5, 0.5)
     k=st.tuples(*[coefficient] * 4),
     p1=tangential,
     p2=tangential,
+    prism=st.tuples(tangential, tangential),
     over=st.tuples(*[term] * 3),
     under=st.tuples(*[term] * 3),
 )
-def test_any_tangential_terms_give_an_exact_inverse_within_the_field(k, p1, p2, over, under):
+def test_any_tangential_terms_give_an_exact_inverse_within_the_field(k, p1, p2, prism, over, under):
     for lens in (
         TangentialKannalaBrandt(500.0, 510.0, 100.0, 50.0, *k, p1, p2),
+        TangentialKannalaBrandt(500.0, 510.0, 100.0, 50.0, *k, p1, p2, *prism),
         TangentialBrownConrady(500.0, 510.0, 100.0, 50.0, *k, p1, p2),
         Rational(500.0, 510.0, 100.0, 50.0, *over, *under, p1, p2),
     ):
@@ -389,14 +393,15 @@ def test_tangential_terms_equal_opencv_and_colmap():
     theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, D)[0][:, 0]
     np.testing.assert_allclose(lens.project(points), theirs, rtol=1e-12, atol=1e-9)
     # THIN_PRISM_FISHEYE: the same terms, of theta times the direction across the axis.
-    x, y, z = rays(np.array([1.3]), np.array([0.7]))[0]
-    u, v = np.array([x, y]) / np.hypot(x, y) * 1.3
-    square = u * u + v * v
-    radial = sum(k * square ** (n + 1) for n, k in enumerate((SKEWED.k1, SKEWED.k2, SKEWED.k3, SKEWED.k4)))
-    du = u * radial + 2 * SKEWED.p1 * u * v + SKEWED.p2 * (square + 2 * u * u)
-    dv = v * radial + 2 * SKEWED.p2 * u * v + SKEWED.p1 * (square + 2 * v * v)
-    expected = [SKEWED.fx * (u + du) + SKEWED.cx, SKEWED.fy * (v + dv) + SKEWED.cy]
-    np.testing.assert_allclose(SKEWED.project([x, y, z]), expected, rtol=0, atol=1e-9)
+    for lens in (SKEWED, PRISM):
+        x, y, z = rays(np.array([1.3]), np.array([0.7]))[0]
+        u, v = np.array([x, y]) / np.hypot(x, y) * 1.3
+        square = u * u + v * v
+        radial = sum(k * square ** (n + 1) for n, k in enumerate(lens.radial_terms))
+        du = u * radial + 2 * lens.p1 * u * v + lens.p2 * (square + 2 * u * u) + lens.sx1 * square
+        dv = v * radial + 2 * lens.p2 * u * v + lens.p1 * (square + 2 * v * v) + lens.sy1 * square
+        expected = [lens.fx * (u + du) + lens.cx, lens.fy * (v + dv) + lens.cy]
+        np.testing.assert_allclose(lens.project([x, y, z]), expected, rtol=0, atol=1e-9)
 
 
 def test_the_unified_model_equals_opencvs_omnidir():
@@ -543,12 +548,12 @@ def test_the_shaders_rays_are_the_lens(lens):
     plane = m = (pixels - values["centre"]) * values["per_px"]
     ray, seen = at(m)
     if "tangent" in values:
-        p, bends_angles = np.array(values["tangent"][:2]), values["tangent"][2]
+        p, a, bends_angles = np.array(values["tangent"][:2]), np.array(values["tangent"][2:]), values["angular"]
         for _ in range(int(shader.specialised("TURNS", values))):
             lateral = np.hypot(ray[:, 0], ray[:, 1])
             s = np.arctan2(lateral, ray[:, 2]) if bends_angles else lateral / ray[:, 2]
             q = m * (s / np.linalg.norm(m, axis=1))[:, None]
-            m = plane - np.sum(q * q, -1)[:, None] * p - 2 * (q @ p)[:, None] * q
+            m = plane - np.sum(q * q, -1)[:, None] * a - 2 * (q @ p)[:, None] * q
             ray, seen = at(m)
     exact = lens.unproject(pixels)
     imaged = np.isfinite(exact[:, 0])

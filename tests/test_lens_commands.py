@@ -17,7 +17,7 @@ SIZE, SMALL = (960, 540), (480, 270)
 MIDDLE = (482.0, 268.0)
 PARAMETERS = {
     "kannala_brandt": (431.0, 431.3, *MIDDLE, -0.0269, -0.0038, 0.0016, -0.0006),
-    "kannala_brandt+tangential": (431.0, 431.3, *MIDDLE, -0.0269, -0.0038, 0.0016, -0.0006, 2e-3, -1e-3),
+    "kannala_brandt+tangential": (431.0, 431.3, *MIDDLE, -0.0269, -0.0038, 0.0016, -0.0006, 2e-3, -1e-3, 3e-3, -2e-3),
     "brown_conrady": (330.0, 331.0, *MIDDLE, -0.1, 0.01, 0.0, 0.0),
     "brown_conrady+tangential": (330.0, 331.0, *MIDDLE, -0.1, 0.01, 0.0, 0.0, 2e-3, -1e-3),
     "division": (340.0, 341.0, *MIDDLE, -0.1, 0.0, 0.0, 0.0),

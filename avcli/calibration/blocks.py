@@ -57,6 +57,8 @@ class Blocks(NamedTuple):
         held: 1 / m², the weight with which `errors` are held at zero.
         prior: (k,), the weight with which each of the common unknowns is held at zero.
         common: (k,), the common unknowns.
+        doubt: (k,), how many times larger the standard deviation is that views tell them with, than if the error of
+            each corner were its own. The weight in `prior` is so many times squared that of a residual.
     """
 
     gram: np.ndarray
@@ -68,6 +70,7 @@ class Blocks(NamedTuple):
     held: float
     prior: np.ndarray
     common: np.ndarray
+    doubt: np.ndarray
 
     def of(self, keep: np.ndarray) -> "Blocks":
         """Some views only: `keep` (views,) bool, or indices."""
@@ -88,6 +91,11 @@ class Blocks(NamedTuple):
     def pull(self) -> np.ndarray:
         """The gradient (k,) of what holds the common unknowns."""
         return -self.prior * self.common
+
+    @property
+    def unsure(self) -> np.ndarray:
+        """The covariance (k, k) of `pull` over the variance of a residual."""
+        return np.diag(self.prior * self.doubt**2)
 
     @property
     def _k(self) -> int:
@@ -172,6 +180,7 @@ class Blocks(NamedTuple):
             freedom=self.counts - POSE,
             prior=np.diag(self.prior),
             pull=self.pull,
+            unsure=self.unsure,
         )
 
     def solved(self) -> tuple[Step, Views]:
@@ -203,6 +212,7 @@ class Blocks(NamedTuple):
             freedom=self.counts - POSE - learned / count,
             own=information - by_place @ spread(by_place),
             prior=self.held * flat.T @ flat + np.diag(self.prior),
+            unsure=self.unsure,
         )
         return step, views
 

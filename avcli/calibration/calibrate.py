@@ -44,7 +44,7 @@ class Calibration:
             corners where the view was not kept.
         quality: the uncertainty: standard deviations, held-out error, expected error over the picture, advice.
         shutter: what a rolling shutter explains.
-        held_out_all_px: held-out RMS of every corner of every view, also of those that the fit did not use.
+        held_out: the error on views that took no part, of every corner of every view.
         flat_px, shaped_px: held-out RMS without and with the board's shape; NaN where not tried, and `shaped_px` only
             foretold (robust.foretold) where that is no better.
         printed_px: held-out RMS with the board's errors (robust.with_board_errors); NaN or foretold likewise.
@@ -60,7 +60,7 @@ class Calibration:
     view_rms_px: np.ndarray
     quality: quality.Quality
     shutter: shutter.Shutter
-    held_out_all_px: float = float("nan")
+    held_out: robust.HeldOut
     flat_px: float = float("nan")
     shaped_px: float = float("nan")
     printed_px: float = float("nan")
@@ -140,7 +140,7 @@ class Calibration:
                 "sd": {key: _finite(sd) for key, sd in zip(lens.keys(), q.sd, strict=False)},
                 "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
                 "inflation": _finite(q.inflation),
-                "held_out_all_px": _finite(self.held_out_all_px),
+                "held_out_all_px": _finite(self.held_out.all_px),
                 "views_used": int(self.kept.sum()),
                 "views_given": len(self.kept),
                 "corners": len(self.observations.pixels),
@@ -216,7 +216,7 @@ def calibrate_views(
         fit.NoFit: there are fewer equations than unknowns, or OpenCV gives up.
         ValueError: the lens model is unknown.
     """
-    if settings.lens_model not in (*variants(), choose.AUTO):
+    if settings.lens_model not in (*variants(), choose.AUTO, None):
         raise ValueError(
             f"unknown lens model {settings.lens_model!r}; known are {', '.join(variants())}, {choose.AUTO}"
         )
@@ -228,7 +228,17 @@ def calibrate_views(
         everything = observe(board, views)
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
         return judged(board, views, everything, solution, kept[everything.view], circle=circle)
-    return _calibrate_robustly(board, views, settings, circle)
+    found = _calibrate_robustly(board, views, settings, circle)
+    if settings.lens_model is None and found.quality.missed > quality.MISSED_LIMIT:
+        try:
+            more = _calibrate_robustly(board, views, replace(settings, lens_model=choose.NEXT), circle)
+        except fit.NoFit:
+            return found
+        both = found.held_out.good & more.held_out.good
+        view = np.repeat(np.arange(len(views)), [len(view.ids) for view in views])
+        tried = choose.compared({choose.START: found.held_out, choose.NEXT: more.held_out}, view, both)
+        found = replace(more if choose.simplest(tried) == choose.NEXT else found, tried=tried)
+    return found
 
 
 @dataclass(frozen=True)
@@ -353,7 +363,7 @@ def judged(
         view_rms_px=rms,
         quality=replace(judgement, refusals=judgement.refusals + moving),
         shutter=measured,
-        held_out_all_px=held_out.all_px,
+        held_out=held_out,
         flat_px=held_out.rms_px,
     )
 

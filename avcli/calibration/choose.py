@@ -1,6 +1,6 @@
 """Which lens model suits a camera: the simplest that pictures held out of the fit cannot tell from the best."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,9 @@ from avcli.lens import Lens, Perspective, variants
 AUTO = "auto"
 """The name, in place of a model's, that asks for the choice."""
 START = "kannala_brandt"
-"""The model that the corners are refined with before the choice."""
+"""The model that is fitted where none is asked for, and that the corners are refined with before the choice."""
+NEXT = "kannala_brandt+tangential"
+"""The model that is fitted as well where none is asked for and START does not describe the lens."""
 _NO_CANDIDATES = ("division",)  # the thesis's virtual lens
 _ALIKE = 1.001
 """Times the RMS of the best up to which a model is as good, however surely it is worse: two models may be one lens."""
@@ -43,9 +45,9 @@ class Tried:
         return self.worse_px2 <= self.worse_sd_px2
 
 
-def first(name: str) -> str:
-    """The model to fit first where `name` is asked for: itself, or START where it is AUTO."""
-    return START if name == AUTO else name
+def first(name: str | None) -> str:
+    """The model to fit first where `name` is asked for: itself, or START where it is AUTO or None."""
+    return START if name in (AUTO, None) else name
 
 
 def choose(
@@ -85,18 +87,25 @@ def choose(
             found[name] = other, error
     if not np.isfinite(held_out.rms_px):  # too few views to hold any out
         return solution, held_out, ()
-    best = min((error for _, error in found.values()), key=lambda error: error.squared[good].sum())
-    view = observations.view[good]
+    tried = compared({name: error for name, (_, error) in found.items()}, observations.view, good)
+    return *found[simplest(tried)], tried
+
+
+def compared(errors: Mapping[str, robust.HeldOut], view: np.ndarray, good: np.ndarray) -> tuple[Tried, ...]:
+    """Compare models by their names on the corners `good` (n,) bool of the views `view` (n,); the best first."""
+    best = min(errors.values(), key=lambda error: error.squared[good].sum())
     tried = []
-    for name, (other, error) in found.items():
-        worse = np.bincount(view, (error.squared - best.squared)[good])[np.unique(view)]
+    for name, error in errors.items():
+        worse = np.bincount(view[good], (error.squared - best.squared)[good])[np.unique(view[good])]
         spread = float(np.sqrt(len(worse)) * worse.std(ddof=1))
-        rms = float(np.sqrt(error.squared[good].mean()))
-        tried.append(Tried(name, len(other.lens.names()), rms, float(worse.sum()), spread))
-    tried.sort(key=lambda one: one.held_out_px)
+        tried.append(Tried(name, len(variants()[name].names()), error.of(good), float(worse.sum()), spread))
+    return tuple(sorted(tried, key=lambda one: one.held_out_px))
+
+
+def simplest(tried: tuple[Tried, ...]) -> str:
+    """The name of the model with the fewest parameters among those that views cannot tell from the best, the first."""
     alike = (one for one in tried if one.is_as_good or one.held_out_px < _ALIKE * tried[0].held_out_px)
-    chosen = min(alike, key=lambda one: (one.parameters, one.held_out_px))
-    return *found[chosen.name], tuple(tried)
+    return min(alike, key=lambda one: (one.parameters, one.held_out_px)).name
 
 
 def _candidates(lens: Lens, observations: fit.Observations) -> Iterator[str]:

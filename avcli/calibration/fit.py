@@ -5,7 +5,9 @@ the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed l
 model of avcli.lens, which names its parameters and gives its own derivatives. Its centre may move: seen at an angle of
 theta (rad) from the axis, a point is seen from `pupil` theta² (m) farther ahead, as the entrance pupil of a wide lens
 does (Gennery 2006 writes it as a series in theta). Whoever takes it for 0 where the pictures do not tell it states too
-small errors: it is always fitted, held at 0 with the standard deviation PUPIL. The fit has six unknowns a view and P
+small errors: it is always fitted, held at 0 with the standard deviation PUPIL. That is weighed against what the views
+tell, which is less than what as many independent corners would: their likelihood is tempered (Holmes and Walker 2017,
+Assigning a value to a power likelihood in a general Bayesian model). The fit has six unknowns a view and P
 common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the
 pupil, always last.
 """
@@ -30,6 +32,8 @@ BOARD_ERROR = 0.01
 PUPIL = 0.1
 """Standard deviation of the pupil, in squares, before anything is seen. That of seven real lenses is 0.014 to 0.13
 squares (examples/benchmarks/lenses.md)."""
+_HAS_A_SAY = 0.1
+"""Part of PUPIL: where the views tell the pupil better, what is known before weighs less than 1 % beside them."""
 _BEGUN = 16
 """Corners of each view at most with which a fit begins."""
 _SCANNED = 8
@@ -134,6 +138,9 @@ class Solution:
         covariance: (P, P) of the parameters, 0 where not fitted; before the end of a fit one NaN.
         sigma_px: standard deviation of a common corner's error along one axis.
         delta_px: residual beyond which a corner counts less (Huber).
+        doubt: how many times larger the standard deviation is with which the views tell the pupil, than if the error
+            of each corner were its own. What is known of it before weighs so much more beside the corners. 1 where that
+            has no say.
         like: any lens of the model that is fitted.
     """
 
@@ -144,6 +151,7 @@ class Solution:
     covariance: np.ndarray = field(default_factory=lambda: np.array(np.nan))
     sigma_px: float = np.nan
     delta_px: float = np.inf
+    doubt: float = 1.0
     like: Lens = field(default_factory=lambda: KannalaBrandt(1.0, 1.0, 0.0, 0.0))
 
     @cached_property
@@ -368,15 +376,17 @@ def blocks(
             second derivatives (Huber and Ronchetti 2009, section 6.3).
     """
     o, free = observations, solution.free
-    prior, common = np.zeros(len(free)), solution.parameters
+    prior, common, doubt = np.zeros(len(free)), solution.parameters, np.ones(len(free))
     if free[-1] and np.isfinite(solution.delta_px):
-        prior[-1] = (solution.delta_px / (DELTA * PUPIL * o.square)) ** 2
-    prior, common = prior[free], common[free]
+        prior[-1] = (solution.doubt * solution.delta_px / (DELTA * PUPIL * o.square)) ** 2
+        doubt[-1] = solution.doubt
+    prior, common, doubt = prior[free], common[free], doubt[free]
     columns = _linearise(o, solution)
     if beside is not None:
         k, count = len(common), beside.shape[2]
         columns = np.concatenate([columns[:, :, :k], beside / o.sigma[:, None, None], columns[:, :, k:]], 2)
         prior, common = np.append(prior, np.full(count, DELTA**-2.0)), np.append(common, np.zeros(count))
+        doubt = np.append(doubt, np.ones(count))
     cost, weight = _huber(columns[:, :, -1], solution.delta_px)
     if used is not None:
         cost, weight = cost * used, weight * used
@@ -399,7 +409,7 @@ def blocks(
         cross[o.view, corner] = turned @ columns
         errors = np.zeros((corners, 3))
         errors[corner] = o.errors
-    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior, common)
+    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior, common, doubt)
 
 
 def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = None) -> Solution:
@@ -636,7 +646,18 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
     for gain in (1e-5, 1e-8):
         solution = refine(observations, solution, free, _delta(observations, solution), 40, gain)
     spread, sigma = covariance(observations, solution)
+    if spread[-1, -1] > (_HAS_A_SAY * PUPIL * observations.square) ** 2:
+        solution = replace(solution, doubt=_doubt(observations, solution))
+        solution = refine(observations, solution, free, solution.delta_px, 40)
+        spread, sigma = covariance(observations, solution)
     return replace(solution, covariance=spread, sigma_px=sigma)
+
+
+def _doubt(observations: Observations, solution: Solution) -> float:
+    """`Solution.doubt` of a fit that stands: by views, over that of independent corners."""
+    views = by_view(observations, replace(solution, doubt=1.0)).views
+    known, least = uncertainty.covariance(views)[-1, -1], uncertainty.noise(views)[-1, -1]
+    return float(np.sqrt(known / least)) if np.isfinite(known) and least > 0 else 1.0
 
 
 def _reseeded(observations: Observations, solution: Solution) -> Solution:

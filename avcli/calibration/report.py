@@ -83,7 +83,7 @@ def _left_out_in_words(result: Calibration, seen: Seen) -> list[str]:
     if some:
         lines.append(
             f"corners that do not fit are left out: {int(result.dropped[some].sum())} in {_listed(seen, some)}; with "
-            f"every corner of every picture the held-out RMS is {result.held_out_all_px:.3f} px"
+            f"every corner of every picture the held-out RMS is {result.held_out.all_px:.3f} px"
         )
     out = list(np.flatnonzero(~result.kept))
     if out:

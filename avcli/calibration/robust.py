@@ -354,7 +354,12 @@ def missed(observations: Observations, solution: Solution, folds: int = 5) -> fl
     part = np.arange(observations.views) % folds
     free, lens = fit.blocks(observations, solution, beside=displaced), int(solution.free.sum())
     keep = np.r_[:lens, -7:0]
-    plain = free._replace(gram=free.gram[:, keep[:, None], keep], prior=free.prior[:lens], common=free.common[:lens])
+    plain = free._replace(
+        gram=free.gram[:, keep[:, None], keep],
+        prior=free.prior[:lens],
+        common=free.common[:lens],
+        doubt=free.doubt[:lens],
+    )
     return 1 - _crossed(free, part) / _crossed(plain, part)
 
 

@@ -80,12 +80,13 @@ class PictureSettings:
 class FitSettings:
     """How the lens is fitted."""
 
-    lens_model: str = setting(
-        "kannala_brandt",
+    lens_model: str | None = setting(
+        None,
         "Lens model to fit, as in config.json. kannala_brandt suits fisheyes, brown_conrady ordinary lenses. "
-        "kannala_brandt+tangential and brown_conrady+tangential also fit p1 and p2. auto: try all models, and take the "
-        "simplest that held-out pictures cannot tell from the best.",
+        "kannala_brandt+tangential and brown_conrady+tangential suit lenses that are not quite centred. auto: try all "
+        "models, and take the simplest that held-out pictures cannot tell from the best.",
         unit="MODEL",
+        default_text="kannala_brandt; +tangential if the pictures show that it is lacking",
         only="avcli",
     )
     procedure: str = setting(

@@ -29,6 +29,7 @@ class Views(NamedTuple):
         prior: (..., p, p), information on the common unknowns that no view brings: it is from how they and those
             others are held; None: there is none.
         pull: (..., p), the gradient of what holds the common unknowns, where it is not in the scores; None: nothing.
+        unsure: (..., p, p), the covariance of `pull` over `variance`; None: there is none.
     """
 
     information: np.ndarray
@@ -38,6 +39,7 @@ class Views(NamedTuple):
     own: np.ndarray | None = None
     prior: np.ndarray | None = None
     pull: np.ndarray | None = None
+    unsure: np.ndarray | None = None
 
     def of(self, keep: np.ndarray) -> "Views":
         """Some views only, which share nothing: `keep` (views,) bool, or indices; of (sets, n) so many sets of n."""
@@ -86,10 +88,11 @@ def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
     Args:
         views: at the solution or near it.
         freedom: degrees of freedom of Student's t, where the result is added to that of other views and both are known
-            together; None: of these views alone, their number less one.
+            together, so that what holds both is no error of their difference; None: of these views alone, their number
+            less one.
 
     Returns:
-        infinite where there are no residuals to spare.
+        infinite where there are no residuals to spare, or where there are no numbers.
     """
     count = views.score.shape[-2]
     known = np.isfinite(views.variance)
@@ -112,6 +115,10 @@ def covariance(views: Views, freedom: float | None = None) -> np.ndarray:
         along = root * _times(turn, rest)
     drawn = _times(axes, along)
     spread = _turned(drawn) @ drawn * student(count - 1 if freedom is None else freedom)
+    if views.unsure is not None and freedom is None:
+        spread = spread + variance[..., None, None] * (_turned(to_unit) @ views.unsure @ to_unit)
+    known = known & np.isfinite(spread).all((-2, -1))  # a lens that went astray may have left no numbers
+    spread = np.where(known[..., None, None], spread, 0.0)
     size, direction = np.linalg.eigh(spread)
     spread = direction * np.maximum(size, variance[..., None])[..., None, :] @ _turned(direction)
     return np.where(known[..., None, None], _symmetric(to_unit @ spread @ _turned(to_unit)), np.inf)

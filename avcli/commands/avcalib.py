@@ -140,7 +140,7 @@ def _check_options(session: Session, values: dict[str, Any]) -> None:
         name for name, (_, known) in settings_of(settings.FitSettings).items() if known.only not in ("", procedure)
     ]
     refuse_without_effect(foreign, f"with --procedure {procedure}")
-    if model not in (*variants(), AUTO):
+    if model not in (*variants(), AUTO, None):
         session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}, {AUTO}")
     if plot and not plot.lower().endswith((".png", ".svg", ".pdf")):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")

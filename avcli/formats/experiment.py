@@ -511,7 +511,7 @@ _OPTICS = Object(_LENS_KEYS)
 def _lens(values: Mapping[str, Any], width_px: int, height_px: int) -> lens.Lens:
     name = values["lens_model"]
     model = lens.LENSES[name]
-    if values["p1"] or values["p2"]:
+    if any(values[key] for key in lens.OFF_CENTRE):
         model = lens.TANGENTIAL.get(name, model)
     keys = model.keys()
     for key in LENS_KEYS:

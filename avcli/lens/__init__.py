@@ -33,18 +33,20 @@ undistorted point q = theta e, or q = s e:
 
     T(q) = (2 p1 qx qy + p2 (|q|^2 + 2 qx^2), p1 (|q|^2 + 2 qy^2) + 2 p2 qx qy)
 
-This is OpenCV's definition for perspective lenses, and that of COLMAP's THIN_PRISM_FISHEYE (with sx1 = sy1 = 0) for
-fisheyes. `lens_config` turns a lens into the keys of camera_config, `Lens.names`, `keys` and `of_image` say and take
-the parameters in order. OpenCV's vector for `rational` has the order k1 k2 p1 p2 k3 k4 k5 k6; ours is k1 ... k6 p1 p2.
+and kannala_brandt a thin prism sx1, sy1, which adds |q|^2 (sx1, sy1). This is OpenCV's definition for perspective
+lenses, and COLMAP's THIN_PRISM_FISHEYE for fisheyes. `lens_config` turns a lens into the keys of camera_config,
+`Lens.names`, `keys` and `of_image` say and take the parameters in order. OpenCV's vector for `rational` has the order
+k1 k2 p1 p2 k3 k4 k5 k6; ours is k1 ... k6 p1 p2.
 """
 
 from avcli.lens.models import Angular, BrownConrady, Division, FourTerms, KannalaBrandt, Lens, Perspective
 from avcli.lens.spheres import DoubleSphere, ExtendedUnified, Unified
-from avcli.lens.table import LENSES, TANGENTIAL, lens_config, name_of, variants
+from avcli.lens.table import LENSES, OFF_CENTRE, TANGENTIAL, lens_config, name_of, variants
 from avcli.lens.tangential import Rational, Tangential, TangentialBrownConrady, TangentialKannalaBrandt
 
 __all__ = [
     "LENSES",
+    "OFF_CENTRE",
     "TANGENTIAL",
     "Angular",
     "BrownConrady",

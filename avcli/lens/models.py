@@ -236,9 +236,9 @@ class Lens(ABC):
         return self
 
     @property
-    def tangential_terms(self) -> tuple[float, float]:
-        """p1 and p2."""
-        return 0.0, 0.0
+    def tangential_terms(self) -> tuple[float, float, float, float]:
+        """px, py, ax, ay of T(q) = |q|^2 a + 2 (p . q) q (see avcli.lens.tangential)."""
+        return 0.0, 0.0, 0.0, 0.0
 
     @property
     def slopes_per_unit(self) -> tuple[float, float]:

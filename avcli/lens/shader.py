@@ -47,14 +47,15 @@ vec2 parts_at(vec2 m) {
     return vec2(a, b) / length(vec3(lateral * stretch, b));
 }
 #if TURNS > 0
-uniform vec3 tangent;                   // p2, p1, and whether the lens bends angles (1) or slopes (0)
+uniform vec4 tangent;                   // p and a of avcli.lens.tangential
+uniform float angular;                  // whether the lens bends angles (1) or slopes (0)
 vec3 ray_through(vec2 px) {
     vec2 w = (px - centre) * per_px, m = w, parts = parts_at(m);
     for (int i = 0; i < TURNS; ++i) {
         float size = length(m), lateral = size * parts.x;
-        float s = tangent.z > 0.5 ? atan(lateral, parts.y) : lateral / parts.y;
+        float s = angular > 0.5 ? atan(lateral, parts.y) : lateral / parts.y;
         vec2 q = size > 1e-6 ? m * (s / size) : m;
-        m = w - dot(q, q) * tangent.xy - 2.0 * dot(q, tangent.xy) * q;
+        m = w - dot(q, q) * tangent.zw - 2.0 * dot(q, tangent.xy) * q;
         parts = parts_at(m);
         if (parts == vec2(0.0)) break;
     }
@@ -98,8 +99,8 @@ def uniforms(lens: Lens, width: int, height: int) -> dict[str, Any]:
     x = np.maximum(abs(lens.cx + 0.5), abs(width - 0.5 - lens.cx)) * per_px[0]
     y = np.maximum(abs(lens.cy + 0.5), abs(height - 0.5 - lens.cy)) * per_px[1]
     top = min((1.0 if lens.is_bounded else _REACH) * np.hypot(x, y), lens.radius_max)
-    p1, p2 = whole.tangential_terms
-    field = min(top, whole.radius_max) if p1 or p2 else top
+    bent = any(whole.tangential_terms)
+    field = min(top, whole.radius_max) if bent else top
     ends = top == lens.radius_max and lens.has_fold
 
     def wanted(w: np.ndarray) -> np.ndarray:
@@ -108,7 +109,7 @@ def uniforms(lens: Lens, width: int, height: int) -> dict[str, Any]:
     series, error = _series(wanted, 1, range(2, _MOST_TERMS + 1))
     if error > _ENOUGH:
         series, _ = _series(wanted, _SEGMENTS, range(_SEGMENT_TERMS, _SEGMENT_TERMS + 1))
-    tangent = {"tangent": (p2, p1, float(isinstance(lens, Angular)))} if p1 or p2 else {}
+    tangent = {"tangent": whole.tangential_terms, "angular": float(isinstance(lens, Angular))} if bent else {}
     return {
         **tangent,
         "centre": (lens.cx, lens.cy), "per_px": tuple(per_px), "stretch": lens.slopes_per_unit,

@@ -21,7 +21,10 @@ TANGENTIAL: dict[str, type[Lens]] = {
     "kannala_brandt": TangentialKannalaBrandt,
     "brown_conrady": TangentialBrownConrady,
 }
-"""The models of `LENSES` that p1 or p2 in config.json turns into others."""
+"""The models of `LENSES` that one of `OFF_CENTRE` in config.json turns into others."""
+
+OFF_CENTRE = ("p1", "p2", "sx1", "sy1")
+"""The coefficients of lenses that are not centred on one axis; 0 where they are absent."""
 
 
 def variants() -> dict[str, type[Lens]]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from avcli.calibration.exchange.nearest import Field, Fitted, Projection, Splined, nearest
-from avcli.lens import LENSES, TANGENTIAL, Lens, name_of
+from avcli.lens import LENSES, OFF_CENTRE, TANGENTIAL, Lens, name_of
 
 KNOWN = ("theta_max_observed_deg", "theta_max_trusted_deg", "theta_max_valid_deg", "image_circle_px")
 """Keys of camera_config that say where a lens is known. Other tools get them as comments."""
@@ -86,7 +86,7 @@ class Choice(NamedTuple):
             ValueError: they are not finite, or the model cannot have them.
         """
         given = dict(zip(self.names, map(float, values), strict=False))
-        kind = self.kind(bool(given.get("p1") or given.get("p2")))
+        kind = self.kind(any(given.get(name) for name in OFF_CENTRE))
         numbers = [*map(float, core), *(given.get(name, 0.0) for name in kind.names()[4:])]
         if not np.isfinite(numbers).all():
             raise ValueError("the lens has a number that is not finite")
@@ -114,9 +114,9 @@ class Choice(NamedTuple):
 
     def nearest(self, source: Projection, seen: Field) -> Fitted:
         """The lens of this model that comes nearest to another (see `nearest`)."""
-        turned = not isinstance(source, Lens) or bool(getattr(source, "p1", 0.0) or getattr(source, "p2", 0.0))
+        turned = not isinstance(source, Lens) or any(getattr(source, name, 0.0) for name in OFF_CENTRE)
         kind = self.kind(turned)
-        free = self.names if turned else tuple(name for name in self.names if name not in ("p1", "p2"))
+        free = self.names if turned else tuple(name for name in self.names if name not in OFF_CENTRE)
         return nearest(source, kind, seen, {name: 0.0 for name in kind.names()[4:] if name not in free})
 
 
@@ -146,7 +146,7 @@ COLMAP = (
     Choice("OPENCV", "brown_conrady", _RADTAN),
     Choice("OPENCV_FISHEYE", "kannala_brandt", _FISHEYE),
     Choice("FULL_OPENCV", "rational", _RATIONAL),
-    Choice("THIN_PRISM_FISHEYE", "kannala_brandt", ("k1", "k2", "p1", "p2", "k3", "k4")),
+    Choice("THIN_PRISM_FISHEYE", "kannala_brandt", ("k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1")),
 )
 MRCAL = (
     Choice("LENSMODEL_PINHOLE", "brown_conrady", ()),

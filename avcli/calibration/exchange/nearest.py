@@ -267,28 +267,6 @@ def omni(core: np.ndarray, xi: float, d: np.ndarray) -> Foreign:
     return up_to_fold(Foreign("omni with distortion", pixels, np.arccos(-1 / xi) if xi > 1 else np.arccos(-xi)))
 
 
-def thin_prism_fisheye(core: np.ndarray, d: np.ndarray) -> Foreign:
-    """COLMAP's THIN_PRISM_FISHEYE.
-
-    Args:
-        core: (4,) fx, fy, cx, cy px.
-        d: (8,) k1 k2 p1 p2 k3 k4 sx1 sy1, of the point theta (x, y) / r.
-    """
-    k1, k2, p1, p2, k3, k4, sx, sy = d
-
-    def pixels(points: np.ndarray) -> np.ndarray:
-        r = np.hypot(points[:, 0], points[:, 1])
-        factor = np.where(r > 1e-12, np.arctan2(r, points[:, 2]) / np.maximum(r, 1e-12), 1 / points[:, 2])
-        x, y = points[:, 0] * factor, points[:, 1] * factor
-        t = x * x + y * y
-        radial = 1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))
-        u = x * radial + 2 * p1 * x * y + p2 * (t + 2 * x * x) + sx * t
-        v = y * radial + p1 * (t + 2 * y * y) + 2 * p2 * x * y + sy * t
-        return np.stack([core[2] + core[0] * u, core[3] + core[1] * v], -1)
-
-    return up_to_fold(Foreign("THIN_PRISM_FISHEYE", pixels, np.pi))
-
-
 # --- mrcal's splined stereographic model ------------------------------------------------------------------------------
 
 

@@ -218,8 +218,6 @@ def _colmap_lens(model: str, numbers: np.ndarray) -> Projection:
     core, d = numbers[:4] - [0, 0, 0.5, 0.5], numbers[4:]
     if model == "FOV":
         return nearest.fov(core, float(d[0]))
-    if model == "THIN_PRISM_FISHEYE" and d[6:].any():
-        return nearest.thin_prism_fisheye(core, _numbers(d, 8))
     if model == "EUCM":
         return _choice(KALIBR, "eucm-none").lens(core, _numbers(d, 2))
     if model == "FULL_OPENCV":

@@ -128,7 +128,7 @@ def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     """A cameras.txt of one camera."""
     width, height = camera.size or (0, 0)
     fx, fy, cx, cy = _core_of(lens)
-    d = choice.values(lens) + ([0.0, 0.0] if choice.name == "THIN_PRISM_FISHEYE" else [])
+    d = choice.values(lens)
     numbers = " ".join(repr(v) for v in (fx, fy, cx + 0.5, cy + 0.5, *d))
     lines = [
         "# Camera list with one line of data per camera:",
