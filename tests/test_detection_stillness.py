@@ -84,9 +84,10 @@ def test_moving_alone_is_no_evidence_for_a_person_but_for_who_was_found_before(r
     stillness, moves = Stillness(), []
     for time, picture in filmed(room, sway=0.5):
         stillness.see(picture, time, BOX)
-        moves.append(stillness.moves(BOX)[0])
+        moves.append(stillness.told(BOX, np.ones(1, bool))[0, 1])
     assert moves[0] == 0
     assert np.median(moves) == COME
+    assert (stillness.told(BOX + 50, np.zeros(1, bool)) == 0).all()  # it has not come
 
 
 def motion(pictures, rows=(60, 110), columns=(120, 160)):

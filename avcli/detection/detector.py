@@ -294,7 +294,7 @@ class Detector:
                 with self._timing("stillness"):
                     watched.see(picture, time, everything.boxes[everything.scores >= min(self._least, FOLLOWED)])
                     if doubts:
-                        told, moves = watched.evidence(everything.boxes), watched.moves(everything.boxes)
+                        told, moves = watched.told(everything.boxes, self._matters(everything)).T
             found = self._moving(everything.take(self._found(everything, told, moves, time if doubts else None)))
             with self._timing("depth and positions"):
                 placed = self._place(found, everything, depth, time)
@@ -310,6 +310,11 @@ class Detector:
     def _by_colour(self, depth: Picture | None) -> bool:
         """Whether the colour picture alone tells who is there: no depth says what stands before the empty room."""
         return depth is None or self.settings.monocular or self._background is None
+
+    def _matters(self, found: Boxes) -> np.ndarray:
+        """Which (n,) of the network's people are found, or followed, unless they keep still."""
+        sure = found.scores >= self._least
+        return sure if self._following is None else sure | self._following.near(found.boxes)
 
     def _found(self, found: Boxes, told: np.ndarray, moves: np.ndarray, time: float | None) -> np.ndarray:
         """Which (n,) of the network's people are found: by their score, for having come, or followed; but not still.

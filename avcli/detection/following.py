@@ -60,6 +60,10 @@ class Following:
         self._hits = np.append(self._hits, np.ones(int(new.sum()), int))
         return found
 
+    def near(self, boxes: np.ndarray) -> np.ndarray:
+        """Whether each of the boxes (n, 4) px may show somebody whom the last pictures showed, (n,) bool."""
+        return np.asarray((overlaps(boxes, self._boxes[self._hits >= HITS]) >= OVERLAP).any(axis=1))
+
     def unchanged(self, time: float) -> None:
         """Take in that the picture of a time, s, shows what the last one showed."""
         self._seen[self._seen == self._time] = time

@@ -55,14 +55,12 @@ class Kind:
         share: of people, before anything is seen of them.
         height_m, spread_m: mean and standard deviation of the height of its top.
         outline: (m, 3) points of a body of height 1, m across.
-        seated: whether it is a posture, which people change; an adult does not become a child.
     """
 
     share: float
     height_m: float
     spread_m: float
     outline: np.ndarray
-    seated: bool = False
 
 
 def _rings(*rings: tuple[float, float]) -> np.ndarray:
@@ -80,13 +78,7 @@ _UPRIGHT = ((0.02, 0.20), (0.25, 0.18), (0.5, 0.24), (0.80, 0.24), (0.90, 0.10),
 KINDS = (
     Kind(0.85, HEIGHT_M, HEIGHT_SPREAD_M, _rings(*_UPRIGHT)),
     Kind(0.05, 1.20, 0.15, _rings(*((part, 0.75 * radius) for part, radius in _UPRIGHT))),
-    Kind(
-        0.10,
-        1.28,
-        0.08,
-        _rings((0.02, 0.26), (0.40, 0.34), (0.5, 0.32), (0.76, 0.26), (0.88, 0.11), (1.0, 0.07)),
-        seated=True,
-    ),
+    Kind(0.10, 1.28, 0.08, _rings((0.02, 0.26), (0.40, 0.34), (0.5, 0.32), (0.76, 0.26), (0.88, 0.11), (1.0, 0.07))),
 )
 """Standing adults; children; people who sit, also in a wheelchair: two of five in random worlds, elsewhere few."""
 
@@ -132,7 +124,6 @@ class _Hypotheses:
         self.hiding, self.told = (np.tile(column, len(kinds)) for column in np.array(list(shares)).T)
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
-        self.seated = np.array([kinds[kind].seated for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
         self.kind_share = np.array([kinds[kind].share for kind in self.kind])
         self.log_share = np.log(self.kind_share)
@@ -307,8 +298,6 @@ class _Judged:
         )
         weight = self.log_weight.copy()
         weight[rows] += np.log(1 - REMEMBERED)
-        other = ~hypotheses.seated & (likely < likely.max(axis=1, keepdims=True))  # then it is somebody else, too
-        weight[rows, :count] += np.where(other, np.log(1 - REMEMBERED), 0.0)
         return replace(self, log_weight=weight).joined(more, rows)
 
     def merged(self, law: BoxLaw) -> Places:

@@ -125,13 +125,13 @@ class Stillness:
 
     def evidence(self, boxes: np.ndarray) -> np.ndarray:
         """Logarithms (n,) of likelihood ratios, person over thing, of boxes (n, 4) px, from `DOUBT` to `COME`."""
-        return self._both(boxes)[:, 0]
+        return self.told(boxes, np.ones(len(boxes), bool))[:, 0]
 
-    def moves(self, boxes: np.ndarray) -> np.ndarray:
-        """Nats (n,) for a person by motion, 0 to `COME`, of boxes (n, 4) px about people who were found before."""
-        return self._both(boxes)[:, 1]
+    def told(self, boxes: np.ndarray, wholly: np.ndarray) -> np.ndarray:
+        """The evidence (n, 2) of boxes (n, 4) px, nats; second, what motion tells of who was found before, 0 to `COME`.
 
-    def _both(self, boxes: np.ndarray) -> np.ndarray:
+        Of boxes that are not looked at `wholly`, (n,) bool, only who came tells anything, which takes less time.
+        """
         told = np.zeros((len(boxes), 2))
         if self._noise is None:
             return told
@@ -140,7 +140,10 @@ class Stillness:
             if len(alike) and alike.max() >= ALIKE:
                 told[k] = self._evidence[alike.argmax()]
             elif (corner[2:] - corner[:2]).min() >= _FEWEST_PX:
-                told[k] = self._told(*corner.tolist())
+                both = self._told(corner, bool(wholly[k]))
+                if both is None:
+                    continue
+                told[k] = both
                 self._looked = np.append(self._looked, corner[None], axis=0)
                 self._evidence = np.append(self._evidence, told[k : k + 1], axis=0)
         return told
@@ -177,11 +180,16 @@ class Stillness:
         factor = self._factor
         return _reduced(self._picture[y0 * factor : y1 * factor, x0 * factor : x1 * factor], factor)
 
-    def _told(self, x0: int, y0: int, x1: int, y1: int) -> tuple[float, float]:
-        """The evidence of one part of the reduced picture, px; and its motion, whether it has come or not."""
+    def _told(self, corner: np.ndarray, wholly: bool) -> tuple[float, float] | None:
+        """The evidence of one part of the reduced picture, px, and its motion; None if not looked at and not come."""
         assert self._noise is not None  # who calls has looked
+        if not wholly and len(self._first) < 2:
+            return None
+        x0, y0, x1, y1 = corner.tolist()
         part, least = self._part(x0, y0, x1, y1), CHANGE * self._noise
         came = len(self._first) == 2 and all(_other(part, then[y0:y1, x0:x1], least) for _, then in self._first)
+        if not (came or wholly):
+            return None
         nats = self._nats(part, x0, y0)
         moves = float(np.clip(nats, 0.0, COME))
         return (moves if came else float(np.clip(nats, DOUBT, 0.0))), moves
