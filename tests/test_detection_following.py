@@ -36,6 +36,16 @@ def test_a_score_that_is_lower_still_does_not_go_on():
     assert found((0.0, 0.9, BOX), (0.1, FOLLOWED - 0.01, BOX)) == [True, False]
 
 
+def test_a_score_that_motion_raises_goes_on_but_does_not_begin():
+    following = Following()
+    low, raised = np.array([0.1]), np.array([0.4])
+    assert not following.found(BOX, low, LEAST, 0.0, raised)[0]
+    for time in (0.1, 0.2):
+        following.found(BOX, np.array([0.9]), LEAST, time)
+    assert following.found(BOX, low, LEAST, 0.3, raised)[0]
+    assert not following.found(BOX, low, LEAST, 0.4, low)[0]
+
+
 def test_who_walks_is_followed_from_picture_to_picture():
     steps = [(0.1 * k, 0.9 if k == 0 else 0.35, BOX + 12 * k * np.array([1, 0, 1, 0])) for k in range(12)]
     assert all(found(*steps))

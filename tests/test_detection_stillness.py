@@ -5,8 +5,9 @@ import pytest
 from test_detection_detector import FakeNetwork, config
 
 from avcli.detection.detector import Detector
+from avcli.detection.network import Boxes
 from avcli.detection.settings import Settings
-from avcli.detection.stillness import DOUBT, LEAST, Stillness, after
+from avcli.detection.stillness import COME, DOUBT, LEAST, Stillness, after
 
 BOX = np.array([[120.0, 60.0, 160.0, 110.0]])
 SECONDS = np.arange(0, 10, 0.2)
@@ -78,8 +79,15 @@ def test_somebody_else_at_the_same_place_is_not_the_same_thing(room):
     assert told(pictures)[SECONDS == 5.0] > DOUBT / 2
 
 
-def test_moving_is_no_evidence_for_a_person(room):
-    assert told(filmed(room, sway=20.0)).max() == 0
+def test_moving_alone_is_no_evidence_for_a_person_but_for_who_was_found_before(room):
+    assert told(filmed(room, sway=0.5)).max() == 0
+    stillness, moves = Stillness(), []
+    for time, picture in filmed(room, sway=0.5):
+        stillness.see(picture, time, BOX)
+        moves.append(stillness.told(BOX, np.ones(1, bool))[0, 1])
+    assert moves[0] == 0
+    assert np.median(moves) == COME
+    assert (stillness.told(BOX + 50, np.zeros(1, bool)) == 0).all()  # it has not come
 
 
 def motion(pictures, rows=(60, 110), columns=(120, 160)):
@@ -116,18 +124,18 @@ def test_what_moves_in_the_box_beside_a_body_is_not_the_body(room):
 def test_a_thing_that_somebody_hid_is_known_again(room):
     evidence = told(filmed(room, passer=(6.0,)))
     hidden, later = abs(SECONDS - 6) < 0.15, SECONDS > 7.3
-    assert evidence[hidden].min() == 0
+    assert evidence[hidden].min() >= 0
     assert evidence[later].max() < -1
 
 
-def arrived(room, *, bump=np.inf):
-    """Pictures of a room in which something comes into the box after 5 s, and of a camera that is bumped later."""
+def arrived(room, *, bump=np.inf, sway=0.0):
+    """Pictures of a room in which something that sways comes into the box after 5 s; the camera is bumped later."""
     rng = np.random.default_rng(11)
     other = np.kron(rng.integers(40, 180, (10, 8, 3)), np.ones((5, 5, 1)))
     for time in np.arange(0, 20, 0.2):
         picture = room.copy()
         if time >= 5:
-            picture[60:110, 120:160] = other
+            picture[60:110, 120:160] = moved(other, sway * np.sin(2 * time))
         picture = np.roll(picture, 3, axis=1) if time >= bump else picture
         yield time, np.clip(np.rint(picture + 2 * rng.standard_normal(picture.shape)), 0, 255).astype(np.uint8)
 
@@ -136,6 +144,13 @@ def test_who_came_after_the_film_began_may_keep_still(room):
     evidence = told(arrived(room))
     assert evidence[20:25].max() == DOUBT  # what is there from the beginning
     assert evidence[26:].min() == 0
+    assert evidence[40:].max() == 0
+
+
+def test_who_came_and_moves_is_a_person_more_probably(room):
+    evidence = told(arrived(room, sway=1.0))
+    assert evidence[:25].max() == 0
+    assert np.median(evidence[30:]) == COME
 
 
 def test_a_camera_that_was_bumped_does_not_make_people_of_things(room):
@@ -189,6 +204,7 @@ def test_scores_after_evidence():
     assert after(np.array([0.9]), np.array([-np.log(9)])) == pytest.approx(0.5)
     assert 0 < after(np.array([1.0]), np.array([DOUBT]))[0] < 0.5
     assert after(np.array([0.995]), np.array([-1e-3])) < 0.995
+    assert after(np.array([0.25, 0.999]), np.log([3.0, 3.0])) == pytest.approx([0.5, 0.999])
 
 
 class SureNetwork(FakeNetwork):
@@ -215,6 +231,37 @@ def test_the_detector_lowers_scores_then_holds_back():
     assert scores[-1] == 0.0
     assert len(set(scores)) > 2  # unchanged pictures tell too
     assert tally.held_back > 0
+
+
+class FaintNetwork(FakeNetwork):
+    """Finds the box and one that lies within, with low scores."""
+
+    def detect(self, picture, regions):
+        seen = super().detect(picture, regions)
+        part = seen.boxes * 0.5 + seen.boxes[:, [0, 1, 0, 1]] * 0.5
+        return Boxes(np.concatenate([seen.boxes, part]), np.array([0.25, 0.24]))
+
+
+@pytest.mark.parametrize(("settings", "people"), [({}, 1), ({"confidence": 0.5}, 0), ({"stillness": False}, 0)])
+def test_who_came_and_moves_is_found_with_a_low_score_and_is_one_person(settings, people):
+    detector = Detector(config(), settings=Settings(refresh=1, **settings))
+    detector.network = FaintNetwork([200, 80, 240, 130])
+    rng = np.random.default_rng(1)
+    room = np.kron(rng.integers(40, 180, (27, 48, 3)), np.ones((10, 10, 1)))
+    body = np.kron(rng.integers(40, 180, (10, 8, 3)), np.ones((5, 5, 1)))
+    counts = []
+    for k in range(50):
+        picture = room.copy()
+        if k >= 25:
+            picture[80:130, 200:240] = moved(body, 3 * np.sin(0.4 * k))
+        picture = np.clip(picture + rng.standard_normal(room.shape), 0, 255).astype(np.uint8)
+        found = detector.look(picture, None, 0.2 * k)
+        counts.append(len(found))
+    assert max(counts[:25]) == 0
+    assert np.median(counts[30:]) == people
+    if people:
+        assert found[0].score == pytest.approx(0.6, abs=0.01)
+        assert detector.tally.came > 10
 
 
 def test_the_detector_doubts_nobody_without_times_or_when_told():

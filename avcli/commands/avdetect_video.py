@@ -168,6 +168,8 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
     session.note_skipped("pictures", tally.unchanged, tally.pictures, "in which nothing had changed", "network")
     if tally.followed:
         session.note(f"boxes with a low score that were followed from the pictures before: {tally.followed}")
+    if tally.came:
+        session.note(f"boxes with a low score of people who came since the film began, and move: {tally.came}")
     if tally.unexplained:
         session.warn(
             f"{tally.unexplained} of {tally.by_box} boxes that were placed without depth fit no body: people who lie, "

@@ -18,6 +18,14 @@ def overlaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
     return shared / np.maximum(areas[0][:, None] + areas[1][None] - shared, 1e-9)
 
 
+def within(boxes: np.ndarray) -> np.ndarray:
+    """Shares (n, n) of each of the boxes (n, 4) [x0, y0, x1, y1] that lie in each of them."""
+    low = np.maximum(boxes[:, None, :2], boxes[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], boxes[None, :, 2:])
+    areas = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+    return np.maximum(high - low, 0).prod(axis=2) / np.maximum(areas, 1e-9)[:, None]
+
+
 def matched(boxes: np.ndarray, scores: np.ndarray, labels: np.ndarray, least: float = LEAST) -> np.ndarray:
     """Whether each box (n,) shows the person of a label that no better box shows.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from avcli.detection.agreement import within
 from avcli.detection.background import Background
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre
@@ -19,7 +20,7 @@ from avcli.detection.looks import Looks, feature
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import PAD, Boxes, ModelError, Network, own_model
 from avcli.detection.settings import Settings
-from avcli.detection.stillness import Stillness, after
+from avcli.detection.stillness import COME, Stillness, after
 from avcli.detection.view import View
 from avcli.detection.windows import WindowedNetwork
 from avcli.formats.experiment import Config
@@ -121,6 +122,7 @@ class Tally:
         outside: of people beyond the walls, who were left out.
         still: that show only the room as it was learnt, and were left out.
         followed: with a low score, of people who were found at the same place a moment before.
+        came: with a low score, of people who came since the film began, and move.
         held_back: that would have been people, but keep too still.
         pictures, unchanged: pictures so far, and those of them in which nothing had moved.
         boxes: (4,) px, the first `MOST_BOXES` of those that were placed by the box alone.
@@ -132,6 +134,7 @@ class Tally:
     outside: int = 0
     still: int = 0
     followed: int = 0
+    came: int = 0
     held_back: int = 0
     pictures: int = 0
     unchanged: int = 0
@@ -140,6 +143,14 @@ class Tally:
 
 def _boxes(people: list[Person]) -> np.ndarray:
     return np.array([person.bbox_px for person in people]).reshape(-1, 4)
+
+
+def _apart(boxes: np.ndarray, sure: np.ndarray) -> np.ndarray:
+    """Which (n,) boxes (n, 4), the best first, are people by themselves: sure (n,), or not mostly in a better box."""
+    apart, shares = np.ones(len(boxes), bool), within(boxes)
+    for k in np.flatnonzero(~sure):
+        apart[k] = not (shares[k, :k][apart[:k]] >= PART).any()
+    return apart
 
 
 def _motion(body: Person, people: list[Person], watched: Stillness) -> float:
@@ -152,6 +163,9 @@ def _motion(body: Person, people: list[Person], watched: Stillness) -> float:
         return 0.0
     return watched.motion(box, surface.columns, surface.rows)
 
+
+PART = 0.5
+"""Share of a faint box that lies in a better one, from which it shows a part of the same person."""
 
 COVERED = 0.3
 """Share of a body's box in that of somebody who was found, from which it is unknown who moves there."""
@@ -169,6 +183,9 @@ FAINTEST, MISSED = 0.02, 0.7
 """Least score of the network's boxes that tell something of a body before the empty room, and least score of a person
 whom the network by itself has missed. Chosen on random worlds (seeds 7000 to 7059): in a room as it was recorded hardly
 anybody has a score between .5 and .7; where furniture came in since, half of those that have are furniture."""
+
+FAINTEST_IN_FILMS = 1 / (1 + (1 / FOLLOWED - 1) * float(np.exp(COME)))
+"""Least score of the network's boxes of which a film may still make people."""
 
 MOST_BOXES = 200
 """Boxes from which the height of a camera is judged."""
@@ -271,13 +288,14 @@ class Detector:
         watched = self._stillness if time is not None and (doubts or self._strangers) else None
         if len(regions):
             with self._timing("network"):
-                found = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
-            everything, found = found, self._moving(found.take(self._found(found, depth, time)))
+                everything = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
+            told = moves = np.zeros(len(everything))
             if watched and time is not None:
                 with self._timing("stillness"):
-                    watched.see(picture, time, found.boxes)
+                    watched.see(picture, time, everything.boxes[everything.scores >= min(self._least, FOLLOWED)])
                     if doubts:
-                        found = found.take(self._believed(found.scores, watched.evidence(found.boxes)))
+                        told, moves = watched.told(everything.boxes, self._matters(everything)).T
+            found = self._moving(everything.take(self._found(everything, told, moves, time if doubts else None)))
             with self._timing("depth and positions"):
                 placed = self._place(found, everything, depth, time)
                 people = self._counted([beyond_trust(person, self.view) for person in placed], len(found))
@@ -293,20 +311,35 @@ class Detector:
         """Whether the colour picture alone tells who is there: no depth says what stands before the empty room."""
         return depth is None or self.settings.monocular or self._background is None
 
-    def _found(self, found: Boxes, depth: Picture | None, time: float | None) -> np.ndarray:
-        """Which (n,) of the network's people are found by their score, or followed from the pictures before."""
+    def _matters(self, found: Boxes) -> np.ndarray:
+        """Which (n,) of the network's people are found, or followed, unless they keep still."""
         sure = found.scores >= self._least
-        if self._following is None or time is None or not self._by_colour(depth):
-            return sure
-        people = self._following.found(found.boxes, found.scores, self._least, time)
-        self.tally.followed += int((people & ~sure).sum())
-        return people
+        return sure if self._following is None else sure | self._following.near(found.boxes)
 
-    def _believed(self, scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
-        """Which (n,) of the network's people stay above their least score; the others are counted."""
-        believed = after(scores, evidence) >= np.minimum(scores, self._least)
-        self.tally.held_back += int((~believed).sum())
-        return believed
+    def _found(self, found: Boxes, told: np.ndarray, moves: np.ndarray, time: float | None) -> np.ndarray:
+        """Which (n,) of the network's people are found: by their score, for having come, or followed; but not still.
+
+        Args:
+            found: all that the network says.
+            told: (n,) nats, what the film says of each.
+            moves: (n,) nats, what its motion says where somebody was found a moment before.
+            time: of the picture, s; None: unknown, or no colour picture alone tells who is there.
+        """
+        sure = found.scores >= self._least
+        if self._following is None or time is None:
+            people = sure
+        else:
+            raised = after(found.scores, np.maximum(told, 0.0))
+            order = np.argsort(-raised, kind="stable")
+            order = order[_apart(found.boxes[order], sure[order])]
+            people = np.zeros(len(found), bool)
+            moving = after(found.scores, moves)[order]
+            people[order] = self._following.found(found.boxes[order], raised[order], self._least, time, moving)
+            self.tally.followed += int((people & (raised < self._least)).sum())
+            self.tally.came += int((people & ~sure & (raised >= self._least)).sum())
+        believed = after(found.scores, told) >= np.minimum(found.scores, self._least)
+        self.tally.held_back += int((people & ~believed).sum())
+        return people & believed
 
     def _doubted(self, people: list[Person], stillness: Stillness) -> list[Person]:
         """The people with the scores that their stillness leaves them."""
@@ -422,7 +455,7 @@ class Detector:
         chosen = self.settings
         try:
             shape = (1, 1) if chosen.windows else self._size
-            fainter = FAINTEST if self._faint else FOLLOWED if self._following else 1.0
+            fainter = FAINTEST if self._faint else FAINTEST_IN_FILMS if self._following else 1.0
             least = min(self._least, fainter)
             return Network(content, chosen.imgsz, least, chosen.iou, chosen.threads, shape)
         except ModelError as error:

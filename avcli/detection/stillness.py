@@ -5,9 +5,10 @@ eight seconds ago: in each of up to nine parts, by least squares, the shift that
 and Kanade, 1981), and the logarithm of the likelihood ratio of that shift to none. A sway of a tenth of a pixel changes
 a pixel by less than the noise, yet all pixels of the part agree about it; noise, compression and flicker do not. Where
 a sway could hardly be seen, stillness tells little. The more pictures show no shift, the less probable is a person.
-Moving is no evidence for a person, since screens and curtains move too: it takes back what stillness has told, and no
-more. What stands where somebody passes is the same as some seconds before, so that it is not taken for a person again.
-Who has come since the film began is believed however still he or she sits, since furniture does not come by itself.
+Moving alone is no evidence for a person, since screens and curtains move too: it takes back what stillness has told,
+and no more. What stands where somebody passes is the same as some seconds before, so that it is not taken for a person
+again. Who has come since the film began is believed however still he or she sits, since furniture does not come by
+itself; and what has come and moves is a person more probably than the network knows.
 
 The numbers were chosen on eleven real films of a ceiling fisheye and on random worlds, see
 examples/benchmarks/detection.md.
@@ -59,6 +60,10 @@ CAME_S, KNOWN_S = 4.0, 600.0
 """Who is where two pictures, the first of these apart, s, show something else has come there. Furniture does not, so
 that stillness tells nothing of who did. The two are the film's first, and later ones after the second, s."""
 
+COME = 1.5
+"""Nats for a person that motion tells at most of what has come. In the eleven real films 82 of 110 boxes with scores of
+.2 to .5 that had come and moved were right, and 8 showed no person: a factor of 4 to 5 in the odds, of each tenth."""
+
 UNLIKE, CHANGE, OTHERS = 0.7, 5.0, 0.4
 """A part shows something else if the correlation of the two pictures is less than the first and their mean squared
 difference more than so many times the room's; a box, if this share of its parts do."""
@@ -91,7 +96,7 @@ class Stillness:
         self._picture, self._time = np.zeros((0, 0, 3), np.uint8), -np.inf
         self._earlier: list[tuple[np.ndarray, float]] = []
         self._first: list[tuple[float, np.ndarray]] = []
-        self._looked, self._evidence = np.empty((0, 4), int), np.empty(0)
+        self._looked, self._evidence = np.empty((0, 4), int), np.empty((0, 2))
 
     @property
     def _factor(self) -> int:
@@ -107,7 +112,7 @@ class Stillness:
         self._picture, self._time = picture, time
         if self._kept and time < self._kept[-1][0] + STEP_S:
             return
-        self._looked, self._evidence = np.empty((0, 4), int), np.empty(0)
+        self._looked, self._evidence = np.empty((0, 4), int), np.empty((0, 2))
         now = _reduced(picture, self._factor)
         self._earlier = self._pictures(now)
         if time >= self._fitted_at + FIT_S:
@@ -119,18 +124,28 @@ class Stillness:
             self._first += [one for one in self._kept if one[0] >= self._first[0][0] + CAME_S][:1]
 
     def evidence(self, boxes: np.ndarray) -> np.ndarray:
-        """Logarithms (n,) of likelihood ratios, person over thing, of boxes (n, 4) px: 0, nothing told, to `DOUBT`."""
-        if self._noise is None or not len(boxes):
-            return np.zeros(len(boxes))
-        told = np.zeros(len(boxes))
+        """Logarithms (n,) of likelihood ratios, person over thing, of boxes (n, 4) px, from `DOUBT` to `COME`."""
+        return self.told(boxes, np.ones(len(boxes), bool))[:, 0]
+
+    def told(self, boxes: np.ndarray, wholly: np.ndarray) -> np.ndarray:
+        """The evidence (n, 2) of boxes (n, 4) px, nats; second, what motion tells of who was found before, 0 to `COME`.
+
+        Of boxes that are not looked at `wholly`, (n,) bool, only who came tells anything, which takes less time.
+        """
+        told = np.zeros((len(boxes), 2))
+        if self._noise is None:
+            return told
         for k, corner in enumerate(self._corners(boxes)):
             alike = overlaps(corner[None], self._looked)[0]
             if len(alike) and alike.max() >= ALIKE:
                 told[k] = self._evidence[alike.argmax()]
             elif (corner[2:] - corner[:2]).min() >= _FEWEST_PX:
-                told[k] = self._told(*corner.tolist())
+                both = self._told(corner, bool(wholly[k]))
+                if both is None:
+                    continue
+                told[k] = both
                 self._looked = np.append(self._looked, corner[None], axis=0)
-                self._evidence = np.append(self._evidence, told[k])
+                self._evidence = np.append(self._evidence, told[k : k + 1], axis=0)
         return told
 
     def motion(self, box: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> float:
@@ -165,13 +180,19 @@ class Stillness:
         factor = self._factor
         return _reduced(self._picture[y0 * factor : y1 * factor, x0 * factor : x1 * factor], factor)
 
-    def _told(self, x0: int, y0: int, x1: int, y1: int) -> float:
-        """The evidence of one part of the reduced picture, px."""
-        assert self._noise is not None  # evidence() has looked
+    def _told(self, corner: np.ndarray, wholly: bool) -> tuple[float, float] | None:
+        """The evidence of one part of the reduced picture, px, and its motion; None if not looked at and not come."""
+        assert self._noise is not None  # who calls has looked
+        if not wholly and len(self._first) < 2:
+            return None
+        x0, y0, x1, y1 = corner.tolist()
         part, least = self._part(x0, y0, x1, y1), CHANGE * self._noise
-        if len(self._first) == 2 and all(_other(part, then[y0:y1, x0:x1], least) for _, then in self._first):
-            return 0.0
-        return float(np.clip(self._nats(part, x0, y0), DOUBT, 0.0))
+        came = len(self._first) == 2 and all(_other(part, then[y0:y1, x0:x1], least) for _, then in self._first)
+        if not (came or wholly):
+            return None
+        nats = self._nats(part, x0, y0)
+        moves = float(np.clip(nats, 0.0, COME))
+        return (moves if came else float(np.clip(nats, DOUBT, 0.0))), moves
 
     def _nats(self, part: np.ndarray, x0: int, y0: int, seen: np.ndarray | None = None) -> float:
         """What the pictures before tell of a part (h, w) at a place, px, or of what of it is `seen`, (h, w) 0 or 1."""
@@ -233,7 +254,8 @@ class Stillness:
 def after(scores: np.ndarray, evidence: np.ndarray) -> np.ndarray:
     """Probabilities (n,) of people with scores (n,) once the evidence (n,), nats, is known."""
     sure = np.clip(scores, 1e-6, SUREST)
-    return np.minimum(scores, np.where(evidence == 0, 1.0, 1 / (1 + (1 - sure) / sure * np.exp(-evidence))))
+    told = 1 / (1 + (1 - sure) / sure * np.exp(-evidence))
+    return np.where(evidence > 0, np.maximum(scores, told), np.where(evidence < 0, np.minimum(scores, told), scores))
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:

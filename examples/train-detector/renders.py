@@ -10,16 +10,19 @@ from avcli.detection.view import View
 from avcli.scene import layout, render, scenario
 from avcli.scene.people import Bodies, pose
 
+PANELS = 0.18
+"""Share of rooms in which something large hangs."""
+
 SHAPES = [(640, 360), (640, 360), (640, 360), (640, 384), (512, 384), (384, 384)]
 
 
 def random_scenario(
     rng: np.random.Generator, width: int, height: int, people: int | None = None, pieces: int | None = None,
-    furnished: float = 0.0,
+    furnished: float = 0.0, panels: float = PANELS,
 ) -> dict:  # fmt: skip
     """A scenario of random room, camera, `pieces` of furniture and walks, for pictures of width × height px; 10 s.
 
-    A share of `furnished` of the rooms also has what random worlds have.
+    A share of `furnished` of the rooms also has what random worlds have, one of `panels` something large that hangs.
     """
     room = [*rng.uniform(3.6, 7.5, 2), rng.uniform(2.5, 4.2)]
     top = min(rng.uniform(2.2, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.0), room[2] - 0.1)
@@ -69,11 +72,8 @@ def random_scenario(
         furniture.append({key: value for key, value in item.items() if key != "color" or kind != "mesh"})
     if furnished and rng.random() < furnished:
         furniture += furniture_of_a_world(rng, room, eye)
-    if rng.random() < 0.18:  # something large that hangs: of those behind it only an edge is seen
-        spot = [float(value) for value in eye[:2] + rng.normal(0, 0.5, 2)]
-        item = {"kind": "panel", "rotation_deg": rng.uniform(0, 360), "color": [float(c) for c in _colour(rng)]}
-        item |= {"position_m": [*spot, rng.uniform(1.8, top - 0.2)], "size_m": [*rng.uniform(0.4, 1.8, 2), 0.02]}
-        furniture.append(item)
+    if rng.random() < panels:
+        furniture.append(hanging(rng, eye, top))
     walkers = []
     crowd = rng.choice([0, 1, 2, 3, 4, 5], p=[0.22, 0.16, 0.16, 0.16, 0.15, 0.15]) if people is None else people
     for index in range(int(crowd)):
@@ -88,6 +88,15 @@ def random_scenario(
     return {
         "name": "random", "duration_s": 10.0, "camera_config": camera,
         "room_config": {"room_dimensions_m": room}, "furniture": furniture, "people": walkers,
+    }  # fmt: skip
+
+
+def hanging(rng: np.random.Generator, eye: list[float], top: float) -> dict:
+    """Something large that hangs near a camera, below `top` m: of those behind it only an edge is seen."""
+    spot = [float(value) for value in np.add(eye[:2], rng.normal(0, 0.5, 2))]
+    item = {"kind": "panel", "rotation_deg": rng.uniform(0, 360), "color": [float(c) for c in _colour(rng)]}
+    return item | {
+        "position_m": [*spot, rng.uniform(min(1.8, top - 0.3), top - 0.2)], "size_m": [*rng.uniform(0.4, 1.8, 2), 0.02],
     }  # fmt: skip
 
 
@@ -160,9 +169,10 @@ def shots(
     pieces=None,
     look=random_look,
     furnished=0.0,
+    panels=PANELS,
 ):
     """Yield `count` frames at random times of one random scene, whose people `look(rng, height)` dresses."""
-    scene = scenario.parse(random_scenario(rng, width, height, people, pieces, furnished))
+    scene = scenario.parse(random_scenario(rng, width, height, people, pieces, furnished, panels))
     actors = [
         dataclasses.replace(person, look=look(rng, person.height), gestures=bool(rng.random() < 0.8))
         for person in scene.people
@@ -201,13 +211,15 @@ class Library:
         people: how many there are in each scene; None draws it.
         pieces: least and largest number of pieces of furniture; None draws a few, and for training many.
         furnished: share of the scenes with the furniture and clutter of random worlds.
+        panels: share of the scenes in which something large hangs.
     """
 
     def __init__(
-        self, seed: int, each: int = 12, plain: bool = False, people: int | None = None, pieces=None, furnished=0.0
-    ):
+        self, seed: int, each: int = 12, plain: bool = False, people: int | None = None, pieces=None, furnished=0.0,
+        panels: float = PANELS,
+    ):  # fmt: skip
         self.rng, self.each, self.plain = np.random.default_rng([seed, 7]), each, plain
-        self.people, self.pieces, self.furnished = people, pieces, furnished
+        self.people, self.pieces, self.furnished, self.panels = people, pieces, furnished, panels
         self.context = render.open_context()
         self.context.gc_mode = "auto"  # one scene after another: what the last one drew with goes with it
         self._shots = iter(())
@@ -223,7 +235,9 @@ class Library:
                     each, people, span = 2, 0, (4, 11)
             pieces = None if span is None else int(self.rng.integers(*span))
             try:
-                self._shots = shots(self.rng, *size, each, self.context, people, pieces, furnished=self.furnished)
+                self._shots = shots(
+                    self.rng, *size, each, self.context, people, pieces, furnished=self.furnished, panels=self.panels
+                )
                 shot = next(self._shots, None)
             except scenario.ScenarioError:
                 continue

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from model import Detector, loss, targets
+from renders import PANELS
 
 
 def of_worlds(folder: Path, rng: np.random.Generator):
@@ -30,7 +31,9 @@ def of_worlds(folder: Path, rng: np.random.Generator):
     raise FileNotFoundError(f"{folder}: no worlds; draw some with worlds.py")
 
 
-def pictures(queue, seed: int, batch: int, renders: float, furnished: float, worlds, share: float, panoramas) -> None:
+def pictures(
+    queue, seed: int, batch: int, renders: float, furnished: float, panels: float, worlds, share: float, panoramas
+) -> None:
     """Put batches of pictures and targets into the queue for ever."""
     import cv2
     from backdrops import Backdrops
@@ -44,7 +47,7 @@ def pictures(queue, seed: int, batch: int, renders: float, furnished: float, wor
     if renders:
         from renders import Library
 
-        library = Library(seed, furnished=furnished)
+        library = Library(seed, furnished=furnished, panels=panels)
     drawn = of_worlds(worlds, generator.rng) if worlds else None
 
     def sample():
@@ -118,6 +121,23 @@ def mirrored(chance, image, maps) -> tuple:
     return image, (heat, negative, regression, weight)
 
 
+def another_camera(chance, image: np.ndarray) -> np.ndarray:
+    """A picture as a camera of another colour, contrast and sharpness shows it, or as it is."""
+    import cv2
+
+    if chance.random() < 0.5:
+        levels = np.arange(256) / 255
+        bent = levels ** np.exp(chance.normal(0, 0.3))
+        cast = np.exp(chance.normal(0, 0.12, 3) + chance.normal(0, 0.15))
+        table = bent[:, None] * cast + chance.uniform(0, 0.12) * (1 - bent[:, None])
+        image = cv2.LUT(image, np.rint(255 * np.clip(table, 0, 1)).astype(np.uint8)[:, None])
+    if chance.random() < 0.3:
+        height, width = image.shape[:2]
+        small = cv2.resize(image, None, fx=(f := chance.uniform(0.4, 0.9)), fy=f, interpolation=cv2.INTER_AREA)
+        image = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+    return image
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
@@ -131,6 +151,7 @@ def main() -> None:
         "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
     )
     parser.add_argument("--furnished", type=float, default=0.0, help="share of these with a random world's furniture")
+    parser.add_argument("--panels", type=float, default=PANELS, help="share of these in which something large hangs")
     parser.add_argument(
         "--hard", type=int, default=0, help="of a batch, how many are empty rooms in which --start sees somebody"
     )
@@ -167,8 +188,8 @@ def main() -> None:
     for number in range(options.workers):
         seed = (options.seed * 1000 + step) * options.workers + number
         drawing = (
-            queue, seed, options.batch, options.renders, options.furnished, options.worlds, options.share,
-            options.panoramas,
+            queue, seed, options.batch, options.renders, options.furnished, options.panels, options.worlds,
+            options.share, options.panoramas,
         )  # fmt: skip
         multiprocessing.Process(target=pictures, args=drawing, daemon=True).start()
     if options.hard:
@@ -199,7 +220,7 @@ def main() -> None:
         if options.hard:
             chosen += [deceptive[k] for k in chance.integers(len(deceptive), size=options.hard)]
         chosen = [mirrored(chance, *item) for item in chosen]
-        images = np.stack([image for image, _ in chosen])
+        images = np.stack([another_camera(chance, image) for image, _ in chosen])
         maps = [np.stack(item) for item in zip(*(item for _, item in chosen), strict=True)]
         batch = torch.from_numpy(images).to(device).permute(0, 3, 1, 2).float().div_(255)
         batch = batch.contiguous(memory_format=torch.channels_last)

@@ -17,7 +17,7 @@ import numpy as np
 from generate import HEIGHT, PAD, WIDTH, Sample
 from meshes import Painter, Wardrobe, paint_people, somebody
 from pieces import Piece, furnish, pieces
-from renders import seen_people
+from renders import hanging, seen_people
 
 from avcli.detection.view import View
 from avcli.scene import interior, load, render, scenario, sensor
@@ -27,6 +27,10 @@ from avcli.scene.worlds import Wishes
 
 LONGEST = 640
 """px, of the longer side of the pictures: the scale at which the network looks."""
+
+
+TABLES = ("meeting", "meeting", "office", "living")
+"""Kinds of rooms in which people sit at tables."""
 
 
 def scaled(raw: dict) -> dict:
@@ -51,16 +55,23 @@ def world(
     count: int,
     context,
     *,
+    seated: float = 0.0,
+    panels: float = 0.0,
     empty: bool = False,
     wardrobe: Wardrobe | None = None,
     furniture: list[Piece] | None = None,
 ) -> Iterator[Sample]:
     """Yield `count` pictures of a random world; square ones are turned and cut to the network's shape.
 
-    An `empty` one is furnished for its people, who are not there. With a wardrobe the people are meshes.
+    An `empty` one is furnished for its people, who are not there. With a wardrobe the people are meshes. A share of
+    `seated` are rooms with tables at which people sit, in a share of `panels` something large hangs near the camera.
     """
     rng = np.random.default_rng([seed, 17])
-    raw = scaled(load.named("random", seed, Wishes(people=people), 10.0))
+    kind = str(rng.choice(TABLES)) if rng.random() < seated else None
+    raw = scaled(load.named("random", seed, Wishes(people=people, kind=kind), 10.0))
+    eye = raw["camera_config"]["camera_position_m"]
+    if rng.random() < panels:
+        raw["furniture"].append(hanging(rng, eye, eye[2]))
     if empty:
         raw["people"] = []
     scene = scenario.parse(raw)
@@ -196,6 +207,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1_000_000, help="of the first world")
     parser.add_argument("--each", type=int, default=6, help="pictures of a world with people; one of an empty world")
     parser.add_argument("--empty", type=float, default=0.4, help="share of worlds without people")
+    parser.add_argument("--seated", type=float, default=0.0, help="share of worlds made rooms with people at tables")
+    parser.add_argument("--panels", type=float, default=0.0, help="share of worlds in which something large hangs")
     parser.add_argument("--makehuman", type=Path, help="folder of MakeHuman's files (meshes.py)")
     parser.add_argument("--pieces", type=Path, help="with --makehuman, folder of furniture as meshes (pieces.py)")
     options = parser.parse_args()
@@ -215,8 +228,9 @@ def main() -> None:
         empty, people = bool(rng.random() < options.empty), int(rng.integers(1, 9))
         try:
             drawn = world(
-                seed, people, 1 if empty else options.each, context, empty=empty, wardrobe=wardrobe, furniture=furniture
-            )
+                seed, people, 1 if empty else options.each, context, seated=options.seated, panels=options.panels,
+                empty=empty, wardrobe=wardrobe, furniture=furniture,
+            )  # fmt: skip
             samples = list(drawn)
         except scenario.ScenarioError:
             continue
