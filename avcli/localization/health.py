@@ -208,7 +208,7 @@ class Health:
         gcc = np.sum([window.gcc for window in around], axis=0) / np.float32(np.sqrt(len(around)))
         self.moments.append((gcc, np.all([window.good for window in around], axis=0)))
         self.heard += 1
-        if self.heard < self.enough or (self.heard > ENOUGH and not self.puzzled and not self.doubted.any()):
+        if self.heard < self.enough or (self.heard > 2 * ENOUGH and not self.puzzled and not self.doubted.any()):
             return False
         good = np.all([good for _, good in self.moments], axis=0) & ~self.faulty
         remedy = self.rewiring.find(Moments([gcc for gcc, _ in self.moments], good, deviation))

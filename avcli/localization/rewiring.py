@@ -22,8 +22,9 @@ microphone may be heard to hang before a change is believed; and how often that 
 TOLD_M = 0.3
 """m: by how much an exchange changes the ways of the sound at least: less looks like misplaced microphones."""
 
-ALIKE_M = 0.25
-"""m: by how much the distances between microphones may differ in arrays that are taken for the same."""
+ALIKE_M = 0.25, 0.5
+"""m: by how much the distances between microphones may differ in arrays that are taken for the same, where a few of
+them are moved and where most are: a tape errs at each of them."""
 
 FEWEST, MOST = 6, 12
 """From and up to how many channels exchanges are told."""
@@ -38,6 +39,9 @@ CHANGES = 4
 OVERWHELMING = 120.0
 POSSIBLE = 0.5 * OVERWHELMING
 """By how much the log likelihood of the moments must rise by a change that is believed, and that may be."""
+
+SHARE = 0.1
+"""The least share of the log likelihood that a change explains: what is not modelled grows with it."""
 
 RIVAL = 0.8
 """The share of its gain that another change may reach at most."""
@@ -116,7 +120,11 @@ class Rewiring:
         )
         away = np.linalg.norm(response.microphones[:, None] - response.microphones, axis=2)
         orders = [*_exchanges(count), *_renumbered(count)] if count <= MOST else _renumbered(count)
-        alike = [np.abs(away[np.ix_(order, order)] - away).max() < ALIKE_M for order in orders]
+        alike = [
+            np.abs(away[np.ix_(order, order)] - away).max()
+            < ALIKE_M[int((order != np.arange(count)).sum() > count // 2)]
+            for order in orders
+        ]
         self.twins = [order for order, same in zip(orders, alike, strict=True) if same]
         over = [turned_over((c,), count) for c in range(count)] if count <= MOST else []
         even, on_time = np.ones(count), np.zeros(count)
@@ -162,7 +170,9 @@ class Rewiring:
             return None
         fitted = [self._settled(one, heard) for one in (best, turned_over((), self.count))]
         gain = min(gain, float((fitted[0] - fitted[1]).sum()))
-        return self._likelier(replace(best, gain=gain), twins, heard) if gain >= POSSIBLE else None
+        if gain < max(POSSIBLE, SHARE * fitted[0].sum()):
+            return None
+        return self._likelier(replace(best, gain=gain), twins, heard)
 
     def _likelier(self, best: Remedy, twins: list[Remedy], heard: Moments) -> Remedy:
         """Return the one of remedies between which distances do not tell that moves the channels least."""
