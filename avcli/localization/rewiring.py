@@ -40,6 +40,9 @@ OVERWHELMING = 120.0
 POSSIBLE = 0.5 * OVERWHELMING
 """By how much the log likelihood of the moments must rise by a change that is believed, and that may be."""
 
+HOPELESS = -20.0
+"""How the log likelihood of one moment falls where a change is not looked at any more."""
+
 SHARE = 0.1
 """The least share of the log likelihood that a change explains: what is not modelled grows with it."""
 
@@ -97,10 +100,9 @@ class Moments:
     good: np.ndarray
     deviation: float
 
-    @property
-    def first(self) -> "Moments":
-        """The few by which changes are screened."""
-        return replace(self, gccs=self.gccs[:SCREENED])
+    def first(self, count: int) -> "Moments":
+        """Return the first so many of them."""
+        return replace(self, gccs=self.gccs[:count])
 
 
 class Rewiring:
@@ -141,10 +143,7 @@ class Rewiring:
         steps: list[Remedy] = []
         rivals: list[tuple[float, Remedy]] = []
         for _ in range(CHANGES):
-            screened = [
-                (float((self._agreement(_after(best, one), heard.first) - reached[:SCREENED]).mean()), k)
-                for k, one in enumerate(self.changes)
-            ]  # fmt: skip
+            screened = [(self._screened(_after(best, one), reached, heard), k) for k, one in enumerate(self.changes)]
             likely = [self.changes[k] for gain, k in sorted(screened, reverse=True)[:KEPT] if gain > 0.0]
             answers = [(one, *self._answer(_after(best, one), heard)) for one in likely]
             tried = [(one, value) for one, value, places in answers if self._told(one, places)]
@@ -173,6 +172,13 @@ class Rewiring:
         if gain < max(POSSIBLE, SHARE * fitted[0].sum()):
             return None
         return self._likelier(replace(best, gain=gain), twins, heard)
+
+    def _screened(self, remedy: Remedy, reached: np.ndarray, heard: Moments) -> float:
+        """Return by how much the log likelihood of the first moments rises; of one alone where that is hopeless."""
+        gain = float((self._agreement(remedy, heard.first(1)) - reached[:1])[0])
+        if gain < HOPELESS:
+            return gain
+        return float((self._agreement(remedy, heard.first(SCREENED)) - reached[:SCREENED]).mean())
 
     def _likelier(self, best: Remedy, twins: list[Remedy], heard: Moments) -> Remedy:
         """Return the one of remedies between which distances do not tell that moves the channels least."""
