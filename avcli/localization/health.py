@@ -112,6 +112,7 @@ class Health:
         self.likely: Remedy | None = None
         self.moments: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOMENTS)  # GCCs and good channels of each
         self.heard, self.enough = 0, ENOUGH  # moments so far, and how many are for the next verdict on the wiring
+        self.settled = False  # whether the channels are connected as the config says, unless some are doubted
         self.puzzled = False  # whether the last verdict was that the channels may be connected in another way
         self.moment = self.stale = (
             self.around
@@ -208,16 +209,19 @@ class Health:
         gcc = np.sum([window.gcc for window in around], axis=0) / np.float32(np.sqrt(len(around)))
         self.moments.append((gcc, np.all([window.good for window in around], axis=0)))
         self.heard += 1
-        if self.heard < self.enough or (self.heard > 2 * ENOUGH and not self.puzzled and not self.doubted.any()):
+        if self.heard < self.enough or (self.settled and not self.doubted.any()):
             return False
         good = np.all([good for _, good in self.moments], axis=0) & ~self.faulty
         remedy = self.rewiring.find(Moments([gcc for gcc, _ in self.moments], good, deviation))
+        if remedy and not remedy.changed.any():
+            self.settled, remedy = True, None
         self.puzzled = remedy is not None
         if remedy and remedy.certain:
             self._apply(remedy)
         elif remedy and remedy.gain >= OVERWHELMING:
             self.suspected, self.held = remedy, remedy.changed
         else:
+            self.settled |= self.heard >= 2 * ENOUGH and remedy is None
             self.enough = self.heard + (MOMENTS if remedy else self.heard)
         return self.suspected is not None or not self.heard
 

@@ -137,6 +137,7 @@ class Rewiring:
         """Return the remedy under which the array agrees better by far than as it is, if any.
 
         It is certain where nothing else explains the sound, and gains less than `OVERWHELMING` where it is possible.
+        It changes nothing where it is certain that nothing is to be changed.
         """
         best = turned_over((), self.count)
         reached = start = self._agreement(best, heard)
@@ -149,6 +150,8 @@ class Rewiring:
             tried = [(one, value) for one, value, places in answers if self._told(one, places)]
             if not steps:
                 rivals = [(float((value - start).sum()), one) for one, value in tried]
+            if not steps and max((worth for worth, _ in rivals), default=-np.inf) < HOPELESS * len(heard.gccs):
+                return best
             if not tried:
                 break
             step, value = max(tried, key=lambda found: float(found[1].mean()))
