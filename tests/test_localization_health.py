@@ -157,7 +157,8 @@ def test_misplaced_microphones_are_not_called_exchanged(talk, seed):
     localizer = SteeredLocalizer(Array(moved, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
     gccs = [correlated(localizer, talk[int(t * FS) :]) for t in (0.5, 0.8, 1.1, 1.4, 1.7, 2.0)]
     deviation = localizer.noise(1).deviation
-    assert Rewiring(localizer.health.response).find(Moments(gccs, np.ones(8, bool), deviation)) is None
+    found = Rewiring(localizer.health.response).find(Moments(gccs, np.ones(8, bool), deviation))
+    assert found is None or not found.changed.any()
 
 
 def correlated(localizer, samples):
