@@ -5,7 +5,9 @@ import pytest
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
 from avcli.formats.experiment import Wiring
+from avcli.localization import correlation
 from avcli.localization.array import Array
+from avcli.localization.rewiring import Moments, Remedy, Rewiring, turned_over
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings
 from avcli.localization.ssl3d import ClosedFormLocalizer
 from avcli.localization.steered import UNSETTLED, SteeredLocalizer
@@ -135,3 +137,53 @@ def test_channels_that_config_json_names_are_right_from_the_first_sample(talk):
     assert not any(decision.notices for decision in steered)
     kinds = {(fault.channel, fault.kind) for fault in steered[0].faults}
     assert kinds == {(2, "swapped"), (4, "swapped"), (2, "late"), (5, "polarity"), (7, "unexplained")}
+
+
+def test_channels_that_are_all_moved_on_by_one(talk):
+    """This array differs from itself turned by an eighth; where it did not, nothing could be told."""
+    faults = localize(np.roll(talk, 1, axis=1))[-1].faults
+    assert {fault.channel: fault.microphone for fault in faults} == {(c + 1) % 8 + 1: c + 1 for c in range(8)}
+    assert {fault.kind for fault in faults} == {"swapped"}
+
+
+def test_two_exchanged_and_one_turned_over(talk):
+    exchanged = turned(talk[:, [0, 1, 3, 2, 4, 5, 6, 7]], 5)
+    check(localize(exchanged), {(3, "swapped"), (4, "swapped"), (6, "polarity")})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_misplaced_microphones_are_not_called_exchanged(talk, seed):
+    moved = MICROPHONES + np.random.default_rng(seed).normal(0.0, 0.04, MICROPHONES.shape)
+    localizer = SteeredLocalizer(Array(moved, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
+    gccs = [correlated(localizer, talk[int(t * FS) :]) for t in (0.5, 0.8, 1.1, 1.4, 1.7, 2.0)]
+    deviation = localizer.noise(1).deviation
+    found = Rewiring(localizer.health.response).find(Moments(gccs, np.ones(8, bool), deviation))
+    assert found is None or not found.changed.any()
+
+
+def correlated(localizer, samples):
+    size = localizer.band.size
+    return localizer.correlator.gcc(localizer.correlator.whitened(samples[:size].T * correlation.hann(size)))
+
+
+def test_an_exchange_that_hardly_changes_the_ways_is_not_told(talk):
+    """Half way between two microphones, the sound is the same when they are exchanged."""
+    localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
+    rewiring = Rewiring(localizer.health.response)
+    order = np.arange(8)
+    order[[0, 1]] = 1, 0
+    exchange = Remedy(order, np.ones(8), np.zeros(8))
+    middle = MICROPHONES[:2].mean(axis=0)
+    assert not rewiring._told(exchange, middle[None])
+    assert rewiring._told(exchange, MICROPHONES[:1])
+    assert rewiring._told(turned_over((0,), 8), middle[None])
+
+
+def test_a_ring_that_looks_like_itself_when_turned_is_not_called_moved_on():
+    angle = np.arange(8) * np.pi / 4
+    ring = np.column_stack([2.5 + 2.0 * np.cos(angle), 2.5 + 2.0 * np.sin(angle), np.full(8, 2.4)])
+    room = np.array([5.0, 5.0, 3.0])
+    localizer = SteeredLocalizer(Array(ring, FS, room, 343.0), SteeredSettings(), np.random.default_rng(0))
+    rewiring = Rewiring(localizer.health.response)
+    assert len(rewiring.twins) == 15  # seven turns and eight mirrors
+    assert not any((one.order == np.roll(np.arange(8), k)).all() for one in rewiring.changes for k in range(1, 8))

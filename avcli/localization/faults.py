@@ -29,6 +29,10 @@ class Fault:
             way = "late" if self.delay_s > 0.0 else "early"
             return f"channel {self.channel} is {1000.0 * abs(self.delay_s):.2f} ms {way}; this is corrected"
         if self.microphone is not None:
+            if not self.corrected:
+                return (
+                    f"channel {self.channel} probably carries the sound of microphone {self.microphone}; it is left out"
+                )
             return f"channel {self.channel} carries the sound of microphone {self.microphone}; this is corrected"
         if self.level_db is not None:
             way = "louder" if self.level_db > 0.0 else "quieter"

@@ -1,14 +1,15 @@
 """What is wrong with an array's channels: found from the talkers' own sound, named once, and put right where it can be.
 
-A healthy array agrees on where a talker is. Hypotheses about the channels (these are left out, those are of wrong
-polarity) are compared by how well the others agree on any place, window after window. Where leaving channels out helps
-much, they are listened to: steered to the places on which the others agree, a late channel correlates with their sum at
-its delay, and a channel that carries another microphone's sound does so after the two are exchanged. A correction is
-believed only if the whole array, so corrected, agrees much better than the array without the channels.
+How the channels are connected is tested first, see `rewiring`. A healthy array agrees on where a talker is. Hypotheses
+about the channels (these are left out, those are of wrong polarity) are compared by how well the others agree on any
+place, window after window. Where leaving channels out helps much, they are listened to: steered to the places on which
+the others agree, a late channel correlates with their sum at its delay, and a channel that carries another microphone's
+sound does so after the two are exchanged. A correction is believed only if the whole array, so corrected, agrees much
+better than the array without the channels.
 """
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from avcli.localization import correlation
 from avcli.localization.array import Array
 from avcli.localization.faults import Fault
+from avcli.localization.rewiring import ENOUGH, MOMENTS, OVERWHELMING, Moments, Remedy, Rewiring, turned_over
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.windows import Band, Correlated, Correlator
 
@@ -57,34 +59,6 @@ FEW = 12
 """Up to how many channels two are doubted, or three and four turned over, at once; of more, one after another."""
 
 
-@dataclass(frozen=True)
-class Remedy:
-    """A change of the channels that may put them right.
-
-    Attributes:
-        order: (m,) which channel is taken for each microphone, of those as they are now.
-        sign: (m,) by which it is multiplied.
-        delay: (m,) s by which it is late.
-        gain: of the log likelihood over the array as it is.
-    """
-
-    order: np.ndarray
-    sign: np.ndarray
-    delay: np.ndarray
-    gain: float = 0.0
-
-    @property
-    def changed(self) -> np.ndarray:
-        """Which microphones (m,) it changes."""
-        return (self.order != np.arange(len(self.order))) | (self.sign < 0.0) | (self.delay != 0.0)
-
-
-def _alike(one: Remedy, other: Remedy) -> bool:
-    """Tell whether two remedies do the same, to within 5 cm of path."""
-    same = (one.order == other.order).all() and (one.sign == other.sign).all()
-    return bool(same and (np.abs(one.delay - other.delay) < 0.00015).all())
-
-
 class Health:
     """The state of an array's channels, and the evidence for it.
 
@@ -98,6 +72,8 @@ class Health:
         delay: (m,) s by which it is late.
         doubted: (m,) bool, which are left out as the latest windows have it.
         held: (m,) bool, which are left out since several remedies would do.
+        suspected: how the channels are probably exchanged, where it is not certain enough to put them right; they are
+            held then.
         faulty: (m,) bool, which are left out for good.
         loud: (m,) dB, by how much the level of each is unusual; else 0.
         silent: (m,) in how many windows up to the last each was without sound.
@@ -123,6 +99,9 @@ class Health:
             row[list(subset)] = -1.0 if turned else 0.0
         self.weights = (gains[:, correlator.first] * gains[:, correlator.second]).T.astype(np.float32)
         self.price = np.array([(DOUBT + EACH * len(subset)) * bool(subset) for subset, _ in self.hypotheses])
+        self.rewiring = Rewiring(response) if response else None
+        self.suspected: Remedy | None = None
+        self.around: list[Correlated] = []
         self._forget()
 
     def _forget(self) -> None:
@@ -131,6 +110,13 @@ class Health:
         self.patience = self.waited = EARLIEST
         self.recent: deque[Correlated] = deque(maxlen=RECENT)
         self.likely: Remedy | None = None
+        self.moments: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOMENTS)  # GCCs and good channels of each
+        self.heard, self.enough = 0, ENOUGH  # moments so far, and how many are for the next verdict on the wiring
+        self.settled = False  # whether the channels are connected as the config says, unless some are doubted
+        self.puzzled = False  # whether the last verdict was that the channels may be connected in another way
+        self.moment = self.stale = (
+            self.around
+        )  # the latest moment's windows, and those from before the channels changed
 
     @property
     def response(self) -> SteeredResponse:
@@ -169,7 +155,7 @@ class Health:
     def _turned(self, sign: np.ndarray, delay: np.ndarray) -> np.ndarray:
         return (sign[:, None] * self.band.turned(delay, self.array.sample_rate)).astype(np.complex64)
 
-    def examine(self, window: Correlated, deviation: float) -> None:
+    def examine(self, window: Correlated, around: list[Correlated], deviation: float) -> None:
         """Test the channels in a window in which something sounds, and put right or leave out what is faulty.
 
         The log likelihood of a hypothesis is half the square of its pairs' mean GCC over its standard deviation, at the
@@ -177,13 +163,17 @@ class Health:
 
         Args:
             window: its channels are put right by what was found before.
+            around: it and those around it in which something sounds.
             deviation: of a GCC of noise.
         """
         self.windows += 1
         self.disputed += bool(self.doubted.any())
         self.doubts += self.doubted
         self._weigh(window)
-        if self._response is None:
+        self.around = around
+        if self._response is None or self.suspected or any(window is one for one in self.stale):
+            return
+        if self._rewire(around, deviation):
             return
         good = window.good & ~self.faulty
         if good.sum() < 5 or (self.windows > self.after and self.windows % SELDOM and not self.doubted.any()):
@@ -203,13 +193,37 @@ class Health:
         halves = (set(subset), set(range(len(good))) - set(subset))
         rest = [h for h, (other, _) in enumerate(self.hypotheses) if set(other) not in halves]
         if turned and gain[chosen] > max(1.5 * gain[rest].max(), self.likelihood[0]):
-            self._apply(_turned_over(subset, len(good)))
+            self._apply(turned_over(subset, len(good)))
             return
         self.patience -= 1
         if self.patience == 0:
             self.waited *= 2
             self.patience = self.waited
             self._diagnose(gain, deviation)
+
+    def _rewire(self, around: list[Correlated], deviation: float) -> bool:
+        """Test once in a while whether the channels are connected as the config says; tell whether they are not."""
+        if self.rewiring is None or any(one is other for one in around for other in self.moment):
+            return False
+        self.moment = around
+        gcc = np.sum([window.gcc for window in around], axis=0) / np.float32(np.sqrt(len(around)))
+        self.moments.append((gcc, np.all([window.good for window in around], axis=0)))
+        self.heard += 1
+        if self.heard < self.enough or (self.settled and not self.doubted.any()):
+            return False
+        good = np.all([good for _, good in self.moments], axis=0) & ~self.faulty
+        remedy = self.rewiring.find(Moments([gcc for gcc, _ in self.moments], good, deviation))
+        if remedy and not remedy.changed.any():
+            self.settled, remedy = True, None
+        self.puzzled = remedy is not None
+        if remedy and remedy.certain:
+            self._apply(remedy)
+        elif remedy and remedy.gain >= OVERWHELMING:
+            self.suspected, self.held = remedy, remedy.changed
+        else:
+            self.settled |= self.heard >= 2 * ENOUGH and remedy is None
+            self.enough = self.heard + (MOMENTS if remedy else self.heard)
+        return self.suspected is not None or not self.heard
 
     def _weigh(self, window: Correlated) -> None:
         """Compare the channels' levels: the whitened spectra hide how quiet a channel is."""
@@ -254,7 +268,7 @@ class Health:
         sizes = (kinds == 1, kinds == 2, kinds == 3, kinds < 0)
         order = [h for kind in sizes for h in np.argsort(-gain * kind)[:CANDIDATES] if gain[h] * kind[h] > 0.0]
         good = np.all([window.good for window in self.recent], axis=0) & ~self.faulty
-        healthy = self._reached(_turned_over((), len(good)), good, deviation)[0]
+        healthy = self._reached(turned_over((), len(good)), good, deviation)[0]
         best_out = int(np.argmax(gain * (kinds > 0)))
         remedies, deaf = list[Remedy](), None
         for h in order:
@@ -264,7 +278,7 @@ class Health:
             left = good.sum() - len(subset)
             whole = alone * good.sum() * (good.sum() - 1) / max(left * (left - 1), 1)
             if turned:
-                over = _turned_over(subset, len(good))
+                over = turned_over(subset, len(good))
                 found = [replace(over, gain=self._reached(over, good, deviation)[0] - healthy)]
             else:
                 lagged, usual = self._listened(subset, places, good)
@@ -277,11 +291,11 @@ class Health:
             shares = [DELAYED if remedy.delay.any() else WHOLE for remedy in found]
             remedies += [one for one, share in zip(found, shares, strict=True) if one.gain + healthy > share * whole]
         best = self._chosen([remedy for remedy in remedies if remedy.gain > 2.0 * DOUBT], good, deviation, healthy)
-        if best and (not best.delay.any() or (self.likely and _alike(best, self.likely))):
+        if best and (not best.delay.any() or (self.likely and best.alike(self.likely))):
             self._apply(best)
         elif best:  # a delay is believed when other windows tell it again
             self.likely, self.patience = best, EARLIEST
-        elif deaf and self.windows >= 2 * RECENT:
+        elif deaf and self.windows >= 2 * RECENT and not self.puzzled:
             self.faulty[list(deaf)] = True
             self._forget()
 
@@ -293,7 +307,7 @@ class Health:
         remedies = [remedy for remedy in remedies if remedy.gain > RIVAL * most]
         best = min(remedies, key=lambda remedy: (np.count_nonzero(remedy.delay), remedy.changed.sum(), -remedy.gain))
         # What changes more, and the same channels too, is the same story with more to fit.
-        rivals = [one for one in remedies if not _alike(one, best) and not one.changed[best.changed].all()]
+        rivals = [one for one in remedies if not one.alike(best) and not one.changed[best.changed].all()]
         for one in rivals:
             if not (one.changed & best.changed).any():
                 both = Remedy(
@@ -412,6 +426,9 @@ class Health:
         for c, channel in enumerate((self.order + 1).tolist()):
             if self.order[c] != c:
                 found.append(Fault(channel, "swapped", microphone=c + 1))
+            if self.suspected and self.suspected.order[c] != c:
+                seems = int(np.flatnonzero(self.suspected.order == c)[0]) + 1
+                found.append(Fault(channel, "swapped", microphone=seems, corrected=False))
             if self.sign[c] < 0.0:
                 found.append(Fault(channel, "polarity"))
             if self.delay[c]:
@@ -423,13 +440,6 @@ class Health:
             elif self.loud[c]:
                 found.append(Fault(channel, "level", level_db=float(self.loud[c])))
         return tuple(found)
-
-
-def _turned_over(subset: tuple[int, ...], count: int) -> Remedy:
-    """Return the remedy that turns some of so many channels over."""
-    sign = np.ones(count)
-    sign[list(subset)] = -1.0
-    return Remedy(np.arange(count), sign, np.zeros(count))
 
 
 def _hypotheses(count: int) -> list[tuple[tuple[int, ...], bool]]:

@@ -193,7 +193,7 @@ class SteeredResponse:
         """
         step, reach, speeds = 0.04, 3, max_speed * np.linspace(-1.0, 1.0, 5)
         # The lattice is wider than a peak: each lag stands for its neighbours within 3 steps too.
-        pooled = _dilate(gccs, 3)
+        pooled = dilated(gccs, 3)
         heights = np.linspace(self.low[2], self.high[2], max(2, round((self.high[2] - self.low[2]) / 0.1)))
         middle = int(np.argmin(np.abs(offsets)))
         seen = self._nearest(pooled[middle], _lattice(start, step, reach, heights)).reshape(len(heights), -1)
@@ -353,7 +353,7 @@ def interpolated(rows: np.ndarray, at: np.ndarray) -> np.ndarray:
     )
 
 
-def _dilate(gccs: np.ndarray, reach: int) -> np.ndarray:
+def dilated(gccs: np.ndarray, reach: int) -> np.ndarray:
     """Return each lag's maximum within ± reach lags."""
     wide = np.pad(gccs, ((0, 0), (0, 0), (reach, reach)))
     width = 1  # of the runs whose maxima there are; the next are no more than twice as wide

@@ -211,7 +211,7 @@ class SteeredLocalizer:
                 if self.finder.outside:
                     notices.append("a source is on the edge of the room or outside it")
             features = self.voices.features(now, self.health.out, talkers)
-            self.health.examine(now, self.noise(1).deviation)
+            self.health.examine(now, [window for window, _ in sounding], self.noise(1).deviation)
             notices += self._news() + self.steady.news()
             if self.health.unsettled and not self.told_unsettled:
                 notices.append(UNSETTLED.format(self.health.unsettled))
