@@ -177,7 +177,12 @@ class Rewiring:
         return self._likelier(replace(best, gain=gain), twins, heard)
 
     def _screened(self, remedy: Remedy, reached: np.ndarray, heard: Moments) -> float:
-        """Return by how much the log likelihood of the first moments rises; of one alone where that is hopeless."""
+        """Return by how much the log likelihood of the first moments rises; of one alone, or less, where hopeless."""
+        gcc = dilated(self._rewired(remedy, heard.gccs[0], heard)[None], self.pooled)[0]
+        most = np.array([self.response.most(gcc)])
+        gain = float((self._likelihood(most, remedy, heard) - reached[:1])[0])
+        if gain < HOPELESS:
+            return gain
         gain = float((self._agreement(remedy, heard.first(1)) - reached[:1])[0])
         if gain < HOPELESS:
             return gain

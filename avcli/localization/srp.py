@@ -127,6 +127,10 @@ class SteeredResponse:
         """Return each pair's GCC at the lag of a place (3,) m, (pairs,)."""
         return interpolated(gcc, self.lags(position[None]) + self.half_lags)[:, 0]
 
+    def most(self, gcc: np.ndarray) -> float:
+        """Return a number that no place's response reaches beyond, of GCCs (pairs, lags), in a quarter of a search."""
+        return float(self.bound(self._ladder(gcc), self.coarse).max())
+
     def search(self, gcc: np.ndarray, keep: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,).
 
