@@ -143,8 +143,11 @@ class Rewiring:
         reached = start = self._agreement(best, heard)
         steps: list[Remedy] = []
         rivals: list[tuple[float, Remedy]] = []
+        wide = [dilated(np.minimum([gcc, -gcc], 10.0 * heard.deviation), self.pooled) for gcc in heard.gccs[:SCREENED]]
         for _ in range(CHANGES):
-            screened = [(self._screened(_after(best, one), reached, heard), k) for k, one in enumerate(self.changes)]
+            screened = [
+                (self._screened(_after(best, one), reached, wide, heard), k) for k, one in enumerate(self.changes)
+            ]
             likely = [self.changes[k] for gain, k in sorted(screened, reverse=True)[:KEPT] if gain > 0.0]
             answers = [(one, *self._answer(_after(best, one), heard)) for one in likely]
             tried = [(one, value) for one, value, places in answers if self._told(one, places)]
@@ -176,17 +179,21 @@ class Rewiring:
             return None
         return self._likelier(replace(best, gain=gain), twins, heard)
 
-    def _screened(self, remedy: Remedy, reached: np.ndarray, heard: Moments) -> float:
-        """Return by how much the log likelihood of the first moments rises; of one alone, or less, where hopeless."""
-        gcc = dilated(self._rewired(remedy, heard.gccs[0], heard)[None], self.pooled)[0]
-        most = np.array([self.response.most(gcc)])
-        gain = float((self._likelihood(most, remedy, heard) - reached[:1])[0])
-        if gain < HOPELESS:
-            return gain
-        gain = float((self._agreement(remedy, heard.first(1)) - reached[:1])[0])
-        if gain < HOPELESS:
-            return gain
-        return float((self._agreement(remedy, heard.first(SCREENED)) - reached[:SCREENED]).mean())
+    def _screened(self, remedy: Remedy, reached: np.ndarray, wide: list[np.ndarray], heard: Moments) -> float:
+        """Return by how much the log likelihood of the first moments rises, or at most rises where it cannot pay.
+
+        wide: the pooled GCCs of these moments, and those of channels turned over, (2, pairs, lags) each.
+        """
+        gain = np.full(len(wide), np.inf)
+        for step in (self.response.most, lambda gcc: self.response.search(gcc)[1][0]):
+            for k, both in enumerate(wide):
+                found = np.array([step(self._taken(remedy, both, heard))])
+                gain[k] = self._likelihood(found, remedy, heard)[0] - reached[k]
+                if gain[0] < HOPELESS:
+                    return float(gain[0])
+                if gain.sum() <= 0.0:
+                    return float(gain.mean())
+        return float(gain.mean())
 
     def _likelier(self, best: Remedy, twins: list[Remedy], heard: Moments) -> Remedy:
         """Return the one of remedies between which distances do not tell that moves the channels least."""
@@ -291,16 +298,17 @@ class Rewiring:
 
     def _rewired(self, remedy: Remedy, gcc: np.ndarray, heard: Moments) -> np.ndarray:
         """Return the GCC of each pair of microphones (pairs, lags), clipped, the channels put right."""
+        return self._taken(remedy, np.minimum([gcc, -gcc], 10.0 * heard.deviation), heard)
+
+    def _taken(self, remedy: Remedy, both: np.ndarray, heard: Moments) -> np.ndarray:
+        """Return of GCCs and those of channels turned over, (2, pairs, lags), those of pairs that are put right."""
         first, second = remedy.order[self.response.first], remedy.order[self.response.second]
-        sign = (
-            remedy.sign[self.response.first]
-            * remedy.sign[self.response.second]
-            * (heard.good[first] & heard.good[second])
-        )
-        taken = gcc[self.row[first, second]] * sign.astype(np.float32)[:, None]
+        over = remedy.sign[self.response.first] * remedy.sign[self.response.second] < 0.0
+        taken = both[over.astype(np.intp), self.row[first, second]]
         turned = first > second
         taken[turned] = taken[turned, ::-1]
-        return np.minimum(taken, 10.0 * heard.deviation)
+        taken[~(heard.good[first] & heard.good[second])] = 0.0
+        return taken
 
 
 def _after(one: Remedy, other: Remedy) -> Remedy:
