@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from avcli.formats.experiment import Config
 from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import coverage, gaussian
+from avcli.tracking.blindness import Blindness
 from avcli.tracking.densities import Densities
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.hypotheses import Cluster, condensed, decided
 from avcli.tracking.model import Population
 from avcli.tracking.motion import WALKING
-from avcli.tracking.rates import Blindness
 from avcli.tracking.settings import Settings, sensor
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))

@@ -15,6 +15,7 @@ from hypothesis import strategies as some
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
 from avcli.tracking import gaussian
+from avcli.tracking.blindness import COMMON, LOST, Blindness
 from avcli.tracking.coverage import Coverage
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.glmb import GLMB
@@ -23,7 +24,7 @@ from avcli.tracking.learnt import LEARNT, read_learnt, write_learnt
 from avcli.tracking.model import Population
 from avcli.tracking.picture import bounds, picture, ticks
 from avcli.tracking.places import Places
-from avcli.tracking.rates import COMMON, EVENTS, KEEP, LOST, MOST_AGAIN, Blindness, Hiding, Rates, logit
+from avcli.tracking.rates import EVENTS, KEEP, MOST_AGAIN, Hiding, Rates, logit
 from avcli.tracking.settings import Settings, sensor
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))

@@ -25,7 +25,7 @@ import numpy as np
 
 from avcli.formats.features import Feature
 from avcli.formats.sensors import CAMERA
-from avcli.tracking import association, gaussian, hypotheses, journal, partial, prediction, spells
+from avcli.tracking import association, blindness, gaussian, hypotheses, journal, partial, prediction
 from avcli.tracking.association import Group, Hypothesis, Pair
 from avcli.tracking.births import (
     BORN,
@@ -47,19 +47,17 @@ from avcli.tracking.hypotheses import ABSENT, FEATURED, INDEPENDENT, Cluster
 from avcli.tracking.learning import Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
-from avcli.tracking.rates import ONSET, Rates, logit
+from avcli.tracking.rates import Rates, logit
 from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scales import WIDER, Scales
-from avcli.tracking.scan import Likelihoods, Scan, distinct, likelihoods, plausibility, possible, strays
+from avcli.tracking.scan import Scan, distinct, likelihoods, possible, strays
 from avcli.tracking.settings import Sensor, Settings
 from avcli.tracking.smoothing import End, Node, cut
-from avcli.tracking.spells import Spell
 from avcli.tracking.trust import TRUST
 from avcli.tracking.unseen import UnseenMap
 
 # Chosen by hand, as what they save in time against what they cost in accuracy; no command fits them.
 PROMOTE = 0.1  # expected number at which a tentative person gets a label
-SEES = 1e-5  # probability of blindness below which nobody's own part in it matters
 SHOWN = 0.45  # existence, as it is reported, from which a person is: lower, ghosts stay; higher, who is hidden goes
 RECYCLE = 0.03  # existence below which a labelled person becomes tentative again
 ROUNDS = 20  # of weighing detections that are many more than were expected
@@ -122,7 +120,7 @@ class GLMB:
         self.likely_rows: list[int] = []  # of those: rows of the best joint hypotheses
         self.habits = Habits(population, settings.learn)
         self.undetected: Undetected | UnseenMap = Undetected(population, self.habits.entries)
-        self.time: float | None = None
+        self.time, self.begun = 0.0, False  # s, of the last record; whether there was one
         self.sensors: list[Sensor] = []
         self.column: dict[str, int] = {}
         self.rates: list[Rates] = []
@@ -132,7 +130,6 @@ class GLMB:
         self.errors = Errors(settings.learn)
         self.scales: list[Scales] = []
         self.false_places = FalsePlaces(settings.learn)
-        self.spells: dict[int, Spell] = {}  # by column: of the sensors that seem blind
         self.pairs = self.near = 0  # of people and detections so far, and those of them within the gate
         self.next_label, self.pruned = 0, PRUNED  # and that at which what is known of labels is pruned next
         self.looked: dict[int, float] = {}  # s, by column: the last record with a direction or a range
@@ -168,7 +165,7 @@ class GLMB:
             self.undetected = UnseenMap(self.population, self.habits, self.sensors)
         self.detectable, self.turnover = np.append(self.detectable, 0.0), np.append(self.turnover, 0.0)
         self._know_hiding(-1)
-        self.last_record.append(self._now())
+        self.last_record.append(self.time)
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt, as `restore` takes it: numbers and lists of numbers."""
@@ -200,8 +197,8 @@ class GLMB:
 
     def predict(self, time: float) -> None:
         """Predict to a time (s); a time in the past counts as the present."""
-        if self.time is None:
-            self.time = time
+        if not self.begun:
+            self.time, self.begun = time, True
         dt = round(time - self.time, 9)
         if dt <= 0:
             return
@@ -239,7 +236,7 @@ class GLMB:
     ) -> None:
         """Update with one record of one sensor, see `trackers.Tracker.update` and `trackers.Partly`."""
         self.predict(time)
-        now = self._now()
+        now = self.time
         cells: dict[int, int] = {}
         if shown is not None:
             order = partial.in_order(shown, z, noise)
@@ -321,9 +318,10 @@ class GLMB:
         cells: Mapping[int, int],
     ) -> Scan:
         """Weigh a record against each density."""
-        order = list(range(len(z)))
         if shown is None:
             z, noise, score, order = distinct(z, noise, score)
+        else:
+            order = list(range(len(z)))
         column, people = self.column[name], self.people
         sensor, rates = self.sensors[column], self.rates[column]
         stated = noise
@@ -343,7 +341,7 @@ class GLMB:
             for row, some in astray.items():
                 for j, density in some:
                     anywhere[row, j] += density
-            evidence = self.features.weigh(people, self.likely_rows, self._now(), z, anywhere, features)
+            evidence = self.features.weigh(people, self.likely_rows, self.time, z, anywhere, features)
             if evidence is not None:
                 gain = gain * evidence.ratio
                 likely = possible(gain)
@@ -364,34 +362,15 @@ class GLMB:
         covered = None
         if sensor.coverage and not sensor.coverage.whole:
             covered = sensor.coverage.about(people.mean[..., :2])
-        existence, detectable, reach = self._reached(column, covered)
         new = self.undetected.arriving(z, rates.detection, column)
         if shown is not None:
             new = shown.whole_only(new)
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
-        known_people = self.likely_rows
-        ratio, known, parts = plausibility(known_people, existence, reach, likely, clutters, new, rates.detection)
-        if column in self.spells and self._sees(column, ratio, existence, likely, clutters, new, covered):
-            existence, detectable, reach = self._reached(column, covered)
-            ratio, known, parts = plausibility(known_people, existence, reach, likely, clutters, new, rates.detection)
-        before, existence, blindness = existence, self._see(column, ratio, existence), rates.blindness
-        if blindness.probability < 0.5:
-            if column in self.spells:
-                del self.spells[column]
-        elif column not in self.spells and blindness.tells:
-            self.spells[column] = Spell(blindness.before, blindness.emptiness(self._leaving(existence)))
-            self._sees(column, ratio, before, likely, clutters, new, covered, 1.0)
-        p_sensor = rates.detection * (1 - blindness.probability)
-        open_eyed = 1 - blindness.probability * (1 - blindness.left)
-        p_detect = p_hit = [one * p_sensor for one in reach]
-        newcomers = [one * open_eyed for one in new]
-        if blindness.probability > SEES:  # else a detection says twice that the sensor sees: here, and as a person
-            own = {people.label[row]: part for row, part in zip(self.likely_rows, known, strict=True)}
-            blind = [blindness.without(own.get(label, 1.0)) for label in people.label]
-            p_hit = [one * rates.detection * (1 - b) for one, b in zip(reach, blind, strict=True)]
-            blind = [blindness.without(part) for part in parts]
-            newcomers = [one * (1 - b * (1 - blindness.left)) for one, b in zip(new, blind, strict=True)]
+        dt = self.time - self.last_record[column]
+        known = people, self.labelled_rows, self.likely_rows, self.habits.leaving
+        record = blindness.Record(column, self.time, dt, *known, covered, likely, clutters, new)
+        sight = blindness.weigh(record, self.rates)
         return Scan(
             sensor,
             column,
@@ -408,61 +387,22 @@ class GLMB:
             gain_by_model,
             likely,
             astray,
-            existence,
-            detectable,
+            sight.existence,
+            sight.detectable,
             clutters,
             max(rates.clutter, 1e-9),
             rates.again,
             local,
-            p_sensor,
-            rates.detection * open_eyed,
-            newcomers,
-            p_detect,
-            p_hit,
+            sight.p_sensor,
+            sight.p_newcomer,
+            sight.newcomers,
+            sight.p_detect,
+            sight.p_hit,
             evidence,
             covered,
             shown,
             seen,
         )
-
-    def _reached(self, column: int, covered: np.ndarray | None) -> tuple[list[float], list[float], list[float]]:
-        """Return of each density existence, and whether the sensor can detect the person anywhere and there."""
-        people = self.people
-        existence, detectable = people.existence.tolist(), people.detectable[:, column].tolist()
-        if covered is None:
-            return existence, detectable, detectable
-        return existence, detectable, (people.detectable[:, column] * (people.mode * covered).sum(1)).tolist()
-
-    def _sees(
-        self,
-        column: int,
-        ratio: float,
-        existence: Sequence[float],
-        likely: Likelihoods,
-        clutter: Sequence[float],
-        new: Sequence[float],
-        covered: np.ndarray | None,
-        blind: float | None = None,
-    ) -> bool:
-        """Tell a sensor's spell of a record; returns whether it sees: then who is missed has left or is hidden.
-
-        blind: probability that the sensor is blind before the record.
-        """
-        people, rows, rates, spell = self.people, self.likely_rows, self.rates[column], self.spells[column]
-        dt = self._now() - self.last_record[column]
-        blind = rates.blindness.predicted(dt) if blind is None else blind
-        leaving = self.habits.leaving(people.mean.take(rows, 0)[:, 0])
-        seen = spells.seen(people, rows, column, existence, leaving, rates.detection, covered, likely, clutter)
-        others = spells.of_new_people(new, clutter)
-        otherwise = math.log(max(blind + (1 - blind) * ratio, spells.LEAST))
-        if not spell.follow(seen, others, otherwise, rates.hiding.hide, rates.hiding.show, dt):
-            return False
-        for row in self.labelled_rows:
-            if people.label[row] in spell.before:
-                people.existence[row], people.detectable[row, column] = spell.before[people.label[row]]
-        rates.blindness.acquit()
-        del self.spells[column]
-        return True
 
     def _believe_who_went(self, column: int) -> None:
         """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""
@@ -490,48 +430,11 @@ class GLMB:
 
     def _view(self, column: int, shown: partial.Partial, cells: Iterable[int]) -> partial.View:
         """Linearise what a record shows beside positions."""
-        since = self._now() - self.looked.get(column, -math.inf)
-        self.looked[column] = self._now()
+        since = self.time - self.looked.get(column, -math.inf)
+        self.looked[column] = self.time
         hold = np.full(len(self.people), max(partial.HOLD / max(since, 1e-3), 1.0))
         hold[[*cells]] = 1.0
         return partial.view(shown, self.people, self.sensors[column], hold)
-
-    def _see(self, column: int, ratio: float, existence: list[float]) -> list[float]:
-        """Weigh whether a sensor is blind, or everybody left; returns the n probabilities of existence after that.
-
-        Args:
-            column: of the sensor.
-            ratio: how much likelier its record is if the sensor is not blind.
-            existence: n probabilities.
-        """
-        blindness, people, now = self.rates[column].blindness, self.people, self._now()
-        dt, leaving = now - self.last_record[column], 0.0
-        blindness.update(dt, ratio)
-        if blindness.probability < 0.5:  # then nobody has left because of it
-            blindness.empty(dt, leaving)
-            return existence
-        if blindness.probability >= ONSET and not blindness.left:
-            leaving = self._leaving(existence)
-        before = max(one.blindness.left for one in self.rates)
-        onset = not blindness.left
-        blindness.empty(dt, leaving)
-        if onset and blindness.left:
-            for other in self.rates:
-                if other.blindness is not blindness:
-                    other.blindness.share(blindness)
-        left = max(one.blindness.left for one in self.rates)
-        if left <= before:
-            return existence
-        stay = (1 - left) / (1 - before)
-        seen = people.seen[:, column]
-        lost = (people.seen.max(1) == seen) & (seen < now)  # no other sensor has detected them since
-        people.existence = np.where(lost, people.existence * stay, people.existence)
-        return people.existence.tolist()
-
-    def _leaving(self, existence: Sequence[float]) -> float:
-        """Return the least of the rates, per second, at which the people who are probably there leave."""
-        rows = [row for row in self.likely_rows if existence[row] > 0.5]
-        return float(self.habits.leaving(self.people.mean.take(rows, 0)[:, 0]).min()) if rows else 0.0
 
     def _associate(self, scan: Scan, background: Sequence[float]) -> tuple[list[Group], list[float]]:
         """Update the joint hypotheses; also returns J probabilities that no labelled person caused the detection."""
@@ -553,7 +456,7 @@ class GLMB:
 
     def _learn(self, groups: Iterable[Group], scan: Scan) -> None:
         """Learn from the known people whom a record detected: they were there since they were detected last."""
-        people, column, now = self.people, scan.column, self._now()
+        people, column, now = self.people, scan.column, self.time
         dt = now - self.last_record[column]
         detected = [
             (row, math.exp(group.hypotheses[0].weight))
@@ -578,9 +481,6 @@ class GLMB:
         hiding = self.rates[column].hiding
         hide, show = hiding.hide, hiding.show
         self.detectable[column], self.turnover[column] = show / (hide + show), hide + show
-
-    def _now(self) -> float:
-        return 0.0 if self.time is None else self.time
 
     # --- the densities and hypotheses after a record ------------------------------------------------------------------
 
@@ -653,7 +553,7 @@ class GLMB:
         label = people.label[row]
         if label < 0 or label in taken:
             label, self.next_label = self.next_label, self.next_label + 1
-            self.habits.began(label, people.place[row], self._now())
+            self.habits.began(label, people.place[row], self.time)
         else:
             self.habits.came_back(label)
             for other in self.tentative:  # what remains of the tentative person is somebody else
@@ -667,7 +567,7 @@ class GLMB:
         self.born.append({"label": label, "detection": j, "existence": float(people.existence[row])})
         self.retired.pop(label, None)
         if self.features.width:
-            self.gallery.come(label, self._now())
+            self.gallery.come(label, self.time)
         if j not in users:
             groups.append(Group([label], [Hypothesis(0.0, ((row, BORN),), 0)]))
             return
@@ -730,7 +630,7 @@ class GLMB:
         if not isinstance(self.undetected, UnseenMap):
             return set()
         rows = [row_of[pair] for group in groups for pair in group.hypotheses[0].pairs]
-        return set(self.undetected.lost(self.people, [row for row in rows if row >= 0], self._now()))
+        return set(self.undetected.lost(self.people, [row for row in rows if row >= 0], self.time))
 
     def _recycle(self, label: int, shares: dict[int, float], existence: float, lost: bool) -> None:
         """Make a label that hardly exists tentative again: its best density, the number of people its existence."""
@@ -770,7 +670,7 @@ class GLMB:
     def _recognise(self) -> None:
         """Give people who came lately and are recognised as somebody who left the label of that person."""
         known = {one.label: self._person(one.row) for one in self.labelled() if one.existence > 0.5}
-        again = self.gallery.recognise(known, self._now(), self.population.surface, self.features)
+        again = self.gallery.recognise(known, self.time, self.population.surface, self.features)
         for label, before in again.items():
             self.people.label = [-1 if one == before else before if one == label else one for one in self.people.label]
             for cluster in self.clusters:

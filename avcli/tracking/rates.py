@@ -7,21 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from avcli.formats.sensors import CAMERA
+from avcli.tracking.blindness import Blindness
 from avcli.tracking.settings import SENSORS, Sensor
 
-# What the stated values are worth, in records, detectable people, and events. These and the rates of blindness were
-# chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
+# What the stated values are worth, in records, detectable people, and events. These were chosen on ETH hotel, UCY
+# zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
 PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 14.0, 1.0
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
-BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
 MOST_AGAIN = 0.2  # of these, as far as it is believed: more would hide people in a crowd (12 people 0.25 m apart)
-COMMON = 0.05  # probability that what blinds one sensor blinds another one, too
-EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
-TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
-ONSET = 0.9  # probability of blindness from which it may be that everybody left
-LOST = 5.0  # records, after which a person who was not detected is lost
 
 
 class Rates:
@@ -169,92 +164,6 @@ class Hiding:
         self.hidden = self.hidden * keep + math.fsum([s * gap for s, gap in zip(shown, gaps, strict=True)])
         in_sight = [(share - s) * gap for share, s, gap in zip(sure, shown, gaps, strict=True)]
         self.in_sight = self.in_sight * keep + math.fsum(in_sight)
-
-
-class Blindness:
-    """Whether a sensor sees nobody and reports clutter alone, or everybody has left: a hidden state of its own.
-
-    A sensor that suddenly detects none of several people is blind, or everybody has left at the same time. The longer
-    it detects nobody, the likelier it is that they left. Which of the two it was earlier tells, too.
-
-    Attributes:
-        probability: that it is blind, or that everybody left; `before`: before the last record.
-        left: probability of the latter in that case.
-        returned, emptied: how often somebody was detected again after that, and nobody, with the prior's worth.
-    """
-
-    def __init__(self, ever: bool, tells: bool = True) -> None:
-        """Begin with a sensor that is not blind.
-
-        Args:
-            ever: whether it ever is.
-            tells: whether people who are not detected may have left (silence does not tell that).
-        """
-        self.ever, self.tells, self.probability, self.left, self._odds = ever, tells, 0.0, 0.0, EMPTIED
-        self.before = 0.0
-        self.returned, self.emptied = 1.0, EMPTIED
-        self._records = 0  # since it sees again, with 1 where it does not; 0: that is long ago
-        self._again = 0  # of these, in which known people are detected, from the first that it had lost
-
-    def predicted(self, dt: float) -> float:
-        """Return the probability of blindness dt s after the last record."""
-        rest, stay = BLIND / (BLIND + SIGHTED), math.exp(-(BLIND + SIGHTED) * dt)
-        return rest + (self.probability - rest) * stay
-
-    def acquit(self) -> None:
-        """Take in that it certainly saw all the time."""
-        self.probability, self.left, self._odds, self._records, self._again = 0.0, 0.0, EMPTIED, 0, 0
-
-    def update(self, dt: float, ratio: float) -> None:
-        """Take in that a record, dt s after the last one, is so much likelier if the sensor is not blind."""
-        if not self.ever:
-            return
-        self.before = blind = self.predicted(dt)
-        self.probability = blind / (blind + (1 - blind) * max(ratio, 1e-300))
-
-    def without(self, ratio: float) -> float:
-        """Return the probability of blindness by the latest record but for one part of it, so much likelier without."""
-        return self.probability / max(self.probability + (1 - self.probability) / max(ratio, 1e-300), 1e-300)
-
-    def share(self, other: Blindness) -> None:
-        """Take in that another sensor has just lost everybody: what blinds that one may blind this one, too."""
-        if self.ever:
-            self.probability += (1 - self.probability) * COMMON * (1 - other.left)
-
-    def emptiness(self, leaving: float) -> float:
-        """Return the odds, at first, that people whom it suddenly misses left; leaving: see `empty`."""
-        return max(self.emptied / self.returned, TOGETHER * leaving / BLIND)
-
-    def empty(self, dt: float, leaving: float) -> None:
-        """Weigh whether everybody left, after `update`.
-
-        Args:
-            dt: s since the sensor's last record.
-            leaving: the least of the rates, per second, at which they leave where they were seen last.
-        """
-        if not self.tells:
-            return
-        if self.probability < 0.5:
-            self.left = 0.0
-            self._records += self._records > 0
-            if self._records > LOST:
-                back = self._again > 1  # one may be a false detection where somebody was
-                self.returned, self.emptied = self.returned + back, self.emptied + (not back)
-                self._records = 0
-            return
-        self._records, self._again = min(self._records, 1), 0
-        if self.left:
-            self._odds = min(self._odds * math.exp(SIGHTED * min(dt, 100.0)), 1e9)
-        elif self.probability < ONSET:
-            return
-        else:
-            self._odds, self._records = self.emptiness(leaving), 1
-        self.left = self._odds / (1 + self._odds)
-
-    def learn(self, gaps: Sequence[float], dt: float) -> None:
-        """Learn from people whom the sensor has detected again, n s after it did so last; dt: of its records."""
-        if self._again or any(gap > LOST * dt for gap in gaps):
-            self._again += 1
 
 
 _LEARNT: dict[type, tuple[str, ...]] = {

@@ -1,4 +1,4 @@
-"""A sensor that seems blind, and detects somebody again and again all the same."""
+"""A sensor that seems blind: what else may be, when it detects somebody again and again all the same."""
 
 import math
 
@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from avcli.tracking.blindness import Seen, Spell
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.model import Population
 from avcli.tracking.settings import Settings, sensor
-from avcli.tracking.spells import Seen, Spell
 
 HIDE, SHOW = 0.01, 1.0
 
