@@ -11,7 +11,7 @@ import orjson
 from avcli.formats import atomic, bounds
 from avcli.formats.descriptions import ERRORS, FALSE_PLACE, Format
 from avcli.formats.schema import Invalid, Key, Kind, ListOf, MapOf, Number, Numbers, Object, OrNull
-from avcli.tracking.rates import AGAIN, PRIOR_PEOPLE
+from avcli.tracking.rates import AGAIN, PRIOR_AGAIN
 
 _MOST = 1e12
 _AMOUNT, _DIVISOR, _SIGNED = Number(0, most=_MOST), Number(1e-6, most=_MOST), Number(-_MOST, most=_MOST)
@@ -51,8 +51,8 @@ _SENSOR = _required(
 )
 _SENSOR.keys = {
     **_SENSOR.keys,
-    "again_sum": Key(_AMOUNT, "further detections of people in one record", default=PRIOR_PEOPLE * AGAIN),
-    "again_count": Key(_DIVISOR, "people in whose records they were counted", default=PRIOR_PEOPLE),
+    "again_sum": Key(_AMOUNT, "further detections of people in one record", default=PRIOR_AGAIN * AGAIN),
+    "again_count": Key(_DIVISOR, "people in whose records they were counted", default=PRIOR_AGAIN),
     "false_places": Key(ListOf(FALSE_PLACE), "places where it detects somebody falsely, again and again", default=[]),
 }
 LEARNT = Format(

@@ -12,7 +12,8 @@ from avcli.tracking.settings import SENSORS, Sensor
 
 # What the stated values are worth, in records, detectable people, and events. These were chosen on ETH hotel, UCY
 # zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
-PRIOR_RECORDS, PRIOR_PEOPLE, PRIOR_EVENTS = 3.0, 14.0, 1.0
+PRIOR_RECORDS, PRIOR_AGAIN, PRIOR_EVENTS = 3.0, 14.0, 1.0
+PRIOR_HITS = 4.0  # detectable people, of the detection probability; 14 cost found30 1.6 (seeds 100 to 129)
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
@@ -34,8 +35,8 @@ class Rates:
         self.clutter, self.detection, self.score_nats = sensor.clutter, sensor.detection, sensor.score_nats
         self.typical: float | None = None  # log odds of the scores of people
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
-        self.hit_sum, self.hit_count = PRIOR_PEOPLE * sensor.detection, PRIOR_PEOPLE
-        self.again, self.again_sum, self.again_count = AGAIN, PRIOR_PEOPLE * AGAIN, PRIOR_PEOPLE
+        self.hit_sum, self.hit_count = PRIOR_HITS * sensor.detection, PRIOR_HITS
+        self.again, self.again_sum, self.again_count = AGAIN, PRIOR_AGAIN * AGAIN, PRIOR_AGAIN
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
 
