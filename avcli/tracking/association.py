@@ -136,6 +136,14 @@ def associate(members: Sequence[Cluster], options: Options, unclaimed: list[floa
     Returns:
         The hypotheses, normalised, best first.
     """
+    if len(members) == 1 and len(members[0].labels) == len(members[0].hypotheses) == 1:
+        row = members[0].hypotheses[0][0]
+        choices = options[row] if row >= 0 else [(0.0, MISSED)]
+        if len(choices) == 1 or choices[1][0] < choices[0][0] + LOG_PRUNE:  # as of most people in most records
+            j = detection_of(choices[0][1])
+            if j >= 0:
+                unclaimed[j] -= 1.0
+            return Group(members[0].labels, [Hypothesis(0.0, ((row, choices[0][1]),), _bit(j))])
     labels = [label for cluster in members for label in cluster.labels]
     most = max(most * LARGE // max(len(labels), LARGE), 1)
     priors = list(zip(members[0].weights, members[0].hypotheses, strict=True))

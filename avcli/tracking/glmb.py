@@ -609,7 +609,11 @@ class GLMB:
     def _settle(self, cluster: Cluster) -> None:
         """Keep a cluster: without the labels that hardly exist, and in parts that are independent of each other."""
         likely, kept = cluster.hypotheses[0], []
-        for at, existence in enumerate(cluster.existences(self.people.existence)):
+        existences = cluster.existences(self.people.existence)
+        if len(likely) == 1 and existences[0] >= RECYCLE and likely[0] not in self.lost:
+            self.clusters.append(cluster)
+            return
+        for at, existence in enumerate(existences):
             lost = likely[at] in self.lost
             if existence < RECYCLE or lost:
                 shares, existence = cluster.marginals(at, self.people.existence)
