@@ -401,3 +401,15 @@ def test_a_graphics_card_is_tried_before_a_processor(monkeypatch):
     monkeypatch.setenv(devices.ENVIRONMENT, "3")
     with pytest.raises(ValueError, match="no such device; EGL has 3 here, numbered from 0"):
         devices.preferred(several)
+
+
+@pytest.mark.parametrize("posture", ["stand", "bend", "lean", "sit", "crouch"])
+def test_no_shirt_is_seen_through_the_back_of_a_jacket(context, posture):
+    look = {"shirt": [0.0, 0.9, 0.0], "jacket": [0.9, 0.0, 0.0], "trousers": [0.0, 0.0, 0.9], "hem": 0.4}
+    place = {"position_m": [2.33, 3.2], "heading_deg": 90.0, "pose": posture, "t_s": 0.0, "stay_s": 1.0}
+    scene = scene_of(people=[{"look": look, "waypoints": [place]}], solids=[])
+    renderer = renderer_of(scene, context)
+    frame = renderer.draw(renderer.prepare(people.pose(scene.people, TIMES)), 0)
+    red, green, blue = frame.rgb[frame.ids == 1].astype(int).T
+    assert (red > 2 * np.maximum(green, blue)).sum() > 300
+    assert (green > 1.5 * np.maximum(red, blue)).sum() <= 3

@@ -9,8 +9,8 @@ from avcli.numeric import SPEED_OF_SOUND_M_S
 
 COUNTED_IMAGES, PAIRS = 2_000, 100
 """images of a pair of places whose energy is summed one by one, at most, and pairs of places, at least."""
-CELLS = 1 << 13
-"""cells of the squares of the distances of later images."""
+CELLS, STEPS = 1 << 13, 1500
+"""cells of the squares of the distances of later images, and steps of the decay."""
 RATIO = 1.1127756842787055
 """root of x⁷ = x + 1; its powers spread pairs of places evenly (R. L. Kronecker's sequence in six dimensions)."""
 
@@ -138,6 +138,7 @@ class _Decay:
         self._room, self._speed = np.asarray(room_dimensions_m, dtype=float), speed_of_sound_m_s
         self.volume = volume(self._room)
         self._end = max(1.3 * rt60_s * speed_of_sound_m_s, 2 * float(np.linalg.norm(self._room)))
+        self._edges = np.linspace(0, self._end, STEPS)
         self._reach = min(self._end, float(np.cbrt(COUNTED_IMAGES * self.volume / (4 / 3 * np.pi))))
         count = int(np.clip(PAIRS * COUNTED_IMAGES / image_count(self._room, self._reach), PAIRS, 400))
         margin = np.minimum(0.3, self._room / 8)
@@ -146,7 +147,7 @@ class _Decay:
         apart = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
         places = places[apart > min(1.0, np.linalg.norm(self._room) / 4)][:count]
         self._axes = [self._axis(*of_axis) for of_axis in zip(self._room, places.transpose(2, 1, 0), strict=True)]
-        self._pairs = self._near(places)
+        self._find_near(places)
 
     def _axis(self, length: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return of all images along an axis the squared distances, as cells, and the orders at its two walls."""
@@ -157,14 +158,19 @@ class _Decay:
         orders = (np.tile(np.abs(order), len(places[0]))[inside] for order in (n - q, n))
         return (cells[inside], *orders)
 
-    def _near(self, places: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return of each pair of places the distances of the images within the reach, (n,), and orders, (6, n)."""
+    def _find_near(self, places: np.ndarray) -> None:
+        """Note the orders, (6, n), of all images that may be within the reach, and of each pair of places what is.
+
+        That is the number of the image, the energy that its distance leaves, and its step of the decay. They are kept
+        small: memory that is new costs more than what is done with it.
+        """
         axes = [_along(length, self._reach) for length in self._room]
         every = np.indices([len(n) for n, _ in axes]).reshape(3, -1)
-        orders = np.concatenate(
+        self._orders = np.concatenate(
             [np.abs(np.stack([n - q, n], dtype=float))[:, of_axis] for (n, q), of_axis in zip(axes, every, strict=True)]
         )
-        pairs = []
+        numbers = np.min_scalar_type(every.shape[1])
+        self._pairs, self._left = [], np.empty((len(places), STEPS))
         for source, microphone in places:
             x, y, z = (
                 ((1 - 2 * q) * there + 2 * n * length - here) ** 2
@@ -172,8 +178,9 @@ class _Decay:
             )
             squares = np.add.outer(np.add.outer(x, y), z).ravel()
             near = np.flatnonzero(squares <= self._reach**2)
-            pairs.append((np.sqrt(squares[near]), orders.take(near, axis=1)))
-        return pairs
+            squares = squares.take(near)
+            steps = (np.sqrt(squares) / self._edges[1]).astype(np.uint16)
+            self._pairs.append((near.astype(numbers), 1 / (16 * np.pi**2 * squares), steps))
 
     def time(self, absorption: ArrayLike, air: float = 0.0) -> float:
         """Return T30, s, the mean over pairs of places; see `image_rt60`."""
@@ -185,31 +192,37 @@ class _Decay:
         Elsewhere the direct sound, and little more, is all that is heard above -35 dB: T30 is twice the time until
         then.
         """
-        lost = np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6))
-        edges = np.linspace(0, self._end, 1500)
-        later = self._later(lost, air, np.maximum(edges, self._reach))
-        times, decays = [], []
-        for distances, orders in self._pairs:
-            energy = np.exp(lost @ orders - 2 * air * distances) / (4 * np.pi * distances) ** 2
-            begun = np.bincount((distances / edges[1]).astype(int), energy, len(edges))[: len(edges)]
-            level = 10 * np.log10(np.cumsum(begun[::-1])[::-1] + later)
-            first, last = np.searchsorted(-level, [5 - level[0], 35 - level[0]])
-            decays.append(last - first >= 2 and level[first] - level[last - 1] >= 15)
-            if decays[-1]:
-                away = edges[first:last] - edges[first:last].mean()
-                times.append(-60 / self._speed * (away @ away) / (away @ level[first:last]))  # a straight line's slope
-            else:
-                times.append(2 * (last - first) * edges[1] / self._speed)
-        return np.array(times), np.array(decays)
+        lost, edges = np.log1p(-np.broadcast_to(np.asarray(absorption, dtype=float), 6)), self._edges
+        gains, left = np.exp(lost @ self._orders), self._left
+        for of_pair, (near, spreading, steps) in zip(left, self._pairs, strict=True):
+            energies = gains.take(near)
+            energies *= spreading
+            if air > 0:
+                energies *= np.exp(-air / (2 * np.pi * np.sqrt(spreading)))
+            of_pair[:] = np.bincount(steps, energies, STEPS)
+        np.cumsum(left[:, ::-1], axis=1, out=left[:, ::-1])
+        left += self._later(lost, air, np.maximum(edges, self._reach))
+        first, last = (np.count_nonzero(left > left[:, :1] * 10 ** (-db / 10), axis=1) for db in (5, 35))
+        steps = np.arange(first.min(), last.max())
+        between = (steps >= first[:, None]) & (steps < last[:, None])
+        level = np.where(between, 10 * np.log10(left[:, first.min() : last.max()]), 0.0)
+        begins, ends = (
+            10 * np.log10(left[np.arange(len(left)), step]) for step in (np.minimum(first, STEPS - 1), last - 1)
+        )
+        count, middle = last - first, (first + last - 1) / 2
+        decays = (count >= 2) & (begins - ends >= 15)
+        slope = (level @ steps - middle * level.sum(axis=1)) / np.maximum(count * (count**2 - 1) / 12, 1)
+        steps_until = np.where(decays, -60 / np.where(decays, slope, -1.0), 2.0 * count)  # a straight line's slope
+        return steps_until * edges[1] / self._speed, decays
 
     def _later(self, lost: np.ndarray, air: float, distances: np.ndarray) -> np.ndarray:
         """Return the energy of all images beyond some distances, (n,), as a mean over places."""
-        spectrum = np.ones(2 * CELLS + 1, complex)
+        spectrum = np.ones(3 * CELLS // 2 + 1, complex)
         for (cells, *orders), of_walls in zip(self._axes, lost.reshape(3, 2), strict=True):
             gains = np.exp(of_walls[0] * orders[0] + of_walls[1] * orders[1]) / len(self._pairs)
-            spectrum *= np.fft.rfft(np.bincount(cells, gains, CELLS), 4 * CELLS)
+            spectrum *= np.fft.rfft(np.bincount(cells, gains, CELLS), 3 * CELLS)
         squares = (np.arange(CELLS) + 1.5) / CELLS * self._end**2  # the floors of three numbers lose 1.5 on average
-        energy = np.maximum(np.fft.irfft(spectrum, 4 * CELLS)[:CELLS], 0.0) / (16 * np.pi**2 * squares)
+        energy = np.maximum(np.fft.irfft(spectrum, 3 * CELLS)[:CELLS], 0.0) / (16 * np.pi**2 * squares)
         energy *= np.exp(-2 * air * np.sqrt(squares))
         beyond = np.append(np.cumsum(energy[::-1])[::-1], 0.0)
         rates, shares = decay_rates(self._room, np.exp(lost / 2), self._speed)

@@ -65,19 +65,16 @@ def _jacket(bones: Skeleton, look: Look, colour: Colour) -> Iterator[Garment]:
     front, left, up = trunk.chest_front, trunk.chest_left, trunk.chest_up
     side = hip_offset(trunk, unit)
     drop = (0.42 * look.hem * unit * (1 - trunk.sit))[:, None] * _Z
+    back, cloth = -0.035 * unit * front, ("jacket", KNIT | FOLDED, colour)
     for sign in (-1, 1):
         top = trunk.chest + unit * (0.078 * sign * left + 0.06 * up - 0.006 * front)
         middle = trunk.waist + unit * (0.062 * sign * left - 0.004 * front)
         low = trunk.pelvis + 0.85 * sign * side - 0.012 * unit * trunk.pelvis_front - drop
-        yield Garment(
-            top, middle, 0.108 * look.shoulders, 0.104 * g, front, 0.98, front, "jacket", KNIT | FOLDED, colour
-        )
-        yield Garment(middle, low, 0.104 * g, 0.118 * g, front, 0.92, front, "jacket", KNIT | FOLDED, colour)
-    back = -0.035 * unit * front
-    yield Garment(
-        trunk.chest + back + 0.05 * unit * up, trunk.waist + back, 0.115, 0.105, front, 0.75, front, "jacket",
-        KNIT | FOLDED, colour,
-    )  # fmt: skip
+        yield Garment(top, middle, 0.108 * look.shoulders, 0.104 * g, front, 0.98, front, *cloth)
+        yield Garment(middle, low, 0.104 * g, 0.118 * g, front, 0.92, front, *cloth)
+    waist, seat = trunk.waist + back, trunk.pelvis + back - 0.03 * unit * up
+    yield Garment(trunk.chest + back + 0.05 * unit * up, waist, 0.115, 0.105 * g, front, 0.75, front, *cloth)
+    yield Garment(waist, seat, 0.105 * g, 0.140 * g, front, 0.75, front, *cloth)
 
 
 def _hem(bones: Skeleton, look: Look) -> Iterator[Garment]:
