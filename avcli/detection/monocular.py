@@ -204,12 +204,11 @@ class Fitted:
             )
             return
         self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
-        told = parts, turns, self._unsure
-        fits = _fitted(boxes, view, *told, law, self._most)
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most)
         loose = np.flatnonzero(np.where(fits.good & ~self._most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
         if len(loose):
-            some = (None if item is None else item[loose] for item in told)
-            fits = fits.joined(_fitted(boxes[loose], view, *some, law, _REST), loose)
+            some = [None if item is None else item[loose] for item in (parts, turns, self._unsure)]
+            fits = fits.joined(_fitted(boxes[loose], view, some[0], some[1], some[2], law, _REST), loose)
         self._fits = fits
         self._alone = _before_walls(fits, room).merged(law)
         self._on_rays = {
@@ -226,10 +225,11 @@ class Fitted:
         places = self._alone
         if not len(places.positions):
             return places
-        lower = [] if known is None else np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
-        if known is not None and len(lower):
-            again = _before_walls(self._fits.remembering(known[lower], lower, self._most), self._room)
-            places = replace(again.merged(self._law), alone=places.alone)
+        if known is not None:
+            lower = np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
+            if len(lower):
+                again = _before_walls(self._fits.remembering(known[lower], lower, self._most), self._room)
+                places = replace(again.merged(self._law), alone=places.alone)
         covariances = places.covariances.copy()
         if self._unsure is not None:
             covariances *= ((self._law.sure + self._law.unsure * self._unsure) ** 2)[:, None, None]
