@@ -8,14 +8,14 @@ Image and Vision Computing 22 (2004).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
 from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
 from avcli.detection.fitted import SCORE, FaintLaw
 from avcli.detection.heights import Heights
-from avcli.detection.monocular import HEIGHT_M, Places, locate_boxes
+from avcli.detection.monocular import HEIGHT_M, Fitted, Places
 from avcli.detection.network import Boxes
 from avcli.detection.view import View
 
@@ -193,10 +193,10 @@ class DepthDetector:
             if found.turned is not None:
                 middle, half, turns = found.turned[:, :2], found.turned[:, 2:4] / 2, found.turned[:, 4]
                 boxes = np.concatenate([middle - half, middle + half], axis=1)
-            alone = partial(locate_boxes, boxes, self.view, found.parts, turns, self.room, scores=found.scores)
+            bodies = Fitted(boxes, self.view, found.parts, turns, self.room, scores=found.scores)
             if depth is not None or time is None:
-                return alone()
-            return self.heights.place(found.boxes, time, lambda known: alone(known=known))
+                return bodies.places()
+            return self.heights.place(found.boxes, time, bodies.places)
 
         bodies, empty = [], np.zeros(len(found), bool)
         if depth is not None:

@@ -43,6 +43,10 @@ BODY_M = 0.15
 TIGHT = 0.75
 """Where a standing or seated body and a box share less, people who lie are thought of too."""
 
+_STEP_M = 0.01
+_STEPS = np.vstack([np.zeros(3), _STEP_M * np.eye(3)])
+_AXIS = np.column_stack([np.zeros((3, 2)), PART_HEIGHTS])
+
 _TILT = 2 * np.pi * np.arange(12) / 12
 _RING = np.stack([np.cos(_TILT), np.sin(_TILT)], axis=1)
 
@@ -167,17 +171,8 @@ class Places:
         return np.isfinite(self.positions[:, 0])
 
 
-def locate_boxes(
-    boxes: np.ndarray,
-    view: View,
-    parts: np.ndarray | None = None,
-    turns: np.ndarray | None = None,
-    room: np.ndarray | None = None,
-    law: BoxLaw = BOX,
-    scores: np.ndarray | None = None,
-    known: np.ndarray | None = None,
-) -> Places:
-    """Find the positions of the people whose pictures fill boxes.
+class Fitted:
+    """Bodies fitted to boxes: `places` says where the people are, for whatever is known of their heights.
 
     Args:
         boxes: (n, 4) [x0, y0, x1, y1] px, corner-based; may reach over the picture's border.
@@ -188,38 +183,74 @@ def locate_boxes(
         law: the fitted errors of boxes and of positions by them.
         scores: (n,) of the network that gave the parts, from 0 to 1; None if unknown. Without parts they tell nothing,
             since each network has its own.
-        known: (n, 2) m, height that a person had before and its standard deviation; NaN if unknown.
     """
-    boxes = np.asarray(boxes, float).reshape(-1, 4)
-    if not len(boxes):
-        return Places(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2)))
-    most = _MOST if parts is None else _MOST_BY_POINTS
-    unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
-    fits = _fitted(boxes, view, parts, turns, unsure, law, most)
-    loose = np.flatnonzero(np.where(fits.good & ~most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
-    if len(loose):
-        lying = _fitted(
-            boxes[loose],
-            view,
-            None if parts is None else parts[loose],
-            None if turns is None else turns[loose],
-            None if unsure is None else unsure[loose],
-            law,
-            _REST,
-        )
-        fits = fits.joined(lying, loose)
-    places = _before_walls(fits, room).merged(law)
-    if known is not None:
-        lower = np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
-        if len(lower):
-            again = _before_walls(fits.remembering(known[lower], lower, most), room).merged(law)
-            places = replace(again, alone=places.alone)
-    if unsure is not None:
-        places.covariances[:] *= ((law.sure + law.unsure * unsure) ** 2)[:, None, None]
-    for index in np.flatnonzero(~places.explained):
-        turn = 0.0 if turns is None else float(turns[index])
-        places.positions[index], places.covariances[index] = _on_rays(boxes[index], turn, view, room)
-    return places
+
+    def __init__(
+        self,
+        boxes: np.ndarray,
+        view: View,
+        parts: np.ndarray | None = None,
+        turns: np.ndarray | None = None,
+        room: np.ndarray | None = None,
+        law: BoxLaw = BOX,
+        scores: np.ndarray | None = None,
+    ):
+        boxes = np.asarray(boxes, float).reshape(-1, 4)
+        self._room, self._law = room, law
+        self._most = _MOST if parts is None else _MOST_BY_POINTS
+        if not len(boxes):
+            self._alone = Places(
+                np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2))
+            )
+            return
+        self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most)
+        loose = np.flatnonzero(np.where(fits.good & ~self._most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
+        if len(loose):
+            some = [None if item is None else item[loose] for item in (parts, turns, self._unsure)]
+            fits = fits.joined(_fitted(boxes[loose], view, some[0], some[1], some[2], law, _REST), loose)
+        self._fits = fits
+        self._alone = _before_walls(fits, room).merged(law)
+        self._on_rays = {
+            int(index): _on_rays(boxes[index], 0.0 if turns is None else float(turns[index]), view, room)
+            for index in np.flatnonzero(~self._alone.explained)
+        }
+
+    def places(self, known: np.ndarray | None = None) -> Places:
+        """Where the people are.
+
+        Args:
+            known: (n, 2) m, height that a person had before and its standard deviation; NaN if unknown.
+        """
+        places = self._alone
+        if not len(places.positions):
+            return places
+        if known is not None:
+            lower = np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
+            if len(lower):
+                again = _before_walls(self._fits.remembering(known[lower], lower, self._most), self._room)
+                places = replace(again.merged(self._law), alone=places.alone)
+        covariances = places.covariances.copy()
+        if self._unsure is not None:
+            covariances *= ((self._law.sure + self._law.unsure * self._unsure) ** 2)[:, None, None]
+        places = replace(places, positions=places.positions.copy(), covariances=covariances)
+        for index, (position, covariance) in self._on_rays.items():
+            places.positions[index], places.covariances[index] = position, covariance
+        return places
+
+
+def locate_boxes(
+    boxes: np.ndarray,
+    view: View,
+    parts: np.ndarray | None = None,
+    turns: np.ndarray | None = None,
+    room: np.ndarray | None = None,
+    law: BoxLaw = BOX,
+    scores: np.ndarray | None = None,
+    known: np.ndarray | None = None,
+) -> Places:
+    """Find the positions of the people whose pictures fill boxes; the arguments are those of `Fitted` and `places`."""
+    return Fitted(boxes, view, parts, turns, room, law, scores).places(known)
 
 
 def _behind(xy: np.ndarray, room: np.ndarray) -> np.ndarray:
@@ -355,6 +386,7 @@ class _Fits:
         )
         self.unsure = np.zeros(rows) if unsure is None else unsure
         self.view, self.law, self.parts = view, law, parts is not None
+        self._picture = np.array(view.size, float)
         repeat = rows // len(hypotheses)
         self.outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
         self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
@@ -405,12 +437,14 @@ class _Fits:
 
     def _points(self, state: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """Pixels (..., m, 2) of points (..., m, 3) of bodies of height 1 in the states (..., 3); not cut."""
-        body = state[..., None, :] * [1.0, 1.0, 0.0] + unit * np.where([True, True, False], 1.0, state[..., None, 2:])
+        body = np.empty((*state.shape[:-1], unit.shape[-2], 3))
+        np.add(unit[..., :2], state[..., None, :2], out=body[..., :2])
+        np.multiply(unit[..., 2], state[..., None, 2], out=body[..., 2])
         return self.view.project(body.reshape(-1, 3)).reshape(*body.shape[:-1], 2) + 0.5
 
     def _cut(self, pixels: np.ndarray) -> np.ndarray:
         """The pixels (rows, m, 2), moved onto the lit picture, in the axes of the box."""
-        inside = np.clip(pixels, 0.0, self.view.size)
+        inside = np.minimum(np.maximum(pixels, 0.0), self._picture)
         if self.view.circle is not None:
             x, y, radius = self.view.circle
             away = inside - [x + 0.5, y + 0.5]
@@ -429,25 +463,25 @@ class _Fits:
 
         The Jacobians (rows, 4 or 10, 3) of sides and parts are those of the points that make the sides.
         """
-        rows, outline = len(self.state), self.outline
-        pixels = self._points(self.state, outline)
-        seen = np.isfinite(pixels).all(axis=2)
-        self.valid &= seen.any(axis=1)
-        low, high = (np.where(seen[..., None], self._cut(pixels), end) for end in (np.inf, -np.inf))
+        rows = len(self.state)
+        pixels = self._points(self.state, self.outline)
+        unseen = np.isnan(pixels[..., 0])
+        self.valid &= ~unseen.all(axis=1)
+        low = high = self._cut(pixels)
+        if unseen.any():
+            low, high = (np.where(unseen[..., None], end, low) for end in (np.inf, -np.inf))
         corner = np.concatenate([low.argmin(axis=1), high.argmax(axis=1)], axis=1)  # x0, y0, x1, y1
-        unit = np.take_along_axis(outline, corner[..., None], axis=1)
+        unit = self.outline[np.arange(rows)[:, None], corner]
         if self.parts:
-            axis = np.column_stack([np.zeros((3, 2)), PART_HEIGHTS])
-            unit = np.concatenate([unit, np.tile(axis, (rows, 1, 1))], axis=1)
-        steps = np.vstack([np.zeros(3), 0.01 * np.eye(3)])
-        points = self._points(self.state[:, None] + steps, unit[:, None])
-        sides = self._cut(points[:, :, :4].reshape(rows, -1, 2)).reshape(rows, 4, 4, 2)
-        values = np.concatenate([sides[:, :, [0, 1], [0, 1]], sides[:, :, [2, 3], [0, 1]]], axis=2)
+            unit = np.concatenate([unit, np.broadcast_to(_AXIS, (rows, 3, 3))], axis=1)
+        points = self._points(self.state[:, None] + _STEPS, unit[:, None])
+        cut = self._cut(points[:, :, :4].reshape(rows, -1, 2)).reshape(rows, 4, 8)
+        values = cut[:, :, [0, 3, 4, 7]]
         if self.parts:
             axes = self._into_box(points[:, :, 4:].reshape(rows, -1, 2)).reshape(rows, 4, 6)
             values = np.concatenate([values, axes], axis=2)
         predicted = values[:, 0]
-        return predicted, (values[:, 1:] - predicted[:, None]).mT / 0.01
+        return predicted, (values[:, 1:] - predicted[:, None]).mT / _STEP_M
 
     def run(self) -> None:
         """Fit x, y and height of every row."""

@@ -27,11 +27,13 @@ import cv2
 import numpy as np
 from bench_detection import table
 
-from avcli.detection.agreement import Found, average_precision, judged
+from avcli.detection.agreement import Found, average_precision, judged, matched, within
 from avcli.detection.detector import Detector
+from avcli.detection.following import FOLLOWED
 from avcli.detection.monocular import locate_boxes
-from avcli.detection.network import Boxes, Network
+from avcli.detection.network import Boxes, Network, own_model
 from avcli.detection.settings import Settings
+from avcli.detection.stillness import Stillness
 from avcli.detection.view import View
 from avcli.detection.windows import WindowedNetwork
 from avcli.formats.experiment import Config
@@ -42,6 +44,9 @@ HEIGHT_M = 2.7
 
 LEAST = 0.05
 """Score from which boxes count for the average precision."""
+
+MOVES, COVERED = 0.5, 0.5
+"""Nats of motion from which a box is said to move; and the share of a box from which it lies in another one."""
 
 
 def labelled(picture: Path) -> np.ndarray:
@@ -153,32 +158,61 @@ def evaluate(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
     return [{"set": folder.name, **one} for one in [*rows, geometry]]
 
 
-def films(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """The rows of a set whose pictures are of films: the detector by colour alone, following people and not."""
+def shots_of(folder: Path, options: argparse.Namespace) -> list[list[tuple[float, Path]]]:
+    """The films of a set: the time, s, and the file of each picture, in order."""
     shots: dict[int, dict[int, Path]] = {}
     for path in folder.rglob("images/*"):
         if re.search(options.only, path.name):
             film, number = map(int, re.findall(r"\d+", path.name)[:2])
             shots.setdefault(film, {})[number] = path
+    return [[(number / options.films, path) for number, path in sorted(one.items())] for one in shots.values()]
+
+
+def came(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """How many faint boxes that came and move, and lie in no better one, show a person, a part of one, and nobody."""
+    right = part = nobody = 0
+    for pictures in shots_of(folder, options):
+        stillness, network = (
+            Stillness(),
+            Network(own_model(), None, LEAST, picture=read_rgb(pictures[0][1]).shape[1::-1]),
+        )
+        for seconds, path in pictures:
+            picture = read_rgb(path)
+            found = network.detect(picture)
+            truth = labelled(path) * np.tile(picture.shape[1::-1], 2)
+            stillness.see(picture, seconds, found.boxes[found.scores >= FOLLOWED])
+            told = stillness.evidence(found.boxes)
+            covered = np.tril(within(found.boxes), -1)[:, found.scores >= FOLLOWED].max(axis=1, initial=0.0)
+            faint = (found.scores >= 0.2) & (found.scores < 0.5) & (told >= MOVES) & (covered <= COVERED)
+            hits = matched(found.boxes, found.scores, truth)
+            shown = within(np.concatenate([found.boxes, truth]))[: len(found), len(found) :].max(axis=1, initial=0.0)
+            right += int((faint & hits).sum())
+            part += int((faint & ~hits & (shown > COVERED)).sum())
+            nobody += int((faint & ~hits & (shown <= COVERED)).sum())
+    return {"set": folder.name, "came and moves": "scores .2 to .5", "right": right, "in part": part, "nobody": nobody}
+
+
+def films(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of a set whose pictures are of films: the detector by colour alone, following people and not."""
     rows = []
     for name, confidence in (("people followed", None), ("people, --confidence .5", 0.5)):
         found, begin = [], time.process_time()
-        for pictures in shots.values():
+        for pictures in shots_of(folder, options):
             detector = None
-            for number, path in sorted(pictures.items()):
+            for seconds, path in pictures:
                 picture = read_rgb(path)
                 size = picture.shape[1], picture.shape[0]
                 if detector is None:
                     settings = Settings(monocular=True, features=False, confidence=confidence)
                     detector = Detector(Config({"camera_config": camera(size, HEIGHT_M)}), settings=settings)
-                people = detector.look(picture, None, number / options.films)
+                people = detector.look(picture, None, seconds)
                 people.sort(key=lambda person: -person.score)
                 boxes = np.array([person.bbox_px for person in people]).reshape(-1, 4)
                 scores = np.array([person.score for person in people])
                 found.append((boxes, scores, labelled(path) * np.tile(size, 2)))
         ms = (time.process_time() - begin) * 1e3 / max(len(found), 1)
         rows.append({"set": folder.name, **row(f"films, {name}", found, 0.0, ms)})
-    return rows
+    return [*rows, came(folder, options)]
 
 
 def main() -> None:
