@@ -19,6 +19,9 @@ PLACED_M, FARTHEST_M, FITS = 0.05, 0.15, 2
 """m: the error of a range difference up to which a lag still counts in full; how far from where it is said to be a
 microphone may be heard to hang before a change is believed; and how often that is fitted."""
 
+ROUGH = 4
+"""Of how many lag steps one is looked at where each stands for all within `PLACED_M`."""
+
 TOLD_M = 0.3
 """m: by how much an exchange changes the ways of the sound at least: less looks like misplaced microphones."""
 
@@ -100,9 +103,11 @@ class Moments:
     good: np.ndarray
     deviation: float
 
-    def first(self, count: int) -> "Moments":
-        """Return the first so many of them."""
-        return replace(self, gccs=self.gccs[:count])
+    @property
+    def clearest(self) -> "Moments":
+        """The same moments, those first at which pairs correlate most, wherever that is: others may be of noise."""
+        clear = [float(np.minimum(gcc, 10.0 * self.deviation).max(axis=1).sum()) for gcc in self.gccs]
+        return replace(self, gccs=[self.gccs[k] for k in np.argsort(clear)[::-1]])
 
 
 class Rewiring:
@@ -115,7 +120,12 @@ class Rewiring:
     def __init__(self, response: SteeredResponse):
         self.response = response
         self.count = count = len(response.microphones)
-        self.pooled = round(PLACED_M * response.steps_per_metre)
+        self.reach = round(PLACED_M * response.steps_per_metre)
+        self.rough = SteeredResponse(
+            response.microphones, response.low, response.high, response.steps_per_metre / ROUGH, resolution=PLACED_M
+        )
+        lag = response.half_lags + ROUGH * np.arange(-self.rough.half_lags, self.rough.half_lags + 1)
+        self.looked = np.clip(lag, 0, response.lag_count - 1)
         self.row = np.zeros((count, count), np.intp)
         self.row[response.first, response.second] = self.row[response.second, response.first] = np.arange(
             len(response.first)
@@ -139,16 +149,14 @@ class Rewiring:
         It is certain where nothing else explains the sound, and gains less than `OVERWHELMING` where it is possible.
         It changes nothing where it is certain that nothing is to be changed.
         """
+        heard = heard.clearest
         best = turned_over((), self.count)
         reached = start = self._agreement(best, heard)
         steps: list[Remedy] = []
         rivals: list[tuple[float, Remedy]] = []
-        wide = [dilated(np.minimum([gcc, -gcc], 10.0 * heard.deviation), self.pooled) for gcc in heard.gccs[:SCREENED]]
+        wide = [self._ladders(gcc, heard) for gcc in heard.gccs[:SCREENED]]
         for _ in range(CHANGES):
-            screened = [
-                (self._screened(_after(best, one), reached, wide, heard), k) for k, one in enumerate(self.changes)
-            ]
-            likely = [self.changes[k] for gain, k in sorted(screened, reverse=True)[:KEPT] if gain > 0.0]
+            likely = self._likely(best, reached, wide, heard)
             answers = [(one, *self._answer(_after(best, one), heard)) for one in likely]
             tried = [(one, value) for one, value, places in answers if self._told(one, places)]
             if not steps:
@@ -179,21 +187,37 @@ class Rewiring:
             return None
         return self._likelier(replace(best, gain=gain), twins, heard)
 
-    def _screened(self, remedy: Remedy, reached: np.ndarray, wide: list[np.ndarray], heard: Moments) -> float:
-        """Return by how much the log likelihood of the first moments rises, or at most rises where it cannot pay.
+    def _likely(self, best: Remedy, reached: np.ndarray, wide: list[np.ndarray], heard: Moments) -> list[Remedy]:
+        """Return the changes after which the log likelihood of the first moments rises most, `KEPT` at most.
 
-        wide: the pooled GCCs of these moments, and those of channels turned over, (2, pairs, lags) each.
+        Args:
+            best, reached: a remedy, and the log likelihood of each moment (k,) by it.
+            wide: ladders of the first moments, see `_ladders`.
+            heard: the moments.
         """
-        gain = np.full(len(wide), np.inf)
-        for step in (self.response.most, lambda gcc: self.response.search(gcc)[1][0]):
-            for k, both in enumerate(wide):
-                found = np.array([step(self._taken(remedy, both, heard))])
-                gain[k] = self._likelihood(found, remedy, heard)[0] - reached[k]
-                if gain[0] < HOPELESS:
-                    return float(gain[0])
-                if gain.sum() <= 0.0:
-                    return float(gain.mean())
-        return float(gain.mean())
+        found: list[tuple[float, int]] = []
+        bounds = [self._bounds(_after(best, one), reached, wide, heard) for one in self.changes]
+        for k in sorted(range(len(bounds)), key=lambda k: -bounds[k].sum()):
+            least = sorted(found)[-KEPT][0] if len(found) >= KEPT else 0.0
+            if bounds[k].sum() < least or bounds[k][0] < HOPELESS:
+                continue
+            gain, remedy = bounds[k], _after(best, self.changes[k])
+            for i, ladders in enumerate(wide):
+                ladder = self._taken(remedy, ladders, heard)
+                need = max(least - (gain.sum() - gain[i]), HOPELESS if i == 0 else -np.inf)
+                enough = self._response(reached[i] + need, remedy, heard)
+                answer = self.rough.search(ladder[:, 0], ladder=ladder, least=enough)[1]
+                gain[i] = self._likelihood(answer[:1], remedy, heard)[0] - reached[i] if len(answer) else -np.inf
+                if gain.sum() < least or gain[0] < HOPELESS:
+                    break
+            else:
+                found.append((float(gain.sum()), k))
+        return [self.changes[k] for gain, k in sorted(found, reverse=True)[:KEPT] if gain > 0.0]
+
+    def _bounds(self, remedy: Remedy, reached: np.ndarray, wide: list[np.ndarray], heard: Moments) -> np.ndarray:
+        """Return by how much the log likelihood of each of the first moments rises at most, (k,)."""
+        most = np.array([self.rough.most(self._taken(remedy, ladders, heard)) for ladders in wide])
+        return self._likelihood(most, remedy, heard) - reached[: len(wide)]
 
     def _likelier(self, best: Remedy, twins: list[Remedy], heard: Moments) -> Remedy:
         """Return the one of remedies between which distances do not tell that moves the channels least."""
@@ -213,7 +237,7 @@ class Rewiring:
         for _ in range(1 + FITS):
             found, lagged = np.zeros(len(heard.gccs)), np.zeros((self.count, 2 * reach + 1))
             for k, gcc in enumerate(rewired):
-                places, values = self.response.search(self._moved(gcc, offset))
+                places, values = self.rough.search(self._moved(gcc, offset))
                 found[k] = values[0]
                 lagged += self._lagged(gcc, places[:1], offset, reach)
             best = np.maximum(best, found)
@@ -239,14 +263,14 @@ class Rewiring:
         others = ~(np.isin(self.response.first, changed) | np.isin(self.response.second, changed))[:, None]
         lagged = np.zeros((self.count, 2 * half + 1))
         for gcc in rewired:
-            place = self.response.search(dilated((gcc * others)[None], self.pooled)[0])[0][:1]
+            place = self.rough.search(self._pooled(gcc * others))[0][:1]
             lagged += self._lagged(gcc, place, np.zeros(self.count, np.intp), half)
         late = lagged.argmax(axis=1) - half
         likelihood = float(self._agreement(rest, heard).sum())
         explained = []
         for channels in (*changed[:, None], changed):
             offset = np.where(np.isin(np.arange(self.count), channels), late, 0)
-            found = np.array([self.response.search(self._moved(gcc, offset))[1][0] for gcc in rewired])
+            found = np.array([self.rough.search(self._moved(gcc, offset))[1][0] for gcc in rewired])
             explained.append(float(self._likelihood(found, rest, heard).sum()) - likelihood)
         gain = reached - likelihood
         return max(explained[:-1]) > RIVAL * gain or RIVAL * explained[-1] > gain
@@ -255,7 +279,11 @@ class Rewiring:
         """Return the pooled GCCs (pairs, lags) of microphones whose ways are longer by offset (m,) lag steps."""
         shift = (offset[self.response.first] - offset[self.response.second])[:, None]
         at = np.clip(np.arange(gcc.shape[1]) + shift, 0, gcc.shape[1] - 1)
-        return dilated(np.take_along_axis(gcc, at, axis=1)[None], self.pooled)[0]
+        return self._pooled(np.take_along_axis(gcc, at, axis=1))
+
+    def _pooled(self, gcc: np.ndarray) -> np.ndarray:
+        """Return the largest value around each lag of GCCs (pairs, lags), as the rough response takes them."""
+        return dilated(gcc[None], self.reach)[0].take(self.looked, axis=1)
 
     def _lagged(self, gcc: np.ndarray, place: np.ndarray, offset: np.ndarray, reach: int) -> np.ndarray:
         """Return how each microphone agrees with the others on a place (1, 3) m, so late or early, (m, 2 reach + 1)."""
@@ -286,27 +314,42 @@ class Rewiring:
         found, places = np.zeros(len(heard.gccs)), np.zeros((len(heard.gccs), 3))
         for k, gcc in enumerate(heard.gccs):
             clipped = self._rewired(remedy, gcc, heard)
-            at, values = self.response.search(dilated(clipped[None], self.pooled)[0] if pooled else clipped)
+            at, values = self.rough.search(self._pooled(clipped)) if pooled else self.response.search(clipped)
             found[k], places[k] = values[0], at[0]
         return self._likelihood(found, remedy, heard), places
 
     def _likelihood(self, found: np.ndarray, remedy: Remedy, heard: Moments) -> np.ndarray:
         """Return the log likelihood (k,) of responses (k,) of an array that is put right."""
+        return 0.5 * (np.maximum(found, 0.0) / self._scale(remedy, heard)) ** 2
+
+    def _response(self, likelihood: float, remedy: Remedy, heard: Moments) -> float:
+        """Return a response below which the log likelihood of an array that is put right is less."""
+        return (1.0 - 1e-6) * self._scale(remedy, heard) * np.sqrt(2.0 * likelihood) if likelihood > 0.0 else -np.inf
+
+    def _scale(self, remedy: Remedy, heard: Moments) -> float:
+        """Return the deviation of the response of noise at one place."""
         good = heard.good[remedy.order]
         kept = good[self.response.first] & good[self.response.second]
-        return 0.5 * (np.maximum(found, 0.0) * len(kept) / heard.deviation) ** 2 / max(kept.sum(), 1)
+        return heard.deviation * np.sqrt(max(kept.sum(), 1)) / len(kept)
 
     def _rewired(self, remedy: Remedy, gcc: np.ndarray, heard: Moments) -> np.ndarray:
         """Return the GCC of each pair of microphones (pairs, lags), clipped, the channels put right."""
-        return self._taken(remedy, np.minimum([gcc, -gcc], 10.0 * heard.deviation), heard)
+        return self._taken(remedy, np.minimum([gcc, -gcc], 10.0 * heard.deviation)[:, :, None], heard)[:, 0]
+
+    def _ladders(self, gcc: np.ndarray, heard: Moments) -> np.ndarray:
+        """Return ladders of clipped and pooled GCCs and of those of channels turned over, (2, pairs, rungs, lags)."""
+        clipped = np.minimum([gcc, -gcc], 10.0 * heard.deviation)
+        return np.stack([self.rough.ladder(self._pooled(one)) for one in clipped])
 
     def _taken(self, remedy: Remedy, both: np.ndarray, heard: Moments) -> np.ndarray:
-        """Return of GCCs and those of channels turned over, (2, pairs, lags), those of pairs that are put right."""
+        """Return of ladders and those of channels turned over, (2, pairs, rungs, lags), those of pairs put right."""
         first, second = remedy.order[self.response.first], remedy.order[self.response.second]
         over = remedy.sign[self.response.first] * remedy.sign[self.response.second] < 0.0
         taken = both[over.astype(np.intp), self.row[first, second]]
-        turned = first > second
-        taken[turned] = taken[turned, ::-1]
+        turned = np.flatnonzero(first > second)
+        for level in range(both.shape[2]):  # a rung that begins at a lag ends so many lags further
+            end = both.shape[3] + 1 - (1 << level)
+            taken[turned, level, :end] = taken[turned, level, :end][:, ::-1]
         taken[~(heard.good[first] & heard.good[second])] = 0.0
         return taken
 
