@@ -52,6 +52,9 @@ WHOLE, DELAYED = 0.75, 0.95
 PARAMETER = 30.0
 """What a delay that is fitted costs of the log likelihood."""
 
+FITTED = 5
+"""How many channels must be left where two or more are doubted: four agree on some place although all are healthy."""
+
 UNSETTLED = 20
 """In how many windows some channels must have been doubted, and in no fewer than half of all, until it is said."""
 
@@ -448,7 +451,7 @@ def _hypotheses(count: int) -> list[tuple[tuple[int, ...], bool]]:
     out = [subset for size in range(1, 1 + largest_out) for subset in combinations(range(count), size)]
     largest = min(count // 2, 4 if count <= 8 else 2 if count <= FEW else 1)
     over = [subset for size in range(1, largest + 1) for subset in combinations(range(count), size)]
-    kept = [(subset, False) for subset in out if count - len(subset) >= 4]
+    kept = [(subset, False) for subset in out if count - len(subset) >= min(FITTED, count - 1)]
     return [((), False), *kept, *[(subset, True) for subset in over]]
 
 
