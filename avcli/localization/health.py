@@ -17,7 +17,7 @@ import numpy as np
 from avcli.localization import correlation
 from avcli.localization.array import Array
 from avcli.localization.faults import Fault
-from avcli.localization.rewiring import ENOUGH, MOMENTS, OVERWHELMING, Moments, Remedy, Rewiring, turned_over
+from avcli.localization.rewiring import ENOUGH, MOMENTS, SILENCING, Moments, Remedy, Rewiring, turned_over
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.windows import Band, Correlated, Correlator
 
@@ -221,7 +221,7 @@ class Health:
         self.puzzled = remedy is not None
         if remedy and remedy.certain:
             self._apply(remedy)
-        elif remedy and remedy.gain >= OVERWHELMING:
+        elif remedy and remedy.gain >= SILENCING:
             self.suspected, self.held = remedy, remedy.changed
         else:
             self.settled |= self.heard >= 2 * ENOUGH and remedy is None
