@@ -149,7 +149,7 @@ def test_a_cell_bounds_the_response_of_every_place_in_it():
     rng = np.random.default_rng(4)
     steered = SteeredResponse(MICROPHONES, [0, 0, 0.8], [4.66, 4.66, 2.0], 60.0)
     gcc = rng.standard_normal((28, 2 * steered.half_lags + 1)).astype(np.float32)
-    bound = steered.bound(steered._ladder(gcc), steered.coarse)
+    bound = steered.bound(steered.ladder(gcc), steered.coarse)
     inside = rng.uniform(-1.0, 1.0, (20, 3)) * steered.half_cell
     for cell in rng.integers(len(steered.cells), size=200):
         assert steered.response(gcc, steered.cells[cell] + inside).max() <= bound[cell] + 0.05
@@ -163,7 +163,9 @@ def test_the_search_finds_an_ideal_source(place):
     lag = np.arange(-steered.half_lags, steered.half_lags + 1)
     gcc = np.sinc(0.36 * (lag - steered.lags(place[None]))).astype(np.float32)
     centres, values = steered.search(gcc)
-    assert values[0] <= steered.most(gcc)
+    assert values[0] <= steered.most(steered.ladder(gcc))
+    assert (steered.search(gcc, least=values[0])[0] == centres).all()
+    assert len(steered.search(gcc, least=1.001 * steered.most(steered.ladder(gcc)))[0]) == 0
     assert np.linalg.norm(centres[0, :2] - place[:2]) < 0.04
     assert np.linalg.norm(centres[0] - place) < 0.06  # three of the finest cells; height is what lags tell least of
     assert values[0] > 0.5

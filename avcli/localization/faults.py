@@ -31,7 +31,8 @@ class Fault:
         if self.microphone is not None:
             if not self.corrected:
                 return (
-                    f"channel {self.channel} probably carries the sound of microphone {self.microphone}; it is left out"
+                    f"channel {self.channel} does not fit together with the others, and perhaps carries the sound of "
+                    f"microphone {self.microphone}; it is left out"
                 )
             return f"channel {self.channel} carries the sound of microphone {self.microphone}; this is corrected"
         if self.level_db is not None:

@@ -17,7 +17,7 @@ import numpy as np
 from avcli.localization import correlation
 from avcli.localization.array import Array
 from avcli.localization.faults import Fault
-from avcli.localization.rewiring import ENOUGH, MOMENTS, OVERWHELMING, Moments, Remedy, Rewiring, turned_over
+from avcli.localization.rewiring import ENOUGH, MOMENTS, SILENCING, Moments, Remedy, Rewiring, turned_over
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.windows import Band, Correlated, Correlator
 
@@ -51,6 +51,9 @@ WHOLE, DELAYED = 0.75, 0.95
 
 PARAMETER = 30.0
 """What a delay that is fitted costs of the log likelihood."""
+
+FITTED = 5
+"""How many channels must be left where two or more are doubted: four agree on some place although all are healthy."""
 
 UNSETTLED = 20
 """In how many windows some channels must have been doubted, and in no fewer than half of all, until it is said."""
@@ -218,7 +221,7 @@ class Health:
         self.puzzled = remedy is not None
         if remedy and remedy.certain:
             self._apply(remedy)
-        elif remedy and remedy.gain >= OVERWHELMING:
+        elif remedy and remedy.gain >= SILENCING:
             self.suspected, self.held = remedy, remedy.changed
         else:
             self.settled |= self.heard >= 2 * ENOUGH and remedy is None
@@ -448,7 +451,7 @@ def _hypotheses(count: int) -> list[tuple[tuple[int, ...], bool]]:
     out = [subset for size in range(1, 1 + largest_out) for subset in combinations(range(count), size)]
     largest = min(count // 2, 4 if count <= 8 else 2 if count <= FEW else 1)
     over = [subset for size in range(1, largest + 1) for subset in combinations(range(count), size)]
-    kept = [(subset, False) for subset in out if count - len(subset) >= 4]
+    kept = [(subset, False) for subset in out if count - len(subset) >= min(FITTED, count - 1)]
     return [((), False), *kept, *[(subset, True) for subset in over]]
 
 

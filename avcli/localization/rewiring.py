@@ -19,6 +19,9 @@ PLACED_M, FARTHEST_M, FITS = 0.05, 0.15, 2
 """m: the error of a range difference up to which a lag still counts in full; how far from where it is said to be a
 microphone may be heard to hang before a change is believed; and how often that is fitted."""
 
+ROUGH = 4
+"""Of how many lag steps one is looked at where each stands for all within `PLACED_M`."""
+
 TOLD_M = 0.3
 """m: by how much an exchange changes the ways of the sound at least: less looks like misplaced microphones."""
 
@@ -33,12 +36,12 @@ ENOUGH, MOMENTS, SCREENED, KEPT = 4, 6, 2, 4
 """After how many moments there may be a verdict, of how many of the latest it is, by how many the changes are screened,
 and how many of them are compared then."""
 
-CHANGES = 4
-"""How many changes one after another are believed at once."""
+CHANGES, BEAM = 4, 3
+"""How many changes one after another are believed at once, and how many stories each of them goes on from."""
 
-OVERWHELMING = 120.0
-POSSIBLE = 0.5 * OVERWHELMING
-"""By how much the log likelihood of the moments must rise by a change that is believed, and that may be."""
+POSSIBLE, OVERWHELMING, SILENCING = 60.0, 150.0, 180.0
+"""By how much the log likelihood of the moments must rise by a change that may be, by one that is believed, and by one
+of several alike for which nobody is located. In rooms that decided, wrong ones reached 131, right ones 189 to 468."""
 
 HOPELESS = -20.0
 """How the log likelihood of one moment falls where a change is not looked at any more."""
@@ -100,9 +103,35 @@ class Moments:
     good: np.ndarray
     deviation: float
 
-    def first(self, count: int) -> "Moments":
-        """Return the first so many of them."""
-        return replace(self, gccs=self.gccs[:count])
+    @property
+    def clearest(self) -> "Moments":
+        """The same moments, those first at which pairs correlate most, wherever that is: others may be of noise."""
+        clear = [float(np.minimum(gcc, 10.0 * self.deviation).max(axis=1).sum()) for gcc in self.gccs]
+        return replace(self, gccs=[self.gccs[k] for k in np.argsort(clear)[::-1]])
+
+
+@dataclass(frozen=True)
+class Story:
+    """Some changes one after another, and what they explain.
+
+    Attributes:
+        remedy: what they do together.
+        steps: the changes.
+        reached: the log likelihood of each moment (k,), the channels put right by them.
+        heard: the moments as they would be heard then.
+        worth: by how much the log likelihood of all moments rises by them.
+    """
+
+    remedy: Remedy
+    steps: tuple[Remedy, ...]
+    reached: np.ndarray
+    heard: Moments
+    worth: float = 0.0
+
+    @property
+    def merit(self) -> float:
+        """What it is worth beyond what its changes must be worth to be believed."""
+        return self.worth - POSSIBLE * len(self.steps)
 
 
 class Rewiring:
@@ -115,7 +144,12 @@ class Rewiring:
     def __init__(self, response: SteeredResponse):
         self.response = response
         self.count = count = len(response.microphones)
-        self.pooled = round(PLACED_M * response.steps_per_metre)
+        self.reach = round(PLACED_M * response.steps_per_metre)
+        self.rough = SteeredResponse(
+            response.microphones, response.low, response.high, response.steps_per_metre / ROUGH, resolution=PLACED_M
+        )
+        lag = response.half_lags + ROUGH * np.arange(-self.rough.half_lags, self.rough.half_lags + 1)
+        self.looked = np.clip(lag, 0, response.lag_count - 1)
         self.row = np.zeros((count, count), np.intp)
         self.row[response.first, response.second] = self.row[response.second, response.first] = np.arange(
             len(response.first)
@@ -139,61 +173,86 @@ class Rewiring:
         It is certain where nothing else explains the sound, and gains less than `OVERWHELMING` where it is possible.
         It changes nothing where it is certain that nothing is to be changed.
         """
-        best = turned_over((), self.count)
-        reached = start = self._agreement(best, heard)
-        steps: list[Remedy] = []
-        rivals: list[tuple[float, Remedy]] = []
-        wide = [dilated(np.minimum([gcc, -gcc], 10.0 * heard.deviation), self.pooled) for gcc in heard.gccs[:SCREENED]]
-        for _ in range(CHANGES):
-            screened = [
-                (self._screened(_after(best, one), reached, wide, heard), k) for k, one in enumerate(self.changes)
-            ]
-            likely = [self.changes[k] for gain, k in sorted(screened, reverse=True)[:KEPT] if gain > 0.0]
-            answers = [(one, *self._answer(_after(best, one), heard)) for one in likely]
-            tried = [(one, value) for one, value, places in answers if self._told(one, places)]
-            if not steps:
-                rivals = [(float((value - start).sum()), one) for one, value in tried]
-            if not steps and max((worth for worth, _ in rivals), default=-np.inf) < HOPELESS * len(heard.gccs):
-                return best
-            if not tried:
+        nothing, heard = turned_over((), self.count), heard.clearest
+        best = start = Story(nothing, (), self._agreement(nothing, heard), heard)
+        beam, singles = [start], list[Story]()
+        for level in range(CHANGES):
+            longer = sorted((one for story in beam for one in self._continued(story)), key=lambda one: -one.worth)
+            if level == 0:
+                singles = longer
+                if not longer or longer[0].worth < HOPELESS * len(heard.gccs):
+                    return nothing
+            beam = _likeliest(longer)
+            if not beam:
                 break
-            step, value = max(tried, key=lambda found: float(found[1].mean()))
-            gain = value - reached
-            if gain.sum() < POSSIBLE or (gain <= 0.0).sum() > len(heard.gccs) // 3:
-                break
-            best, reached = _after(best, step), value
-            steps.append(step)
-        gain = float((reached - start).sum())
-        if gain < POSSIBLE:
+            best = max([best, *beam], key=lambda one: one.merit)
+        gain = best.reached - start.reached
+        if best is start or (gain <= 0.0).sum() > len(gain) // 3:
             return None
-        twins = [_after(best, Remedy(order, np.ones(self.count), np.zeros(self.count))) for order in self.twins]
-        others = [worth for worth, one in rivals if not any(one.alike(known) for known in (*steps, *twins))]
-        if max(others, default=0.0) > RIVAL * gain:
+        even, on_time = np.ones(self.count), np.zeros(self.count)
+        twins = [_after(best.remedy, Remedy(order, even, on_time)) for order in self.twins]
+        known = [*best.steps, *twins]
+        others = [one.worth for one in singles if not any(one.remedy.alike(step) for step in known)]
+        if max(others, default=0.0) > RIVAL * best.worth:
             return None
-        few = [step for step in steps if step.changed.sum() <= 2]
-        if any(self._late(steps, step, float(reached.sum()), heard) for step in few):
+        if any(self._late(best, step, start) for step in best.steps if step.changed.sum() <= 2):
             return None
-        fitted = [self._settled(one, heard) for one in (best, turned_over((), self.count))]
-        gain = min(gain, float((fitted[0] - fitted[1]).sum()))
-        if gain < max(POSSIBLE, SHARE * fitted[0].sum()):
+        fitted = [self._settled(one) for one in (best.heard, heard)]
+        worth = min(best.worth, float((fitted[0] - fitted[1]).sum()))
+        if worth < max(POSSIBLE, SHARE * fitted[0].sum()):
             return None
-        return self._likelier(replace(best, gain=gain), twins, heard)
+        return self._likelier(replace(best.remedy, gain=worth), twins, heard)
 
-    def _screened(self, remedy: Remedy, reached: np.ndarray, wide: list[np.ndarray], heard: Moments) -> float:
-        """Return by how much the log likelihood of the first moments rises, or at most rises where it cannot pay.
+    def _continued(self, story: Story) -> list[Story]:
+        """Return a story with each of the likeliest changes after it."""
+        found = []
+        for change in self._likely(story):
+            heard = self._put_right(change, story.heard)
+            reached, places = self._answer(heard)
+            if self._told(change, places):
+                worth = story.worth + float((reached - story.reached).sum())
+                found.append(Story(_after(story.remedy, change), (*story.steps, change), reached, heard, worth))
+        return found
 
-        wide: the pooled GCCs of these moments, and those of channels turned over, (2, pairs, lags) each.
+    def _likely(self, story: Story) -> list[Remedy]:
+        """Return the changes after which the log likelihood of the first moments rises most, `KEPT` at most.
+
+        The order is changed once at most: of many orders one after another some fit by chance.
         """
-        gain = np.full(len(wide), np.inf)
-        for step in (self.response.most, lambda gcc: self.response.search(gcc)[1][0]):
-            for k, both in enumerate(wide):
-                found = np.array([step(self._taken(remedy, both, heard))])
-                gain[k] = self._likelihood(found, remedy, heard)[0] - reached[k]
-                if gain[0] < HOPELESS:
-                    return float(gain[0])
-                if gain.sum() <= 0.0:
-                    return float(gain.mean())
-        return float(gain.mean())
+        heard, reached = story.heard, story.reached
+        ordered = (story.remedy.order != np.arange(self.count)).any()
+        changes = [one for one in self.changes if not ordered or (one.sign < 0.0).any()]
+        wide = [self._ladders(gcc, heard) for gcc in heard.gccs[:SCREENED]]
+        found: list[tuple[float, int]] = []
+        bounds = [self._bounds(change, reached, wide, heard) for change in changes]
+        for k in sorted(range(len(bounds)), key=lambda k: -bounds[k].sum()):
+            least = sorted(found)[-KEPT][0] if len(found) >= KEPT else 0.0
+            if bounds[k].sum() < least or bounds[k][0] < HOPELESS:
+                continue
+            gain = bounds[k]
+            for i, ladders in enumerate(wide):
+                ladder = self._taken(changes[k], ladders, heard.good)
+                need = max(least - (gain.sum() - gain[i]), HOPELESS if i == 0 else -np.inf)
+                enough = self._response(reached[i] + need, heard)
+                answer = self.rough.search(ladder[:, 0], ladder=ladder, least=enough)[1]
+                gain[i] = self._likelihood(answer[:1], heard)[0] - reached[i] if len(answer) else -np.inf
+                if gain.sum() < least or gain[0] < HOPELESS:
+                    break
+            else:
+                found.append((float(gain.sum()), k))
+        return [changes[k] for gain, k in sorted(found, reverse=True)[:KEPT] if gain > 0.0]
+
+    def _bounds(self, change: Remedy, reached: np.ndarray, wide: list[np.ndarray], heard: Moments) -> np.ndarray:
+        """Return by how much the log likelihood of each of the first moments rises at most, (k,).
+
+        Args:
+            change: of the channels.
+            reached: the log likelihood of each moment (k,) without it.
+            wide: ladders of the first moments, see `_ladders`.
+            heard: the moments.
+        """
+        most = np.array([self.rough.most(self._taken(change, ladders, heard.good)) for ladders in wide])
+        return self._likelihood(most, heard) - reached[: len(wide)]
 
     def _likelier(self, best: Remedy, twins: list[Remedy], heard: Moments) -> Remedy:
         """Return the one of remedies between which distances do not tell that moves the channels least."""
@@ -205,57 +264,55 @@ class Rewiring:
             certain = all(_effort(one) > _effort(least) for one in others) and plain[0] >= max(plain)
         return replace(least, gain=best.gain, certain=bool(certain))
 
-    def _settled(self, remedy: Remedy, heard: Moments) -> np.ndarray:
+    def _settled(self, heard: Moments) -> np.ndarray:
         """Return the log likelihood of each moment (k,), each microphone moved to where it is heard to hang."""
         reach = round(FARTHEST_M * self.response.steps_per_metre)
-        rewired = [self._rewired(remedy, gcc, heard) for gcc in heard.gccs]
         offset, best = np.zeros(self.count, np.intp), np.zeros(len(heard.gccs))
         for _ in range(1 + FITS):
             found, lagged = np.zeros(len(heard.gccs)), np.zeros((self.count, 2 * reach + 1))
-            for k, gcc in enumerate(rewired):
-                places, values = self.response.search(self._moved(gcc, offset))
+            for k, gcc in enumerate(self._clipped(heard)):
+                places, values = self.rough.search(self._pooled(self._moved(gcc, offset)))
                 found[k] = values[0]
                 lagged += self._lagged(gcc, places[:1], offset, reach)
             best = np.maximum(best, found)
             offset = lagged.argmax(axis=1) - reach
-        return self._likelihood(best, remedy, heard)
+        return self._likelihood(best, heard)
 
-    def _late(
-        self,
-        steps: list[Remedy],
-        step: Remedy,
-        reached: float,
-        heard: Moments,
-    ) -> bool:
-        """Tell whether delays explain the sound better than a step, which reached so much, or one nearly as well.
+    def _late(self, story: Story, step: Remedy, start: Story) -> bool:
+        """Tell whether delays explain the sound better than a step of a story does, or two of them not much better.
 
         Two channels that are exchanged sound as if both were late, and one delay explains only a part of it.
         """
         rest = turned_over((), self.count)
-        for one in steps:
+        for one in story.steps:
             rest = rest if one is step else _after(rest, one)
-        rewired = [self._rewired(rest, gcc, heard) for gcc in heard.gccs]
+        heard = self._put_right(rest, start.heard)
+        gccs = self._clipped(heard)
         changed, half = np.flatnonzero(step.changed), self.response.half_lags
         others = ~(np.isin(self.response.first, changed) | np.isin(self.response.second, changed))[:, None]
         lagged = np.zeros((self.count, 2 * half + 1))
-        for gcc in rewired:
-            place = self.response.search(dilated((gcc * others)[None], self.pooled)[0])[0][:1]
+        for gcc in gccs:
+            place = self.rough.search(self._pooled(gcc * others))[0][:1]
             lagged += self._lagged(gcc, place, np.zeros(self.count, np.intp), half)
         late = lagged.argmax(axis=1) - half
-        likelihood = float(self._agreement(rest, heard).sum())
+        likelihood = float(self._answer(heard)[0].sum())
         explained = []
         for channels in (*changed[:, None], changed):
             offset = np.where(np.isin(np.arange(self.count), channels), late, 0)
-            found = np.array([self.response.search(self._moved(gcc, offset))[1][0] for gcc in rewired])
-            explained.append(float(self._likelihood(found, rest, heard).sum()) - likelihood)
-        gain = reached - likelihood
+            found = np.array([self.rough.search(self._pooled(self._moved(gcc, offset)))[1][0] for gcc in gccs])
+            explained.append(float(self._likelihood(found, heard).sum()) - likelihood)
+        gain = float(story.reached.sum()) - likelihood
         return max(explained[:-1]) > RIVAL * gain or RIVAL * explained[-1] > gain
 
     def _moved(self, gcc: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Return the pooled GCCs (pairs, lags) of microphones whose ways are longer by offset (m,) lag steps."""
-        shift = (offset[self.response.first] - offset[self.response.second])[:, None]
-        at = np.clip(np.arange(gcc.shape[1]) + shift, 0, gcc.shape[1] - 1)
-        return dilated(np.take_along_axis(gcc, at, axis=1)[None], self.pooled)[0]
+        """Return the GCCs (pairs, lags) of microphones whose ways are longer by offset (m,) lag steps."""
+        at = np.arange(gcc.shape[1]) + (offset[self.response.first] - offset[self.response.second])[:, None]
+        inside = (at >= 0) & (at < gcc.shape[1])
+        return np.take_along_axis(gcc, np.clip(at, 0, gcc.shape[1] - 1), axis=1) * inside
+
+    def _pooled(self, gcc: np.ndarray) -> np.ndarray:
+        """Return the largest value around each lag of GCCs (pairs, lags), as the rough response takes them."""
+        return dilated(gcc[None], self.reach)[0].take(self.looked, axis=1)
 
     def _lagged(self, gcc: np.ndarray, place: np.ndarray, offset: np.ndarray, reach: int) -> np.ndarray:
         """Return how each microphone agrees with the others on a place (1, 3) m, so late or early, (m, 2 reach + 1)."""
@@ -267,7 +324,7 @@ class Rewiring:
             at = lag + turn * (late - offset[other][:, None])
             inside = (at >= 0) & (at < gcc.shape[1])
             values = np.take_along_axis(gcc, np.clip(at, 0, gcc.shape[1] - 1), axis=1)
-            np.add.at(found, side, values * inside)
+            found += (np.arange(self.count)[:, None] == side) @ (values * inside)
         return found
 
     def _told(self, change: Remedy, places: np.ndarray) -> bool:
@@ -279,41 +336,72 @@ class Rewiring:
 
     def _agreement(self, remedy: Remedy, heard: Moments, *, pooled: bool = True) -> np.ndarray:
         """Return the log likelihood of each moment (k,), the channels put right."""
-        return self._answer(remedy, heard, pooled=pooled)[0]
+        return self._answer(self._put_right(remedy, heard), pooled=pooled)[0]
 
-    def _answer(self, remedy: Remedy, heard: Moments, *, pooled: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """Return the log likelihood of each moment (k,), the channels put right, and its place (k, 3) m."""
+    def _answer(self, heard: Moments, *, pooled: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """Return the log likelihood of each moment (k,), and its place (k, 3) m."""
         found, places = np.zeros(len(heard.gccs)), np.zeros((len(heard.gccs), 3))
-        for k, gcc in enumerate(heard.gccs):
-            clipped = self._rewired(remedy, gcc, heard)
-            at, values = self.response.search(dilated(clipped[None], self.pooled)[0] if pooled else clipped)
+        for k, gcc in enumerate(self._clipped(heard)):
+            at, values = self.rough.search(self._pooled(gcc)) if pooled else self.response.search(gcc)
             found[k], places[k] = values[0], at[0]
-        return self._likelihood(found, remedy, heard), places
+        return self._likelihood(found, heard), places
 
-    def _likelihood(self, found: np.ndarray, remedy: Remedy, heard: Moments) -> np.ndarray:
-        """Return the log likelihood (k,) of responses (k,) of an array that is put right."""
-        good = heard.good[remedy.order]
-        kept = good[self.response.first] & good[self.response.second]
-        return 0.5 * (np.maximum(found, 0.0) * len(kept) / heard.deviation) ** 2 / max(kept.sum(), 1)
+    def _likelihood(self, found: np.ndarray, heard: Moments) -> np.ndarray:
+        """Return the log likelihood (k,) of responses (k,)."""
+        return 0.5 * (np.maximum(found, 0.0) / self._scale(heard)) ** 2
 
-    def _rewired(self, remedy: Remedy, gcc: np.ndarray, heard: Moments) -> np.ndarray:
-        """Return the GCC of each pair of microphones (pairs, lags), clipped, the channels put right."""
-        return self._taken(remedy, np.minimum([gcc, -gcc], 10.0 * heard.deviation), heard)
+    def _response(self, likelihood: float, heard: Moments) -> float:
+        """Return a response below which the log likelihood is less."""
+        return (1.0 - 1e-6) * self._scale(heard) * np.sqrt(2.0 * likelihood) if likelihood > 0.0 else -np.inf
 
-    def _taken(self, remedy: Remedy, both: np.ndarray, heard: Moments) -> np.ndarray:
-        """Return of GCCs and those of channels turned over, (2, pairs, lags), those of pairs that are put right."""
+    def _scale(self, heard: Moments) -> float:
+        """Return the deviation of the response of noise at one place."""
+        kept = heard.good[self.response.first] & heard.good[self.response.second]
+        return float(heard.deviation * np.sqrt(max(kept.sum(), 1)) / len(kept))
+
+    def _put_right(self, remedy: Remedy, heard: Moments) -> Moments:
+        """Return the moments as they would be heard, the channels put right."""
+        gccs = [self._taken(remedy, np.stack([gcc, -gcc])[:, :, None], heard.good)[:, 0] for gcc in heard.gccs]
+        return replace(heard, gccs=gccs, good=heard.good[remedy.order])
+
+    def _clipped(self, heard: Moments) -> list[np.ndarray]:
+        """Return the GCCs (pairs, lags) of the moments, cut off well above their noise."""
+        return [np.minimum(gcc, np.float32(10.0 * heard.deviation)) for gcc in heard.gccs]
+
+    def _ladders(self, gcc: np.ndarray, heard: Moments) -> np.ndarray:
+        """Return ladders of clipped and pooled GCCs and of those of channels turned over, (2, pairs, rungs, lags)."""
+        clipped = np.minimum([gcc, -gcc], np.float32(10.0 * heard.deviation))
+        return np.stack([self.rough.ladder(self._pooled(one)) for one in clipped])
+
+    def _taken(self, remedy: Remedy, both: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """Return of ladders and those of channels turned over, (2, pairs, rungs, lags), those of pairs put right.
+
+        good: (m,) bool, the channels that are used.
+        """
         first, second = remedy.order[self.response.first], remedy.order[self.response.second]
         over = remedy.sign[self.response.first] * remedy.sign[self.response.second] < 0.0
         taken = both[over.astype(np.intp), self.row[first, second]]
-        turned = first > second
-        taken[turned] = taken[turned, ::-1]
-        taken[~(heard.good[first] & heard.good[second])] = 0.0
+        turned = np.flatnonzero(first > second)
+        for level in range(both.shape[2]):  # a rung that begins at a lag ends so many lags further
+            end = both.shape[3] + 1 - (1 << level)
+            taken[turned, level, :end] = taken[turned, level, :end][:, ::-1]
+        taken[~(good[first] & good[second])] = 0.0
         return taken
 
 
 def _after(one: Remedy, other: Remedy) -> Remedy:
     """Return what one remedy and then another do."""
     return Remedy(one.order[other.order], one.sign[other.order] * other.sign, one.delay[other.order] + other.delay)
+
+
+def _likeliest(stories: list[Story]) -> list[Story]:
+    """Return those of stories, the best first, from which it is worth going on, no two of the same remedy."""
+    found: list[Story] = []
+    for one in stories:
+        likely = one.worth >= 0.5 * POSSIBLE * len(one.steps)
+        if likely and len(found) < BEAM and not any(one.remedy.alike(other.remedy) for other in found):
+            found.append(one)
+    return found
 
 
 def _effort(remedy: Remedy) -> int:

@@ -55,8 +55,8 @@ class SteeredResponse:
         # Which rung of the ladder a run of so many lags stands on: floor(log2(length)), as high as coarse cells need.
         self.rung = np.frexp(np.arange(self.lag_count + 1))[1] - 1
         lowest, highest = self._runs(self.cells, self.half_cell)
-        self.ladder = int(self.rung[(highest - lowest).max() + 1])
-        self.rung = np.minimum(self.rung, self.ladder)
+        self.highest = int(self.rung[(highest - lowest).max() + 1])
+        self.rung = np.minimum(self.rung, self.highest)
         self.coarse = self._spans(self.cells, self.half_cell)
 
     def lags(self, points: np.ndarray) -> np.ndarray:
@@ -88,17 +88,17 @@ class SteeredResponse:
         """Return the two places in the flat ladder whose maxima cover each cell's lags, two (pairs, cells)."""
         lowest, highest = self._runs(centres, half)
         rung = self.rung[highest - lowest + 1]
-        base = rung * (len(self.first) * self.lag_count) + self.rows
+        base = rung * self.lag_count + self.rows * (self.highest + 1)
         return base + lowest, base + highest + 1 - (1 << rung)
 
-    def _ladder(self, gcc: np.ndarray) -> np.ndarray:
-        """Return running maxima over 1, 2, 4... lags, (rungs, pairs, lags): two of them cover any run."""
-        rungs = np.empty((self.ladder + 1, *gcc.shape), gcc.dtype)
-        rungs[0] = gcc
-        for level in range(self.ladder):
+    def ladder(self, gcc: np.ndarray) -> np.ndarray:
+        """Return running maxima over 1, 2, 4... lags of GCCs, (pairs, rungs, lags): two of them cover any run."""
+        rungs = np.empty((len(gcc), self.highest + 1, self.lag_count), gcc.dtype)
+        rungs[:, 0] = gcc
+        for level in range(self.highest):
             step = 1 << level
-            np.maximum(rungs[level, :, :-step], rungs[level, :, step:], out=rungs[level + 1, :, :-step])
-            rungs[level + 1, :, -step:] = rungs[level, :, -step:]
+            np.maximum(rungs[:, level, :-step], rungs[:, level, step:], out=rungs[:, level + 1, :-step])
+            rungs[:, level + 1, -step:] = rungs[:, level, -step:]
         return rungs
 
     def bound(self, ladder: np.ndarray, spans: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -127,22 +127,28 @@ class SteeredResponse:
         """Return each pair's GCC at the lag of a place (3,) m, (pairs,)."""
         return interpolated(gcc, self.lags(position[None]) + self.half_lags)[:, 0]
 
-    def most(self, gcc: np.ndarray) -> float:
-        """Return a number that no place's response reaches beyond, of GCCs (pairs, lags), in a quarter of a search."""
-        return float(self.bound(self._ladder(gcc), self.coarse).max())
+    def most(self, ladder: np.ndarray) -> float:
+        """Return a number that no place's response reaches beyond, of a ladder, in a tenth of a search."""
+        return float(self.bound(ladder, self.coarse).max())
 
-    def search(self, gcc: np.ndarray, keep: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def search(
+        self, gcc: np.ndarray, keep: int | None = None, *, ladder: np.ndarray | None = None, least: float = -np.inf
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the centres (n, 3) m of the finest cells that were reached, best first, and their responses (n,).
 
         Args:
             gcc: (pairs, lags).
             keep: how many cells go on to the next level; None: as many as usual.
+            ladder: of the GCC; None: it is made here.
+            least: where it shows that no response reaches so much, none is returned.
         """
         keep = keep or self.keep
-        ladder = self._ladder(gcc)
+        ladder = self.ladder(gcc) if ladder is None else ladder
         centres, half = self.cells, self.half_cell
         bound = self.bound(ladder, self.coarse)
         for _ in range(self.levels):
+            if bound.max() < least:
+                return centres[:0], bound[:0]
             best = np.argpartition(-bound, keep)[:keep] if len(bound) > keep else np.arange(len(bound))
             half = 0.5 * half
             centres = (centres[best][:, None, :] + self.children * (2.0 * half)).reshape(-1, 3)
