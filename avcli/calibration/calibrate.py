@@ -267,7 +267,8 @@ class _Fitted:
         if not certainly and not promised < _WORTH_A_TEST:
             return self, before, promised * before
         # From all corners again: a flat board may have made good ones of a bowed board look bad.
-        start = fit.fit(self.everything, robust.posed(self.everything, self.solution, self.good), board_shape=True)
+        everywhere = robust.posed(self.everything, self.solution, self.good)
+        start = fit.fit(self.everything, everywhere, board_shape=True, roughly=True)
         every = np.ones(len(self.good), bool)
         solution, good = robust.refit_robustly(self.everything, start, every, board_shape=True)
         found = _Fitted(self.everything, solution, good, robust.held_out(self.everything, solution, good))
@@ -278,7 +279,7 @@ class _Fitted:
 def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
     coarse = observe(board, views)
     size = views[0].width, views[0].height
-    solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
+    solution, good = robust.fit_robustly(coarse, *size, roughly=True, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     found = _Fitted(everything, solution, good, robust.held_out(everything, solution, good))
     flat_px, shaped_px = found.held_out.rms_px, float("nan")
