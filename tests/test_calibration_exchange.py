@@ -2,6 +2,7 @@
 
 import functools
 import json
+import os
 import shutil
 import subprocess
 from dataclasses import replace
@@ -419,6 +420,81 @@ def test_ros_reads_what_is_written_for_it(tmp_path: Path) -> None:
         assert isinstance(camera.lens, Lens)
         assert [K[0], K[4], K[2], K[5]] == [camera.lens.fx, camera.lens.fy, camera.lens.cx, camera.lens.cy]
         assert next(c for c in exchange.ROS if c.name == model).values(camera.lens) == list(D)
+
+
+KALIBR_READER = """
+import glob, importlib.util, json, os, sys, types
+for name in ('aslam_cv', 'aslam_cv_backend', 'sm'):  # what the reader imports and a file's reading does not use
+    sys.modules[name] = types.ModuleType(name)
+spec = importlib.util.spec_from_file_location('reader', os.environ['KALIBR_READER'])
+kalibr = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(kalibr)
+"""
+
+
+def asked_kalibr(script: str, folder: Path) -> str:
+    """What a script prints that uses Kalibr's reader, kalibr_common/ConfigReader.py, which KALIBR_READER names."""
+    if "KALIBR_READER" not in os.environ:
+        pytest.skip("KALIBR_READER does not name Kalibr's ConfigReader.py")
+    return asked("yaml", KALIBR_READER + script, folder)
+
+
+def test_kalibr_reads_what_is_written_for_it(tmp_path: Path) -> None:
+    for name in SAMPLES:
+        (tmp_path / f"{name}.yaml").write_text(sample(name, "kalibr").text)
+    script = """
+for it in glob.glob('*.yaml'):
+    camera = kalibr.CameraChainParameters(it).getCameraParameters(0)
+    camera.printDetails(sys.stderr)
+    print(json.dumps([it, *camera.getIntrinsics(), *camera.getDistortion(), camera.getResolution()]))
+"""
+    lines = asked_kalibr(script, tmp_path).splitlines()
+    assert len(lines) == len(SAMPLES)
+    for it, model, numbers, bend, coefficients, size in map(json.loads, lines):
+        found = sample(it[:-5], "kalibr")
+        lens = reread(found.text).lens
+        assert isinstance(lens, Lens)
+        core = [lens.fx, lens.fy, lens.cx, lens.cy]
+        more = next(choice for choice in exchange.KALIBR if choice.name == found.model).values(lens)
+        assert (f"{model}-{bend}", size) == (found.model, [1920, 1080])
+        assert [*numbers, *coefficients] == ([*more, *core] if bend == "none" else [*core, *more])
+
+
+def test_kalibr_reads_the_targets_that_are_written_for_it(tmp_path: Path) -> None:
+    ask = ("--square", "60", "--dpi", "50", "--kalibr")
+    kinds = {"aprilgrid": "aprilgrid", "checkerboard": "checkerboard", "circles": "circlegrid"}
+    for kind in kinds:
+        path = tmp_path / f"{kind}.yaml"
+        done = conftest.run("avcalib", "target", "--kind", kind, *ask, path, "-o", tmp_path / f"{kind}.png")
+        assert done.returncode == 0, done.stderr
+    script = "for it in glob.glob('*.yaml'):\n    found = kalibr.CalibrationTargetParameters(it)\n"
+    script += "    print(json.dumps([it, found.getTargetParams()]))\n"
+    for it, found in map(json.loads, asked_kalibr(script, tmp_path).splitlines()):
+        assert found["targetType"] == kinds.pop(it[:-5])
+    assert not kinds
+
+
+def test_what_kalibr_writes_is_read(tmp_path: Path) -> None:
+    script = """
+one = kalibr.CameraParameters('one', createYaml=True)
+one.setIntrinsics('pinhole', [400.0, 401.0, 320.5, 239.5])
+one.setDistortion('equidistant', [0.1, 0.01, -0.002, 0.0003])
+one.setResolution([640, 480])
+two = kalibr.CameraParameters('two', createYaml=True)
+two.setIntrinsics('ds', [-0.2, 0.6, 400.0, 401.0, 320.5, 239.5])
+two.setDistortion('none', [])
+two.setResolution([640, 480])
+chain = kalibr.CameraChainParameters('chain.yaml', createYaml=True)
+chain.addCameraAtEnd(one)
+chain.addCameraAtEnd(two)
+chain.writeYaml()
+"""
+    asked_kalibr(script, tmp_path)
+    kind, (one, two) = exchange.read((tmp_path / "chain.yaml").read_bytes(), "chain.yaml")
+    assert kind == "kalibr"
+    assert one.size == two.size == (640, 480)
+    assert one.lens == KannalaBrandt(400, 401, 320.5, 239.5, 0.1, 0.01, -0.002, 0.0003)
+    assert two.lens == LENSES["double_sphere"](400, 401, 320.5, 239.5, -0.2, 0.6)
 
 
 def test_what_mrcal_writes_is_read(tmp_path: Path) -> None:

@@ -171,12 +171,14 @@ def test_it_goes_where_nothing_was_seen():
 
 
 def test_what_a_view_brings_is_what_the_fit_gains():
-    """Information adds up over views, and none is negative."""
+    """Information adds up over views, and none is negative; near boards tell the pupil, far ones do not."""
     solution, seen = lens_of(6)
-    each = nextview.information(seen, solution, 0.1)
+    each = nextview.information(seen, solution, 0.1, BOARD.square_m)
     assert np.linalg.eigvalsh(each).min() > -1e-6 * np.abs(each).max()
-    half = nextview.information(seen.of_views(np.arange(3)), solution.of_views(np.arange(3)), 0.1)
+    half = nextview.information(seen.of_views(np.arange(3)), solution.of_views(np.arange(3)), 0.1, BOARD.square_m)
     assert np.allclose(half, each[:3])
+    far = replace(solution, translations=3 * solution.translations)
+    assert (nextview.information(seen, far, 0.1, BOARD.square_m)[:, -1, -1] < each[:, -1, -1]).all()
 
 
 def test_the_words_name_the_nearer_edge():

@@ -232,6 +232,22 @@ WIDE = KannalaBrandt(338.0, 338.5, 514.0, 388.0, 0.01, -0.01, 0.002, -0.0005)
 WIDE_SIZE = (1032, 778)
 
 
+def test_views_held_out_cost_what_the_step_of_the_others_leaves_them():
+    o, solution = filmed(20, 12, 0.1)
+    known, part = fit.blocks(o, solution), np.arange(12) % 5
+    tests = [part == fold for fold in range(5)]
+    cost = sum(known.of(test).after(known.of(~test).step()).sum() for test in tests)
+    assert known.crossed(part) == pytest.approx(cost, rel=1e-9)
+    step = known.step()
+    np.testing.assert_allclose(known.follow(step.common), step.own, rtol=1e-6, atol=1e-12)
+
+
+def test_small_matrices_are_inverted_as_numpy_does():
+    matrices = np.random.default_rng(3).normal(size=(6, 2, 2))
+    matrices[4], matrices[5] = [[1.0, 2.0], [2.0, 4.0]], 0.0
+    np.testing.assert_allclose(field._inverses(matrices), np.linalg.pinv(matrices, rcond=1e-9), rtol=1e-9, atol=1e-12)
+
+
 def near(seed, views, pupil=0.0, printed=0.0, shared=0.0):
     """Corners of boards near a wide lens: its centre moves, the print is wrong (squares), views share errors (px)."""
     rng = np.random.default_rng(seed)

@@ -129,6 +129,30 @@ class Blocks(NamedTuple):
         followed = np.linalg.solve(damped(self.gram[:, k:-1, k:-1], 0.0), rest[..., None])[..., 0]
         return self.gram[:, -1, -1] - 2 * along[:, -1] + explained - (rest * followed).sum(1)
 
+    def crossed(self, part: np.ndarray) -> float:
+        """The cost of the views of each part (views,) after the step that the other parts take, their poses following.
+
+        Where the places are known, each view's pose is eliminated once for all parts.
+        """
+        if self.place.shape[1]:
+            rows = (part == fold for fold in np.unique(part))
+            return sum(float(self.of(test).after(self.of(~test).step()).sum()) for test in rows)
+        views, own = self.views, self.gram[:, -1, self._k : -1]
+        followed = np.linalg.solve(damped(self.gram[:, self._k : -1, self._k : -1], 0.0), own[..., None])[..., 0]
+        cost = float(self.gram[:, -1, -1].sum() - (own * followed).sum())
+        for fold in np.unique(part):
+            test = part == fold
+            others, these = views.of(~test), views.of(test)
+            step = _least(others.total, others.score.sum(0) + self.pull)
+            cost += float(step @ these.information.sum(0) @ step - 2 * these.score.sum(0) @ step)
+        return cost
+
+    def follow(self, common: np.ndarray) -> np.ndarray:
+        """How each pose (views, 6) follows a step of the common unknowns (k,), the places as they are."""
+        k = self._k
+        rest = self.gram[:, k:-1, -1] - self.gram[:, k:-1, :k] @ common
+        return np.linalg.solve(damped(self.gram[:, k:-1, k:-1], 0.0), rest[..., None])[..., 0]
+
     def _eliminated(self, damping: float = 0.0) -> _Reduced:
         """Eliminate the kind of unknowns that leaves fewer of the other."""
         k, (views, corners) = self._k, self.place.shape[:2]

@@ -1,5 +1,6 @@
 """From pictures of a board to a lens, with how far it can be trusted."""
 
+import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +27,8 @@ LEAST_FOR_ERRORS = 8
 """Views from which the board's errors are looked for."""
 
 _LEAST_CORNERS = 6
+_LOST = 0.02
+"""Share of the corners that another lens model may leave out beyond those of the first, or it is no better."""
 DEFAULTS = FitSettings()
 
 
@@ -229,16 +232,37 @@ def calibrate_views(
         solution, kept = opencv.thesis_procedure(everything, views[0].width, views[0].height, settings.max_rms_px)
         return judged(board, views, everything, solution, kept[everything.view], circle=circle)
     found = _calibrate_robustly(board, views, settings, circle)
-    if settings.lens_model is None and found.quality.missed > quality.MISSED_LIMIT:
-        try:
-            more = _calibrate_robustly(board, views, replace(settings, lens_model=choose.NEXT), circle)
-        except fit.NoFit:
-            return found
-        both = found.held_out.good & more.held_out.good
-        view = np.repeat(np.arange(len(views)), [len(view.ids) for view in views])
-        tried = choose.compared({choose.START: found.held_out, choose.NEXT: more.held_out}, view, both)
-        found = replace(more if choose.simplest(tried) == choose.NEXT else found, tried=tried)
+    if settings.lens_model is None and (found.quality.missed > choose.DOUBT or _rim_lost(found) > choose.RIM_LOST):
+        return _others_tried(found, board, views, settings, circle)
     return found
+
+
+def _rim_lost(found: Calibration) -> float:
+    """Which share of the outer tenth of the corners does not fit: a lens model may fail at the rim of its picture."""
+    away = np.linalg.norm(
+        np.concatenate([view.pixels for view in found.views]) - found.solution.parameters[2:4], axis=1
+    )
+    return float((~found.held_out.good[away >= np.quantile(away, 0.9)]).mean())
+
+
+def _others_tried(
+    found: Calibration, board: Board, views: list[View], settings: FitSettings, circle: Circle | None
+) -> Calibration:
+    """The calibration `found`, or that with the model of choose.NEXT which held-out views tell to be better."""
+    known = {choose.START: found}
+    for name in choose.NEXT:
+        if choose.can_be(name, found.quality.theta_max_observed):
+            with contextlib.suppress(fit.NoFit, np.linalg.LinAlgError), np.errstate(all="ignore"):  # it may go astray
+                other = _calibrate_robustly(board, views, replace(settings, lens_model=name), circle)
+                kept, before = (int(one.held_out.good.sum()) for one in (other, found))
+                if np.isfinite(other.held_out.all_px) and kept >= (1 - _LOST) * before:
+                    known[name] = other
+    if len(known) == 1:
+        return found
+    view = np.repeat(np.arange(len(views)), [len(view.ids) for view in views])
+    everywhere = np.all([one.held_out.good for one in known.values()], axis=0)
+    tried = choose.compared({name: one.held_out for name, one in known.items()}, view, everywhere)
+    return replace(known[choose.simplest(tried)], tried=tried)
 
 
 @dataclass(frozen=True)
@@ -267,7 +291,8 @@ class _Fitted:
         if not certainly and not promised < _WORTH_A_TEST:
             return self, before, promised * before
         # From all corners again: a flat board may have made good ones of a bowed board look bad.
-        start = fit.fit(self.everything, robust.posed(self.everything, self.solution, self.good), board_shape=True)
+        everywhere = robust.posed(self.everything, self.solution, self.good)
+        start = fit.fit(self.everything, everywhere, board_shape=True, roughly=True)
         every = np.ones(len(self.good), bool)
         solution, good = robust.refit_robustly(self.everything, start, every, board_shape=True)
         found = _Fitted(self.everything, solution, good, robust.held_out(self.everything, solution, good))
@@ -278,7 +303,7 @@ class _Fitted:
 def _calibrate_robustly(board: Board, views: list[View], settings: FitSettings, circle: Circle | None) -> Calibration:
     coarse = observe(board, views)
     size = views[0].width, views[0].height
-    solution, good = robust.fit_robustly(coarse, *size, model=choose.first(settings.lens_model))
+    solution, good = robust.fit_robustly(coarse, *size, roughly=True, model=choose.first(settings.lens_model))
     everything, solution, good = robust.refined(coarse, solution, good, board, views)
     found = _Fitted(everything, solution, good, robust.held_out(everything, solution, good))
     flat_px, shaped_px = found.held_out.rms_px, float("nan")

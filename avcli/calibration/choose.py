@@ -12,11 +12,17 @@ AUTO = "auto"
 """The name, in place of a model's, that asks for the choice."""
 START = "kannala_brandt"
 """The model that is fitted where none is asked for, and that the corners are refined with before the choice."""
-NEXT = "kannala_brandt+tangential"
-"""The model that is fitted as well where none is asked for and START does not describe the lens."""
+NEXT = ("kannala_brandt+tangential", "brown_conrady+tangential", "rational")
+"""The models that are fitted as well where none is asked for and START may not describe the lens: the first describes a
+window that is tilted, the others one that is upright, where the picture ends at the angle of total reflection."""
+DOUBT, RIM_LOST = 0.04, 0.05
+"""What robust.missed must gain for that, or which share of the outer tenth of the corners START must leave out. Upright
+windows reach one of them, most real sets none (examples/benchmarks/lenses.md)."""
 _NO_CANDIDATES = ("division",)  # the thesis's virtual lens
 _ALIKE = 1.001
 """Times the RMS of the best up to which a model is as good, however surely it is worse: two models may be one lens."""
+_WORST = 1.1
+"""Times the RMS of the best above which a model is no choice, however unsure that is: it may have gone astray."""
 _WIDEST_SLOPES = np.deg2rad(80.0)
 """Angle beyond which a seen corner rules out the models that bend slopes: the slope there grows without bound."""
 
@@ -104,17 +110,20 @@ def compared(errors: Mapping[str, robust.HeldOut], view: np.ndarray, good: np.nd
 
 def simplest(tried: tuple[Tried, ...]) -> str:
     """The name of the model with the fewest parameters among those that views cannot tell from the best, the first."""
-    alike = (one for one in tried if one.is_as_good or one.held_out_px < _ALIKE * tried[0].held_out_px)
+    best = tried[0].held_out_px
+    near = (one for one in tried if one.held_out_px < _WORST * best)
+    alike = (one for one in near if one.is_as_good or one.held_out_px < _ALIKE * best)
     return min(alike, key=lambda one: (one.parameters, one.held_out_px)).name
 
 
 def _candidates(lens: Lens, observations: fit.Observations) -> Iterator[str]:
     rays = lens.unproject(observations.pixels)
-    seen = np.nanmax(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
-    for name, model in variants().items():
-        if (
-            name != START
-            and name not in _NO_CANDIDATES
-            and not (issubclass(model, Perspective) and seen > _WIDEST_SLOPES)
-        ):
+    seen = float(np.nanmax(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])))
+    for name in variants():
+        if name != START and name not in _NO_CANDIDATES and can_be(name, seen):
             yield name
+
+
+def can_be(name: str, seen: float) -> bool:
+    """Whether a model by its name can describe a lens with corners up to so many rad from the axis."""
+    return seen <= _WIDEST_SLOPES or not issubclass(variants()[name], Perspective)

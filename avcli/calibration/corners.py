@@ -18,7 +18,7 @@ _KEEP_WIDTH = 1280
 """px; pictures without a board are kept reduced to this width."""
 LEAST_GUESSED = 16
 """Inner corners of a checkerboard whose size is guessed: noise may look like a smaller one."""
-_AT_ONCE = 96
+_AT_ONCE = 128
 """Corners that are polished at once: what they need stays in the processor's cache."""
 _PLANES = 19
 """Numbers a pixel while corners are polished. Their memory is used again: new memory would cost half the time."""
@@ -228,7 +228,7 @@ def polish(
     *,
     reach: float = 0.75,
     clear: float = 1.0,
-    rounds: tuple[int, ...] = (6, 6, PATCH),
+    rounds: tuple[int, ...] = (PATCH, PATCH),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 
@@ -256,7 +256,7 @@ def polish(
     for begin in range(0, n, _AT_ONCE):
         part: slice | np.ndarray = slice(begin, begin + _AT_ONCE)
         out[part], sd[part] = _polish_some(
-            room, patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.02
+            room, patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.01
         )
     slow = np.flatnonzero(~np.isfinite(sd))
     for begin in range(0, len(slow), _AT_ONCE):
@@ -355,15 +355,13 @@ def _polynomials(to_board: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """
     c, d, cc, cd, dd = np.moveaxis(to_board, 2, 0)
     a, b = offset.T
-    by_a, by_b, none = c + 2 * cc * a + cd * b, d + cd * a + 2 * dd * b, np.zeros_like(c)
-    middle = (a * (by_a + c) + b * (by_b + d)) / 2  # Euler: of a polynomial of first and second degree
-    return np.stack(
-        [
-            np.stack([middle, by_a, by_b, cc, cd, dd], -1),
-            np.stack([by_a, 2 * cc, cd, none, none, none], -1),
-            np.stack([by_b, cd, 2 * dd, none, none, none], -1),
-        ]
-    )
+    out = np.zeros((3, *c.shape, 6))
+    at, by_a, by_b = np.moveaxis(out, 3, 1)
+    by_a[0], by_b[0] = c + 2 * cc * a + cd * b, d + cd * a + 2 * dd * b
+    at[0] = (a * (by_a[0] + c) + b * (by_b[0] + d)) / 2  # Euler: of a polynomial of first and second degree
+    at[1], at[2], at[3], at[4], at[5] = by_a[0], by_b[0], cc, cd, dd
+    by_a[1], by_a[2], by_b[1], by_b[2] = 2 * cc, cd, cd, 2 * dd
+    return out
 
 
 @cache

@@ -14,6 +14,8 @@ _ANCHORS = 1000
 """Corners from which the camera's turn is taken, at most."""
 _EDGE = 0.995
 """Part of the lens's field in which its inverse is smooth."""
+_SINGULAR = 1e-9
+"""Ratio of a matrix's lengths below which it has no inverse."""
 
 
 @dataclass(frozen=True)
@@ -105,12 +107,24 @@ def errors(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> tup
     across = np.cross(rays, np.eye(3)[np.abs(rays).argmin(1)])
     across /= np.linalg.norm(across, axis=1)[:, None]
     plane = by_ray @ np.stack([across, np.cross(rays, across)], -1)
-    turned = np.linalg.pinv(plane, rcond=1e-9) @ moved
+    turned = _inverses(plane) @ moved
     return _root_trace(moved, covariance), _root_trace(turned, covariance)
 
 
+def _inverses(matrices: np.ndarray) -> np.ndarray:
+    """Inverses of (n, 2, 2) matrices; the pseudo-inverse of a singular one."""
+    a, b, c, d = matrices.reshape(-1, 4).T
+    size = a * d - b * c
+    singular = np.abs(size) <= _SINGULAR * (matrices**2).sum((1, 2))
+    out = np.stack([d, -b, -c, a], -1) / np.where(singular, 1.0, size)[:, None]
+    out = out.reshape(-1, 2, 2)
+    out[singular] = np.linalg.pinv(matrices[singular], rcond=_SINGULAR)
+    return out
+
+
 def _root_trace(by_parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.maximum(np.einsum("nia,ab,nib->n", by_parameters, covariance, by_parameters, optimize=True), 0))
+    flat = by_parameters.reshape(len(by_parameters), -1)
+    return np.sqrt(np.maximum(np.einsum("na,na->n", flat, (by_parameters @ covariance).reshape(flat.shape)), 0))
 
 
 def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

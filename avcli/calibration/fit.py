@@ -38,6 +38,8 @@ _BEGUN = 16
 """Corners of each view at most with which a fit begins."""
 _SCANNED = 8
 """Views at most from which the focal length is guessed."""
+_NARROWEST, _WIDEST = np.deg2rad(25), np.deg2rad(250)
+"""rad; what is guessed of the longer and of the shorter side of a picture: the field that they show."""
 DELTA = 3.0
 """Standard deviations of a corner's error beyond which it counts less."""
 _WIDE = 1e3
@@ -590,7 +592,6 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
     few = np.unique(np.linspace(0, observations.views - 1, min(observations.views, _SCANNED)).round().astype(int))
     sample = _thinned(observations.of_views(few), 9)
     middle = (np.array([width, height]) - 1) / 2
-    angles = np.deg2rad([25, 40, 60, 80, 100, 120, 140, 160, 180, 200, 220, 250])
     kind = variants()[model]
     coefficients = [*kind.start, *[0.0] * (len(kind.names()) - 4 - len(kind.start))]
     unit = kind.of_image([1.0, 1.0, 0.0, 0.0, *coefficients], _WIDE, _WIDE)
@@ -608,12 +609,13 @@ def scan_focal(observations: Observations, width: int, height: int, model: str =
         found = refine_poses(every, start_from_rays(every, unit), 2)
         return np.median(view_rms(every, found).reshape(tried, views), axis=1) * focal
 
-    focal = np.unique(np.outer(1 / angles, [width, height]))
+    focal = np.geomspace(min(width, height) / _WIDEST, max(width, height) / _NARROWEST, 13)
     best = int(np.argmin(scores(focal)))
-    focal = np.geomspace(focal[max(best - 1, 0)], focal[min(best + 1, len(focal) - 1)], 9)
+    focal = np.geomspace(focal[max(best - 1, 0)], focal[min(best + 1, len(focal) - 1)], 7)
     f = float(focal[np.argmin(scores(focal))])
     lens = kind.of_image([f, f, *middle, *coefficients], width, height)
-    return refine_poses(observations, start_from_rays(observations, lens), 3, gain=1e-2)
+    some = _thinned(observations, _BEGUN)
+    return refine_poses(some, start_from_rays(some, lens), 3, gain=1e-2)
 
 
 def _thinned(observations: Observations, most: int) -> Observations:
@@ -624,8 +626,13 @@ def _thinned(observations: Observations, most: int) -> Observations:
     return observations.of_corners(keep)
 
 
-def fit(observations: Observations, start: Solution, *, board_shape: bool = False) -> Solution:
+def fit(observations: Observations, start: Solution, *, board_shape: bool = False, roughly: bool = False) -> Solution:
     """Fit the lens, the pupil (and the board's shape) to all views, robustly, in stages of growing freedom.
+
+    Args:
+        observations, start: the corners, and where to begin.
+        board_shape: fit the board's shape too.
+        roughly: leave the last digits and the covariance for later (`settled`), as suits a fit whose corners change.
 
     Raises:
         NoFit: there are fewer equations than unknowns, or no lens images the corners.
@@ -643,8 +650,15 @@ def fit(observations: Observations, start: Solution, *, board_shape: bool = Fals
         if started is not start:
             start = refine(observations, started, lens_only, _delta(observations, started), 15, 1e-5)
     solution = start
-    for gain in (1e-5, 1e-8):
-        solution = refine(observations, solution, free, _delta(observations, solution), 40, gain)
+    for _ in range(2 if roughly else 1):  # robust weights follow from where a fit stands
+        solution = refine(observations, solution, free, _delta(observations, solution), 40, 1e-5)
+    return solution if roughly else settled(observations, solution)
+
+
+def settled(observations: Observations, solution: Solution) -> Solution:
+    """Fit `solution.free` to the last digit from a rough fit, and state how uncertain it is."""
+    free = solution.free
+    solution = refine(observations, solution, free, _delta(observations, solution), 40)
     spread, sigma = covariance(observations, solution)
     if spread[-1, -1] > (_HAS_A_SAY * PUPIL * observations.square) ** 2:
         solution = replace(solution, doubt=_doubt(observations, solution))

@@ -235,7 +235,8 @@ class Guide:
         new = np.ones(len(seen.pixels) - len(self._good), bool)
         start = robust.posed(seen, self.solution, np.append(self._good, ~new))
         good = np.append(self._good, new)
-        return robust.refit_robustly(seen, fit.fit(seen.of_corners(good), start.of_views(seen.views_of(good))), good)
+        kept = start.of_views(seen.views_of(good))
+        return robust.refit_robustly(seen, fit.fit(seen.of_corners(good), kept, roughly=True), good)
 
     @property
     def _model(self) -> str:

@@ -26,7 +26,7 @@ _TURNS = 6
 """Directions in which a board may be tilted, beside not at all."""
 _LEAST_SPACING = 8.0 / 960.0
 """px between corners over the picture's width below which boards are not found well."""
-_NEW = 0.3
+_NEW = 0.4
 """Fraction by which corners where none were seen yet count as lowering the variance."""
 NEAR = 0.15
 """Distance in the picture, over its width, within which two places for the board are one."""
@@ -71,8 +71,8 @@ class Proposal:
         return self.outline.mean(0)
 
 
-def information(observations: fit.Observations, solution: fit.Solution, sigma_px: float) -> np.ndarray:
-    """Information that each view brings about the lens, its pose and the bend of its board being unknown.
+def information(observations: fit.Observations, solution: fit.Solution, sigma_px: float, square: float) -> np.ndarray:
+    """Information that each view brings about the lens and its pupil, its pose and the bend of its board being unknown.
 
     Were the errors of corners alone counted, the same few slanted views would be asked for again and again, and what
     they say is wrong as soon as the board bends.
@@ -81,13 +81,16 @@ def information(observations: fit.Observations, solution: fit.Solution, sigma_px
         observations: whose `view`, `points` and `sigma` count; the pixels do not.
         solution: lens and poses.
         sigma_px: standard deviation of a common corner's error along one axis.
+        square: side of a square of the board, m.
 
     Returns:
-        (views, m, m), in units of 1 / sigma_px².
+        (views, m, m), in units of 1 / sigma_px²; the pupil, in squares of the board, is the last of the m.
     """
     o, R = observations, solution.rotations[observations.view]
     turned = np.einsum("nij,nj->ni", R, fit.surface(o.points, solution.shape, o.half_extent))
-    _, by_point, by_lens = solution.lens.project_jacobian(turned + solution.translations[o.view])
+    points = turned + solution.translations[o.view]
+    _, by_point, by_lens, by_pupil = fit.project_jacobian(solution.lens, points, solution.pupil)
+    by_lens = np.concatenate([by_lens, square * by_pupil[:, :, None]], 2)
     bend = np.stack(
         [R[:, :, 2] * (1 - (p / h) ** 2)[:, None] for p, h in zip(o.points.T, o.half_extent, strict=True)], -1
     )
@@ -206,13 +209,17 @@ def propose(
         np.repeat(np.arange(k), n), np.tile(few, (k, 1)), np.zeros((k * n, 2)), np.ones(k * n), board.half_extent
     )
     sigma = solution.sigma_px if np.isfinite(solution.sigma_px) and solution.sigma_px > 0 else 0.2
-    brought = information(tried, replace(solution, rotations=rotations, translations=translations), sigma)
+    square = board.square_m
+    brought = information(tried, replace(solution, rotations=rotations, translations=translations), sigma, square)
     brought *= len(board.points) / n
     F = field(lens, width, height, lit)
     scale = 1 / np.sqrt(np.maximum(np.diag(F), 1e-30))
     F = F * np.outer(scale, scale)
     before = (F + 1e-6 * np.eye(len(F))) * (sigma / (_PRIOR * width)) ** 2
-    known = before + information(seen, solution, sigma).sum(0) * np.outer(scale, scale)
+    # The fit lets the pupil move: views that do not tell it from the lens, as those from one distance, teach little.
+    F, before, scale = np.pad(F, (0, 1)), np.pad(before, (0, 1)), np.append(scale, 1.0)
+    before[-1, -1] = (solution.doubt * sigma / fit.PUPIL) ** 2
+    known = before + information(seen, solution, sigma, square).sum(0) * np.outer(scale, scale)
     variance = sigma**2 * np.einsum("ab,kba->k", F, np.linalg.inv(known + brought * np.outer(scale, scale)))
     # The model of the lens is the same on all sides, the lens may not be.
     best = int(

@@ -53,4 +53,6 @@ class Pyramid:
         if rest <= 1:
             return grey, float(2**level)
         size = [max(round(side / rest), 1) for side in grey.shape[::-1]]
-        return cv2.resize(grey, size, interpolation=cv2.INTER_AREA), 2**level * rest
+        # Both take the mean of two pixels here, of nearly the same weights, and one of them is eight times as quick.
+        how = cv2.INTER_LINEAR if rest == 1.5 else cv2.INTER_AREA
+        return cv2.resize(grey, size, interpolation=how), 2**level * rest

@@ -26,6 +26,8 @@ _WORSE = 2.0
 """A view may be this much worse than the common one before its corners are judged by the common one."""
 _SMOOTH = 4
 """Degree of the smooth field of displacements that a lens model may miss."""
+_RADIAL = 3
+"""Degree, in the square of the distance from the middle, of the displacements along it that a lens model may miss."""
 _SIGMA_FLOOR_PX = 1e-6
 
 
@@ -71,7 +73,13 @@ def belonging(observations: Observations, solution: Solution) -> Belonging:
 
 
 def fit_robustly(
-    observations: Observations, width: int, height: int, *, board_shape: bool = False, model: str = "kannala_brandt"
+    observations: Observations,
+    width: int,
+    height: int,
+    *,
+    board_shape: bool = False,
+    roughly: bool = False,
+    model: str = "kannala_brandt",
 ) -> tuple[Solution, np.ndarray]:
     """Fit from nothing, leaving out corners that do not belong.
 
@@ -79,6 +87,7 @@ def fit_robustly(
         observations: the corners.
         width, height: px, of the pictures.
         board_shape: fit the board's shape too.
+        roughly: as in `fit.fit`.
         model: a name in avcli.lens.variants().
 
     Returns:
@@ -88,8 +97,9 @@ def fit_robustly(
         NoFit: there are fewer equations than unknowns.
     """
     start = fit.scan_focal(observations, width, height, model)
-    solution = fit.fit(observations, start, board_shape=board_shape)
-    return refit_robustly(observations, solution, np.ones(len(observations.pixels), bool), board_shape=board_shape)
+    solution = fit.fit(observations, start, board_shape=board_shape, roughly=True)
+    every = np.ones(len(observations.pixels), bool)
+    return refit_robustly(observations, solution, every, board_shape=board_shape, roughly=roughly)
 
 
 def refit_robustly(
@@ -98,14 +108,16 @@ def refit_robustly(
     good: np.ndarray,
     *,
     board_shape: bool = False,
+    roughly: bool = False,
 ) -> tuple[Solution, np.ndarray]:
     """Fit again from where a fit stands, at most four times, until the same corners are left out as before.
 
     Args:
         observations: all corners.
-        solution: the fit to the corners in `good`.
+        solution: a fit to the corners in `good`, which may be a rough one.
         good: (n,) bool.
         board_shape: fit the board's shape too.
+        roughly: as in `fit.fit`.
 
     Returns:
         as `fit_robustly`.
@@ -117,8 +129,8 @@ def refit_robustly(
             break
         good = found.corners
         kept = observations.of_corners(good)
-        solution = fit.fit(kept, everywhere.of_views(found.views), board_shape=board_shape)
-    return solution, good
+        solution = fit.fit(kept, everywhere.of_views(found.views), board_shape=board_shape, roughly=True)
+    return (solution if roughly else fit.settled(observations.of_corners(good), solution)), good
 
 
 def refined(
@@ -128,15 +140,17 @@ def refined(
 
     Args:
         observations: all corners.
-        solution: the fit to the corners in `good`.
+        solution: a fit to the corners in `good`, which may be a rough one.
         good: (n,) bool.
         board, views: what was seen.
     """
     finer = polished(observations, posed(observations, solution, good), board, views, good)
-    better, finer_good = refit_robustly(finer, fit.fit(finer.of_corners(good), solution), good)
+    better = fit.fit(finer.of_corners(good), solution, roughly=True)
+    better, finer_good = refit_robustly(finer, better, good, roughly=True)
     # A coarse or compressed picture may have no finer corners to give.
-    worse = _typical(finer, better, finer_good) >= _typical(observations, solution, good)
-    return (observations, solution, good) if worse else (finer, better, finer_good)
+    if _typical(finer, better, finer_good) < _typical(observations, solution, good):
+        observations, solution, good = finer, better, finer_good
+    return observations, fit.settled(observations.of_corners(good), solution), good
 
 
 def _typical(observations: Observations, solution: Solution, good: np.ndarray) -> float:
@@ -326,16 +340,16 @@ def foretold(
 
 
 def _crossed(known: Blocks, part: np.ndarray) -> float:
-    """The root of the cost of the views of each part (views,) after the step that the others take."""
-    cost = sum(float(known.of(part == fold).after(known.of(part != fold).step()).sum()) for fold in set(part))
-    return float(np.sqrt(max(cost, 1e-300)))
+    """The root of Blocks.crossed."""
+    return float(np.sqrt(max(known.crossed(part), 1e-300)))
 
 
 def missed(observations: Observations, solution: Solution, folds: int = 5) -> float:
     """Foretell what a lens that could bend anywhere would gain: the fraction by which the held-out RMS would fall.
 
-    A smooth field of displacements over the picture is learnt beside the lens. Where the lens model describes the lens,
-    it finds nothing that the views share; it costs milliseconds.
+    A smooth field of displacements over the picture is learnt beside the lens, and displacements away from its middle
+    of higher degree, as a flat window asks for. Where the lens model describes the lens, they find nothing that the
+    views share; it costs milliseconds.
 
     Args:
         observations, solution: of the kept views.
@@ -351,6 +365,10 @@ def missed(observations: Observations, solution: Solution, folds: int = 5) -> fl
     across, down = (np.polynomial.legendre.legvander(at, _SMOOTH) for at in (x, y))
     terms = np.stack([across[:, i] * down[:, j] for i in range(_SMOOTH + 1) for j in range(_SMOOTH + 1 - i)], -1)
     displaced = np.einsum("nt,ab->natb", terms, np.eye(2)).reshape(len(x), 2, -1)
+    away = observations.pixels - solution.parameters[2:4]
+    away /= max(float(np.linalg.norm(away, axis=1).max()), 1e-9)
+    radial = np.polynomial.legendre.legvander(2 * (away**2).sum(1) - 1, _RADIAL)[:, 2:]  # lower ones are in the field
+    displaced = np.concatenate([displaced, away[:, :, None] * radial[:, None]], 2)
     part = np.arange(observations.views) % folds
     free, lens = fit.blocks(observations, solution, beside=displaced), int(solution.free.sum())
     keep = np.r_[:lens, -7:0]
@@ -404,8 +422,11 @@ def held_out(
         some = replace(observations, errors=errors).of_corners(others)
         if fit.is_possible(learned):  # again, since robust weights change with the lens
             again, learned = fit.gauss_newton(some, learned, held)
+        there = everywhere.of_views(test)
         if fit.is_possible(learned):
             some = again
+            moved = (learned.parameters - solution.parameters)[solution.free]
+            there = fit.stepped(there, moved, known.of(test).follow(moved))
         else:  # a lens that the others hardly tell needs damped steps
             learned = everywhere.of_views((part != fold) & kept)
             if held:
@@ -417,7 +438,7 @@ def held_out(
             place = np.zeros((int(observations.corner.max()) + 1, 3))
             place[observations.corner[others]] = some.errors
             seen = replace(seen, errors=place[observations.corner][test[observations.view]])
-        there = replace(everywhere.of_views(test), parameters=learned.parameters)
+        there = replace(there, parameters=learned.parameters)
         there = fit.refine_poses(seen, there, 8, solution.delta_px, 1e-4)
         rest = (fit.residuals(seen, there) ** 2).sum(1)
         squared[test[observations.view]] = np.nan_to_num(rest, nan=100.0**2)

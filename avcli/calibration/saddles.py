@@ -311,12 +311,11 @@ def _nearest(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 def _labelled(to: np.ndarray, back: np.ndarray) -> list[dict[tuple[int, int], int]]:
     """Join neighbours into grids: for each a table from cell to corner, the largest first."""
     steps = ((1, 0), (0, 1), (-1, 0), (0, -1))
-    turn = np.full(len(to), -1)
     grids = []
-    links, returns = to.tolist(), back.tolist()
-    for seed in np.argsort(-(to >= 0).sum(1), kind="stable").tolist():
-        if sum(link >= 0 for link in links[seed]) < 2:
-            break  # what is left makes pairs at most
+    links, returns, turn = to.tolist(), back.tolist(), [-1] * len(to)
+    count = (to >= 0).sum(1)
+    order = np.argsort(-count, kind="stable")
+    for seed in order[: int((count >= 2).sum())].tolist():  # what is left makes pairs at most
         if turn[seed] >= 0:
             continue
         turn[seed] = 0
