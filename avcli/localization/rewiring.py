@@ -204,8 +204,7 @@ class Rewiring:
         found = self._likelier(replace(best.remedy, gain=worth), twins, heard)
         # That each lag counts as much as others near it hides that a wrong order fits nowhere exactly.
         exact = [self._agreement(one, heard, pooled=False).sum() for one in (found, nothing)]
-        rise = float(exact[0] - exact[1])
-        return replace(found, certain=found.certain and rise > POSSIBLE) if rise > 0.0 else None
+        return found if exact[0] > exact[1] else None
 
     def _continued(self, story: Story) -> list[Story]:
         """Return a story with each of the likeliest changes after it."""
