@@ -53,7 +53,8 @@ PARAMETER = 30.0
 """What a delay that is fitted costs of the log likelihood."""
 
 FITTED = 5
-"""How many channels must be left where two or more are doubted: four agree on some place although all are healthy."""
+"""How many channels must be left where two or more are doubted or left out for good: four agree on some place although
+all are healthy."""
 
 UNSETTLED = 20
 """In how many windows some channels must have been doubted, and in no fewer than half of all, until it is said."""
@@ -102,6 +103,7 @@ class Health:
             row[list(subset)] = -1.0 if turned else 0.0
         self.weights = (gains[:, correlator.first] * gains[:, correlator.second]).T.astype(np.float32)
         self.price = np.array([(DOUBT + EACH * len(subset)) * bool(subset) for subset, _ in self.hypotheses])
+        self.leaving = np.array([0 if turned else len(subset) for subset, turned in self.hypotheses])
         self.rewiring = Rewiring(response) if response else None
         self.suspected: Remedy | None = None
         self.around: list[Correlated] = []
@@ -186,6 +188,7 @@ class Health:
         self.likelihood = (1.0 - 1.0 / MEMORY) * self.likelihood + 0.5 * best**2
         gain = self.likelihood - self.likelihood[0] - self.price
         gain[[not good[list(subset)].all() for subset, _ in self.hypotheses]] = -np.inf
+        gain[self.leaving > good.sum() - min(FITTED, len(good) - 1)] = -np.inf
         chosen = int(np.argmax(gain))
         subset, turned = self.hypotheses[chosen]
         self.doubted[:] = False

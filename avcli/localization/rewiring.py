@@ -201,7 +201,10 @@ class Rewiring:
         worth = min(best.worth, float((fitted[0] - fitted[1]).sum()))
         if worth < max(POSSIBLE, SHARE * fitted[0].sum()):
             return None
-        return self._likelier(replace(best.remedy, gain=worth), twins, heard)
+        found = self._likelier(replace(best.remedy, gain=worth), twins, heard)
+        # That each lag counts as much as others near it hides that a wrong order fits nowhere exactly.
+        exact = [self._agreement(one, heard, pooled=False).sum() for one in (found, nothing)]
+        return found if exact[0] > exact[1] else None
 
     def _continued(self, story: Story) -> list[Story]:
         """Return a story with each of the likeliest changes after it."""
