@@ -193,6 +193,10 @@ def test_a_vertical_direction_is_somebody_below(direction):
         np.testing.assert_allclose(tracks[-1].positions[:, :2], [[2.0, 2.0]], atol=0.2)
 
 
+def test_a_distance_beyond_the_room_is_nobody():
+    assert not any(len(tracks) for tracks in fused(lambda t: [detections(t, (0.0, 0.0, 2.4), [(9, 9, 1)], shows="range")]))
+
+
 def test_the_order_of_detections_makes_no_difference():
     targets = [(1.0, 3.0, 1.5), (4.0, 2.0, 1.5), (2.5, 4.0, 1.5)]
 
