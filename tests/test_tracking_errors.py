@@ -25,9 +25,9 @@ def person(seed, seconds, **sensors):
     rng = np.random.default_rng(seed)
     tracker = GLMB(Settings(), STILL, [dataclasses.replace(one[0], name=name) for name, one in sensors.items()])
     for k in range(round(10 * seconds)):
-        for name, (sensor, told, sigma, bias) in sensors.items():
+        for name, (one, told, sigma, bias) in sensors.items():
             z = np.array([[2.0, 2.0]]) + bias + sigma * rng.standard_normal((1, 2))
-            tracker.update(k / 10, name, z, (told**2 + sensor.floor**2) * np.eye(2)[None])
+            tracker.update(k / 10, name, z, (told**2 + one.floor**2) * np.eye(2)[None])
     return tracker
 
 

@@ -194,7 +194,9 @@ def test_a_vertical_direction_is_somebody_below(direction):
 
 
 def test_a_distance_beyond_the_room_is_nobody():
-    assert not any(len(tracks) for tracks in fused(lambda t: [detections(t, (0.0, 0.0, 2.4), [(9, 9, 1)], shows="range")]))
+    far = [(9.0, 9.0, 1.0)]
+    for tracks in fused(lambda t: [detections(t, (0.0, 0.0, 2.4), far, shows="range")]):
+        assert not len(tracks)
 
 
 def test_the_order_of_detections_makes_no_difference():

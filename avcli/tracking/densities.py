@@ -32,7 +32,7 @@ class Densities:
         hits: (n, S) how often each sensor did so.
         told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
         doubt: (n, S) probability that it is nobody by the best score of each sensor, 0: some have none; of a camera that
-            has never detected the person, though it looks there, 1 or more: by so many times nobody is likelier.
+            has never detected the person, 1 or more: by so many times nobody is likelier for that reason.
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
@@ -100,7 +100,7 @@ class Densities:
         return (self.mode.take(rows, 0)[:, None] @ self.mean.take(rows, 0))[:, 0]
 
     def nobody(self, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the probabilities (n,) that the persons of n rows are nobody, and whether (n,) a camera says so, too."""
+        """Return the probabilities (n,) that n rows are nobody, and whether (n,) a camera says so, too."""
         doubt = self.doubt.take(rows, 0)
         by_scores, against = np.minimum(doubt, 1.0).prod(1), np.maximum(doubt, 1.0).prod(1)
         odds = by_scores * against
