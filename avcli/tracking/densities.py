@@ -31,8 +31,8 @@ class Densities:
         place: (n, 2) m, where any sensor did so last.
         hits: (n, S) how often each sensor did so.
         told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
-        doubt: (n, S) probability that it is nobody by the best score of each sensor, 0: some have none; of a camera that
-            has never detected the person, 1 or more: by so many times nobody is likelier for that reason.
+        doubt: (n, S) probability that it is nobody by the best score of each sensor, 0: some have none; of a camera
+            that has never detected the person, 1 or more: by so many times nobody is likelier for that reason.
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
