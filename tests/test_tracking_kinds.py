@@ -1,5 +1,7 @@
 """Sensors that show a direction or a distance, and sensors that cover the area in part."""
 
+import dataclasses
+import json
 import math
 
 import numpy as np
@@ -371,3 +373,12 @@ def test_how_many_are_out_of_sight_is_learnt_from_those_who_come_into_the_pictur
     assert 8 <= happened <= 12
     assert expected < happened
     assert tracker.habits.entries.at(np.array([[9.8, 5.0]])) > 1.5
+
+
+def test_what_is_learnt_of_a_sensor_that_covers_a_part_can_be_written():
+    disc = coverage.of_place({"polygon_m": None, "disc_m": [3.0, 2.0, 2.0]}, ROOM)
+    tracker = GLMB(Settings(), Population(ROOM), [dataclasses.replace(sensor("ceiling"), coverage=disc)])
+    for k in range(30):  # missed now and then
+        z = np.array([[3.0, 2.0]])[: k % 4]
+        tracker.update(k / 10, "ceiling", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+    assert json.loads(records.encode(tracker.state()))["sensors"]["ceiling"]["hit_count"] > 10

@@ -66,7 +66,7 @@ class Coverage:
     @cached_property
     def surface(self) -> float:
         """Size of what it covers, m²."""
-        return float(self.share.sum()) * self.step**2
+        return float(self.share.sum() * self.step**2)
 
 
 def of_camera(camera: Camera, area: Corners) -> Coverage:
