@@ -1,10 +1,10 @@
 """Sensors that show a direction or a distance, and sensors that cover the area in part."""
 
 import dataclasses
-import json
 import math
 
 import numpy as np
+import orjson
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,6 +24,7 @@ from avcli.tracking.settings import Settings, sensor
 from avcli.tracking.unseen import UnseenMap
 
 ROOM = ((0.0, 0.0), (5.0, 5.0))
+HALL = ((0.0, 0.0), (40.0, 25.0))
 
 
 def detections(time, origin, targets=(), *, name="a", shows="floor", sd=None, kind="microphones"):
@@ -376,9 +377,9 @@ def test_how_many_are_out_of_sight_is_learnt_from_those_who_come_into_the_pictur
 
 
 def test_what_is_learnt_of_a_sensor_that_covers_a_part_can_be_written():
-    disc = coverage.of_place({"polygon_m": None, "disc_m": [3.0, 2.0, 2.0]}, ROOM)
-    tracker = GLMB(Settings(), Population(ROOM), [dataclasses.replace(sensor("ceiling"), coverage=disc)])
+    disc = coverage.of_place({"polygon_m": None, "disc_m": [3.0, 2.0, 2.0]}, HALL)
+    tracker = GLMB(Settings(), Population(HALL), [dataclasses.replace(sensor("ceiling"), coverage=disc)])
     for k in range(30):  # missed now and then
         z = np.array([[3.0, 2.0]])[: k % 4]
         tracker.update(k / 10, "ceiling", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
-    assert json.loads(records.encode(tracker.state()))["sensors"]["ceiling"]["hit_count"] > 10
+    assert orjson.loads(orjson.dumps(tracker.state()))["sensors"]["ceiling"]["hit_count"] > 10
