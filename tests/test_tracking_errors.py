@@ -13,7 +13,7 @@ from avcli.tracking.errors import LEAST, MOST, Errors, leaning
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.model import Population
 from avcli.tracking.motion import Model, Motion
-from avcli.tracking.settings import Sensor, Settings
+from avcli.tracking.settings import Sensor, Settings, sensor
 
 EYE, ARM = Sensor("eye"), Sensor("arm")
 STILL = Population(motion=Motion((Model(0.01),)))
@@ -25,9 +25,9 @@ def person(seed, seconds, **sensors):
     rng = np.random.default_rng(seed)
     tracker = GLMB(Settings(), STILL, [dataclasses.replace(one[0], name=name) for name, one in sensors.items()])
     for k in range(round(10 * seconds)):
-        for name, (sensor, told, sigma, bias) in sensors.items():
+        for name, (one, told, sigma, bias) in sensors.items():
             z = np.array([[2.0, 2.0]]) + bias + sigma * rng.standard_normal((1, 2))
-            tracker.update(k / 10, name, z, (told**2 + sensor.floor**2) * np.eye(2)[None])
+            tracker.update(k / 10, name, z, (told**2 + one.floor**2) * np.eye(2)[None])
     return tracker
 
 
@@ -153,3 +153,20 @@ def test_shares_of_lasting_errors_stay_bounded(lean, variance, noise):
             lean = leaning(row, column, np.array([[variance]]), np.ones((1, 1)), r, between)[0].tolist()
             assert min(lean) >= -1e-12
             assert max(lean) <= 1 + 1e-12
+
+
+@pytest.mark.parametrize("joins", [1, 4, 9, 17, 30])
+def test_a_sensor_may_join_at_any_time(joins):
+    """What was learnt of a sensor's errors before another one joins stays, and neither record is lost."""
+    tracker = GLMB(Settings(), Population(), [sensor("ceiling")])
+    for k in range(60):
+        time = k / 10
+        place = np.array([[1 + time / 2, 2.0]])
+        tracker.update(time, "ceiling", place, 0.01 * np.eye(2)[None])
+        if k == joins:
+            tracker.add(sensor("door"))
+        if k >= joins:
+            tracker.update(time, "door", place, 0.01 * np.eye(2)[None])
+    (track,) = tracker.tracks(5.9)
+    assert np.hypot(*(track.state[:2] - place[0])) < 0.1
+    assert track.existence > 0.95

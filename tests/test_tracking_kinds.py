@@ -1,8 +1,10 @@
 """Sensors that show a direction or a distance, and sensors that cover the area in part."""
 
+import dataclasses
 import math
 
 import numpy as np
+import orjson
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +24,7 @@ from avcli.tracking.settings import Settings, sensor
 from avcli.tracking.unseen import UnseenMap
 
 ROOM = ((0.0, 0.0), (5.0, 5.0))
+HALL = ((0.0, 0.0), (40.0, 25.0))
 
 
 def detections(time, origin, targets=(), *, name="a", shows="floor", sd=None, kind="microphones"):
@@ -191,6 +194,12 @@ def test_a_vertical_direction_is_somebody_below(direction):
         assert not len(tracks[-1])
     else:
         np.testing.assert_allclose(tracks[-1].positions[:, :2], [[2.0, 2.0]], atol=0.2)
+
+
+def test_a_distance_beyond_the_room_is_nobody():
+    far = [(9.0, 9.0, 1.0)]
+    for tracks in fused(lambda t: [detections(t, (0.0, 0.0, 2.4), far, shows="range")]):
+        assert not len(tracks)
 
 
 def test_the_order_of_detections_makes_no_difference():
@@ -365,3 +374,12 @@ def test_how_many_are_out_of_sight_is_learnt_from_those_who_come_into_the_pictur
     assert 8 <= happened <= 12
     assert expected < happened
     assert tracker.habits.entries.at(np.array([[9.8, 5.0]])) > 1.5
+
+
+def test_what_is_learnt_of_a_sensor_that_covers_a_part_can_be_written():
+    disc = coverage.of_place({"polygon_m": None, "disc_m": [3.0, 2.0, 2.0]}, HALL)
+    tracker = GLMB(Settings(), Population(HALL), [dataclasses.replace(sensor("ceiling"), coverage=disc)])
+    for k in range(30):  # missed now and then
+        z = np.array([[3.0, 2.0]])[: k % 4]
+        tracker.update(k / 10, "ceiling", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+    assert orjson.loads(orjson.dumps(tracker.state()))["sensors"]["ceiling"]["hit_count"] > 10

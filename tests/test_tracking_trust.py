@@ -97,3 +97,42 @@ def test_sensors_that_doubt_by_themselves_are_surer_together():
     both = existences([0.7] * 3, before=[("video", CAMERA, 0.8)] * 3)[-1]
     assert alone < 0.7 < both < 1 - 0.3 * 0.2 + 1e-6
     assert existences([0.7] * 3, before=[("video", CAMERA, np.nan)] * 3)[-1] > 0.95  # nothing tells how sure it is
+
+
+def heard_alone(score, looks=True, seen=0, lag=0.0):
+    """Existence of whom an array reports ten times at one place, after a camera has looked at another person for 2 s.
+
+    looks: whether the camera works: else its records are empty; seen: of its records show the talker, too.
+    """
+    fusion, found = Fusion(Settings(), "ms-glmb", lag, population=Population()), []
+    for k in range(30):
+        at = 0.1 * (k + 1)
+        places = [[4.0, 3.0, np.nan]] * looks + [[1.0, 2.0, np.nan]] * (20 <= k < 20 + seen)
+        n = len(places)
+        video = Detections(
+            at, "video", np.array(places).reshape(-1, 3), np.full((n, 3, 3), np.nan), np.full(n, 0.9), CAMERA
+        )
+        records = [(at, "video", video)]
+        if k >= 20:
+            talker = np.array([[1.0, 2.0, np.nan]])
+            audio = Detections(at, "audio", talker, np.full((1, 3, 3), np.nan), np.array([score]), MICROPHONES)
+            records.append((at, "audio", audio))
+        found += fusion.step(at, records)
+    last = [*found, *fusion.finish()][-1]
+    near = [
+        existence
+        for place, existence in zip(last.positions, last.existence, strict=True)
+        if np.hypot(*(place[:2] - [1.0, 2.0])) < 0.5
+    ]
+    return max(map(float, near), default=0.0)
+
+
+@pytest.mark.parametrize("lag", [0.0, 3.0])
+def test_a_doubtful_talker_whom_a_camera_overlooks_is_nobody(lag):
+    assert heard_alone(0.8, lag=lag) == 0.0
+    assert 0.5 < heard_alone(0.995, lag=lag) < 0.95  # who is surely heard may be hidden
+    assert heard_alone(0.8, seen=1, lag=lag) > 0.9  # hidden since
+
+
+def test_a_camera_that_sees_nothing_at_all_says_nothing_of_a_talker():
+    assert heard_alone(0.8, looks=False) == pytest.approx(0.8, abs=0.1)

@@ -17,6 +17,9 @@ from avcli.tracking.settings import Sensor
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density
+LEAST_HIDDEN = (
+    0.06  # least probability that a camera misses somebody from the beginning: one of 23 people in random worlds
+)
 
 
 class Birth(NamedTuple):
@@ -251,7 +254,28 @@ def births(
     return revealed
 
 
-def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population, detectable: np.ndarray) -> Densities:
+def overlooked(able: np.ndarray, rest: np.ndarray, cameras: Sequence[bool]) -> np.ndarray:
+    """Return by how many times (n, S) nobody is likelier than a person, since each camera has not detected them so far.
+
+    Misses change the probability that somebody can be detected, and so that says how likely the misses were, by Bayes'
+    rule. Ears say nothing by them, since people may be silent for long.
+
+    Args:
+        able: (n, S) probabilities that each sensor can detect one of n people, given the misses.
+        rest: (S,) the same where nothing is known.
+        cameras: S, whether each sensor is a camera that works, as far as is known.
+    """
+    return np.where(cameras, np.maximum((1 - able) / np.maximum(1 - rest, LEAST_HIDDEN), 1.0), 1.0)
+
+
+def newcomers(
+    scan: Scan,
+    js: Sequence[int],
+    time: float,
+    population: Population,
+    detectable: np.ndarray,
+    against: np.ndarray,
+) -> Densities:
     """Return densities of people detected for the first time.
 
     Args:
@@ -260,16 +284,12 @@ def newcomers(scan: Scan, js: Sequence[int], time: float, population: Population
         time: of the record, s.
         population: for how new people move.
         detectable: (n, S) probabilities that each sensor can detect one; changed.
+        against: (n, S), see `overlooked`; changed.
     """
     n, able = len(js), detectable
     mean, cov, mode = gaussian.begin(scan.z[js], scan.noise[js] + scan.ahead**2 / 2 * np.eye(2), population.motion)
     able[:, scan.column] = 1.0
-    seen, lean, hits, doubt = (
-        np.full(able.shape, NEVER),
-        np.zeros(able.shape),
-        np.zeros(able.shape),
-        np.ones(able.shape),
-    )
+    seen, lean, hits, doubt = np.full(able.shape, NEVER), np.zeros(able.shape), np.zeros(able.shape), against
     seen[:, scan.column], lean[:, scan.column], hits[:, scan.column] = time, 1.0, 1.0
     doubt[:, scan.column] = 0.0 if scan.doubt is None else scan.doubt[js]
     return Densities(

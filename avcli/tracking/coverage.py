@@ -160,6 +160,6 @@ def watched(positions: np.ndarray, sensors: Sequence[Sensor]) -> list[bool]:
 def _grid(area: Corners) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """Return the corner, the step and the centres along x and y of the cells of an area."""
     low, high = np.array(area, float)
-    step = max(STEP, (high - low).max() / CELLS)
+    step = max(STEP, float((high - low).max()) / CELLS)
     x, y = (a + step * (np.arange(max(int(np.ceil((b - a) / step)), 1)) + 0.5) for a, b in zip(low, high, strict=True))
     return low, step, x, y

@@ -31,7 +31,8 @@ class Densities:
         place: (n, 2) m, where any sensor did so last.
         hits: (n, S) how often each sensor did so.
         told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
-        doubt: (n, S) probability that it is nobody by the best score of each sensor; 0: some have none.
+        doubt: (n, S) probability that it is nobody by the best score of each sensor, 0: some have none; of a camera
+            that has never detected the person, 1 or more: by so many times nobody is likelier for that reason.
         reach: (n,) m, how uncertain the position was then.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
@@ -97,6 +98,13 @@ class Densities:
     def centres(self, rows: Sequence[int]) -> np.ndarray:
         """Return the mean states (n, 4) of n rows."""
         return (self.mode.take(rows, 0)[:, None] @ self.mean.take(rows, 0))[:, 0]
+
+    def nobody(self, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the probabilities (n,) that n rows are nobody, and whether (n,) a camera says so, too."""
+        doubt = self.doubt.take(rows, 0)
+        by_scores, against = np.minimum(doubt, 1.0).prod(1), np.maximum(doubt, 1.0).prod(1)
+        odds = by_scores * against
+        return odds / np.maximum(odds + 1 - by_scores, 1e-300), against > 1
 
     def merge(self, groups: Sequence[Sequence[int]], shares: Sequence[Sequence[float]]) -> None:
         """Give the first row of each group the moments of all its rows, model by model, weighted by their shares."""

@@ -111,14 +111,16 @@ class Pairs(NamedTuple):
     unshared: np.ndarray
 
     @staticmethod
-    def of(sure: Sequence[Sure]) -> Pairs:
-        """Gather those of several records of one sensor."""
+    def of(sure: Sequence[Sure], sensors: int) -> Pairs:
+        """Gather those of several records of one sensor; sensors: S, of which some may be newer than the records."""
         starts = accumulate([len(one.people) for one in sure], initial=0)
         rows = [start + row for start, one in zip(starts, sure, strict=False) for row in one.rows]
         starts = accumulate([len(one.scan.z) for one in sure], initial=0)
         js = [start + j for start, one in zip(starts, sure, strict=False) for j in one.js]
-        of_people = ((one.people.mean, one.people.cov, one.people.mode, one.people.lean) for one in sure)
-        mean, cov, mode, lean = (np.concatenate(one).take(rows, 0) for one in zip(*of_people, strict=True))
+        of_people = ((one.people.mean, one.people.cov, one.people.mode) for one in sure)
+        mean, cov, mode = (np.concatenate(one).take(rows, 0) for one in zip(*of_people, strict=True))
+        leans = [one.people.lean for one in sure]
+        lean = np.concatenate([np.pad(one, ((0, 0), (0, sensors - one.shape[1]))) for one in leans]).take(rows, 0)
         of_scans = ((one.scan.z, one.scan.noise, one.scan.floor) for one in sure)
         z, noise, floor = (np.concatenate(one).take(js, 0) for one in zip(*of_scans, strict=True))
         unshared = np.concatenate([one.scan.between.unshared for one in sure]).take(rows)
@@ -259,7 +261,7 @@ class Errors:
             self.count[column] += len(rows)
         if waiting and self.count[column] >= (SOON if self.worth[column] < ENOUGH else LATER):
             self.waiting[column], self.count[column] = [], 0
-            self._learn(time, column, Pairs.of(waiting))
+            self._learn(time, column, Pairs.of(waiting, len(self.count)))
 
     def widen(self, column: int, times: float) -> None:
         """Take a sensor's noise for larger, its variance so many times, and doubt what was learnt of it."""

@@ -36,6 +36,7 @@ from avcli.tracking.births import (
     first_detections,
     newcomers,
     other_detections,
+    overlooked,
     weighed,
 )
 from avcli.tracking.coverage import watched
@@ -490,7 +491,9 @@ class GLMB:
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
             able = self.undetected.detectable_at(scan.z[want.fresh])
-            new = newcomers(scan, want.fresh, now, self.population, able)
+            cameras = [one.kind == CAMERA and rates.proven for one, rates in zip(self.sensors, self.rates, strict=True)]
+            against = overlooked(able, self.detectable, cameras)
+            new = newcomers(scan, want.fresh, now, self.population, able, against)
             self.features.fill(new)
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)
@@ -658,8 +661,9 @@ class GLMB:
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
-            nobody = float(people.doubt[best].prod())
-            self.retired[label] = End(label, meant, node, mean[0], cov[0], min(existence / meant, 1.0), nobody)
+            nobody, contested = people.nobody([best])
+            sure = min(existence / meant, 1.0)
+            self.retired[label] = End(label, meant, node, mean[0], cov[0], sure, nobody.item(), contested.item())
         if lost and isinstance(self.undetected, UnseenMap):
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
             self.undetected.receive(mean[0, :2], cov[0, :2, :2], existence, people.detectable[best])
@@ -716,16 +720,17 @@ class GLMB:
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
         latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
-        doubt = np.multiply.reduce(people.doubt.take(rows, 0), 1).tolist()
+        nobody, contested = people.nobody(rows)
         in_part = isinstance(self.undetected, UnseenMap)
         looks = watched(mean[:, :2], self.sensors) if in_part else [True] * len(present)
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
             there = TRUST.of(believed, latest[k], count[k], looks[k])
-            if believed > min(least, THERE) and there > min(least, SHOWN):
+            shown = there * (1 - nobody[k]) if contested[k] else there
+            if believed > min(least, THERE) and shown > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
-                there *= 1 - doubt[k]
+                there *= 1 - nobody[k]
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
 
@@ -735,14 +740,16 @@ class GLMB:
         if labelled:
             rows = [one.row for one in labelled]
             mean, cov = gaussian.moments(people.mean[rows], people.cov[rows], people.mode[rows])
+            nobody, contested = people.nobody(rows)
             for k, one in enumerate(labelled):
                 node = people.node[one.row]
                 if node is not None:
                     node.detectable = people.detectable[one.row]
                     node.seen, node.reach = float(people.seen[one.row].max()), float(people.reach[one.row])
                     node.lasting = float(self.errors.variance(people.lean[one.row]))
-                    existence, nobody = min(one.existence / one.meant, 1.0), float(people.doubt[one.row].prod())
-                    yield End(one.label, one.meant, node, mean[k], cov[k], existence, nobody)
+                    existence = min(one.existence / one.meant, 1.0)
+                    doubt = nobody.item(k), contested.item(k)
+                    yield End(one.label, one.meant, node, mean[k], cov[k], existence, *doubt)
         yield from self.retired.values()
 
     def forget(self, time: float) -> None:

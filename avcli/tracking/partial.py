@@ -226,8 +226,8 @@ def view(partial: Partial, people: Densities, sensor: Sensor, hold: np.ndarray) 
     points = np.concatenate([middle[:, None] + axes, middle[:, None] - axes], 1)  # (n, 6, 3)
     columns = partial.columns()
     seen = [_shown(partial, j, middle, points, sensor.height) for j in columns]
-    residual = np.array([one[0] for one in seen]).reshape(-1, len(l11), 2)
-    shown = np.array([one[1] for one in seen]).reshape(-1, len(l11), 6, 2)
+    residual = np.array([one[0] for one in seen]).reshape(len(columns), len(l11), 2)
+    shown = np.array([one[1] for one in seen]).reshape(len(columns), len(l11), 6, 2)
     mean = shown.mean(2)
     slope = (shown[:, :, :3] - shown[:, :, 3:]) / (2 * ROOT3)  # (J, n, 3, 2): along each axis, one standard deviation
     outer = slope[..., None] * slope[..., None, :]

@@ -29,6 +29,7 @@ class Rates:
         again: expected further detections of a person whom it has detected in the same record already.
         hiding: how it loses people and finds them again.
         blindness: how it loses everybody.
+        proven: whether it has detected people who surely exist.
     """
 
     def __init__(self, sensor: Sensor) -> None:
@@ -39,6 +40,7 @@ class Rates:
         self.again, self.again_sum, self.again_count = AGAIN, PRIOR_AGAIN * AGAIN, PRIOR_AGAIN
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
+        self.proven = False
 
     def learn(self, clutter: float, hits: float, misses: float, again: float) -> None:
         """Learn from one record: false detections, people detected, detectable people missed, people found again."""
@@ -47,6 +49,7 @@ class Rates:
         self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self.again_sum, self.again_count = self.again_sum * KEEP + again, self.again_count * KEEP + hits
+        self.proven = self.proven or hits > 0
         self._estimate()
 
     def surprised(self, unclaimed: float, due: float) -> bool:

@@ -138,7 +138,8 @@ class End(NamedTuple):
         mean: (4,), the estimate at its time.
         cov: (4, 4).
         existence: probability, if the label is meant.
-        doubt: probability that it is nobody by the sensors' scores, see `Densities`.
+        doubt: probability that it is nobody by the sensors' scores, see `Densities.nobody`.
+        contested: whether a camera says so, too.
     """
 
     label: int
@@ -148,6 +149,7 @@ class End(NamedTuple):
     cov: np.ndarray
     existence: float
     doubt: float
+    contested: bool
 
 
 def backwards(
@@ -218,11 +220,11 @@ class Delayed:
                     there = min(end.meant * existence, 1.0)
                     if node.time > node.seen:
                         there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / max(cov[0, 0] + cov[1, 1], 1e-9))
-                    if there > THERE:
+                    believed = there * (1 - end.doubt)
+                    if (believed if end.contested else there) > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
                         spread = cov + node.lasting * POSITION
-                        there *= 1 - end.doubt
-                        wanted[now].append(Track(end.label, mean, spread, there, detectable, node.seen))
+                        wanted[now].append(Track(end.label, mean, spread, believed, detectable, node.seen))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
 
 
