@@ -7,12 +7,15 @@ import sys
 import numpy as np
 import pytest
 from conftest import ROOT
+from detection_people import ceiling_view
 
 from avcli.detection import fitted
 from avcli.detection.body import axis_covariance
 from avcli.detection.fitted import AxisLaw, ScoreLaw
+from avcli.detection.monocular import KINDS, PART_HEIGHTS, locate_boxes, stated
 
 sys.path.insert(0, str(ROOT / "tests" / "bench"))
+import detection_samples
 import fit_detection
 
 KNOWN = json.loads((ROOT / "avcli" / "detection" / "fitted.json").read_text())
@@ -77,3 +80,47 @@ def test_the_numbers_describe_todays_detector():
         losses = loss(law, fit_detection.joined(samples, name))
         assert len(losses) == pytest.approx(part[name]["samples"], abs=1)
         assert losses.mean() == pytest.approx(part[name]["loss"], abs=0.15), name
+
+
+def test_a_fit_that_was_interrupted_goes_on_where_it_was(tmp_path):
+    looked: list[int] = []
+
+    def look(k: int) -> detection_samples.Samples:
+        looked.append(k)
+        return detection_samples.Samples(score=[(float(k), True)])
+
+    kept = detection_samples.folder(tmp_path)
+    detection_samples._each("some", range(2), look, kept)
+    (kept / "some-2.part").write_bytes(b"half")  # where it was interrupted
+    samples = detection_samples._each("some", range(4), look, kept)
+    assert looked == [0, 1, 2, 3]
+    assert fit_detection.joined(samples, "score") == [(float(k), True) for k in range(4)]
+
+
+def test_boxes_are_judged_by_the_covariances_that_the_detector_states():
+    """The fit takes the covariance apart, so that trying a law costs next to nothing; together it is the detector's."""
+    view = ceiling_view(4)
+    law = dataclasses.replace(fitted.BOX, spread=1.7, floor_m=0.04, across=0.6)
+    samples = []
+    for place in np.array([[1.0, 1.2], [3.2, 2.1], [2.4, 3.4]]):
+        outline = view.project(KINDS[0].outline * [1, 1, 1.75] + [*place, 0.0]) + 0.5
+        parts = view.project(np.column_stack([np.tile(place, (3, 1)), PART_HEIGHTS * 1.75])) + 0.5
+        samples.append((np.concatenate([outline.min(axis=0), outline.max(axis=0)]), parts, view, place, 0.9))
+    losses = fit_detection.box_loss(law, samples)
+    boxes, parts = (np.array(column) for column in list(zip(*samples, strict=True))[:2])
+    told = [locate_boxes(boxes, view, known, law=law, scores=np.full(3, 0.9)) for known in (parts, None)]
+    places = np.array([sample[3] for sample in samples])
+    assert all(one.explained.all() for one in told)
+    wanted = [fit_detection.surprise(one.positions - places, one.covariances) for one in told]
+    assert losses == pytest.approx(np.mean(wanted, axis=0), abs=1e-6)
+
+
+def test_a_law_narrows_across_the_line_of_sight_and_widens_by_the_score():
+    law = dataclasses.replace(fitted.BOX, across=0.5, sure=0.6, unsure=1.0)
+    away = np.array([[3.0, 4.0], [0.0, 0.0]])
+    fit = np.tile(0.04 * np.eye(2), (2, 1, 1))
+    one, _ = sure = stated(fit, away, law, np.zeros(2))
+    assert np.linalg.eigvalsh(one) == pytest.approx([0.0036, 0.0144])
+    assert [0.6, 0.8] @ one @ [0.6, 0.8] == pytest.approx(0.0144)
+    assert stated(fit, away, law, np.full(2, 0.9)) == pytest.approx(sure * (1.5 / 0.6) ** 2)
+    assert stated(fit, away, law, None) == pytest.approx(fit)

@@ -196,7 +196,7 @@ class Fitted:
         scores: np.ndarray | None = None,
     ):
         boxes = np.asarray(boxes, float).reshape(-1, 4)
-        self._room, self._law = room, law
+        self._room, self._law, self._below = room, law, view.origin[:2]
         self._most = _MOST if parts is None else _MOST_BY_POINTS
         if not len(boxes):
             self._alone = Places(
@@ -230,9 +230,7 @@ class Fitted:
             if len(lower):
                 again = _before_walls(self._fits.remembering(known[lower], lower, self._most), self._room)
                 places = replace(again.merged(self._law), alone=places.alone)
-        covariances = places.covariances.copy()
-        if self._unsure is not None:
-            covariances *= ((self._law.sure + self._law.unsure * self._unsure) ** 2)[:, None, None]
+        covariances = stated(places.covariances.copy(), places.positions - self._below, self._law, self._unsure)
         places = replace(places, positions=places.positions.copy(), covariances=covariances)
         for index, (position, covariance) in self._on_rays.items():
             places.positions[index], places.covariances[index] = position, covariance
@@ -251,6 +249,23 @@ def locate_boxes(
 ) -> Places:
     """Find the positions of the people whose pictures fill boxes; the arguments are those of `Fitted` and `places`."""
     return Fitted(boxes, view, parts, turns, room, law, scores).places(known)
+
+
+def stated(covariances: np.ndarray, away: np.ndarray, law: BoxLaw, unsure: np.ndarray | None) -> np.ndarray:
+    """The covariances (n, 2, 2) m² that a law states for positions with those of the fit (n, 2, 2).
+
+    Args:
+        covariances: of mixtures of fits.
+        away: (n, 2) m, of the positions from the point below the camera.
+        law: how much narrower points make them across the lines of sight, and how the score widens them.
+        unsure: (n,) sqrt(1 - score) of a network that gives points; None: there are none.
+    """
+    if unsure is None:
+        return covariances
+    along = away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
+    scale = law.across * np.eye(2) + (1 - law.across) * along[..., :, None] * along[..., None, :]
+    scale = scale * (law.sure + law.unsure * unsure)[:, None, None]
+    return np.asarray(scale @ covariances @ scale)
 
 
 def _behind(xy: np.ndarray, room: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import moderngl
 import numpy as np
 from figures import Row, figure, hand_over
 
@@ -40,9 +41,11 @@ GATE_M = 1.0
 """m; a position farther from everybody is false."""
 
 
-def scenes(count: int, frames: int, seed: int, **options: Any) -> Iterator[tuple[list[Shot], View]]:
+def scenes(
+    count: int, frames: int, seed: int | list[int], context: moderngl.Context | None = None, **options: Any
+) -> Iterator[tuple[list[Shot], View]]:
     """Yield (shots, view at stride 4) of random scenes; options as `shots` has them."""
-    rng, context = np.random.default_rng(seed), render.open_context()
+    rng, context = np.random.default_rng(seed), context or render.open_context()
     context.gc_mode = "auto"  # a scene's textures go with it
     while count:
         try:

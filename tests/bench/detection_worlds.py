@@ -6,6 +6,8 @@ of the empty room, and with one that lacks three of ten pieces of furniture, whi
 
 import moderngl
 import numpy as np
+from judge import overlaps
+from renders import seen_people
 
 from avcli.detection.depth import DepthDetector
 from avcli.detection.network import PAD, Boxes, Network, own_model
@@ -32,8 +34,30 @@ Said = tuple[float, bool, bool]
 of which the network says nothing, and whether it is a person."""
 
 
-def said(seed: int, frames: int, context: moderngl.Context) -> list[Said]:
-    """What is said of a world's bodies in pictures at random times, before either empty room."""
+BoxSample = tuple[np.ndarray, np.ndarray, View, np.ndarray, float]
+"""Of a body that the network found: box (4,) px, parts (3, 2) px, camera, the true position (2,) m, and the score."""
+
+FOUND, SAME = 0.5, 0.3
+"""Least score of somebody who was found, and least intersection over union of the box and the true one."""
+
+
+def of_people(found: Boxes, boxes: np.ndarray, places: np.ndarray, view: View) -> list[BoxSample]:
+    """The samples of the people whom a network found, the surest first, of those with boxes (n, 4) px at (n, 2) m."""
+    samples: list[BoxSample] = []
+    taken = np.zeros(len(boxes), bool)
+    if found.parts is None or not len(boxes):
+        return samples
+    for index in np.flatnonzero(found.scores >= FOUND):
+        overlap = np.where(taken, 0.0, overlaps(found.boxes[index], boxes))
+        best = int(overlap.argmax())
+        if overlap[best] >= SAME:
+            taken[best] = True
+            samples.append((found.boxes[index], found.parts[index], view, places[best], float(found.scores[index])))
+    return samples
+
+
+def looked_at(seed: int, frames: int, context: moderngl.Context) -> tuple[list[Said], list[BoxSample]]:
+    """What is said of a world's bodies in pictures at random times, before either empty room; and whom it found."""
     rng = np.random.default_rng([seed, 11])
     raw = load.named("random", seed, Wishes(people=seed % 5 + 1), 10.0)
     scene = scenario.parse(raw)
@@ -53,19 +77,25 @@ def said(seed: int, frames: int, context: moderngl.Context) -> list[Said]:
     empty = [view.radial_depth(one.room_depth, one.depth_step) for one in (artist, earlier)]
     network = Network(own_model(), confidence=LEAST, picture=size)
     times = np.sort(rng.uniform(0, 10, frames))
-    drawn = artist.prepare(pose(scene.people, times))
+    bodies = pose(scene.people, times)
+    drawn = artist.prepare(bodies)
     found: list[Said] = []
+    placed: list[BoxSample] = []
+    full = View(camera.lens, camera.T_room_camera, size, camera.theta_max, 1)
     for k, t in enumerate(times.tolist()):
         frame = artist.draw(drawn, k)
         assert frame.rgb is not None  # it is drawn in colour
         places = np.array([one.motion.position(np.array([t]))[0] for one in scene.people]).reshape(-1, 2)
         picture = sensor.expose(frame.rgb, effects, (camera.lens.cx, camera.lens.cy), rng, t)
         boxes = network.detect(view.lit(picture, PAD))
+        rows = seen_people(frame, bodies, k, full, places)
+        if rows:
+            placed += of_people(boxes, np.array([row[3] for row in rows]), np.array([row[0] for row in rows]), view)
         depth = view.radial_depth(frame.depth, artist.depth_step)
         for background in empty:  # each picture is a film of its own, so that nobody has come
             detector = DepthDetector(view, background, room=np.asarray(room[:2], float))
             found += _of(boxes, depth, detector, places)
-    return found
+    return found, placed
 
 
 def _of(boxes: Boxes, depth: np.ndarray, detector: DepthDetector, places: np.ndarray) -> list[Said]:
