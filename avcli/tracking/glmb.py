@@ -661,6 +661,7 @@ class GLMB:
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
+            node.note(people, best, float(self.errors.variance(people.lean[best])))
             nobody, contested = people.nobody([best])
             sure = min(existence / meant, 1.0)
             self.retired[label] = End(label, meant, node, mean[0], cov[0], sure, nobody.item(), contested.item())
@@ -744,9 +745,7 @@ class GLMB:
             for k, one in enumerate(labelled):
                 node = people.node[one.row]
                 if node is not None:
-                    node.detectable = people.detectable[one.row]
-                    node.seen, node.reach = float(people.seen[one.row].max()), float(people.reach[one.row])
-                    node.lasting = float(self.errors.variance(people.lean[one.row]))
+                    node.note(people, one.row, float(self.errors.variance(people.lean[one.row])))
                     existence = min(one.existence / one.meant, 1.0)
                     doubt = nobody.item(k), contested.item(k)
                     yield End(one.label, one.meant, node, mean[k], cov[k], existence, *doubt)

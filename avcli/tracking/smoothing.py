@@ -83,6 +83,11 @@ class Node:
             new.predicted_cov, new.survival = node.predicted_cov, node.survival
         return new
 
+    def note(self, people: Densities, row: int, lasting: float) -> None:
+        """Write what a track says beside its state, by a row of `people`; lasting: m² per axis, see `Node`."""
+        self.detectable, self.lasting = people.detectable[row], lasting
+        self.seen, self.reach = float(people.seen[row].max(initial=-math.inf)), float(people.reach[row])
+
     @staticmethod
     def steps(
         people: Densities,
@@ -113,14 +118,12 @@ class Node:
             away = (step.mixed - mean[:, None]) * weight
             cross = cross + away.swapaxes(1, 2) @ (people.mean - predicted[:, None])
         gain = np.linalg.solve(predicted_cov, cross.swapaxes(1, 2)).swapaxes(1, 2)
-        last, reach = people.seen.max(1, initial=-math.inf).tolist(), people.reach.tolist()
         nodes: list[Node | None] = []
         for i, old in enumerate(people.node):
             if old is None:
                 raise ValueError("a density without a node cannot be smoothed")
             old.mean, old.cov, old.existence = mean[i], cov[i], min(float(people.existence[i]), 1.0)
-            old.detectable, old.lasting = people.detectable[i], float(lasting[i])
-            old.seen, old.reach = last[i], reach[i]
+            old.note(people, i, float(lasting[i]))
             new = Node(time)
             new.prev, new.gain, new.predicted = old, gain[i], predicted[i]
             new.predicted_cov, new.survival = predicted_cov[i], survival[i]
