@@ -101,16 +101,13 @@ def expose(
     """
     if effects == Effects():
         return rgb
-    table = _LIGHT
-    if effects.white_balance:
-        gains = WhiteBalance(effects.white_balance).gains(rgb, time) if gains is None else gains
-        # Gains below 1 would colour what is clipped, so the exposure falls by the least and no gain is below 1. What
-        # the drawing has clipped is brighter than white by an unknown factor: it stays clipped.
-        least = gains.min()
-        table, gains = _LIGHT * (least + (1 - least) * _LIGHT**8), gains / least
     if effects.aberration_px:
         rgb = _spread(rgb, effects.aberration_px, centre)
-    light = table[rgb]
+    if effects.white_balance:
+        gains = WhiteBalance(effects.white_balance).gains(rgb, time) if gains is None else gains
+        light = _balanced(rgb, gains)
+    else:
+        light = _LIGHT[rgb]
     if effects.blur_px:
         light = _softened(light, effects.blur_px)
     if effects.vignetting:
@@ -122,8 +119,6 @@ def expose(
         light = light + noise * np.sqrt(np.maximum(light, 0) / np.float32(effects.full_well_e))
     if effects.read_noise:
         light = light + np.float32(effects.read_noise / 255) * generator.standard_normal(light.shape, np.float32)
-    if effects.white_balance and gains is not None:  # after the noise, which grows with them
-        light = (light.reshape(len(light), -1) * np.tile(gains, light.shape[1])).reshape(light.shape)
     picture = np.sqrt(np.clip(light, 0, 1))
     if effects.sharpening:
         fine = picture - _softened(picture, _SHARPENED_PX)
@@ -132,6 +127,14 @@ def expose(
     if effects.time_stamp:
         _stamp(picture, time)
     return _compressed(picture, effects.jpeg_quality) if effects.jpeg_quality else picture
+
+
+def _balanced(rgb: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """The light (height, width, 3) float32 of a picture times gains (3,); what the drawing has clipped stays white."""
+    import cv2
+
+    light = _LIGHT[:, None]
+    return np.asarray(cv2.LUT(rgb, np.minimum(light * (gains + (1 - gains) * light**8), 1)[None]))
 
 
 def _spread(rgb: np.ndarray, aberration_px: float, centre: tuple[float, float]) -> np.ndarray:

@@ -108,8 +108,8 @@ SENSORS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 """Sensors by name: the effects that differ from a perfect one's, and the shutter. A webcam is a small sensor in room
-light whose pictures come as good JPEGs; an IP camera is better, and compresses more. Both balance white. They were chosen on a part of real
-pictures that is not the one on which they were judged: tests/bench/bench_sensor.py."""
+light whose pictures come as good JPEGs; an IP camera is better, and compresses more. Both balance white. They were
+chosen on a part of real pictures that is not the one on which they were judged: tests/bench/bench_sensor.py."""
 
 
 def with_sensor(name: str, drawing: Drawing, effects: Effects) -> tuple[Drawing, Effects]:
