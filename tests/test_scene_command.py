@@ -423,6 +423,9 @@ def test_what_does_not_change_is_neither_drawn_nor_encoded_again(tmp_path, monke
     assert len(encoded) == 3  # colour, depth, and the depth of the empty room
     assert len(files) == 21
     assert len(set(files)) == 1
+    _, files = written("balanced", Effects(white_balance=1.0, vignetting=0.2))
+    assert len(encoded) == 3
+    assert len(set(files)) == 1
     _, files = written("noisy", Effects(read_noise=2.0))
     assert len(encoded) == 23  # every colour picture has noise of its own
     assert len(set(files)) == 21

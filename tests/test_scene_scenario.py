@@ -289,6 +289,44 @@ def test_blur_is_the_mean_of_light():
     assert (sensor.blurred([black, white]) == round(255 * np.sqrt(0.5))).all()
 
 
+WARM = np.broadcast_to(np.uint8([150, 130, 112]), (40, 60, 3))
+
+
+def test_white_balance_makes_lamplight_grey_and_leaves_white_and_brightness():
+    picture = WARM.copy()
+    picture[:5] = 255
+    balanced = expose(picture, white_balance=1.0).astype(int)
+    assert np.ptp(balanced[20, 30]) <= 2
+    assert (balanced[:5] == 255).all()
+    luma = [0.2126, 0.7152, 0.0722]
+    assert (balanced[20, 30] / 255) ** 2 @ luma == pytest.approx((WARM[0, 0] / 255) ** 2 @ luma, rel=0.03)
+
+
+def test_white_balance_ends_at_the_lights_that_a_camera_knows():
+    wood, grass = np.uint8([180, 110, 60]), np.uint8([90, 150, 90])
+    warm = (expose(np.broadcast_to(wood, (40, 60, 3)), white_balance=0.5)[0, 0] / 255) ** 2
+    assert warm[0] / warm[2] == pytest.approx((180 / 60) ** 2 / 2**0.5, rel=0.03)
+    green = (expose(np.broadcast_to(grass, (40, 60, 3)), white_balance=0.5)[0, 0] / 255) ** 2
+    assert green[1] / green[0] == pytest.approx((150 / 90) ** 2 / 2**0.1, rel=0.03)
+    dark = np.full((40, 60, 3), (20, 10, 5), np.uint8)
+    assert np.abs(expose(dark, white_balance=1.0).astype(int) - dark).max() <= 1
+
+
+def test_white_balance_follows_the_light_slowly_and_holds_still_in_a_room_that_does_not_change():
+    balance = sensor.WhiteBalance(1.0)
+    first = balance.gains(WARM, 0.0)
+    assert first[2] / first[0] == pytest.approx((150 / 112) ** 2, rel=1e-3)  # it ran before the film begins
+    nearly = WARM.copy()
+    nearly[:4, :4] = 90
+    assert balance.gains(nearly, 0.1) is first
+    courses = [balance.gains(GREY, 0.1 * (k + 2)) for k in range(60)]
+    left = np.array([np.log(one[2] / one[0]) for one in courses])
+    assert left[0] == pytest.approx(np.log(first[2] / first[0]) * np.exp(-0.1 / 0.65), rel=1e-3)
+    assert (np.diff(left) <= 0).all()
+    assert abs(left[-1]) < 0.02
+    assert courses[-1] is courses[-10]
+
+
 def test_the_schema_takes_what_the_parser_takes():
     check = jsonschema.Draft202012Validator(SCHEMA)
     built_in = sorted((ROOT / "avcli" / "scene" / "scenarios").glob("*.json"))

@@ -149,7 +149,9 @@ class Film:
         generator = np.random.default_rng(self.seed)
         times = self.scenario.times
         self.account = account = Account()
+        balance = sensor.WhiteBalance(self.effects.white_balance)
         last: render.Frame | None = None
+        exposed = held = shown = None
         for start in range(0, len(times), _CHUNK):
             with self._timing("pose the people"):
                 bodies = people.pose(self.scenario.people, times[start : start + _CHUNK])
@@ -168,10 +170,13 @@ class Film:
                 if rgb is not None:
                     with self._timing("sensor effects"):
                         lens = self.scenario.config.camera.lens
-                        rgb = sensor.expose(rgb, self.effects, (lens.cx, lens.cy), generator, time)
+                        gains = balance.gains(rgb, time)
+                        if rgb is not exposed or gains is not held or self.effects.differ_by_frame:
+                            shown = sensor.expose(rgb, self.effects, (lens.cx, lens.cy), generator, time, gains)
+                        exposed, held = rgb, gains
                 with self._timing("annotate"):
                     record = annotations.truth(self.scenario, bodies, index, picture)
-                yield Frame(time, record, picture, rgb)
+                yield Frame(time, record, picture, shown)
 
     def _exposed(self, renderer: render.Renderer, time: float, shutter: float) -> np.ndarray:
         """The mean light while the shutter is open: half its time before a frame's time, and half after."""

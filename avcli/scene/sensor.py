@@ -10,9 +10,81 @@ from avcli.scene.settings import Effects
 _SHARPENED_PX = 1.0  # standard deviation of the blur whose difference sharpening adds
 _BEGIN = datetime(2025, 1, 1, 9)
 
+_SETTLING_S = 0.65  # of white balance: libcamera's goes 5 % of the way in each of 30 frames a second (rpi.awb, "speed")
+_TOLERATED, _SETTLED = 0.05, 0.005  # change of a gain, as a logarithm, that starts white balance, and at which it stops
+_STOP = np.log(2.0)
+_TINT = 0.2  # of that, green against red and blue: the lamps of random worlds differ by .14 of it, the sky by .09
+_LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of the light, ITU-R BT.709
+
+
+class WhiteBalance:
+    """What a camera holds for the colour of the light: the mean of what is lit and not clipped is grey.
+
+    It is grey-world (G. Buchsbaum, "A spatial processor model for object colour perception", 1980), within the lights
+    that a camera knows: a wooden room stays brown. The camera has run for long when a film begins. Then it follows
+    slowly, and only where the light has changed: in a room where nothing happens, the gains do not change at all.
+
+    Args:
+        stops: by which red is balanced against blue, at most.
+    """
+
+    def __init__(self, stops: float) -> None:
+        self._stops = stops
+        self._seen: np.ndarray | None = None  # the picture of which `_wanted` is
+        self._wanted = self._held = np.zeros(3, np.float32)  # logarithms of the gains
+        self._gains = np.ones(3, np.float32)
+        self._moves = False
+        self._time: float | None = None
+
+    def gains(self, rgb: np.ndarray, time: float) -> np.ndarray:
+        """Take one more picture into account.
+
+        Args:
+            rgb: (height, width, 3) uint8, as it is drawn.
+            time: s, later than that of the picture before.
+
+        Returns:
+            (3,) float32 by which the light of each channel is multiplied, so that the mean colour keeps its luma;
+            the same array as before where nothing changes.
+        """
+        if not self._stops:
+            return self._gains
+        if rgb is not self._seen:
+            self._seen, self._wanted = rgb, _wanted(rgb, self._stops)
+        left, way = self._wanted - self._held, np.float32(1)
+        if self._time is not None:
+            self._moves = bool(np.abs(left).max() > (_SETTLED if self._moves else _TOLERATED))
+            way = np.float32(-np.expm1((self._time - time) / _SETTLING_S) if self._moves else 0)
+        if way:
+            self._held = self._held + way * left
+            self._gains = np.exp(self._held)
+        self._time = time
+        return self._gains
+
+
+def _wanted(rgb: np.ndarray, stops: float) -> np.ndarray:
+    """Logarithms (3,) float32 of the gains that balance a picture; 0 where all is dark or clipped."""
+    step = max(1, min(rgb.shape[:2]) // 128)  # a camera's statistics are of a coarse grid too
+    some = rgb[::step, ::step].reshape(-1, 3)
+    most = some.max(1)
+    some = some[(most > 36) & (most < 249)]
+    if not len(some):
+        return np.zeros(3, np.float32)
+    mean = np.maximum(_LIGHT[some].mean(0), np.float32(1e-3))
+    red, green, blue = np.log(mean)
+    warm = np.clip(red - blue, -stops * _STOP, stops * _STOP)
+    tint = np.clip(green - (red + blue) / 2, -stops * _STOP * _TINT, stops * _STOP * _TINT)
+    gains = np.array([tint / 3 - warm / 2, -2 * tint / 3, tint / 3 + warm / 2], np.float32)
+    return gains - np.log(mean * np.exp(gains) @ _LUMA / (mean @ _LUMA))
+
 
 def expose(
-    rgb: np.ndarray, effects: Effects, centre: tuple[float, float], generator: np.random.Generator, time: float = 0.0
+    rgb: np.ndarray,
+    effects: Effects,
+    centre: tuple[float, float],
+    generator: np.random.Generator,
+    time: float = 0.0,
+    gains: np.ndarray | None = None,
 ) -> np.ndarray:
     """Apply a sensor's effects to a picture, in the order in which light meets them.
 
@@ -22,6 +94,7 @@ def expose(
         centre: (x, y) px, where the optical axis meets the picture.
         generator: of the noise.
         time: s, for the time stamp.
+        gains: (3,) of the white balance, which follows a film; None: those of this picture alone.
 
     Returns:
         (height, width, 3) uint8.
@@ -30,7 +103,11 @@ def expose(
         return rgb
     if effects.aberration_px:
         rgb = _spread(rgb, effects.aberration_px, centre)
-    light = _LIGHT[rgb]
+    if effects.white_balance:
+        gains = WhiteBalance(effects.white_balance).gains(rgb, time) if gains is None else gains
+        light = _balanced(rgb, gains)
+    else:
+        light = _LIGHT[rgb]
     if effects.blur_px:
         light = _softened(light, effects.blur_px)
     if effects.vignetting:
@@ -50,6 +127,14 @@ def expose(
     if effects.time_stamp:
         _stamp(picture, time)
     return _compressed(picture, effects.jpeg_quality) if effects.jpeg_quality else picture
+
+
+def _balanced(rgb: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """The light (height, width, 3) float32 of a picture times gains (3,); what the drawing has clipped stays white."""
+    import cv2
+
+    light = _LIGHT[:, None]
+    return np.asarray(cv2.LUT(rgb, np.minimum(light * (gains + (1 - gains) * light**8), 1)[None]))
 
 
 def _spread(rgb: np.ndarray, aberration_px: float, centre: tuple[float, float]) -> np.ndarray:

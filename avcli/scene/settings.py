@@ -66,6 +66,9 @@ class Effects:
     exposure_ev: float = setting(
         0.0, "Make frames brighter (or darker, negative), in stops.", unit="EV", flag="--exposure"
     )
+    white_balance: float = setting(
+        0.0, "Balance white automatically, red against blue by at most so many stops.", unit="EV", least=0.0, most=4.0
+    )
     vignetting: float = setting(
         0.0, "Fraction of the light that is lost in the farthest corner.", unit="F", least=0.0, most=1.0
     )
@@ -87,21 +90,26 @@ class Effects:
         None, "Compress frames as JPEG of this quality would.", unit="Q", least=1, most=100, flag="--jpeg"
     )
 
+    @property
+    def differ_by_frame(self) -> bool:
+        """Whether two frames of the same drawn picture differ: by noise or time stamp."""
+        return bool(self.full_well_e or self.read_noise or self.time_stamp)
+
 
 SENSORS: dict[str, dict[str, Any]] = {
     "clean": {},
     "webcam": {
-        "shutter_s": 0.01, "exposure_ev": 0.15, "vignetting": 0.25, "aberration_px": 1.0, "full_well_e": 5000.0,
-        "read_noise": 1.2, "blur_px": 0.8, "sharpening": 1.2, "jpeg_quality": 80,
+        "shutter_s": 0.01, "exposure_ev": 0.15, "white_balance": 0.7, "vignetting": 0.25, "aberration_px": 1.0,
+        "full_well_e": 5000.0, "read_noise": 1.2, "blur_px": 0.8, "sharpening": 1.2, "jpeg_quality": 80,
     },
     "ip-camera": {
-        "shutter_s": 0.005, "vignetting": 0.15, "aberration_px": 0.5, "full_well_e": 8000.0, "read_noise": 1.0,
-        "blur_px": 0.6, "sharpening": 0.7, "time_stamp": True, "jpeg_quality": 70,
+        "shutter_s": 0.005, "white_balance": 0.7, "vignetting": 0.15, "aberration_px": 0.5, "full_well_e": 8000.0,
+        "read_noise": 1.0, "blur_px": 0.6, "sharpening": 0.7, "time_stamp": True, "jpeg_quality": 70,
     },
 }  # fmt: skip
 """Sensors by name: the effects that differ from a perfect one's, and the shutter. A webcam is a small sensor in room
-light whose pictures come as good JPEGs; an IP camera is better, and compresses more. They were chosen on a part of real
-pictures that is not the one on which they were judged: tests/bench/bench_sensor.py."""
+light whose pictures come as good JPEGs; an IP camera is better, and compresses more. Both balance white. They were
+chosen on a part of real pictures that is not the one on which they were judged: tests/bench/bench_sensor.py."""
 
 
 def with_sensor(name: str, drawing: Drawing, effects: Effects) -> tuple[Drawing, Effects]:

@@ -7,9 +7,10 @@ Each folder of real pictures is one row. The presets of `avcli.scene.settings.SE
 `valid/images` of its branch Mirror_World. They state no licence: pictures are read and measured, nothing else.
 
 All are medians over pictures of 640 px height, inside what the lens lights. Detail: standard deviation of the
-brightness less its blur of 2 px. Saturation: mean of HSV's, of 255. Noise: J. Immerkaer, "Fast noise variance
-estimation" (1996), in the flattest fifth of blocks of 16 px. Blocks: difference of columns at the edges of JPEG's
-blocks over the usual one. Clipped: percent of pixels at 250 or more. Edges: 99th percentile of the gradient.
+brightness less its blur of 2 px. Saturation: mean of HSV's, of 255. Red/blue: of the mean light. Noise:
+J. Immerkaer, "Fast noise variance estimation" (1996), in the flattest fifth of blocks of 16 px. Blocks: difference of
+columns at the edges of JPEG's blocks over the usual one. Clipped: percent of pixels at 250 or more. Edges: 99th
+percentile of the gradient.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from avcli.scene import film, sensor
 from avcli.scene.settings import SENSORS, Drawing, Effects, with_sensor
 
 HEIGHT = 640
-NAMES = ("detail", "saturation", "noise", "blocks", "clipped %", "edges")
+NAMES = ("detail", "saturation", "red/blue", "noise", "blocks", "clipped %", "edges")
 
 
 def statistics(rgb: np.ndarray) -> list[float] | None:
@@ -37,6 +38,7 @@ def statistics(rgb: np.ndarray) -> list[float] | None:
     detail = (y - cv2.GaussianBlur(y, (0, 0), 2))[core].std()
     most, least = light.max(-1), light.min(-1)
     saturation = (255 * (most - least) / np.maximum(most, 1))[core].mean()
+    red, _, blue = ((light[core] / 255) ** 2).mean(0)
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     rough = np.abs(cv2.filter2D(y, -1, mask)) * np.float32(np.sqrt(np.pi / 2) / 6)
     rows, columns = y.shape[0] // 16, y.shape[1] // 16
@@ -50,7 +52,7 @@ def statistics(rgb: np.ndarray) -> list[float] | None:
     edges = np.hypot(cv2.Sobel(y, -1, 1, 0), cv2.Sobel(y, -1, 0, 1))[core] / 8
     clipped = 100 * (y[core] >= 250).mean()
     block = max(phases) / np.median(phases)
-    return [float(v) for v in (detail, saturation, noise, block, clipped, np.quantile(edges, 0.99))]
+    return [float(v) for v in (detail, saturation, red / blue, noise, block, clipped, np.quantile(edges, 0.99))]
 
 
 def real_pictures(folder: Path, count: int) -> list[np.ndarray]:
