@@ -316,6 +316,16 @@ def test_a_lens_whose_centre_moves_is_right_far_away(seed):
     assert off > 3 * max(said, actual)  # a single centre is wrong, and sure of it
 
 
+@pytest.mark.parametrize(("pupil", "recedes"), [(-0.004, True), (0.0, False), (0.004, False)])
+def test_a_centre_that_moves_back_is_named_in_the_verdict(pupil, recedes):
+    o = near(51, 20, pupil=pupil, shared=0.1)
+    solution, good = robust.fit_robustly(o, *WIDE_SIZE)
+    found = quality.assess(o.of_corners(good), solution, *WIDE_SIZE, held_out=0.1)
+    assert (found.recedes > quality.RECEDES_LIMIT) == recedes
+    assert ("moves back" in found.verdict) == recedes
+    assert any("flat window" in words for words in found.advice) == recedes
+
+
 @pytest.mark.parametrize("pupil", [0.0, 0.001])
 def test_a_shift_of_the_centre_that_views_hardly_show_is_in_the_stated_error(pupil):
     pulls = []
