@@ -301,6 +301,17 @@ def test_views_whose_errors_differ_in_size_state_what_is_true():
     assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.3
 
 
+def test_views_that_fit_less_well_count_less():
+    plain, weighed = [], []
+    for seed in range(700, 708):
+        o = uneven(seed, 20)
+        solution, good = robust.fit_robustly(o, *WIDE_SIZE)
+        plain.append(far_off(o, solution)[0])
+        o = robust.weighed(o, solution, good)
+        weighed.append(far_off(o, fit.settled(o.of_corners(good), solution))[0])
+    assert np.sum(np.square(weighed)) < 0.8 * np.sum(np.square(plain))
+
+
 @pytest.mark.parametrize("seed", [50, 51, 52])
 def test_a_lens_whose_centre_moves_is_right_far_away(seed):
     o = near(seed, 20, pupil=0.004, shared=0.02)
@@ -314,6 +325,16 @@ def test_a_lens_whose_centre_moves_is_right_far_away(seed):
     (actual, stated), (off, said) = far_off(o, moving), far_off(o, central)
     assert actual < 2 * stated
     assert off > 3 * max(said, actual)  # a single centre is wrong, and sure of it
+
+
+@pytest.mark.parametrize(("pupil", "recedes"), [(-0.004, True), (0.0, False), (0.004, False)])
+def test_a_centre_that_moves_back_is_named_in_the_verdict(pupil, recedes):
+    o = near(51, 20, pupil=pupil, shared=0.1)
+    solution, good = robust.fit_robustly(o, *WIDE_SIZE)
+    found = quality.assess(o.of_corners(good), solution, *WIDE_SIZE, held_out=0.1)
+    assert (found.recedes > quality.RECEDES_LIMIT) == recedes
+    assert ("moves back" in found.verdict) == recedes
+    assert any("flat window" in words for words in found.advice) == recedes
 
 
 @pytest.mark.parametrize("pupil", [0.0, 0.001])

@@ -23,6 +23,10 @@ MISSED_LIMIT = 0.15
 """What a lens that may bend anywhere would gain (robust.missed), from which the lens model is said not to describe the
 lens. It gains at most 0.08 on 14 real sets that decided this, 0.14 on simulated ones of 10 views whose model is right,
 and 0.23 on one that was taken through a window under water."""
+RECEDES_LIMIT = 2.5
+"""Standard deviations by which the centre of a lens moves back as the angle grows, from which a flat window is named as
+the cause: that of a lens alone moves ahead (Gennery 2006). Of 43 real sets the one from behind a window reaches 3.0,
+the others at most 1.6 (examples/benchmarks/lenses.md)."""
 
 
 def coverage(pixels: np.ndarray, width: int, height: int, columns: int = 8) -> np.ndarray:
@@ -48,6 +52,8 @@ class Quality:
         inflation: how many times larger `sd` is, all in all, than if the errors of the corners were all their own.
         halves: the stated uncertainty put to the test; see `field.split_halves`.
         missed: what the lens model misses; see `robust.missed`.
+        recedes: by how many standard deviations the lens's centre moves back as the angle grows; below 0 where it moves
+            ahead.
         circle: where light reaches the picture; None: everywhere.
         counts, lit_cells: see `coverage`; and (rows, columns) bool, which of the cells light reaches.
         theta_max_observed, theta_max_trusted, theta_max_valid, theta_max_picture: rad; the largest angle at which a
@@ -66,6 +72,7 @@ class Quality:
     inflation: float
     halves: Halves
     missed: float
+    recedes: float
     circle: Circle | None
     counts: np.ndarray
     lit_cells: np.ndarray
@@ -122,6 +129,11 @@ class Quality:
                 f"; but its model does not describe this lens: one that may bend anywhere would fit held-out pictures "
                 f"{100 * self.missed:.0f} % better"
             )
+        if self.recedes > RECEDES_LIMIT:
+            return (
+                "; but its centre moves back as the angle grows, as behind a flat window: near the rim, things farther "
+                "away than the boards were lie elsewhere than stated"
+            )
         ratio = self.halves.ratio
         if not np.isfinite(ratio):
             return "; too few pictures to test the stated errors"
@@ -159,15 +171,17 @@ def assess(
     centre = normals.sum(0) / max(np.linalg.norm(normals.sum(0)), 1e-12)
     tilt = float(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2)))
     counts = coverage(observations.pixels, width, height)
+    sd = np.sqrt(np.maximum(np.diag(solution.covariance), 0))
     quality = Quality(
         rms_px=_rms(error),
         inlier_rms_px=_rms(error[inlier]),
         held_out_rms_px=held_out,
-        sd=np.sqrt(np.maximum(np.diag(solution.covariance), 0)),
+        sd=sd,
         field=field.measured(observations, solution, width, height, circle),
         inflation=1.0,
         halves=Halves(),
         missed=robust.missed(observations, solution),
+        recedes=-float(solution.pupil / sd[-1]) if sd[-1] > 0 else 0.0,
         circle=circle,
         counts=counts,
         lit_cells=lit_cells(counts.shape, width, height, circle),
@@ -279,6 +293,11 @@ def _advice(q: Quality, refusals: tuple[str, ...]) -> tuple[str, ...]:
         advice.append(
             "the lens model leaves errors that all pictures share: try --lens-model auto; no model here describes a "
             "camera that sees near things through a thick window"
+        )
+    if q.recedes > RECEDES_LIMIT:
+        advice.append(
+            "if the camera looks through a flat window, as under water, film the board about as far away as what it "
+            "will watch, or use a dome"
         )
     if q.halves.ratio > HALVES_LIMIT:
         advice.append(

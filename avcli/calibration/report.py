@@ -121,10 +121,12 @@ def _pupil_in_words(result: Calibration) -> list[str]:
     if not board.scaled:
         near, moved, sd = near / board.square_m, moved / board.square_m, sd / board.square_m
         shift, distance = f"{abs(moved):.3f} ± {sd:.3f} squares", f"{near:.0f} squares"
+    where = f"the lens has no single centre: at {_degrees(theta)} from the axis it is {shift}"
+    if moved < 0:
+        return [f"{where} behind, where that of a lens alone is ahead"]
     return [
-        f"the lens has no single centre: at {_degrees(theta)} from the axis it is {shift} "
-        f"{'farther ahead' if moved > 0 else 'behind'}; the lens that is written is that of things far away: nearer "
-        f"than {distance} a ray at this angle is more than {np.rad2deg(quality.TRUST_LIMIT):g}° off"
+        f"{where} farther ahead; the lens that is written is that of things far away: nearer than {distance} a ray at "
+        f"this angle is more than {np.rad2deg(quality.TRUST_LIMIT):g}° off"
     ]
 
 

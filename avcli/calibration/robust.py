@@ -150,7 +150,30 @@ def refined(
     # A coarse or compressed picture may have no finer corners to give.
     if _typical(finer, better, finer_good) < _typical(observations, solution, good):
         observations, solution, good = finer, better, finer_good
+    observations = weighed(observations, solution, good)
     return observations, fit.settled(observations.of_corners(good), solution), good
+
+
+def weighed(observations: Observations, solution: Solution, good: np.ndarray) -> Observations:
+    """Let views count less whose corners fit less well than is common: motion or a bend spoils all of a view alike.
+
+    How much worse a view really is, its few shared errors tell poorly. So the variance that it gets is half-way, as
+    factors go, between its own and the common one (examples/benchmarks/lenses.md).
+
+    Args:
+        observations: all corners.
+        solution: a fit to the corners in `good`.
+        good: (n,) bool.
+
+    Returns:
+        the same corners, with more sigma in such views.
+    """
+    some = observations.of_corners(good)
+    squared = (fit.residuals(some, solution) ** 2).sum(1) / some.sigma**2
+    rms = np.sqrt(some.per_view(squared) / np.bincount(some.view))
+    worse = np.ones(observations.views)
+    worse[observations.views_of(good)] = np.maximum(rms / np.median(rms), 1.0)
+    return replace(observations, sigma=observations.sigma * np.sqrt(worse)[observations.view])
 
 
 def _typical(observations: Observations, solution: Solution, good: np.ndarray) -> float:

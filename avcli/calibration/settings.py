@@ -86,7 +86,7 @@ class FitSettings:
         "kannala_brandt+tangential and brown_conrady+tangential suit lenses that are not quite centred. auto: try all "
         "models, and take the simplest that held-out pictures cannot tell from the best.",
         unit="MODEL",
-        default_text="kannala_brandt; +tangential if the pictures show that it is lacking",
+        default_text="kannala_brandt; another one if the pictures show that it does not fit",
         only="avcli",
     )
     procedure: str = setting(
