@@ -43,11 +43,11 @@ CHANGES, BEAM = 4, 3
 LEAST, DELAYED = 60.0, 30.0
 """By how much the log likelihood of the moments must rise by each change, and what of it a fitted delay costs."""
 
-POSSIBLE, CLEAR, CLEAR_OVER, SURE = 0.2, 0.4, 0.25, 5.4
-"""From which `Remedy.clarity` a change may be, from which it is believed, and one of polarities alone, of which there
-are few; and by how much the log likelihood must rise then for each pair of microphones. Healthy arrays in rooms that
-decided had clarities up to 0.15; wrong orders that no delay explained as well had up to 0.38, and one of 0.47 rose by
-4.6; every polarity from 0.21 on was wrong indeed."""
+POSSIBLE, CLEAR, SURE = 0.2, (0.25, 0.3, 0.4), 5.4
+"""From which `Remedy.clarity` a change may be; from which one is believed that only turns channels over, exchanges two,
+or does anything else; and by how much the log likelihood must rise then for each pair of microphones. Healthy arrays in
+rooms that decided had up to 0.15. Of wrong changes that no delay explained as well, whole orders had up to 0.38,
+exchanges that rose by so much 0.26, and one of 0.47 rose by 4.6; every polarity from 0.21 on was wrong indeed."""
 
 HOPELESS = -20.0
 """How the log likelihood of one moment falls where a change is not looked at any more."""
@@ -236,8 +236,9 @@ class Rewiring:
         fitting = delays + moved <= (self.count - 4) // 2 and (late > FARTHEST_M).all()
         merely = not replace(found, delay=np.zeros(self.count)).changed.any()  # `Health` tells one that is merely late
         alone = alone and bool(fitting) and not merely
-        kept = (found.order == np.arange(self.count)).all() and not delays
-        clear = clarity >= (CLEAR_OVER if kept else CLEAR) and bool(worth >= SURE * self._pairs(heard))
+        reordered = int((found.order != np.arange(self.count)).sum())
+        least = CLEAR[2 if delays else min(reordered // 2, 2)]
+        clear = clarity >= least and bool(worth >= SURE * self._pairs(heard))
         certain = found.certain and alone and clear
         return replace(found, gain=worth, clarity=clarity, alone=alone, clear=clear, certain=certain)
 
