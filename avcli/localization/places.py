@@ -106,6 +106,7 @@ class PlaceFinder:
             more = {"fall": fall, "channels": heard.channels, "doubted": doubted, "steady": steady}
             features = self.features(peak, number == 0 and not len(heard.steady), traces, noise, more)
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            score *= self.health.trust
             judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
         return sorted(judged, key=lambda one: -one.evidence)
 

@@ -25,9 +25,10 @@ ROUGH = 4
 TOLD_M = 0.3
 """m: by how much an exchange changes the ways of the sound at least: less looks like misplaced microphones."""
 
-ALIKE_M = 0.25, 0.5
+ALIKE_M = 0.25, 0.8
 """m: by how much the distances between microphones may differ in arrays that are taken for the same, where a few of
-them are moved and where most are: a tape errs at each of them."""
+them are moved and where most are: a tape errs at each of them, and most rings in rooms are nearly their mirror images,
+so that echoes fit these by chance."""
 
 FEWEST, MOST = 6, 12
 """From and up to how many channels exchanges are told."""
@@ -39,15 +40,17 @@ and how many of them are compared then."""
 CHANGES, BEAM = 4, 3
 """How many changes one after another are believed at once, and how many stories each of them goes on from."""
 
-POSSIBLE, OVERWHELMING, SILENCING = 60.0, 150.0, 180.0
-"""By how much the log likelihood of the moments must rise by a change that may be, by one that is believed, and by one
-of several alike for which nobody is located. In rooms that decided, wrong ones reached 131, right ones 189 to 468."""
+LEAST, DELAYED = 60.0, 30.0
+"""By how much the log likelihood of the moments must rise by each change, and what of it a fitted delay costs."""
+
+POSSIBLE, CLEAR, SURE = 0.2, (0.25, 0.3, 0.4), 5.4
+"""From which `Remedy.clarity` a change may be; from which one is believed that only turns channels over, exchanges two,
+or does anything else; and by how much the log likelihood must rise then for each pair of microphones. Healthy arrays in
+rooms that decided had up to 0.15. Of wrong changes that no delay explained as well, whole orders had up to 0.38,
+exchanges that rose by so much 0.26, and one of 0.47 rose by 4.6; every polarity from 0.21 on was wrong indeed."""
 
 HOPELESS = -20.0
 """How the log likelihood of one moment falls where a change is not looked at any more."""
-
-SHARE = 0.1
-"""The least share of the log likelihood that a change explains: what is not modelled grows with it."""
 
 RIVAL = 0.8
 """The share of its gain that another change may reach at most."""
@@ -62,6 +65,11 @@ class Remedy:
         sign: (m,) by which it is multiplied.
         delay: (m,) s by which it is late.
         gain: of the log likelihood over the array as it is.
+        clarity: the share of the log likelihood that it alone explains, with lags that may be off by microphones that
+            hang elsewhere, plus the share with exact lags: what is not modelled grows with the likelihood, and with the
+            number of pairs, as this does not.
+        alone: whether nothing else explains the sound nearly as well.
+        clear: whether it explains enough to be believed.
         certain: whether it is believed, and not one of several that do the same.
     """
 
@@ -69,6 +77,9 @@ class Remedy:
     sign: np.ndarray
     delay: np.ndarray
     gain: float = 0.0
+    clarity: float = 0.0
+    alone: bool = True
+    clear: bool = True
     certain: bool = True
 
     @property
@@ -131,7 +142,7 @@ class Story:
     @property
     def merit(self) -> float:
         """What it is worth beyond what its changes must be worth to be believed."""
-        return self.worth - POSSIBLE * len(self.steps)
+        return self.worth - LEAST * len(self.steps)
 
 
 class Rewiring:
@@ -139,10 +150,11 @@ class Rewiring:
 
     Args:
         response: of the array.
+        speed: m/s, of sound.
     """
 
-    def __init__(self, response: SteeredResponse):
-        self.response = response
+    def __init__(self, response: SteeredResponse, speed: float):
+        self.response, self.speed = response, speed
         self.count = count = len(response.microphones)
         self.reach = round(PLACED_M * response.steps_per_metre)
         self.rough = SteeredResponse(
@@ -170,8 +182,8 @@ class Rewiring:
     def find(self, heard: Moments) -> Remedy | None:
         """Return the remedy under which the array agrees better by far than as it is, if any.
 
-        It is certain where nothing else explains the sound, and gains less than `OVERWHELMING` where it is possible.
-        It changes nothing where it is certain that nothing is to be changed.
+        It is certain where nothing else explains the sound and it is `CLEAR`; else it is possible. It changes nothing
+        where it is certain that nothing is to be changed.
         """
         nothing, heard = turned_over((), self.count), heard.clearest
         best = start = Story(nothing, (), self._agreement(nothing, heard), heard)
@@ -189,22 +201,51 @@ class Rewiring:
         gain = best.reached - start.reached
         if best is start or (gain <= 0.0).sum() > len(gain) // 3:
             return None
-        even, on_time = np.ones(self.count), np.zeros(self.count)
-        twins = [_after(best.remedy, Remedy(order, even, on_time)) for order in self.twins]
-        known = [*best.steps, *twins]
-        others = [one.worth for one in singles if not any(one.remedy.alike(step) for step in known)]
-        if max(others, default=0.0) > RIVAL * best.worth:
+        twins = self._twins(best.remedy)
+        others = [one.worth for one in singles if not any(one.remedy.alike(step) for step in (*best.steps, *twins))]
+        alone = max(others, default=0.0) <= RIVAL * best.worth
+        for step in best.steps:
+            told, sure = self._late(best, step, start)
+            alone &= sure
+            if told is not best:
+                return self._judged(told, heard, alone=alone)
+        return self._judged(best, heard, alone=alone)
+
+    def _judged(self, story: Story, heard: Moments, *, alone: bool) -> Remedy | None:
+        """Return the remedy of a story where it explains enough.
+
+        Args:
+            story: the likeliest one.
+            heard: the moments.
+            alone: whether no single change explains them nearly as well.
+        """
+        nothing, delays = turned_over((), self.count), np.count_nonzero(story.remedy.delay)
+        fitted = [self._settled(one).sum() for one in (story.heard, heard)]
+        worth = min(story.worth, float(fitted[0] - fitted[1])) - DELAYED * delays
+        if worth < LEAST:
             return None
-        if any(self._late(best, step, start) for step in best.steps if step.changed.sum() <= 2):
-            return None
-        fitted = [self._settled(one) for one in (best.heard, heard)]
-        worth = min(best.worth, float((fitted[0] - fitted[1]).sum()))
-        if worth < max(POSSIBLE, SHARE * fitted[0].sum()):
-            return None
-        found = self._likelier(replace(best.remedy, gain=worth), twins, heard)
+        found = self._likelier(story.remedy, self._twins(story.remedy), heard)
         # That each lag counts as much as others near it hides that a wrong order fits nowhere exactly.
         exact = [self._agreement(one, heard, pooled=False).sum() for one in (found, nothing)]
-        return found if exact[0] > exact[1] else None
+        clarity = float((worth + exact[0] - exact[1]) / fitted[0])
+        if exact[0] <= exact[1] or clarity < POSSIBLE:
+            return None
+        late = np.abs(story.remedy.delay[story.remedy.delay != 0.0]) * self.speed
+        # A place takes three of the differences, and as many judge the delays; short ones are of misplaced microphones.
+        moved = int((found.order != np.arange(self.count)).sum()) if delays else 0  # as good as so many delays
+        fitting = delays + moved <= (self.count - 4) // 2 and (late > FARTHEST_M).all()
+        merely = not replace(found, delay=np.zeros(self.count)).changed.any()  # `Health` tells one that is merely late
+        alone = alone and bool(fitting) and not merely
+        reordered = int((found.order != np.arange(self.count)).sum())
+        least = CLEAR[2 if delays else min(reordered // 2, 2)]
+        clear = clarity >= least and bool(worth >= SURE * self._pairs(heard))
+        certain = found.certain and alone and clear
+        return replace(found, gain=worth, clarity=clarity, alone=alone, clear=clear, certain=certain)
+
+    def _twins(self, remedy: Remedy) -> list[Remedy]:
+        """Return what a remedy does together with each order that leaves the distances alike."""
+        even, on_time = np.ones(self.count), np.zeros(self.count)
+        return [_after(remedy, Remedy(order, even, on_time)) for order in self.twins]
 
     def _continued(self, story: Story) -> list[Story]:
         """Return a story with each of the likeliest changes after it."""
@@ -258,14 +299,17 @@ class Rewiring:
         return self._likelihood(most, heard) - reached[: len(wide)]
 
     def _likelier(self, best: Remedy, twins: list[Remedy], heard: Moments) -> Remedy:
-        """Return the one of remedies between which distances do not tell that moves the channels least."""
-        least = min([best, *twins], key=_effort)
-        others = [one for one in (best, *twins) if one is not least]
-        certain = best.gain >= OVERWHELMING
-        if certain and least.changed.sum() > self.count // 2:  # all are moved by either of them
-            plain = [self._agreement(one, heard, pooled=False).sum() for one in (least, *others)]
-            certain = all(_effort(one) > _effort(least) for one in others) and plain[0] >= max(plain)
-        return replace(least, gain=best.gain, certain=bool(certain))
+        """Return the one of remedies between which distances hardly tell that moves the channels least."""
+        if best.changed.sum() <= self.count // 2 and not twins:
+            return best
+        exact = {id(one): float(self._agreement(one, heard, pooled=False).sum()) for one in (best, *twins)}
+        least = min([best, *twins], key=lambda one: (_effort(one), -exact[id(one)]))
+        certain = True
+        if least.changed.sum() > self.count // 2:  # all are moved by either of them
+            most = exact[id(least)]
+            rest = [one for one in (best, *twins) if one is not least]
+            certain = all(exact[id(one)] <= most * (1.0 if _effort(one) > _effort(least) else RIVAL) for one in rest)
+        return replace(least, certain=certain)
 
     def _settled(self, heard: Moments) -> np.ndarray:
         """Return the log likelihood of each moment (k,), each microphone moved to where it is heard to hang."""
@@ -281,31 +325,58 @@ class Rewiring:
             offset = lagged.argmax(axis=1) - reach
         return self._likelihood(best, heard)
 
-    def _late(self, story: Story, step: Remedy, start: Story) -> bool:
-        """Tell whether delays explain the sound better than a step of a story does, or two of them not much better.
+    def _late(self, story: Story, step: Remedy, start: Story) -> tuple[Story, bool]:
+        """Return the story, with delays in place of a step where they explain more, and whether one is far better.
 
-        Two channels that are exchanged sound as if both were late, and one delay explains only a part of it.
+        Two channels that are exchanged sound as if one were late and the other early by as much, and one delay explains
+        only a part of it: two others must explain much more. So must one in place of a wrong polarity, which has
+        nothing that could be fitted.
         """
+        changed = np.flatnonzero(step.changed)
+        if len(changed) > 2:
+            return story, True
         rest = turned_over((), self.count)
         for one in story.steps:
             rest = rest if one is step else _after(rest, one)
         heard = self._put_right(rest, start.heard)
-        gccs = self._clipped(heard)
-        changed, half = np.flatnonzero(step.changed), self.response.half_lags
-        others = ~(np.isin(self.response.first, changed) | np.isin(self.response.second, changed))[:, None]
+        far = np.isin(self.response.first, changed) | np.isin(self.response.second, changed)
+        late = self._lateness(heard, changed, ~far)
+        before = float(self._answer(heard)[0].sum())
+        told = [self._delayed(story, rest, late, channels, start) for channels in (*changed[:, None], changed)]
+        gain = float(story.reached.sum()) - before
+        explained = [float(one.reached.sum()) - before for one in told]
+        best = int(np.argmax(explained[:-1]))
+        much = 1.0 / RIVAL if len(changed) == 1 else 1.0
+        opposite = len(changed) == 2 and abs(late[changed].sum()) * self.speed < TOLD_M
+        if explained[best] > much * gain:
+            channels = changed[best : best + 1]
+        elif RIVAL * explained[-1] > gain and not opposite:
+            channels = changed
+        else:
+            return story, explained[best] <= RIVAL * much * gain
+        found = self._delayed(story, rest, late, channels, start)
+        late = late + self._lateness(found.heard, channels, np.ones_like(far))  # the whole array tells places better
+        again = self._delayed(story, rest, late, channels, start)
+        return max(found, again, key=lambda one: one.worth), True
+
+    def _delayed(self, story: Story, rest: Remedy, late: np.ndarray, channels: np.ndarray, start: Story) -> Story:
+        """Return a story of which some channels are late in s (m,) besides the rest of what is done."""
+        late = np.where(np.isin(np.arange(self.count), channels), rest.delay + late, rest.delay)
+        remedy = replace(rest, delay=late)
+        heard = self._put_right(remedy, start.heard)
+        reached = self._answer(heard)[0]
+        worth = story.worth + float((reached - story.reached).sum())
+        return Story(remedy, story.steps, reached, heard, worth)
+
+    def _lateness(self, heard: Moments, channels: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return by how many s some channels are late, (m,), judged by the places on which kept pairs agree."""
+        half = self.response.half_lags
         lagged = np.zeros((self.count, 2 * half + 1))
-        for gcc in gccs:
-            place = self.rough.search(self._pooled(gcc * others))[0][:1]
+        for gcc in self._clipped(heard):
+            place = self.rough.search(self._pooled(gcc * kept[:, None]))[0][:1]
             lagged += self._lagged(gcc, place, np.zeros(self.count, np.intp), half)
-        late = lagged.argmax(axis=1) - half
-        likelihood = float(self._answer(heard)[0].sum())
-        explained = []
-        for channels in (*changed[:, None], changed):
-            offset = np.where(np.isin(np.arange(self.count), channels), late, 0)
-            found = np.array([self.rough.search(self._pooled(self._moved(gcc, offset)))[1][0] for gcc in gccs])
-            explained.append(float(self._likelihood(found, heard).sum()) - likelihood)
-        gain = float(story.reached.sum()) - likelihood
-        return max(explained[:-1]) > RIVAL * gain or RIVAL * explained[-1] > gain
+        late = (lagged.argmax(axis=1) - half) / self.response.steps_per_metre / self.speed
+        return np.where(np.isin(np.arange(self.count), channels), late, 0.0)
 
     def _moved(self, gcc: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """Return the GCCs (pairs, lags) of microphones whose ways are longer by offset (m,) lag steps."""
@@ -359,12 +430,18 @@ class Rewiring:
 
     def _scale(self, heard: Moments) -> float:
         """Return the deviation of the response of noise at one place."""
-        kept = heard.good[self.response.first] & heard.good[self.response.second]
-        return float(heard.deviation * np.sqrt(max(kept.sum(), 1)) / len(kept))
+        return float(heard.deviation * np.sqrt(max(self._pairs(heard), 1)) / len(self.response.first))
+
+    def _pairs(self, heard: Moments) -> int:
+        """Return of how many pairs both channels are used."""
+        return int((heard.good[self.response.first] & heard.good[self.response.second]).sum())
 
     def _put_right(self, remedy: Remedy, heard: Moments) -> Moments:
         """Return the moments as they would be heard, the channels put right."""
         gccs = [self._taken(remedy, np.stack([gcc, -gcc])[:, :, None], heard.good)[:, 0] for gcc in heard.gccs]
+        offset = np.rint(remedy.delay * self.speed * self.response.steps_per_metre).astype(np.intp)
+        if offset.any():
+            gccs = [self._moved(gcc, offset) for gcc in gccs]
         return replace(heard, gccs=gccs, good=heard.good[remedy.order])
 
     def _clipped(self, heard: Moments) -> list[np.ndarray]:
@@ -401,7 +478,7 @@ def _likeliest(stories: list[Story]) -> list[Story]:
     """Return those of stories, the best first, from which it is worth going on, no two of the same remedy."""
     found: list[Story] = []
     for one in stories:
-        likely = one.worth >= 0.5 * POSSIBLE * len(one.steps)
+        likely = one.worth >= 0.5 * LEAST * len(one.steps)
         if likely and len(found) < BEAM and not any(one.remedy.alike(other.remedy) for other in found):
             found.append(one)
     return found

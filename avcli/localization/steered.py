@@ -33,6 +33,11 @@ UNSETTLED = (
     " says; avcalib microphones can tell"
 )
 
+CONTRADICTED = (
+    "the channels contradict each other: they fit together much better in another order, with other delays or other"
+    " polarities, but not clearly enough to name these; until they do, talkers have lower scores"
+)
+
 
 class SteeredLocalizer:
     """Steered response power for one array.
@@ -98,7 +103,7 @@ class SteeredLocalizer:
         self.steady = SteadySources(self.correlator, response, self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
-        self.told_unsettled = False
+        self.told_unsettled = self.told_contradicted = False
         self.windows = self.silent = 0  # so far, and those of them without a voice
         self.named = {(fault.channel, fault.kind) for fault in self.health.faults}
         self._noise: NoiseLaw | None = None
@@ -216,6 +221,9 @@ class SteeredLocalizer:
             if self.health.unsettled and not self.told_unsettled:
                 notices.append(UNSETTLED.format(self.health.unsettled))
                 self.told_unsettled = True
+            if self.health.trust < 1.0 and not self.told_contradicted:
+                notices.append(CONTRADICTED)
+                self.told_contradicted = True
         return Decision.of(time, talkers, notices, features, self.health.faults, self.steady.told)
 
     def _news(self) -> list[str]:
