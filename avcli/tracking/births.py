@@ -265,7 +265,10 @@ def overlooked(able: np.ndarray, rest: np.ndarray, cameras: Sequence[bool]) -> n
         rest: (S,) the same where nothing is known.
         cameras: S, whether each sensor is a camera that works, as far as is known.
     """
-    return np.where(cameras, np.maximum((1 - able) / np.maximum(1 - rest, LEAST_HIDDEN), 1.0), 1.0)
+    likelier = np.ones(able.shape)
+    if any(cameras):
+        likelier[:, cameras] = np.maximum((1 - able[:, cameras]) / np.maximum(1 - rest[cameras], LEAST_HIDDEN), 1.0)
+    return likelier
 
 
 def newcomers(

@@ -119,8 +119,11 @@ class Pairs(NamedTuple):
         js = [start + j for start, one in zip(starts, sure, strict=False) for j in one.js]
         of_people = ((one.people.mean, one.people.cov, one.people.mode) for one in sure)
         mean, cov, mode = (np.concatenate(one).take(rows, 0) for one in zip(*of_people, strict=True))
-        leans = [one.people.lean for one in sure]
-        lean = np.concatenate([np.pad(one, ((0, 0), (0, sensors - one.shape[1]))) for one in leans]).take(rows, 0)
+        lean, k = np.zeros((len(rows), sensors)), 0
+        for one in sure:
+            known = one.people.lean.take(one.rows, 0)
+            lean[k : k + len(known), : known.shape[1]] = known
+            k += len(known)
         of_scans = ((one.scan.z, one.scan.noise, one.scan.floor) for one in sure)
         z, noise, floor = (np.concatenate(one).take(js, 0) for one in zip(*of_scans, strict=True))
         unshared = np.concatenate([one.scan.between.unshared for one in sure]).take(rows)
