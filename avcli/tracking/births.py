@@ -17,9 +17,7 @@ from avcli.tracking.settings import Sensor
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density
-LEAST_HIDDEN = (
-    0.06  # least probability that a camera misses somebody from the beginning: one of 23 people in random worlds
-)
+LEAST_HIDDEN = 0.06  # least probability that a camera misses somebody from the beginning: 1 of 23 in random worlds
 
 
 class Birth(NamedTuple):

@@ -102,10 +102,8 @@ class Densities:
     def nobody(self, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the probabilities (n,) that n rows are nobody, and whether (n,) a camera says so, too."""
         doubt = self.doubt.take(rows, 0)
-        by_scores, against = (
-            np.multiply.reduce(np.minimum(doubt, 1.0), 1),
-            np.multiply.reduce(np.maximum(doubt, 1.0), 1),
-        )
+        by_scores = np.multiply.reduce(np.minimum(doubt, 1.0), 1)
+        against = np.multiply.reduce(np.maximum(doubt, 1.0), 1)
         odds = by_scores * against
         return odds / np.maximum(odds + 1 - by_scores, 1e-300), against > 1
 
