@@ -8,6 +8,7 @@ import numpy as np
 
 from avcli.calibration import fit
 from avcli.calibration.drawing import draw, to_png
+from avcli.calibration.pupil import from_pupil
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt, Lens
 
@@ -83,7 +84,7 @@ def exact(
     flat = fit.surface(board.points, shape, board.half_extent)
     pixels = np.concatenate(
         [
-            lens.project(fit.from_pupil(flat @ R.T + t, pupil)[0])
+            lens.project(from_pupil(flat @ R.T + t, pupil)[0])
             for R, t in zip(filmed.rotations, filmed.translations, strict=True)
         ]
     )

@@ -1,6 +1,7 @@
 """avcalib as a user runs it."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -188,6 +189,8 @@ def test_check_scores_new_pictures(pictures, camera, tmp_path):
     score = json.loads(result.stdout)
     assert score["views"] == 3
     assert score["rms_px"] < 0.05
+    shutil.copy(camera, tmp_path / "config.json")
+    assert json.loads(run("avcalib", "check", tmp_path, *some).stdout) == score
     other = json.loads(camera.read_text()) | {"fx_px": 436.0}
     wrong = tmp_path / "wrong.json"
     wrong.write_text(json.dumps({"camera_config": other}))

@@ -11,7 +11,7 @@ from avcli.calibration import place, undistort
 from avcli.calibration.camera import KnownCamera
 from avcli.calibration.circle import Circle
 from avcli.calibration.field import seen_angles
-from avcli.calibration.fit import from_pupil
+from avcli.calibration.pupil import from_pupil
 from avcli.calibration.target import Board
 from avcli.lens import BrownConrady, KannalaBrandt
 

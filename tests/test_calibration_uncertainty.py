@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from avcli.calibration import field, fit, quality, robust, uncertainty
 from avcli.calibration.circle import Circle, Light, find
+from avcli.calibration.pupil import PUPIL, from_pupil
 from avcli.lens import KannalaBrandt
 
 SIZE = (1920, 1080)
@@ -259,7 +260,7 @@ def near(seed, views, pupil=0.0, printed=0.0, shared=0.0):
     u, v = (o.points / o.half_extent).T
     bends = shared * rng.standard_normal((views, 5, 2))
     bent = np.einsum("nb,nbi->ni", np.stack([u, v, u * u, u * v, v * v], -1), bends[o.view])
-    pixels = WIDE.project(fit.from_pupil(seen, pupil)[0]) + bent + 0.05 * rng.standard_normal((*seen.shape[:1], 2))
+    pixels = WIDE.project(from_pupil(seen, pupil)[0]) + bent + 0.05 * rng.standard_normal((*seen.shape[:1], 2))
     return replace(o, pixels=pixels)
 
 
@@ -351,8 +352,8 @@ def test_far_boards_leave_the_shift_of_the_centre_to_what_is_known_before():
     rng = np.random.default_rng(3)
     o = exact(film(12, rng, distance=(4.0, 6.0), whole=False, tilt=0.1), noise=0.2, rng=rng)
     solution = fit.fit(o, fit.scan_focal(o, 1920, 1080))
-    assert np.sqrt(solution.covariance[-1, -1]) == pytest.approx(fit.PUPIL * BOARD.square_m, rel=0.2)
-    assert abs(solution.pupil) < 3 * fit.PUPIL * BOARD.square_m
+    assert np.sqrt(solution.covariance[-1, -1]) == pytest.approx(PUPIL.sd * BOARD.square_m, rel=0.2)
+    assert solution.pupil == pytest.approx(PUPIL.mean * BOARD.square_m, abs=PUPIL.sd * BOARD.square_m)
 
 
 def test_what_is_known_of_the_centre_weighs_more_where_views_disagree():
@@ -363,14 +364,15 @@ def test_what_is_known_of_the_centre_weighs_more_where_views_disagree():
     bent = np.einsum("nb,nbi->ni", np.stack([u, v, u * u, u * v, v * v], -1), bends[o.view])
     o = replace(o, pixels=o.pixels + bent)
     solution = fit.fit(o, fit.scan_focal(o, 1920, 1080))
-    alone = fit.by_view(o, replace(solution, doubt=1.0)).views
+    found = fit.by_view(o, solution)
+    alone = found._replace(prior=np.zeros_like(found.prior)).views
     assert solution.doubt == pytest.approx(
         np.sqrt(uncertainty.covariance(alone)[-1, -1] / uncertainty.noise(alone)[-1, -1]), rel=0.1
     )
     assert solution.doubt > 2
-    known = fit.PUPIL * BOARD.square_m
+    known = PUPIL.sd * BOARD.square_m
     assert np.sqrt(solution.covariance[-1, -1]) < 1.5 * known < np.sqrt(uncertainty.covariance(alone)[-1, -1])
-    assert abs(solution.pupil) < fit.PUPIL * BOARD.square_m
+    assert solution.pupil == pytest.approx(PUPIL.mean * BOARD.square_m, abs=known)
 
 
 def test_a_lens_that_went_astray_states_no_error():

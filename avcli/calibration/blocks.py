@@ -55,8 +55,8 @@ class Blocks(NamedTuple):
         cross: (views, corners, 3, k + 7), their products with the columns of `gram`.
         errors: (corners, 3) m, how far the corners are from where they should be.
         held: 1 / m², the weight with which `errors` are held at zero.
-        prior: (k,), the weight with which each of the common unknowns is held at zero.
-        common: (k,), the common unknowns.
+        prior: (k,), the weight with which each of the common unknowns is held.
+        off: (k,), how far each of the common unknowns is from where it is held.
         doubt: (k,), how many times larger the standard deviation is that views tell them with, than if the error of
             each corner were its own. The weight in `prior` is so many times squared that of a residual.
     """
@@ -69,7 +69,7 @@ class Blocks(NamedTuple):
     errors: np.ndarray
     held: float
     prior: np.ndarray
-    common: np.ndarray
+    off: np.ndarray
     doubt: np.ndarray
 
     def of(self, keep: np.ndarray) -> "Blocks":
@@ -85,12 +85,12 @@ class Blocks(NamedTuple):
     @property
     def total(self) -> float:
         """The cost of all views, and of the errors and the common unknowns that are held."""
-        return float(self.cost.sum() + self.held * (self.errors**2).sum() + self.prior @ self.common**2)
+        return float(self.cost.sum() + self.held * (self.errors**2).sum() + self.prior @ self.off**2)
 
     @property
     def pull(self) -> np.ndarray:
         """The gradient (k,) of what holds the common unknowns."""
-        return -self.prior * self.common
+        return -self.prior * self.off
 
     @property
     def unsure(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from avcli.calibration import choose, fit, gather, opencv, place, quality, robust, sharpness, shutter, spacing
 from avcli.calibration.circle import Circle
 from avcli.calibration.corners import View
+from avcli.calibration.pupil import from_pupil
 from avcli.calibration.recognise import Wanted
 from avcli.calibration.settings import FitSettings
 from avcli.calibration.target import Board
@@ -445,4 +446,4 @@ def _in_camera(observations: fit.Observations, solution: fit.Solution) -> np.nda
     """Where the corners are from the centre that they are seen from, in the camera's frame, (n, 3) m."""
     R, t = solution.rotations[observations.view], solution.translations[observations.view]
     board = fit.surface(observations.points, solution.shape, observations.half_extent)
-    return fit.from_pupil(np.einsum("nij,nj->ni", R, board) + t, solution.pupil)[0]
+    return from_pupil(np.einsum("nij,nj->ni", R, board) + t, solution.pupil)[0]

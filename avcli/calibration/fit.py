@@ -2,14 +2,12 @@
 
 A board's point (x, y) lies at (x, y (1 + b2), b0 (1 - (x / X)²) + b1 (1 - (y / Y)²)) of its own frame, X and Y being
 the board's half extents: b0 and b1 (m) let it be bowed, b2 lets it be printed larger along one side. The lens is any
-model of avcli.lens, which names its parameters and gives its own derivatives. Its centre may move: seen at an angle of
-theta (rad) from the axis, a point is seen from `pupil` theta² (m) farther ahead, as the entrance pupil of a wide lens
-does (Gennery 2006 writes it as a series in theta). Whoever takes it for 0 where the pictures do not tell it states too
-small errors: it is always fitted, held at 0 with the standard deviation PUPIL. That is weighed against what the views
-tell, which is less than what as many independent corners would: their likelihood is tempered (Holmes and Walker 2017,
-Assigning a value to a power likelihood in a general Bayesian model). The fit has six unknowns a view and P
-common ones: the lens's parameters in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the
-pupil, always last.
+model of avcli.lens, which names its parameters and gives its own derivatives. Its centre moves (see
+avcli.calibration.pupil). Whoever takes that for 0 where the pictures do not tell it states too small errors: the pupil
+is always fitted, and held to what is known of lenses. That is weighed against what the views tell, which is less than
+what as many independent corners would: their likelihood is tempered (Holmes and Walker 2017, Assigning a value to a
+power likelihood in a general Bayesian model). The fit has six unknowns a view and P common ones: the lens's parameters
+in the order of `Lens.names` (fx fy cx cy k1 k2 k3 k4 of most), then b0 b1 b2 and the pupil, always last.
 """
 
 from collections.abc import Callable
@@ -20,6 +18,7 @@ import numpy as np
 
 from avcli.calibration import uncertainty
 from avcli.calibration.blocks import Blocks, damped
+from avcli.calibration.pupil import PUPIL, from_pupil, project_jacobian
 from avcli.calibration.uncertainty import Views
 from avcli.lens import KannalaBrandt, Lens, variants
 
@@ -29,11 +28,8 @@ BESIDE = SHAPE + 1
 """Number of the common unknowns beside those of the lens as config.json has it: b0 b1 b2 and the pupil, the last."""
 BOARD_ERROR = 0.01
 """Standard deviation of a corner's place on the board, in squares, before it is seen."""
-PUPIL = 0.1
-"""Standard deviation of the pupil, in squares, before anything is seen. That of seven real lenses is 0.014 to 0.13
-squares (examples/benchmarks/lenses.md)."""
 _HAS_A_SAY = 0.1
-"""Part of PUPIL: where the views tell the pupil better, what is known before weighs less than 1 % beside them."""
+"""Part of PUPIL.sd: where the views tell the pupil better, what is known before weighs less than 1 % beside them."""
 _BEGUN = 16
 """Corners of each view at most with which a fit begins."""
 _SCANNED = 8
@@ -217,44 +213,6 @@ def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     return observations.pixels - solution.lens.project(from_pupil(points, solution.pupil)[0])
 
 
-def from_pupil(points: np.ndarray, pupil: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (n, 3) m of the camera's frame as the centre of projection sees them.
-
-    Args:
-        points: in the frame whose origin is the centre for rays along the axis.
-        pupil: m, as in Solution.
-
-    Returns:
-        the points from the centre that they are seen from, (n, 3); how much less their z is for each m of `pupil`,
-        (n,); and its derivative to the points, (n, 3) 1/m.
-    """
-    x, y, z = points.T
-    off = np.hypot(x, y)
-    theta = np.arctan2(off, z)
-    less = theta**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slope = 2 * theta / (off**2 + z**2)
-        across = np.where(off > 0, slope * z / off, 0.0)
-    seen = points.copy()
-    seen[:, 2] -= pupil * less
-    return seen, less, np.stack([across * x, across * y, -slope * off], -1)
-
-
-def project_jacobian(
-    lens: Lens, points: np.ndarray, pupil: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Project points (n, 3) m of the camera's frame by a lens whose centre may move.
-
-    Returns:
-        pixels (n, 2), NaN where the lens images nothing, and their derivatives to the points (n, 2, 3) px/m, to the
-        lens's parameters (n, 2, parameters) and to `pupil` (n, 2) px/m.
-    """
-    seen, less, slope = from_pupil(points, pupil)
-    pixels, by_seen, by_lens = lens.project_jacobian(seen)
-    by_point = by_seen - pupil * by_seen[:, :, 2:] * slope[:, None]
-    return pixels, by_point, by_lens, -by_seen[:, :, 2] * less[:, None]
-
-
 def poses_from_rays(lens: Lens, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Board poses from the rays of their corners, right beyond 90 degrees too.
 
@@ -378,16 +336,17 @@ def blocks(
             second derivatives (Huber and Ronchetti 2009, section 6.3).
     """
     o, free = observations, solution.free
-    prior, common, doubt = np.zeros(len(free)), solution.parameters, np.ones(len(free))
+    prior, off, doubt = np.zeros(len(free)), solution.parameters.copy(), np.ones(len(free))
     if free[-1] and np.isfinite(solution.delta_px):
-        prior[-1] = (solution.doubt * solution.delta_px / (DELTA * PUPIL * o.square)) ** 2
+        prior[-1] = (solution.doubt * solution.delta_px / (DELTA * PUPIL.sd * o.square)) ** 2
+        off[-1] -= PUPIL.mean * o.square
         doubt[-1] = solution.doubt
-    prior, common, doubt = prior[free], common[free], doubt[free]
+    prior, off, doubt = prior[free], off[free], doubt[free]
     columns = _linearise(o, solution)
     if beside is not None:
-        k, count = len(common), beside.shape[2]
+        k, count = len(off), beside.shape[2]
         columns = np.concatenate([columns[:, :, :k], beside / o.sigma[:, None, None], columns[:, :, k:]], 2)
-        prior, common = np.append(prior, np.full(count, DELTA**-2.0)), np.append(common, np.zeros(count))
+        prior, off = np.append(prior, np.full(count, DELTA**-2.0)), np.append(off, np.zeros(count))
         doubt = np.append(doubt, np.ones(count))
     cost, weight = _huber(columns[:, :, -1], solution.delta_px)
     if used is not None:
@@ -411,7 +370,7 @@ def blocks(
         cross[o.view, corner] = turned @ columns
         errors = np.zeros((corners, 3))
         errors[corner] = o.errors
-    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior, common, doubt)
+    return Blocks(o.gram(columns), o.per_view(cost), counts, place, cross, errors, held, prior, off, doubt)
 
 
 def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = None) -> Solution:
@@ -660,7 +619,7 @@ def settled(observations: Observations, solution: Solution) -> Solution:
     free = solution.free
     solution = refine(observations, solution, free, _delta(observations, solution), 40)
     spread, sigma = covariance(observations, solution)
-    if spread[-1, -1] > (_HAS_A_SAY * PUPIL * observations.square) ** 2:
+    if spread[-1, -1] > (_HAS_A_SAY * PUPIL.sd * observations.square) ** 2:
         solution = replace(solution, doubt=_doubt(observations, solution))
         solution = refine(observations, solution, free, solution.delta_px, 40)
         spread, sigma = covariance(observations, solution)
@@ -668,8 +627,9 @@ def settled(observations: Observations, solution: Solution) -> Solution:
 
 
 def _doubt(observations: Observations, solution: Solution) -> float:
-    """`Solution.doubt` of a fit that stands: by views, over that of independent corners."""
-    views = by_view(observations, replace(solution, doubt=1.0)).views
+    """`Solution.doubt` of a fit that stands: by views, over that of independent corners; nothing else being known."""
+    found = by_view(observations, solution)
+    views = found._replace(prior=np.zeros_like(found.prior)).views
     known, least = uncertainty.covariance(views)[-1, -1], uncertainty.noise(views)[-1, -1]
     return float(np.sqrt(known / least)) if np.isfinite(known) and least > 0 else 1.0
 

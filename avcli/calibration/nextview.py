@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from avcli.calibration import fit
+from avcli.calibration.pupil import PUPIL, project_jacobian
 from avcli.calibration.quality import coverage
 from avcli.calibration.target import Board
 from avcli.lens import Lens
@@ -89,7 +90,7 @@ def information(observations: fit.Observations, solution: fit.Solution, sigma_px
     o, R = observations, solution.rotations[observations.view]
     turned = np.einsum("nij,nj->ni", R, fit.surface(o.points, solution.shape, o.half_extent))
     points = turned + solution.translations[o.view]
-    _, by_point, by_lens, by_pupil = fit.project_jacobian(solution.lens, points, solution.pupil)
+    _, by_point, by_lens, by_pupil = project_jacobian(solution.lens, points, solution.pupil)
     by_lens = np.concatenate([by_lens, square * by_pupil[:, :, None]], 2)
     bend = np.stack(
         [R[:, :, 2] * (1 - (p / h) ** 2)[:, None] for p, h in zip(o.points.T, o.half_extent, strict=True)], -1
@@ -218,7 +219,7 @@ def propose(
     before = (F + 1e-6 * np.eye(len(F))) * (sigma / (_PRIOR * width)) ** 2
     # The fit lets the pupil move: views that do not tell it from the lens, as those from one distance, teach little.
     F, before, scale = np.pad(F, (0, 1)), np.pad(before, (0, 1)), np.append(scale, 1.0)
-    before[-1, -1] = (solution.doubt * sigma / fit.PUPIL) ** 2
+    before[-1, -1] = (solution.doubt * sigma / PUPIL.sd) ** 2
     known = before + information(seen, solution, sigma, square).sum(0) * np.outer(scale, scale)
     variance = sigma**2 * np.einsum("ab,kba->k", F, np.linalg.inv(known + brought * np.outer(scale, scale)))
     # The model of the lens is the same on all sides, the lens may not be.

@@ -9,7 +9,8 @@ from avcli import pose
 from avcli.calibration.camera import KnownCamera
 from avcli.calibration.corners import View
 from avcli.calibration.field import seen_angles
-from avcli.calibration.fit import cross_matrix, from_pupil, project_jacobian, rotation_from_vector
+from avcli.calibration.fit import cross_matrix, rotation_from_vector
+from avcli.calibration.pupil import from_pupil, project_jacobian
 from avcli.calibration.target import Board
 from avcli.lens import Lens
 

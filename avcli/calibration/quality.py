@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from avcli.calibration import field, fit, robust, uncertainty
+from avcli.calibration.blocks import Blocks
 from avcli.calibration.circle import Circle
 from avcli.calibration.field import Field, Halves, seen_angles
 
@@ -52,8 +53,8 @@ class Quality:
         inflation: how many times larger `sd` is, all in all, than if the errors of the corners were all their own.
         halves: the stated uncertainty put to the test; see `field.split_halves`.
         missed: what the lens model misses; see `robust.missed`.
-        recedes: by how many standard deviations the lens's centre moves back as the angle grows; below 0 where it moves
-            ahead.
+        recedes: by how many standard deviations the lens's centre moves back as the angle grows, as the views alone
+            tell it, without what is known of lenses; below 0 where it moves ahead.
         circle: where light reaches the picture; None: everywhere.
         counts, lit_cells: see `coverage`; and (rows, columns) bool, which of the cells light reaches.
         theta_max_observed, theta_max_trusted, theta_max_valid, theta_max_picture: rad; the largest angle at which a
@@ -181,7 +182,7 @@ def assess(
         inflation=1.0,
         halves=Halves(),
         missed=robust.missed(observations, solution),
-        recedes=-float(solution.pupil / sd[-1]) if sd[-1] > 0 else 0.0,
+        recedes=0.0,
         circle=circle,
         counts=counts,
         lit_cells=lit_cells(counts.shape, width, height, circle),
@@ -196,6 +197,7 @@ def assess(
     known = fit.by_view(observations, solution)
     quality = replace(
         quality,
+        recedes=_recedes(known, solution),
         inflation=uncertainty.inflation(uncertainty.covariance(known.views), uncertainty.noise(known.views)),
         halves=field.split_halves(
             observations, solution, quality.field.pixels[quality.trusted], splits=splits, known=known
@@ -203,6 +205,15 @@ def assess(
     )
     refusals = _refusals(quality, observations, solution)
     return replace(quality, refusals=refusals, advice=_advice(quality, refusals))
+
+
+def _recedes(known: Blocks, solution: fit.Solution) -> float:
+    """`Quality.recedes`, from the normal equations of a fit that stands."""
+    if not solution.free[-1]:
+        return 0.0
+    alone = known._replace(prior=np.zeros_like(known.prior))
+    sd = np.sqrt(uncertainty.covariance(alone.views)[-1, -1])
+    return float(-(solution.pupil + alone.step().common[-1]) / sd) if sd > 0 else 0.0
 
 
 def _rms(error: np.ndarray) -> float:

@@ -398,7 +398,7 @@ def missed(observations: Observations, solution: Solution, folds: int = 5) -> fl
     plain = free._replace(
         gram=free.gram[:, keep[:, None], keep],
         prior=free.prior[:lens],
-        common=free.common[:lens],
+        off=free.off[:lens],
         doubt=free.doubt[:lens],
     )
     return 1 - _crossed(free, part) / _crossed(plain, part)

@@ -217,8 +217,8 @@ def check_command(
 ) -> None:
     """Test a calibration on new pictures of a board, or examine a whole installation.
 
-    With pictures, only the poses of the board are fitted; the lens is fixed. Without, CONFIG is a config.json or the
-    directory of an experiment. Lens, limits, room, pose, microphones, doors and background are examined: what is there,
+    CONFIG is a config.json or the directory of an experiment. With pictures, only the poses of the board are fitted;
+    the lens is fixed. Without, lens, limits, room, pose, microphones, doors and background are examined: what is there,
     whether it is plausible, and how it was measured.
     """
     from avcli.calibration import calibrate, fit, place

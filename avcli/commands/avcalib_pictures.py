@@ -184,14 +184,19 @@ def views_for(session: Session, names: list[str], values: Mapping[str, Any], cam
 
 
 def read_camera(session: Session, path: str | Path | None = None) -> KnownCamera:
-    """Read the camera that a file describes; no path: that of -C or -c."""
+    """Read the camera that a file or an experiment's directory describes; no path: that of -C or -c."""
     from avcli.calibration import camera
 
     if path is None and not session.has_config:
         session.usage("-c FILE or -C DIR is needed: a config.json, or the output of avcalib calibrate")
-    name = str(path or session.config_path)
+    name = str(config_file(path or session.config_path))
     with session.open(name) as stream:
         return camera.parse_camera(stream.read(), name)
+
+
+def config_file(path: str | Path) -> Path:
+    """The config.json that a path is, or that is in the directory that it is."""
+    return Path(path) / "config.json" if Path(path).is_dir() else Path(path)
 
 
 def write_camera(session: Session, found: Mapping[str, Any]) -> None:

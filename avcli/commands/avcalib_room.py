@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import avcli.calibration.settings as settings
-from avcli.commands.avcalib_pictures import check_sources, read_camera, usage_errors, views_for, write_camera
+from avcli.commands.avcalib_pictures import (
+    check_sources,
+    config_file,
+    read_camera,
+    usage_errors,
+    views_for,
+    write_camera,
+)
 from avcli.commands.filter import GateNotMet, Session, common
 from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
@@ -323,7 +330,7 @@ def examine(session: Session, path: str, only: tuple[str, ...]) -> None:
     unknown = [name for name in only if name not in installation.LOOKS]
     if unknown:
         session.usage(f"--part {unknown[0]} is unknown; known are {', '.join(installation.LOOKS)}")
-    name = Path(path) / "config.json" if Path(path).is_dir() else Path(path)
+    name = config_file(path)
     try:
         config = experiment.read_config(name)
     except FileNotFoundError:

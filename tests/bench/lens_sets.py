@@ -22,6 +22,7 @@ import numpy as np
 
 from avcli.calibration import calibrate, corners, fit, gather, opencv, robust, target, uncertainty
 from avcli.calibration.calibrate import Calibration
+from avcli.calibration.pupil import from_pupil, project_jacobian
 from avcli.calibration.recognise import Wanted
 from avcli.formats import footage
 
@@ -71,8 +72,8 @@ class Case:
     pictures: int
 
 
-def read_case(folder: Path) -> Case:
-    """Look for the board in a set and calibrate it as `avcalib calibrate` does."""
+def calibrated(folder: Path) -> tuple[gather.Seen, Calibration, float, float]:
+    """Look for the board in a set and calibrate it as `avcalib calibrate` does; and the CPU seconds of either."""
     about = json.loads((folder / "set.json").read_text()) if (folder / "set.json").exists() else {}
     wanted = Wanted(target.parse_size(about["board"]) if "board" in about else None, about.get("kind"))
     begin = time.process_time()
@@ -80,7 +81,12 @@ def read_case(folder: Path) -> Case:
     searched = time.process_time()
     seen.require_views()
     found = calibrate.calibrate_views(seen.board, seen.views)
-    fitted = time.process_time()
+    return seen, found, searched - begin, time.process_time() - searched
+
+
+def read_case(folder: Path) -> Case:
+    """Calibrate a set, and pose all of its views."""
+    seen, found, search_s, fit_s = calibrated(folder)
     everything = calibrate.observe(found.board, seen.views)
     poses = fit.start_from_rays(everything, found.lens, found.solution.beside)
     poses = fit.refine_poses(everything, poses, 20, found.solution.delta_px)
@@ -98,8 +104,8 @@ def read_case(folder: Path) -> Case:
         everything=everything,
         corners=lens_measures.Corners(everything.view, ids, everything.pixels, poses.rotations, poses.translations),
         field=grid[angles <= found.quality.theta_max_observed],
-        search_s=searched - begin,
-        fit_s=fitted - searched,
+        search_s=search_s,
+        fit_s=fit_s,
         pictures=len(seen),
     )
 
@@ -115,7 +121,7 @@ class Moving:
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) of points (n, 3) m."""
-        return self.lens.project(fit.from_pupil(points, self.pupil)[0])
+        return self.lens.project(from_pupil(points, self.pupil)[0])
 
     def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Directions (n, 3) of pixels (n, 2)."""
@@ -123,7 +129,7 @@ class Moving:
 
     def project_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
         """Pixels and their derivatives to the points."""
-        return fit.project_jacobian(self.lens, points, self.pupil)[:2]
+        return project_jacobian(self.lens, points, self.pupil)[:2]
 
 
 class PlumbBob:
