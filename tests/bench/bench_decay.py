@@ -61,8 +61,10 @@ def row_of(size: tuple[float, float, float], rt60: float, options: argparse.Name
     if image_count(room, samples / RATE * C) > MOST_IMAGES:
         return f"{begin} more images than possible | | | |"
     absorption, _ = wanted_absorption(room, rt60, C)
-    count = int(np.clip(options.pairs * (0.35 / rt60) ** 2, 6, options.pairs))
-    places = places_in(room, count, np.random.default_rng([options.seed, int(1000 * rt60)]))
+    count = int(np.clip(options.pairs * 0.35 / rt60, min(40, options.pairs), options.pairs))
+    places = places_in(
+        room, count, np.random.default_rng([options.seed, *np.rint(1000 * np.array([*size, rt60])).astype(int)])
+    )
     walls = np.sqrt(1 - absorption)
     times = np.array([t30(shoebox_rir(room, one, other, walls, RATE, samples)[0]) for one, other in places]) / rt60
     peer = ""
