@@ -62,7 +62,7 @@ READY := $(VENV)/.ready
 NAME := $(basename $(notdir $(SCENARIO)))
 SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
-BENCHES := scene sensor audio localization scores faults steady detection tracking metrics calibration guidance microphones live pipe \
+BENCHES := scene sensor audio decay localization scores faults steady detection tracking metrics calibration guidance microphones live pipe \
            rooms worlds long real-video real-audio beam datasets
 FITS := localization scores directions voice detection looks tracking existence pupil
 

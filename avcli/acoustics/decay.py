@@ -1,5 +1,8 @@
 """How fast the sound of image sources really decays in a shoebox room, and the absorption that gives a wanted time."""
 
+import contextlib
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,8 +17,10 @@ CELLS, STEPS = 1 << 13, 1500
 RATIO = 1.1127756842787055
 """root of x⁷ = x + 1; its powers spread pairs of places evenly (R. L. Kronecker's sequence in six dimensions)."""
 
-LEAST_ABSORPTION = 1e-6
-"""Walls that absorb less decay over more images than can be counted."""
+LONG = 3.0
+"""longest over shortest side; beyond it places differ so much that four times as many images are summed one by one."""
+LEAST_ABSORPTION, MOST_ABSORPTION = 1e-6, 0.99
+"""Walls that absorb less decay over more images than can be counted; walls that absorb more leave no decay."""
 
 
 def image_absorption(
@@ -39,20 +44,93 @@ def image_absorption(
         ValueError: walls that absorb nearly everything reverberate longer, walls that absorb nearly nothing reverberate
             less (a room that is very flat), or rt60_s is not above 0.
     """
+    weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
+    area = float(weights @ wall_areas(room_dimensions_m))
+    return _solved(
+        room_dimensions_m,
+        rt60_s,
+        speed_of_sound_m_s,
+        lambda scale: scale * weights,
+        SABINE * volume(room_dimensions_m) / (max(rt60_s, 1e-9) * area),
+        MOST_ABSORPTION / weights.max(),
+    )
+
+
+def even_absorption(
+    room_dimensions_m: ArrayLike, rt60_s: float, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+) -> np.ndarray:
+    """Return the absorption coefficients that give a reverberation time evenly along all three axes, (6,) of energy.
+
+    Sound loses as much on each metre along each axis: walls that are farther apart absorb more. A dead, flat room has
+    times in this way that it cannot have by walls that absorb alike, which end the sound across the room at once, and
+    leave that along it.
+
+    Args and Raises: as `image_absorption`.
+    """
+    sides = np.repeat(np.asarray(room_dimensions_m, dtype=float), 2)
+    met = 1.5 * max(rt60_s, 1e-9) * speed_of_sound_m_s  # m along the axes: |cos| to the three sum to 1.5 on average
+    return _solved(
+        room_dimensions_m,
+        rt60_s,
+        speed_of_sound_m_s,
+        lambda scale: -np.expm1(-scale * sides),
+        6 * np.log(10) / met,
+        -np.log1p(-MOST_ABSORPTION) / sides.max(),
+    )
+
+
+def wanted_absorption(
+    room_dimensions_m: ArrayLike, rt60_s: float, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
+) -> tuple[np.ndarray, str | None]:
+    """Return absorption coefficients that give a reverberation time, (6,) of energy, and what the user has to be told.
+
+    All walls absorb alike (`image_absorption`) where the room can have the time in this way, else as `even_absorption`
+    has it. Where neither is possible but walls that absorb alike come near it, this is said (`too_dead`).
+
+    Args and Raises: as `image_absorption`.
+    """
+    alike, hardly, problem = None, None, ValueError()
+    try:
+        alike = image_absorption(room_dimensions_m, rt60_s, speed_of_sound_m_s=speed_of_sound_m_s)
+        hardly = too_dead(room_dimensions_m, rt60_s, alike, speed_of_sound_m_s)
+        if hardly is None:
+            return alike, None
+    except ValueError as error:
+        problem = error
+    with contextlib.suppress(ValueError):
+        even = even_absorption(room_dimensions_m, rt60_s, speed_of_sound_m_s)
+        if too_dead(room_dimensions_m, rt60_s, even, speed_of_sound_m_s) is None:
+            x, y, z = np.round(100 * even[::2])
+            return even, (
+                f"T60 {rt60_s:g} s is too short for this room if all walls absorb alike; those that are farther apart "
+                f"absorb more: {x:.0f} % across x, {y:.0f} % across y, {z:.0f} % across z"
+            )
+    if alike is None:
+        raise problem
+    return alike, hardly
+
+
+def _solved(
+    room_dimensions_m: ArrayLike,
+    rt60_s: float,
+    speed_of_sound_m_s: float,
+    absorption: Callable[[float], np.ndarray],
+    about: float,
+    strongest: float,
+) -> np.ndarray:
+    """Return the absorption of which the time is wanted, of those that a scale from 0 to the strongest has."""
     if not rt60_s > 0:
         raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
-    weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
     decay = _Decay(room_dimensions_m, rt60_s, speed_of_sound_m_s)
-    strongest = 0.99 / weights.max()
-    scale = min(strongest / 2, SABINE * decay.volume / (rt60_s * float(weights @ wall_areas(room_dimensions_m))))
+    scale = min(strongest / 2, about)
     low, high = 0.0, np.inf  # walls that absorb too little and too much
     power, last = -1.0, (0.0, 0.0)  # T60 is about proportional to the absorption to this power
     while high - low > 1e-4 * scale:
-        if scale < LEAST_ABSORPTION:
+        if absorption(scale).max() < LEAST_ABSORPTION:
             raise ValueError(
                 f"T60 {rt60_s:g} s is too long for this room; its image sources decay sooner at any absorption"
             )
-        time = decay.time(scale * weights)
+        time = decay.time(absorption(scale))
         here = np.log(scale), np.log(max(time, 1e-9) / rt60_s)
         if abs(here[1]) < 1e-3:
             break
@@ -68,7 +146,7 @@ def image_absorption(
         scale = min(scale * np.exp(-here[1] / power), strongest)
         if not low < scale < high and (low, high) != (0.0, scale):
             scale = (low + min(high, strongest)) / 2
-    return scale * weights
+    return absorption(scale)
 
 
 def image_rt60(
@@ -106,7 +184,7 @@ def too_dead(
     Args:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time that was asked for, s.
-        absorption: (6,) of energy, of `image_absorption`.
+        absorption: (6,) of energy, with which the room should have it.
         speed_of_sound_m_s: m/s.
     """
     if np.max(absorption) < DEAD:
@@ -139,8 +217,9 @@ class _Decay:
         self.volume = volume(self._room)
         self._end = max(1.3 * rt60_s * speed_of_sound_m_s, 2 * float(np.linalg.norm(self._room)))
         self._edges = np.linspace(0, self._end, STEPS)
-        self._reach = min(self._end, float(np.cbrt(COUNTED_IMAGES * self.volume / (4 / 3 * np.pi))))
-        count = int(np.clip(PAIRS * COUNTED_IMAGES / image_count(self._room, self._reach), PAIRS, 400))
+        counted = COUNTED_IMAGES * (4 if self._room.max() > LONG * self._room.min() else 1)
+        self._reach = min(self._end, float(np.cbrt(counted * self.volume / (4 / 3 * np.pi))))
+        count = int(np.clip(PAIRS * counted / image_count(self._room, self._reach), PAIRS, 400))
         margin = np.minimum(0.3, self._room / 8)
         evenly = (0.5 + np.outer(np.arange(8 * count), RATIO ** -np.arange(1.0, 7))) % 1
         places = margin + evenly.reshape(-1, 2, 3) * (self._room - 2 * margin)

@@ -292,8 +292,8 @@ def walls_of(room: Room, settings: Settings, say: Callable[[str], None] = warnin
     speed = settings.speed_of_sound_m_s or room.speed_of_sound_m_s
     try:
         if settings.absorption_model == "image":
-            absorption = decay.image_absorption(room.dimensions, rt60, speed_of_sound_m_s=speed)
-            if sentence := decay.too_dead(room.dimensions, rt60, absorption, speed):
+            absorption, sentence = decay.wanted_absorption(room.dimensions, rt60, speed)
+            if sentence:
                 say(sentence)
             return rt60, absorption
         if settings.absorption_model == "sabine":
