@@ -194,7 +194,7 @@ def test_walls_farther_apart_absorb_more_where_a_room_is_too_dead_for_walls_that
         decay.too_dead(room, 0.2, decay.image_absorption(room, 0.2))
     )
     absorption, said = decay.wanted_absorption(room, 0.2)
-    assert "95 % across x, 60 % across y, 37 % across z" in str(said)
+    assert "95 % at both ends of x, 60 % of y, 37 % of z" in str(said)
     lost = -np.log(1 - absorption[::2]) / room
     np.testing.assert_allclose(lost, lost[0])
     for of_room, rt60 in ((room, 0.35), (ROOM, 0.2)):

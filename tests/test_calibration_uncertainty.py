@@ -364,8 +364,7 @@ def test_what_is_known_of_the_centre_weighs_more_where_views_disagree():
     bent = np.einsum("nb,nbi->ni", np.stack([u, v, u * u, u * v, v * v], -1), bends[o.view])
     o = replace(o, pixels=o.pixels + bent)
     solution = fit.fit(o, fit.scan_focal(o, 1920, 1080))
-    found = fit.by_view(o, solution)
-    alone = found._replace(prior=np.zeros_like(found.prior)).views
+    alone = fit.by_view(o, solution).unheld().views
     assert solution.doubt == pytest.approx(
         np.sqrt(uncertainty.covariance(alone)[-1, -1] / uncertainty.noise(alone)[-1, -1]), rel=0.1
     )

@@ -102,8 +102,8 @@ def wanted_absorption(
         if too_dead(room_dimensions_m, rt60_s, even, speed_of_sound_m_s) is None:
             x, y, z = np.round(100 * even[::2])
             return even, (
-                f"T60 {rt60_s:g} s is too short for this room if all walls absorb alike; those that are farther apart "
-                f"absorb more: {x:.0f} % across x, {y:.0f} % across y, {z:.0f} % across z"
+                f"T60 {rt60_s:g} s is too short for this room if all walls absorb alike; walls that are farther apart "
+                f"absorb more: {x:.0f} % at both ends of x, {y:.0f} % of y, {z:.0f} % of z"
             )
     if alike is None:
         raise problem

@@ -82,6 +82,10 @@ class Blocks(NamedTuple):
             cross=self.cross[keep],
         )
 
+    def unheld(self) -> "Blocks":
+        """The same, nothing being known of the common unknowns but by the views."""
+        return self._replace(prior=np.zeros_like(self.prior))
+
     @property
     def total(self) -> float:
         """The cost of all views, and of the errors and the common unknowns that are held."""

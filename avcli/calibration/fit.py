@@ -628,8 +628,7 @@ def settled(observations: Observations, solution: Solution) -> Solution:
 
 def _doubt(observations: Observations, solution: Solution) -> float:
     """`Solution.doubt` of a fit that stands: by views, over that of independent corners; nothing else being known."""
-    found = by_view(observations, solution)
-    views = found._replace(prior=np.zeros_like(found.prior)).views
+    views = by_view(observations, solution).unheld().views
     known, least = uncertainty.covariance(views)[-1, -1], uncertainty.noise(views)[-1, -1]
     return float(np.sqrt(known / least)) if np.isfinite(known) and least > 0 else 1.0
 

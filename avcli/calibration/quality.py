@@ -211,7 +211,7 @@ def _recedes(known: Blocks, solution: fit.Solution) -> float:
     """`Quality.recedes`, from the normal equations of a fit that stands."""
     if not solution.free[-1]:
         return 0.0
-    alone = known._replace(prior=np.zeros_like(known.prior))
+    alone = known.unheld()
     sd = np.sqrt(uncertainty.covariance(alone.views)[-1, -1])
     return float(-(solution.pupil + alone.step().common[-1]) / sd) if sd > 0 else 0.0
 
