@@ -1,5 +1,7 @@
 """Positions of people: from depth against bodies cast ray by ray, from boxes alone, and where nothing can be known."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre, separate
+from avcli.detection.fitted import BOX
 from avcli.detection.gate import LEARNING, Gate
 from avcli.detection.monocular import locate_boxes
 from avcli.detection.network import Boxes
@@ -291,6 +294,24 @@ def test_parts_sharpen_the_place(view, background):
     assert np.linalg.norm(found.positions[0] - person[:2]) < 0.05
     assert found.heights[0] == pytest.approx(1.75, abs=0.06)
     assert np.trace(found.covariances[0]) < np.trace(locate_boxes(box, view).covariances[0])
+
+
+def test_legs_that_a_network_overlooks_move_nobody_far(view, background):
+    person = (3.7, 2.33, 1.0, 0.3, 1.75)
+    axis = np.array([[person[0], person[1], z] for z in (0.54 * 1.75, 0.93 * 1.75, 0.0)])
+    box, parts = box_of(cast(view, [person]), background)[None], view.project(axis)[None] + 0.5
+    away = view.below() - box.reshape(2, 2).mean(axis=0)
+    overlooked = 0.12 * np.sqrt((box[0, 2:] - box[0, :2]).prod()) * away / np.linalg.norm(away)
+    box = box - np.concatenate([np.minimum(overlooked, 0), np.maximum(overlooked, 0)])
+    parts = parts - np.array([0.5, 0.0, 1.0])[:, None] * overlooked
+    whole = replace(BOX, short=0.0, short_spread=1e-6)
+    errors = []
+    for law in (BOX, whole):
+        found = locate_boxes(box, view, parts, law=law, scores=np.array([0.9]))
+        error = found.positions[0] - person[:2]
+        errors.append((np.linalg.norm(error), error @ np.linalg.solve(found.covariances[0], error)))
+    assert errors[0][0] < 0.7 * errors[1][0]
+    assert errors[0][1] < min(errors[1][1], 5.99)
 
 
 @pytest.mark.parametrize("height", [0.9, 1.1, 1.3])

@@ -507,24 +507,49 @@ class _Fits:
             self.spread[:, 4:] *= np.repeat(self.law.part * PART_SPREADS * doubted, 2, axis=1)
         prior = np.zeros((len(self.state), 3, 3))
         prior[:, 2, 2] = self.height_spread**-2.0
+        whole, precision = self._legs(extent), self.law.short_spread**-2.0
+        short = np.full(
+            len(self.state), float(self.law.short)
+        )  # share of the box's size; eliminated from the equations
         for _ in range(8):
             predicted, jacobian = self.predict()
+            predicted = predicted - short[:, None] * whole
             told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=2)
-            jacobian = np.where(told[..., None], jacobian, 0.0)
+            jacobian, legs = np.where(told[..., None], jacobian, 0.0), np.where(told, whole, 0.0)
             error = np.where(told, self.measured - predicted, 0.0)
             doubt, covered = self._doubt(predicted, error)
             weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
             information = jacobian.mT @ (weights[..., None] * jacobian) + prior + np.eye(3)
             pull = (jacobian.mT @ (weights * error)[..., None])[..., 0]
             pull[:, 2] += prior[:, 2, 2] * (self.mean - self.state[:, 2])
+            off = self.law.short - short
+            shorter = precision * off - (weights * legs * error).sum(axis=1)
+            known = precision + (weights * legs**2).sum(axis=1)
+            shared = -(jacobian.mT @ (weights * legs)[..., None])[..., 0] / np.sqrt(known)[:, None]
+            information -= shared[:, :, None] * shared[:, None, :]
+            pull -= shared * (shorter / np.sqrt(known))[:, None]
             step = np.linalg.solve(information, pull[..., None])[..., 0]
             longest = np.abs(step).max(axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.3 / np.maximum(longest, 1e-12))
             self.state = self.state + step
+            short += shorter / known - (shared * step).sum(axis=1) / np.sqrt(known)
             if longest[self.valid].max(initial=0.0) < 2e-3:
                 break
         self.predicted, self.area, self.error, self.doubt = predicted, self._areas(), error, doubt
         self.covered, self.told, self.weights, self.information = covered, told, weights, information
+        self.surprise = precision * off**2 + np.log(known / precision)
+
+    def _legs(self, extent: np.ndarray) -> np.ndarray:
+        """How far (rows, 4 or 10) px sides and points are moved, were all of a box legs that the network overlooks.
+
+        The legs are at the side that faces the point below the camera; the middle of the torso moves half as far.
+        """
+        if not self.parts:
+            return np.zeros_like(self.measured)
+        legs = self.inward * extent[:, None]
+        return np.concatenate(
+            [np.minimum(legs, 0.0), np.maximum(legs, 0.0), legs / 2, np.zeros_like(legs), legs], axis=1
+        )
 
     def _doubt(self, predicted: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of what was measured, and the sides (rows, 4) of bodies that something hides."""
@@ -557,7 +582,7 @@ class _Fits:
         inverse = np.linalg.inv(self.information)
         cost = cost + ((height - self.mean) / self.height_spread) ** 2 + 2 * np.log(self.height_spread)
         silent = np.isinf(self.doubt)  # tells nothing of the body: as likely as with any other
-        cost = cost + (2 * np.log(np.where(silent, self.spread, self.doubt)) + silent).sum(axis=1)
+        cost = cost + (2 * np.log(np.where(silent, self.spread, self.doubt)) + silent).sum(axis=1) + self.surprise
         log_weight = self.log_share - cost / 2 + np.linalg.slogdet(inverse)[1] / 2
         return inverse, self.law.spread * surplus, good, log_weight, shared
 

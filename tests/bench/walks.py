@@ -294,12 +294,16 @@ def scene(rng: Rng, name: str, root: Path, sigma: float = 0.12) -> Scene:
 def ready(folder: Path, sensors: tuple[str, ...] = ("audio", "video")) -> Scene:
     """A case of a directory: config.json, ground truth, {audio,video}_localizations.jsonl, or these as .gz.
 
-    The detections may lie in localization/, as those of an experiment do.
+    The detections may lie in localization/, as those of an experiment do; one of the sensors may lack.
     """
 
+    def place(name: str) -> Path:
+        where = folder / name, folder / "localization" / name, folder / f"{name}.gz"
+        return next((one for one in where if one.exists()), where[0])
+
     def lines(name: str) -> Iterator[Any]:
-        plain = next((one for one in (folder / name, folder / "localization" / name) if one.exists()), None)
-        with plain.open("rb") if plain else gzip.open(folder / f"{name}.gz", "rb") as file:
+        path = place(name)
+        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
             yield from map(records.decode, file)
 
     people = map(records.identified, lines("groundtruth_sources.jsonl"))
@@ -307,8 +311,11 @@ def ready(folder: Path, sensors: tuple[str, ...] = ("audio", "video")) -> Scene:
     found = [
         (round(one.timestamp, 6), name, replace(one, sensor=name, kind=KIND[name]))
         for name in sensors
+        if place(f"{name}_localizations.jsonl").exists()
         for one in map(records.detections, lines(f"{name}_localizations.jsonl"))
     ]
+    if not found:
+        raise FileNotFoundError(f"{folder} has no detections")
     return Scene(truth, config=read_config(folder / "config.json"), ready=sorted(found, key=lambda r: (r[0], r[1])))
 
 
