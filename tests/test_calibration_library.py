@@ -72,6 +72,12 @@ def test_pictures_without_a_board_are_no_fit():
         calibrate.calibrate([])
 
 
+def test_boards_that_are_never_held_still_are_no_fit(shots):
+    seen = gather.collect(shots[:3], BOARD, reason=lambda *_: "moving")
+    with pytest.raises(fit.NoFit, match="3 of the 3 pictures show the board, but it moves in all of them"):
+        seen.require_views()
+
+
 def test_a_source_that_fails_leaves_what_it_gave(shots):
     def broken():
         yield from shots[:5]
