@@ -165,8 +165,8 @@ class Seen:
             raise NoFit("there are no pictures in the sources")
         if unsteady := self.count("moving") + self.count("blurred"):
             raise NoFit(
-                f"{unsteady} of the {len(self)} pictures show the board, but it moves in all of them; hold it still for a "
-                "moment at each place, and send pictures no faster than they were taken"
+                f"{unsteady} of the {len(self)} pictures show the board, but it moves in all of them; hold it still "
+                "for a moment at each place, and send pictures no faster than they were taken"
             )
         board, none = self.board, f"none of the {len(self)} pictures shows"
         conditions = "must be sharp, evenly lit and wholly inside the picture, with a white border as wide as a square"
