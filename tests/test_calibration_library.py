@@ -176,6 +176,13 @@ def test_a_lens_behind_a_tilted_window_gets_a_prism_unless_a_model_is_asked_for(
     assert found.held_out.rms_px < 0.5 * plain.held_out.rms_px
 
 
+def test_a_model_that_turns_the_camera_is_no_choice():
+    """A narrow lens hardly tells a turn of the camera from tangential terms."""
+    assert choose.keeps_axis(HALF, replace(HALF, cx=HALF.cx + 30.0))
+    assert not choose.keeps_axis(HALF, replace(HALF, cy=HALF.cy + 150.0))
+    assert not choose.keeps_axis(HALF, replace(HALF, cx=1e5))
+
+
 class UnderWater:
     """A fisheye right behind an upright window under water: Snell's law, 1.333."""
 
