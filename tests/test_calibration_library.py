@@ -72,6 +72,12 @@ def test_pictures_without_a_board_are_no_fit():
         calibrate.calibrate([])
 
 
+def test_boards_that_are_never_held_still_are_no_fit(shots):
+    seen = gather.collect(shots[:3], BOARD, reason=lambda *_: "moving")
+    with pytest.raises(fit.NoFit, match="3 of the 3 pictures show the board, but it moves in all of them"):
+        seen.require_views()
+
+
 def test_a_source_that_fails_leaves_what_it_gave(shots):
     def broken():
         yield from shots[:5]
@@ -168,6 +174,13 @@ def test_a_lens_behind_a_tilted_window_gets_a_prism_unless_a_model_is_asked_for(
     assert not plain.tried
     assert plain.quality.missed > quality.MISSED_LIMIT > found.quality.missed
     assert found.held_out.rms_px < 0.5 * plain.held_out.rms_px
+
+
+def test_a_model_that_turns_the_camera_is_no_choice():
+    """A narrow lens hardly tells a turn of the camera from tangential terms."""
+    assert choose.keeps_axis(HALF, replace(HALF, cx=HALF.cx + 30.0))
+    assert not choose.keeps_axis(HALF, replace(HALF, cy=HALF.cy + 150.0))
+    assert not choose.keeps_axis(HALF, replace(HALF, cx=1e5))
 
 
 class UnderWater:

@@ -256,7 +256,8 @@ def _others_tried(
             with contextlib.suppress(fit.NoFit, np.linalg.LinAlgError), np.errstate(all="ignore"):  # it may go astray
                 other = _calibrate_robustly(board, views, replace(settings, lens_model=name), circle)
                 kept, before = (int(one.held_out.good.sum()) for one in (other, found))
-                if np.isfinite(other.held_out.all_px) and kept >= (1 - _LOST) * before:
+                same = choose.keeps_axis(found.lens, other.lens)
+                if same and np.isfinite(other.held_out.all_px) and kept >= (1 - _LOST) * before:
                     known[name] = other
     if len(known) == 1:
         return found

@@ -23,6 +23,9 @@ _ALIKE = 1.001
 """Times the RMS of the best up to which a model is as good, however surely it is worse: two models may be one lens."""
 _WORST = 1.1
 """Times the RMS of the best above which a model is no choice, however unsure that is: it may have gone astray."""
+_TURNED = np.deg2rad(10.0)
+"""Angle between the axes of two models above which one has gone astray: in a narrow lens tangential terms can stand for
+a turn of the camera, and angles are then measured from where nothing was seen. Those that suit turn it by up to 5°."""
 _WIDEST_SLOPES = np.deg2rad(80.0)
 """Angle beyond which a seen corner rules out the models that bend slopes: the slope there grows without bound."""
 
@@ -89,7 +92,7 @@ def choose(
         except (fit.NoFit, np.linalg.LinAlgError):
             continue
         error = robust.held_out(observations, other, good, board_errors=board_errors)
-        if np.isfinite(error.rms_px):
+        if np.isfinite(error.rms_px) and keeps_axis(solution.lens, other.lens):
             found[name] = other, error
     if not np.isfinite(held_out.rms_px):  # too few views to hold any out
         return solution, held_out, ()
@@ -114,6 +117,12 @@ def simplest(tried: tuple[Tried, ...]) -> str:
     near = (one for one in tried if one.held_out_px < _WORST * best)
     alike = (one for one in near if one.is_as_good or one.held_out_px < _ALIKE * best)
     return min(alike, key=lambda one: (one.parameters, one.held_out_px)).name
+
+
+def keeps_axis(lens: Lens, other: Lens) -> bool:
+    """Whether the axis of another lens that was fitted to the same pictures is nearly that of the first."""
+    x, y, z = lens.unproject(np.array([other.parameters[2:4]]))[0]
+    return bool(np.arctan2(np.hypot(x, y), z) < _TURNED)
 
 
 def _candidates(lens: Lens, observations: fit.Observations) -> Iterator[str]:

@@ -139,7 +139,7 @@ class Seen:
         return self.lights.get(self.size, Light()) if self.size else Light()
 
     def count(self, why: str) -> int:
-        """Count the pictures that were left out for a reason, "no board" or "duplicate"."""
+        """Count the pictures that were left out for a reason: "no board", "duplicate", "moving" or "blurred"."""
         return sum(picture["why"] == why for picture in self._pictures)
 
     @property
@@ -163,6 +163,11 @@ class Seen:
             return
         if not len(self):
             raise NoFit("there are no pictures in the sources")
+        if unsteady := self.count("moving") + self.count("blurred"):
+            raise NoFit(
+                f"{unsteady} of the {len(self)} pictures show the board, but it moves in all of them; hold it still "
+                "for a moment at each place, and send pictures no faster than they were taken"
+            )
         board, none = self.board, f"none of the {len(self)} pictures shows"
         conditions = "must be sharp, evenly lit and wholly inside the picture, with a white border as wide as a square"
         if not self.is_known:

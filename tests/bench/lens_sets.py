@@ -80,7 +80,7 @@ def calibrated(folder: Path) -> tuple[gather.Seen, Calibration, float, float]:
     seen = gather.collect(footage.pictures([str(folder)]), wanted)
     searched = time.process_time()
     seen.require_views()
-    found = calibrate.calibrate_views(seen.board, seen.views)
+    found = calibrate.calibrate_views(seen.board, seen.views, circle=seen.light.circle)
     return seen, found, searched - begin, time.process_time() - searched
 
 
