@@ -4,8 +4,8 @@ import _signal as signal  # type: ignore[import-not-found]  # what lies under si
 import os
 import sys
 
-# Threads that wait in busy loops take the other filters' time in a pipe: BLAS has none, since our matrices are small, and
-# OpenCV's sleep.
+# Threads that wait in busy loops take the other filters' time in a pipe: BLAS has none, since our matrices are small,
+# and those of OpenCV sleep.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OPENCV_THREAD_POOL_ACTIVE_WAIT_WORKER", "0")
 
