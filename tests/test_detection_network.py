@@ -1,5 +1,9 @@
 """ONNX person detectors: every layout of a head from a hand-made graph that says constants, and what is refused."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -241,3 +245,11 @@ def test_a_real_network_finds_nobody_in_noise(shared_data):
     assert (network.head.kind, network.size) == ("yolox", (416, 416))
     noise = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3), dtype=np.uint8)
     assert len(network.detect(noise)) == 0
+
+
+def test_nothing_is_noted_down_of_a_run(tmp_path):
+    """onnxruntime keeps a data base of its runs under the user's home, to be sent to its makers, if it is let."""
+    run = "from avcli.detection.network import Network, own_model; Network(own_model(), (640, 640), 0.5)"
+    kept = {name: text for name, text in os.environ.items() if name not in ("CI", "GITHUB_ACTIONS", "XDG_CACHE_HOME")}
+    subprocess.run([sys.executable, "-c", run], env={**kept, "HOME": str(tmp_path)}, check=True)
+    assert not list(tmp_path.rglob("*onnxruntime*"))

@@ -360,11 +360,12 @@ class DelaySpectrum:
         sums = scratch("sums", (len(grid) - 2,), self._taps[0].dtype)
         sums.fill(0)
         whole = scratch("whole", (2, self.TOGETHER), np.intp)
-        spreads = scratch("spreads", (self.TOGETHER,), self._taps[0].dtype)
+        weights, spreads = scratch("spreads", (2, self.TOGETHER), self._taps[0].dtype)
         for begin in range(0, len(delays), self.TOGETHER):
             some = slice(begin, begin + self.TOGETHER)
             count = len(delays[some])
-            (first, rows), spread = whole[:, :count], spreads[:count]
+            (first, rows), weight, spread = whole[:, :count], weights[:count], spreads[:count]
+            weight[:] = amplitudes[some]
             # In steps of 1 / ROWS of a cell, as whole numbers: the upper digits are the cell, the lower ones the row.
             # The product is exact in any precision, by a power of two.
             first[:] = delays[some] * np.float32(self._oversampling * self.ROWS)
@@ -374,7 +375,7 @@ class DelaySpectrum:
             first >>= self.ROWS.bit_length() - 1
             for k, taps in enumerate(self._taps):
                 taps.take(rows, mode="clip", out=spread)
-                np.multiply(spread, amplitudes[some], out=spread)
+                np.multiply(spread, weight, out=spread)
                 np.add.at(sums[2 * k :], first, spread)
         grid[0] = grid[-1] = 0
         grid[1:-1] = sums.real

@@ -4,8 +4,10 @@ import _signal as signal  # type: ignore[import-not-found]  # what lies under si
 import os
 import sys
 
-# Our matrices are small: threads of BLAS wait for each other in busy loops, and in a pipe take the other filters' time.
+# Threads that wait in busy loops take the other filters' time in a pipe: BLAS has none, since our matrices are small,
+# and those of OpenCV sleep.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_THREAD_POOL_ACTIVE_WAIT_WORKER", "0")
 
 # Ctrl-C while a command is still loading its libraries ends it as it ends `cat`, without a traceback of the imports.
 _module = os.path.basename(sys.argv[0]).replace("-", "_") + ".py"

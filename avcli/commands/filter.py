@@ -17,6 +17,7 @@ import contextlib
 import ctypes
 import errno
 import functools
+import gc
 import os
 import signal
 import stat
@@ -84,6 +85,7 @@ class Filter(click.Command):
             sys.stdout.flush()
         except OSError:  # the interpreter must not try again at its end to write to a full disk
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        gc.freeze()  # what is left goes with the process: to look for cycles in it takes as long as a library's import
         sys.exit(code)
 
     def _run(self, args: list[str]) -> int:

@@ -1,6 +1,7 @@
 """People in a colour picture by an ONNX network: this project's own, or any YOLO export."""
 
 import ast
+import os
 from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING
@@ -261,6 +262,7 @@ def _area(box: list[int]) -> int:
 
 
 def _open(model: bytes, threads: int) -> "onnxruntime.InferenceSession":
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # else it keeps a record of each run, to be sent to its makers
     import onnxruntime
 
     if model.startswith(b"version https://git-lfs"):
