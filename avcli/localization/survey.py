@@ -313,7 +313,13 @@ class _Listener:
             # Places fit best to the microphones that gave them: what was put right is compared once it helps too.
             again = self._heard(times, spectra, self._places(times, spectra, found, found.clear, signed=True), found)
             found = max(found, again, key=lambda state: float(state.heard.sum()))
-        return found
+        # Places bend until exchanged channels agree with them as they are: the two that agree least are exchanged.
+        one, other = np.argsort(found.heard)[:2]
+        order = found.order.copy()
+        order[[one, other]] = order[[other, one]]
+        turned = replace(found, order=order)
+        again = self._heard(times, spectra, self._places(times, spectra, turned, turned.usable, signed=True), turned)
+        return again if (again.order == order).all() and again.heard.sum() > found.heard.sum() else found
 
     def corrected(self, times: np.ndarray, spectra: np.ndarray, channels: Channels) -> np.ndarray:
         late = channels.delay + channels.drift * times[:, None]
