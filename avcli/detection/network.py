@@ -262,7 +262,7 @@ def _area(box: list[int]) -> int:
 
 
 def _open(model: bytes, threads: int) -> "onnxruntime.InferenceSession":
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # else it keeps a record of each run, to be sent to its makers
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # else it keeps a record of each run on disk
     import onnxruntime
 
     if model.startswith(b"version https://git-lfs"):
