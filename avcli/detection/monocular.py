@@ -507,15 +507,13 @@ class _Fits:
             self.spread[:, 4:] *= np.repeat(self.law.part * PART_SPREADS * doubted, 2, axis=1)
         prior = np.zeros((len(self.state), 3, 3))
         prior[:, 2, 2] = self.height_spread**-2.0
-        whole, precision = self._legs(extent), self.law.short_spread**-2.0
-        short = np.full(
-            len(self.state), float(self.law.short)
-        )  # share of the box's size; eliminated from the equations
+        legs, precision = self._legs(extent), self.law.short_spread**-2.0
+        short = np.full(len(self.state), float(self.law.short))  # the fourth unknown, eliminated from the equations
         for _ in range(8):
             predicted, jacobian = self.predict()
-            predicted = predicted - short[:, None] * whole
+            predicted = predicted - short[:, None] * legs
             told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=2)
-            jacobian, legs = np.where(told[..., None], jacobian, 0.0), np.where(told, whole, 0.0)
+            jacobian, slope = np.where(told[..., None], jacobian, 0.0), np.where(told, -legs, 0.0)
             error = np.where(told, self.measured - predicted, 0.0)
             doubt, covered = self._doubt(predicted, error)
             weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
@@ -523,21 +521,21 @@ class _Fits:
             pull = (jacobian.mT @ (weights * error)[..., None])[..., 0]
             pull[:, 2] += prior[:, 2, 2] * (self.mean - self.state[:, 2])
             off = self.law.short - short
-            shorter = precision * off - (weights * legs * error).sum(axis=1)
-            known = precision + (weights * legs**2).sum(axis=1)
-            shared = -(jacobian.mT @ (weights * legs)[..., None])[..., 0] / np.sqrt(known)[:, None]
-            information -= shared[:, :, None] * shared[:, None, :]
-            pull -= shared * (shorter / np.sqrt(known))[:, None]
+            own_pull = precision * off + (weights * slope * error).sum(axis=1)
+            own = precision + (weights * slope**2).sum(axis=1)
+            cross = (jacobian.mT @ (weights * slope)[..., None])[..., 0]
+            information -= cross[:, :, None] * cross[:, None, :] / own[:, None, None]  # Schur complement
+            pull -= cross * (own_pull / own)[:, None]
             step = np.linalg.solve(information, pull[..., None])[..., 0]
             longest = np.abs(step).max(axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.3 / np.maximum(longest, 1e-12))
             self.state = self.state + step
-            short += shorter / known - (shared * step).sum(axis=1) / np.sqrt(known)
+            short += (own_pull - (cross * step).sum(axis=1)) / own
             if longest[self.valid].max(initial=0.0) < 2e-3:
                 break
         self.predicted, self.area, self.error, self.doubt = predicted, self._areas(), error, doubt
         self.covered, self.told, self.weights, self.information = covered, told, weights, information
-        self.surprise = precision * off**2 + np.log(known / precision)
+        self.surprise = precision * off**2 + np.log(own / precision)
 
     def _legs(self, extent: np.ndarray) -> np.ndarray:
         """How far (rows, 4 or 10) px sides and points are moved, were all of a box legs that the network overlooks.

@@ -317,8 +317,9 @@ class _Listener:
         one, other = np.argsort(found.heard)[:2]
         order = found.order.copy()
         order[[one, other]] = order[[other, one]]
-        turned = replace(found, order=order)
-        again = self._heard(times, spectra, self._places(times, spectra, turned, turned.usable, signed=True), turned)
+        exchanged = replace(found, order=order)
+        places = self._places(times, spectra, exchanged, exchanged.usable, signed=True)
+        again = self._heard(times, spectra, places, exchanged)
         return again if (again.order == order).all() and again.heard.sum() > found.heard.sum() else found
 
     def corrected(self, times: np.ndarray, spectra: np.ndarray, channels: Channels) -> np.ndarray:
