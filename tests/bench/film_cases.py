@@ -91,7 +91,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="pictures whose names match this regular expression")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    for pictures in shots_of(options.data, options):
+    films = shots_of(options.data, options)
+    if not films:
+        parser.error(f"{options.data} has no pictures in folders named images")
+    for pictures in films:
         number = re.findall(r"\d+", pictures[0][1].name)[0]
         write(options.out / f"{options.data.name}-{number}", pictures)
 
