@@ -157,6 +157,18 @@ def test_a_survey_finds_late_turned_and_exchanged_channels(recording):
     assert any("channel 4 carries the sound of microphone 3" in one for one in told)
 
 
+def test_a_channel_that_is_not_a_number_is_left_out(recording):
+    samples, fs, _ = recording
+    broken = samples.copy()
+    broken[:, 5] = np.nan
+    channels = Listening(
+        lambda: [(0.0, broken, fs)], MICROPHONES, np.array([0.1, 0.1, 0.8]), [4.5, 4.5, 2.0], SPEED
+    ).channels
+    assert channels.usable.tolist() == [True] * 5 + [False] + [True] * 2
+    assert channels.order.tolist() == list(range(8))
+    assert any("channel 6" in str(fault) for fault in channels.faults())
+
+
 def experiment(tmp_path, samples, fs, positions):
     (tmp_path / "audio" / "wav").mkdir(parents=True)
     soundfile.write(tmp_path / "audio" / "wav" / "multichannel_audio_0.0000000000.wav", samples, fs)

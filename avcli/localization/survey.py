@@ -17,6 +17,7 @@ from avcli.localization import correlation
 from avcli.localization.faults import Fault
 from avcli.localization.health import UNUSUAL_DB
 from avcli.localization.srp import SteeredResponse
+from avcli.localization.windows import finite
 from avcli.numeric import TooLittle, assign, fft_length
 
 WINDOW_S, HOP_S = 0.085, 0.05
@@ -183,7 +184,7 @@ class Listening:
     """Listens to a recording of one person at a time.
 
     Args:
-        read: gives the sound; called twice.
+        read: gives the sound; called twice. Samples that are not numbers count as 0.
         microphones: (m, 3) m, roughly.
         low, high: (3,) m, the corners of the volume where people speak.
         speed_of_sound: m/s.
@@ -193,7 +194,9 @@ class Listening:
     """
 
     def __init__(self, read: Read, microphones: np.ndarray, low: np.ndarray, high: np.ndarray, speed_of_sound: float):
-        self.times, self.spectra, levels, frame = _windows(read)
+        self.times, self.spectra, levels, frame = _windows(
+            lambda: ((start, finite(samples.T)[0].T, rate) for start, samples, rate in read())
+        )
         if len(self.times) < 8:
             raise TooLittle(f"only {len(self.times)} windows of sound; record some minutes of speech or claps")
         self.listener = _Listener(frame, microphones, low, high, speed_of_sound)
