@@ -352,8 +352,10 @@ def test_far_boards_leave_the_shift_of_the_centre_to_what_is_known_before():
     rng = np.random.default_rng(3)
     o = exact(film(12, rng, distance=(4.0, 6.0), whole=False, tilt=0.1), noise=0.2, rng=rng)
     solution = fit.fit(o, fit.scan_focal(o, 1920, 1080))
-    assert np.sqrt(solution.covariance[-1, -1]) == pytest.approx(PUPIL.sd * BOARD.square_m, rel=0.2)
-    assert solution.pupil == pytest.approx(PUPIL.mean * BOARD.square_m, abs=PUPIL.sd * BOARD.square_m)
+    unit = fit.pupil_unit(o, solution)
+    assert BOARD.square_m < unit == pytest.approx(np.sqrt(5.0 * BOARD.square_m), rel=0.1)
+    assert np.sqrt(solution.covariance[-1, -1]) == pytest.approx(PUPIL.sd * unit, rel=0.2)
+    assert solution.pupil == pytest.approx(PUPIL.mean * unit, abs=PUPIL.sd * unit)
 
 
 def test_what_is_known_of_the_centre_weighs_more_where_views_disagree():
@@ -369,9 +371,10 @@ def test_what_is_known_of_the_centre_weighs_more_where_views_disagree():
         np.sqrt(uncertainty.covariance(alone)[-1, -1] / uncertainty.noise(alone)[-1, -1]), rel=0.1
     )
     assert solution.doubt > 2
-    known = PUPIL.sd * BOARD.square_m
+    unit = fit.pupil_unit(o, solution)
+    known = PUPIL.sd * unit
     assert np.sqrt(solution.covariance[-1, -1]) < 1.5 * known < np.sqrt(uncertainty.covariance(alone)[-1, -1])
-    assert solution.pupil == pytest.approx(PUPIL.mean * BOARD.square_m, abs=known)
+    assert solution.pupil == pytest.approx(PUPIL.mean * unit, abs=known)
 
 
 def test_a_lens_that_went_astray_states_no_error():

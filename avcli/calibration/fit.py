@@ -206,6 +206,11 @@ def places(observations: Observations, solution: Solution) -> np.ndarray:
     return surface(observations.points, solution.shape, observations.half_extent) + observations.errors
 
 
+def pupil_unit(observations: Observations, solution: Solution) -> float:
+    """The length that the pupil is known in, m: geometric mean of the board's square and its median distance."""
+    return float(np.sqrt(observations.square * np.median(np.linalg.norm(solution.translations, axis=1))))
+
+
 def residuals(observations: Observations, solution: Solution) -> np.ndarray:
     """Seen minus predicted, (n, 2) px; NaN where the lens does not image the corner."""
     inside = (solution.rotations[observations.view] @ places(observations, solution)[:, :, None])[:, :, 0]
@@ -338,8 +343,8 @@ def blocks(
     o, free = observations, solution.free
     prior, off, doubt = np.zeros(len(free)), solution.parameters.copy(), np.ones(len(free))
     if free[-1] and np.isfinite(solution.delta_px):
-        prior[-1] = (solution.doubt * solution.delta_px / (DELTA * PUPIL.sd * o.square)) ** 2
-        off[-1] -= PUPIL.mean * o.square
+        prior[-1] = (solution.doubt * solution.delta_px / (DELTA * PUPIL.sd * pupil_unit(o, solution))) ** 2
+        off[-1] -= PUPIL.mean * pupil_unit(o, solution)
         doubt[-1] = solution.doubt
     prior, off, doubt = prior[free], off[free], doubt[free]
     columns = _linearise(o, solution)
@@ -619,7 +624,7 @@ def settled(observations: Observations, solution: Solution) -> Solution:
     free = solution.free
     solution = refine(observations, solution, free, _delta(observations, solution), 40)
     spread, sigma = covariance(observations, solution)
-    if spread[-1, -1] > (_HAS_A_SAY * PUPIL.sd * observations.square) ** 2:
+    if spread[-1, -1] > (_HAS_A_SAY * PUPIL.sd * pupil_unit(observations, solution)) ** 2:
         solution = replace(solution, doubt=_doubt(observations, solution))
         solution = refine(observations, solution, free, solution.delta_px, 40)
         spread, sigma = covariance(observations, solution)

@@ -72,7 +72,7 @@ class Proposal:
         return self.outline.mean(0)
 
 
-def information(observations: fit.Observations, solution: fit.Solution, sigma_px: float, square: float) -> np.ndarray:
+def information(observations: fit.Observations, solution: fit.Solution, sigma_px: float, length: float) -> np.ndarray:
     """Information that each view brings about the lens and its pupil, its pose and the bend of its board being unknown.
 
     Were the errors of corners alone counted, the same few slanted views would be asked for again and again, and what
@@ -82,16 +82,16 @@ def information(observations: fit.Observations, solution: fit.Solution, sigma_px
         observations: whose `view`, `points` and `sigma` count; the pixels do not.
         solution: lens and poses.
         sigma_px: standard deviation of a common corner's error along one axis.
-        square: side of a square of the board, m.
+        length: m, the unit of the pupil.
 
     Returns:
-        (views, m, m), in units of 1 / sigma_px²; the pupil, in squares of the board, is the last of the m.
+        (views, m, m), in units of 1 / sigma_px²; the pupil, in `length`, is the last of the m.
     """
     o, R = observations, solution.rotations[observations.view]
     turned = np.einsum("nij,nj->ni", R, fit.surface(o.points, solution.shape, o.half_extent))
     points = turned + solution.translations[o.view]
     _, by_point, by_lens, by_pupil = project_jacobian(solution.lens, points, solution.pupil)
-    by_lens = np.concatenate([by_lens, square * by_pupil[:, :, None]], 2)
+    by_lens = np.concatenate([by_lens, length * by_pupil[:, :, None]], 2)
     bend = np.stack(
         [R[:, :, 2] * (1 - (p / h) ** 2)[:, None] for p, h in zip(o.points.T, o.half_extent, strict=True)], -1
     )
@@ -210,8 +210,8 @@ def propose(
         np.repeat(np.arange(k), n), np.tile(few, (k, 1)), np.zeros((k * n, 2)), np.ones(k * n), board.half_extent
     )
     sigma = solution.sigma_px if np.isfinite(solution.sigma_px) and solution.sigma_px > 0 else 0.2
-    square = board.square_m
-    brought = information(tried, replace(solution, rotations=rotations, translations=translations), sigma, square)
+    length = fit.pupil_unit(seen, solution)
+    brought = information(tried, replace(solution, rotations=rotations, translations=translations), sigma, length)
     brought *= len(board.points) / n
     F = field(lens, width, height, lit)
     scale = 1 / np.sqrt(np.maximum(np.diag(F), 1e-30))
@@ -220,7 +220,7 @@ def propose(
     # The fit lets the pupil move: views that do not tell it from the lens, as those from one distance, teach little.
     F, before, scale = np.pad(F, (0, 1)), np.pad(before, (0, 1)), np.append(scale, 1.0)
     before[-1, -1] = (solution.doubt * sigma / PUPIL.sd) ** 2
-    known = before + information(seen, solution, sigma, square).sum(0) * np.outer(scale, scale)
+    known = before + information(seen, solution, sigma, length).sum(0) * np.outer(scale, scale)
     variance = sigma**2 * np.einsum("ab,kba->k", F, np.linalg.inv(known + brought * np.outer(scale, scale)))
     # The model of the lens is the same on all sides, the lens may not be.
     best = int(

@@ -17,7 +17,7 @@ FITTED = Path(__file__).with_name("pupil.json")
 
 
 class Spread(NamedTuple):
-    """How the pupil is spread over lenses, as a normal distribution: its mean and standard deviation, in squares."""
+    """How the pupil is spread over lenses, normally: mean and standard deviation, in fit.pupil_unit."""
 
     mean: float
     sd: float
@@ -30,8 +30,8 @@ def fitted(path: Path = FITTED) -> Spread:
 
 
 PUPIL = fitted()
-"""What is known of the pupil before anything is seen. The side of a board's square stands for a length of the lens: it
-is all that a fit always knows."""
+"""What is known of the pupil before anything is seen. A fit knows no length of the lens. The square of the board and
+its distance both stand for one, badly; their geometric mean is more likely than either (pupil.json)."""
 
 
 def from_pupil(points: np.ndarray, pupil: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
