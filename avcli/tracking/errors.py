@@ -160,7 +160,7 @@ class Errors:
         self.last: list[float] = []  # s, of each sensor's last record
         self.waiting: list[list[Sure]] = []  # of each sensor: what it has not learnt from yet
         self.count: list[int] = []  # of pairs in them
-        self.vague = False  # whether a camera has stated more than usual noise
+        self.vague = False  # whether a sensor has stated more than usual noise
         self.learnt = self.settled = -math.inf  # s
         self._settle()
 
@@ -263,15 +263,15 @@ class Errors:
             stated: (J, 2, 2) m², with the square of the sensor's floor in it.
 
         Returns:
-            None: no camera has stated more so far.
+            None: no sensor has stated more so far.
         """
         sensor = self.sensors[column]
         usual = sensor.sigma[0] * sensor.sigma[1]
-        more = sensor.kind == CAMERA and stated.max(initial=0.0) > usual
+        more = stated.max(initial=0.0) > usual
         self.vague = self.vague or more
         if not self.vague:
             return None
-        return _beyond(stated, usual) if more else np.zeros(stated.shape)
+        return _beyond(stated, usual) if more and sensor.kind == CAMERA else np.zeros(stated.shape)
 
     def between(self, lean: np.ndarray, column: int) -> Between:
         """Compute what lasting errors add where densities with shares lean (n, S) meet one sensor's detections."""

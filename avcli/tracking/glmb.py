@@ -502,7 +502,8 @@ class GLMB:
         if self.record:
             people.node = [Node.fork(node, now) for node in people.node]
         self.people = people
-        self.tentative = list(range(len(want.missed), len(want.missed) + len(want.staying)))
+        first = len(want.missed)
+        self.tentative = list(range(first, first + len(want.staying)))
         row_of = want.rows()
         if scan.partial is not None:
             revealed = partial.gathered(scan.partial, people, revealed, row_of)
