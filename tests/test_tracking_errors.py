@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.formats.sensors import MICROPHONES
+from avcli.formats.records import Detections
+from avcli.formats.sensors import CAMERA, MICROPHONES
 from avcli.tracking.errors import LEAST, MOST, Errors, followed, leaning
+from avcli.tracking.fusion import Fusion
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.model import Population
 from avcli.tracking.motion import Model, Motion
@@ -226,3 +228,16 @@ def test_common_errors_are_covariances_and_microphones_have_none(before, detecte
     after = followed(ellipse(before), part, ellipse(place), stated)
     for one in (part, stated - part, after):
         assert np.linalg.eigvalsh(one).min() >= -1e-9
+
+
+@pytest.mark.parametrize("lag", [0, 5])
+def test_later_detections_do_not_end_the_doubt_of_a_vague_camera(lag):
+    """It errs by the same in them; so existence and covariance are the same with --lag."""
+    fusion, tracks, told = Fusion(Settings(), lag=lag), [], np.full((1, 3, 3), np.nan)
+    told[0, :2, :2] = 0.6**2 * np.eye(2)
+    for k in range(40):
+        found = Detections(k / 10, "eye", np.array([[2.0, 2.0, np.nan]]), told, np.array([0.99]), CAMERA)
+        tracks += fusion.step(k / 10, [(k / 10, "eye", found)])
+    (late,) = (one for one in tracks if one.timestamp == 3.0)
+    assert 0.5 < math.sqrt(late.covariances[0, 0, 0]) < 0.7
+    assert 0.65 < late.existence[0] < 0.8
