@@ -9,7 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from avcli.tracking.errors import LEAST, MOST, Errors, leaning
+from avcli.formats.records import Detections
+from avcli.formats.sensors import CAMERA, MICROPHONES
+from avcli.tracking.errors import LEAST, MOST, Errors, followed, leaning
+from avcli.tracking.fusion import Fusion
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.model import Population
 from avcli.tracking.motion import Model, Motion
@@ -170,3 +173,71 @@ def test_a_sensor_may_join_at_any_time(joins):
     (track,) = tracker.tracks(5.9)
     assert np.hypot(*(track.state[:2] - place[0])) < 0.1
     assert track.existence > 0.95
+
+
+def spread(tracker, at):
+    """Standard deviation (m, per axis) of the one track, and its existence."""
+    (track,) = tracker.tracks(at)
+    return math.sqrt((track.cov[0, 0] + track.cov[1, 1]) / 2), track.existence
+
+
+@pytest.mark.parametrize(("told", "least", "most"), [(0.1, 0.02, 0.1), (0.5, 0.42, 0.55), (1.0, 0.9, 1.1)])
+def test_a_camera_that_states_more_than_usual_errs_by_the_same_again(told, least, most):
+    exact = dataclasses.replace(EYE, **ALWAYS)
+    tracker = person(4, 10.0, eye=(exact, told, 0.1, np.array([told, 0.0])))
+    sd, existence = spread(tracker, 10.0)
+    assert least < sd < most
+    # In two dimensions an error of sigma is within 1 m with a probability of 1 - exp(-1 / (2 sigma²)).
+    assert existence == pytest.approx(-math.expm1(-0.5 / sd**2), abs=0.05)
+
+
+def test_an_exact_sensor_ends_the_doubt_of_a_vague_one():
+    vague, exact = dataclasses.replace(EYE, **ALWAYS), dataclasses.replace(ARM, **ALWAYS)
+    tracker = person(5, 5.0, eye=(vague, 0.6, 0.1, np.zeros(2)), arm=(exact, 0.08, 0.08, np.zeros(2)))
+    sd, existence = spread(tracker, 5.0)
+    assert sd < 0.15
+    assert existence > 0.98
+
+
+def test_two_long_ellipses_that_cross_leave_no_long_one():
+    along, across = np.diag([1.0, 0.0004]), np.diag([0.0004, 1.0])
+    place = np.linalg.inv(np.linalg.inv(along) + np.eye(2) * 1e-6)
+    after = followed(along[None], across[None], place[None], across[None])[0]
+    assert np.linalg.eigvalsh(after).max() < 0.01
+
+
+vectors = st.tuples(st.floats(0.01, 2), st.floats(0.01, 2), st.floats(0, math.pi))
+
+
+def ellipse(one):
+    """A covariance (1, 2, 2) of two standard deviations in m and a direction."""
+    turn = np.array([[math.cos(one[2]), -math.sin(one[2])], [math.sin(one[2]), math.cos(one[2])]])
+    return (turn @ np.diag(np.square(one[:2])) @ turn.T)[None]
+
+
+@given(vectors, vectors, vectors)
+@settings(max_examples=60, deadline=None)
+def test_common_errors_are_covariances_and_microphones_have_none(before, detected, place):
+    stated = ellipse(detected)
+    errors = Errors()
+    errors.add(sensor("ear", MICROPHONES))
+    errors.add(EYE)
+    by_ear, by_eye = (errors.common(column, stated) for column in (0, 1))
+    assert by_ear is None or not by_ear.any()
+    part = np.zeros((1, 2, 2)) if by_eye is None else by_eye
+    after = followed(ellipse(before), part, ellipse(place), stated)
+    for one in (part, stated - part, after):
+        assert np.linalg.eigvalsh(one).min() >= -1e-9
+
+
+@pytest.mark.parametrize("lag", [0, 5])
+def test_later_detections_do_not_end_the_doubt_of_a_vague_camera(lag):
+    """It errs by the same in them; so existence and covariance are the same with --lag."""
+    fusion, tracks, told = Fusion(Settings(), lag=lag), [], np.full((1, 3, 3), np.nan)
+    told[0, :2, :2] = 0.6**2 * np.eye(2)
+    for k in range(40):
+        found = Detections(k / 10, "eye", np.array([[2.0, 2.0, np.nan]]), told, np.array([0.99]), CAMERA)
+        tracks += fusion.step(k / 10, [(k / 10, "eye", found)])
+    (late,) = (one for one in tracks if one.timestamp == 3.0)
+    assert 0.5 < math.sqrt(late.covariances[0, 0, 0]) < 0.7
+    assert 0.65 < late.existence[0] < 0.8

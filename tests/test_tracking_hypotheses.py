@@ -49,6 +49,7 @@ def people(states, labels):
         told=np.zeros(n),
         doubt=np.zeros((n, 1)),
         reach=np.zeros(n),
+        common=np.zeros((n, 2, 2)),
         label=list(labels),
         node=[None] * n,
     )

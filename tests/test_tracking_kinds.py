@@ -121,7 +121,7 @@ def people(centre, spread=0.2):
     return Densities(
         mean=np.array([[[*centre, 0.2, 0.1]]]), cov=cov[None, None], mode=ones, existence=np.ones(1),
         detectable=ones.copy(), lean=np.zeros((1, 1)), seen=np.zeros((1, 1)), place=place, hits=np.ones((1, 1)),
-        told=np.zeros(1), doubt=np.zeros((1, 1)), reach=np.ones(1), label=[0], node=[None],
+        told=np.zeros(1), doubt=np.zeros((1, 1)), reach=np.ones(1), common=np.zeros((1, 2, 2)), label=[0], node=[None],
     )  # fmt: skip
 
 
@@ -304,7 +304,7 @@ def look(model, column=0):
     none, between = np.zeros(0), Between(np.zeros(0), np.zeros(0))
     noise = np.zeros((0, 2, 2))
     seen = [], None, [], np.zeros((0, 1, 6)), nothing, nothing, [], {}, [], [], []
-    return Scan(model, column, nothing, noise, none, 0.0, between, *seen, 1.0, 0.0, [], 0.9, 0.9, [], [], [])
+    return Scan(model, column, nothing, noise, none, None, 0.0, between, *seen, 1.0, 0.0, [], 0.9, 0.9, [], [], [])
 
 
 def half_seen():

@@ -306,6 +306,7 @@ def newcomers(
         told=np.zeros(n),
         doubt=doubt,
         reach=uncertainty(cov[:, 0]),
+        common=np.zeros((n, 2, 2)) if scan.common is None else scan.common.take(js, 0),
         label=[-1] * n,
         node=[None] * n,
     )

@@ -34,6 +34,7 @@ class Densities:
         doubt: (n, S) probability that it is nobody by the best score of each sensor, 0: some have none; of a camera
             that has never detected the person, 1 or more: by so many times nobody is likelier for that reason.
         reach: (n,) m, how uncertain the position was then.
+        common: (n, 2, 2) m², of the errors that a person's detections have in common, see `errors`.
         label: n integers, -1: none yet.
         node: n ends of histories, for smoothing.
         traits: (n, 5, D) what is known of each person's features, see `features`; D is 0 without features.
@@ -51,6 +52,7 @@ class Densities:
     told: np.ndarray
     doubt: np.ndarray
     reach: np.ndarray
+    common: np.ndarray
     label: list[int]
     node: list[Node | None]
     traits: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 0)))
@@ -75,6 +77,7 @@ class Densities:
             told=np.zeros(0),
             doubt=np.zeros((0, 0)),
             reach=np.zeros(0),
+            common=np.zeros((0, 2, 2)),
             label=[],
             node=[],
         )
@@ -125,7 +128,7 @@ class Densities:
         self.mean[first] = mean = mixed(means, weight)
         away = means - mean.take(of, 0)
         self.cov[first] = mixed(self.cov.take(rows, 0) + away[..., None] * away[..., None, :], weight)
-        for column in (self.existence, self.detectable, self.lean):
+        for column in (self.existence, self.detectable, self.lean, self.common):
             column[first] = mixed(column.take(rows, 0))
         if self.traits.size:
             traits = self.traits.take(rows, 0)

@@ -6,6 +6,9 @@ record to record. The bias is constant: along x, along y, and forward in the dir
 together the square of `Sensor.floor` before anything is learnt. The noise has the stated covariance times a factor, and
 as much as the floor times another one.
 
+A camera whose detections state more than a camera's usual noise, as by colour alone, errs by the same from picture to
+picture (`common`). That part of what is stated is kept beside each position, and added to what is reported.
+
 What lasts must not average away, and cannot be told from the person's place. So the filter considers it without
 estimating it: it keeps by what share each position follows the lasting error of each sensor (`Densities.lean`). A
 sensor alone keeps its full weight. Of several, each has the weight that its whole error deserves.
@@ -29,6 +32,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from avcli.formats.sensors import CAMERA
 from avcli.tracking import gaussian
 from avcli.tracking.densities import Densities
 from avcli.tracking.settings import Sensor
@@ -156,6 +160,7 @@ class Errors:
         self.last: list[float] = []  # s, of each sensor's last record
         self.waiting: list[list[Sure]] = []  # of each sensor: what it has not learnt from yet
         self.count: list[int] = []  # of pairs in them
+        self.vague = False  # whether a sensor has stated more than usual noise
         self.learnt = self.settled = -math.inf  # s
         self._settle()
 
@@ -233,6 +238,40 @@ class Errors:
         return np.add.reduce(
             lean * lean * self.lasting, -1
         )  # a product of matrices would depend on the order of sensors
+
+    def covariances(self, people: Densities, rows: Sequence[int]) -> np.ndarray:
+        """Return the covariances (n, 2, 2) m² of the positions in n rows by errors that do not average away.
+
+        The filter takes the common ones for noise; what it still counts of them is in its own covariance.
+        """
+        own = self.variance(people.lean.take(rows, 0))[:, None, None] * gaussian.EYE2
+        if not self.vague:
+            return own
+        common, reach = people.common.take(rows, 0), people.reach.take(rows)
+        whole = np.maximum(np.trace(common, 0, 1, 2), 1e-12)
+        return own + common * np.maximum(1 - reach * reach / whole, 0.0)[:, None, None]
+
+    def common(self, column: int, stated: np.ndarray) -> np.ndarray | None:
+        """Return the part (J, 2, 2) m² of stated covariances that all detections of one person have in common.
+
+        From picture to picture a camera's detections vary by little. Where it states more than a camera's usual noise,
+        the place rests on what it cannot see, a person's height or hidden feet, and is off by the same while that
+        holds.
+
+        Args:
+            column: number of the sensor that stated them.
+            stated: (J, 2, 2) m², with the square of the sensor's floor in it.
+
+        Returns:
+            None: no sensor has stated more so far.
+        """
+        sensor = self.sensors[column]
+        usual = sensor.sigma[0] * sensor.sigma[1]
+        more = stated.max(initial=0.0) > usual
+        self.vague = self.vague or more
+        if not self.vague:
+            return None
+        return _beyond(stated, usual) if more and sensor.kind == CAMERA else np.zeros(stated.shape)
 
     def between(self, lean: np.ndarray, column: int) -> Between:
         """Compute what lasting errors add where densities with shares lean (n, S) meet one sensor's detections."""
@@ -374,3 +413,24 @@ def leaning(
     lean = lean * (1 - pull)[:, None]
     lean[:, column] += pull
     return lean
+
+
+def followed(common: np.ndarray, detected: np.ndarray, place: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the covariances (n, 2, 2) m² of common errors after density k was updated by detection k.
+
+    The errors of a person's detections agree, so that those of a weighted mean are their weighted mean.
+
+    Args:
+        common: (n, 2, 2) m², before.
+        detected: (n, 2, 2) m², of the detections, see `common`.
+        place: (n, 2, 2) m², of the positions before.
+        noise: (n, 2, 2) m².
+    """
+    change = place @ np.linalg.solve(place + noise, detected - common)
+    return _beyond(common + (change + change.swapaxes(1, 2)) / 2, 0.0)
+
+
+def _beyond(cov: np.ndarray, usual: float) -> np.ndarray:
+    """Return how far the variances along the axes of covariances (n, 2, 2) m² exceed a usual one in m²."""
+    variances, axes = np.linalg.eigh(cov)
+    return (axes * np.maximum(variances - usual, 0.0)[:, None]) @ axes.swapaxes(1, 2)

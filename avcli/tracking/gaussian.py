@@ -223,7 +223,14 @@ def odds_within(cov: np.ndarray, radius: float) -> list[float]:
     return np.expm1(np.minimum(radius * radius / trace, math.log(2))).tolist()
 
 
-def within(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def within(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    mode: np.ndarray,
+    centre: np.ndarray,
+    radius: np.ndarray,
+    more: np.ndarray | None = None,
+) -> np.ndarray:
     """Compute the probability (n,) that each position lies within a distance of a point.
 
     Each model counts as an isotropic Gaussian around the point with the second moment that it has there.
@@ -234,10 +241,13 @@ def within(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray, centre: np.ndarr
         mode: (n, M).
         centre: (n, 2) m.
         radius: (n,) m.
+        more: (n,) m², what errors that `cov` leaves out add to the mean square distance; None: nothing.
     """
     away = mean[..., :2] - centre[:, None]
     away *= away
     second = cov[..., 0, 0] + cov[..., 1, 1] + away[..., 0] + away[..., 1]
+    if more is not None:
+        second += more[:, None]
     return np.minimum(-np.add.reduce(mode * np.expm1((radius * -radius)[:, None] / second), 1), 1.0)
 
 

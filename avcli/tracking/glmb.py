@@ -213,10 +213,10 @@ class GLMB:
             survival = np.exp(-dt * self.habits.leaving(people.mean[:, 0]))
             step = gaussian.predict(*before, population.motion, dt)
             people.mean, people.cov, people.mode = step.mean, step.cov, step.mode
-            lean = people.lean
+            lasting = self.errors.covariances(people, range(len(people))) if self.record else None
             self.errors.predict(people, dt)
-            if self.record:
-                people.node = Node.steps(people, before, step, survival, self.errors.variance(lean), time)
+            if lasting is not None:
+                people.node = Node.steps(people, before, step, survival, lasting, time)
             people.existence = people.existence * survival
         if self.sensors:
             mix, rest = np.exp(-dt * self.turnover), self.detectable
@@ -378,6 +378,7 @@ class GLMB:
             z,
             noise,
             floor,
+            self.errors.common(column, stated),
             ahead,
             between,
             odds,
@@ -501,7 +502,8 @@ class GLMB:
         if self.record:
             people.node = [Node.fork(node, now) for node in people.node]
         self.people = people
-        self.tentative = list(range(len(want.missed), len(want.missed) + len(want.staying)))
+        first = len(want.missed)
+        self.tentative = list(range(first, first + len(want.staying)))
         row_of = want.rows()
         if scan.partial is not None:
             revealed = partial.gathered(scan.partial, people, revealed, row_of)
@@ -661,7 +663,7 @@ class GLMB:
         node = people.node[best]
         if self.record and node is not None:
             mean, cov = gaussian.moments(people.mean[[best]], people.cov[[best]], people.mode[[best]])
-            node.note(people, best, float(self.errors.variance(people.lean[best])))
+            node.note(people, best, self.errors.covariances(people, [best])[0])
             nobody, contested = people.nobody([best])
             sure = min(existence / meant, 1.0)
             self.retired[label] = End(label, meant, node, mean[0], cov[0], sure, nobody.item(), contested.item())
@@ -714,9 +716,13 @@ class GLMB:
         densities = people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0)
         mean, cov = gaussian.moments(*densities)
         near = gaussian.within(*densities, mean[:, :2], np.maximum(NEAR, BLUR * people.reach.take(rows))).tolist()
-        lasting = self.errors.variance(people.lean.take(rows, 0))
-        cov[:, 0, 0] += lasting
-        cov[:, 1, 1] += lasting
+        lasting = self.errors.covariances(people, rows)
+        nearer = [1.0] * len(rows)  # how much less probable it is that the person is so near as existence means
+        if self.errors.vague:
+            more = lasting[:, 0, 0] + lasting[:, 1, 1]
+            close = gaussian.within(*densities, mean[:, :2], np.full(len(rows), NEAR), more)
+            nearer = np.minimum(close / near, 1.0).tolist()
+        cov[:, :2, :2] += lasting
         seen, detectable = people.seen.take(rows, 0), people.detectable.take(rows, 0).tolist()
         last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
         tracks, doubts = [], self.false_places.doubts()
@@ -731,7 +737,7 @@ class GLMB:
             shown = there * (1 - nobody[k]) if contested[k] else there
             if believed > min(least, THERE) and shown > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))
-                there *= 1 - nobody[k]
+                there *= (1 - nobody[k]) * nearer[k]
                 tracks.append(Track(label, mean[k], cov[k], there, able, last[k]))
         return tracks
 
@@ -742,10 +748,11 @@ class GLMB:
             rows = [one.row for one in labelled]
             mean, cov = gaussian.moments(people.mean[rows], people.cov[rows], people.mode[rows])
             nobody, contested = people.nobody(rows)
+            lasting = self.errors.covariances(people, rows)
             for k, one in enumerate(labelled):
                 node = people.node[one.row]
                 if node is not None:
-                    node.note(people, one.row, float(self.errors.variance(people.lean[one.row])))
+                    node.note(people, one.row, lasting[k])
                     existence = min(one.existence / one.meant, 1.0)
                     doubt = nobody.item(k), contested.item(k)
                     yield End(one.label, one.meant, node, mean[k], cov[k], existence, *doubt)

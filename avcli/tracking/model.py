@@ -137,7 +137,7 @@ class Track(NamedTuple):
         label: unique, never given twice.
         state: (4,) x, y m, vx, vy m/s.
         cov: (4, 4).
-        existence: probability that the person is there: within NEAR of the position, or within BLUR times its error.
+        existence: probability that the person is there, within NEAR of the position.
         detectable: sensor name -> probability that this sensor can detect the person now (microphones: that the person
             speaks).
         last_seen: s, when a sensor detected the person last.

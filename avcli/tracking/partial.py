@@ -402,6 +402,7 @@ def cells(
         told=np.zeros(n),
         doubt=np.zeros(able.shape),
         reach=births.uncertainty(cov[:, 0]),
+        common=np.zeros((n, 2, 2)),
         label=[-1] * n,
         node=[None] * n,
     )

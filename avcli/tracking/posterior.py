@@ -12,7 +12,7 @@ from avcli.tracking import gaussian, partial
 from avcli.tracking.association import MISSED, STRAY, Group, Pair
 from avcli.tracking.births import TENTATIVE, Birth, uncertainty
 from avcli.tracking.densities import Densities
-from avcli.tracking.errors import leaning
+from avcli.tracking.errors import followed, leaning
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT
 from avcli.tracking.scan import Scan
@@ -51,6 +51,8 @@ class Needed:
 
     def fresh_rows(self) -> dict[int, int]:
         """Return detection -> row after, of the people detected for the first time."""
+        if not self.fresh:
+            return {}
         before = len(self.missed) + len(self.staying) + len(self.strayed + self.detected + self.renewed)
         return {j: before + k for k, j in enumerate(self.fresh)}
 
@@ -100,6 +102,9 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
         js = [j for _, j in pairs]
         rows = [row for row, _ in pairs]
         noise, between = scan.noise.take(js, 0), scan.between.take(rows)
+        if scan.common is not None:
+            place = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])[1][:, :2, :2]
+            new.common[old:] = followed(new.common[old:], scan.common.take(js, 0), place, noise)
         variance = (new.cov[old:, :, 0, 0] + new.cov[old:, :, 1, 1]) / 2
         before = None if scan.view is None else new.take(range(old, len(new)))
         new.mean[old:], new.cov[old:], new.mode[old:] = gaussian.update(

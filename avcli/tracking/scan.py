@@ -41,6 +41,7 @@ class Scan:
         z: (J, 2) m, in order of x.
         noise: (J, 2, 2) m², of the errors that differ from record to record.
         floor: (J,) m² per axis, the part of it that comes from the sensor's floor.
+        common: (J, 2, 2) m², of the errors that a person's detections have in common; None: no sensor has such.
         ahead: m, how far in front of the body's axis the sensor localizes people.
         between: what its lasting errors have to do with those of the densities.
         odds: J log odds of the scores, NaN: unknown.
@@ -74,6 +75,7 @@ class Scan:
     z: np.ndarray
     noise: np.ndarray
     floor: np.ndarray
+    common: np.ndarray | None
     ahead: float
     between: Between
     odds: list[float]

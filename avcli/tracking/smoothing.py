@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from avcli.tracking.trackers import Smoothable
 
 FORGET_EVERY = 8  # steps
-POSITION = np.diag([1.0, 1.0, 0.0, 0.0])
 
 
 class Node:
@@ -36,7 +35,7 @@ class Node:
         prev: the node before, or None.
         mean, cov, existence, detectable, seen, reach: (4,), (4, 4), probability, (S,), s and m (the last two of the
             last detection, see `Densities`): filtered, written when the next step begins.
-        lasting: m² per axis, variance of the position by sensors' lasting errors, which `cov` leaves out.
+        lasting: (2, 2) m², of the position by errors that last, which `cov` leaves out.
         gain: (4, 4), of the regression of the state before on the state now.
         predicted, predicted_cov: (4,) and (4, 4), of the state now.
         survival: probability of surviving the step.
@@ -64,7 +63,7 @@ class Node:
     detectable: np.ndarray
     seen: float
     reach: float
-    lasting: float
+    lasting: np.ndarray
     gain: np.ndarray
     predicted: np.ndarray
     predicted_cov: np.ndarray
@@ -83,8 +82,8 @@ class Node:
             new.predicted_cov, new.survival = node.predicted_cov, node.survival
         return new
 
-    def note(self, people: Densities, row: int, lasting: float) -> None:
-        """Write what a track says beside its state, by a row of `people`; lasting: m² per axis, see `Node`."""
+    def note(self, people: Densities, row: int, lasting: np.ndarray) -> None:
+        """Write what a track says beside its state, by a row of `people`; lasting: (2, 2) m², see `Node`."""
         self.detectable, self.lasting = people.detectable[row], lasting
         self.seen, self.reach = float(people.seen[row].max(initial=-math.inf)), float(people.reach[row])
 
@@ -104,7 +103,7 @@ class Node:
             before: mean, cov and mode before.
             step: what `gaussian.predict` returned.
             survival: (n,) probabilities.
-            lasting: (n,) m² per axis, see `Node`, before.
+            lasting: (n, 2, 2) m², see `Node`, before.
             time: s, the next time.
 
         Returns:
@@ -123,7 +122,7 @@ class Node:
             if old is None:
                 raise ValueError("a density without a node cannot be smoothed")
             old.mean, old.cov, old.existence = mean[i], cov[i], min(float(people.existence[i]), 1.0)
-            old.note(people, i, float(lasting[i]))
+            old.note(people, i, lasting[i])
             new = Node(time)
             new.prev, new.gain, new.predicted = old, gain[i], predicted[i]
             new.predicted_cov, new.survival = predicted_cov[i], survival[i]
@@ -221,14 +220,22 @@ class Delayed:
                     break
                 if now in wanted and end.meant * existence > REPORT:
                     there = min(end.meant * existence, 1.0)
+                    spread = cov.copy()
+                    spread[:2, :2] += node.lasting
+                    near = _within(max(NEAR, BLUR * node.reach), cov)
                     if node.time > node.seen:
-                        there *= -math.expm1(-max(NEAR**2, BLUR**2 * node.reach**2) / max(cov[0, 0] + cov[1, 1], 1e-9))
+                        there *= near
                     believed = there * (1 - end.doubt)
                     if (believed if end.contested else there) > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
-                        spread = cov + node.lasting * POSITION
+                        believed *= min(_within(NEAR, spread) / near, 1.0)
                         wanted[now].append(Track(end.label, mean, spread, believed, detectable, node.seen))
         return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
+
+
+def _within(radius: float, cov: np.ndarray) -> float:
+    """Return the probability that a position of covariance (4, 4), as if isotropic, is within a radius in m."""
+    return -math.expm1(-radius * radius / max(cov[0, 0] + cov[1, 1], 1e-9))
 
 
 def cut(nodes: Sequence[Node | None], time: float) -> None:

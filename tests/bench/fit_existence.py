@@ -39,11 +39,11 @@ class Noted:
     """In place of a `Trust`: says what the filter believes, and notes the other arguments."""
 
     def __init__(self) -> None:
-        self.arguments: list[tuple[bool, float, bool]] = []
+        self.arguments: list[tuple[float, bool, float, bool]] = []
 
     def of(self, believed: float, detected: bool, count: float, watched: bool) -> float:
         if believed > THERE:
-            self.arguments.append((detected, count, watched))
+            self.arguments.append((believed, detected, count, watched))
         return believed
 
 
@@ -58,8 +58,7 @@ def records_of(scene: Scene) -> np.ndarray:
     true = [
         one in found for frame, found in zip(tracks, matched(scene.truth, tracks), strict=True) for one in frame.ids
     ]
-    believed = np.concatenate([np.zeros(0), *(frame.existence for frame in tracks)])
-    return np.column_stack([believed, np.reshape(noted.arguments, (-1, 3)), true])
+    return np.column_stack([np.reshape(noted.arguments, (-1, 4)), true])
 
 
 def fit(believed: np.ndarray, true: np.ndarray) -> Curve:
