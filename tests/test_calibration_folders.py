@@ -75,6 +75,7 @@ def test_a_folder_as_a_phone_leaves_it(folder, shots, tmp_path):
         )
     assert "._IMG" not in result.stderr
     assert "notes" not in result.stderr
+    assert "8 of 10 pictures show" in result.stderr in result.stderr
     rows = {json.loads(line)["picture"]: json.loads(line) for line in details.read_text().splitlines()}
     assert rows[str(folder / "a_screenshot.png")]["why"] == "another size"
     assert sum(row["kept"] for row in rows.values()) >= 7

@@ -139,7 +139,7 @@ class Seen:
         return self.lights.get(self.size, Light()) if self.size else Light()
 
     def count(self, why: str) -> int:
-        """Count the pictures that were left out for a reason: "no board", "duplicate", "moving" or "blurred"."""
+        """Count the pictures left out for a reason: "no board", "another size", "duplicate", "moving" or "blurred"."""
         return sum(picture["why"] == why for picture in self._pictures)
 
     @property

@@ -28,8 +28,9 @@ def words(result: Calibration, seen: Seen) -> list[str]:
     pixels = zip(("fx", "fy", "cx", "cy"), parameters[:4], q.sd[:4], strict=True)
     terms = zip(lens.names()[4:], parameters[4 : -fit.BESIDE], q.sd[4 : -fit.BESIDE], strict=True)
     again = seen.count("duplicate")
+    shown = len(seen) - seen.count("no board") - seen.count("another size")
     lines = [
-        f"{len(seen) - seen.count('no board')} of {len(seen)} pictures show the {result.board.words}"
+        f"{shown} of {len(seen)} pictures show the {result.board.words}"
         f"{f', {again} of them as in another picture' if again else ''}; the fit uses "
         f"{used} picture{'s' if used != 1 else ''} with {len(result.observations.pixels)} corners",
         f"RMS residual {q.rms_px:.3f} px, without outliers {q.inlier_rms_px:.3f} px, of pictures held out of the fit "
