@@ -46,6 +46,16 @@ def test_what_is_as_in_the_picture_before_is_not_deflated_again(monkeypatch):
     assert counts == [4, 1, 1, 2, 2, 3, 3]
 
 
+def test_the_bytes_of_a_png_are_the_same_wherever_its_compressor_lies():
+    image = np.resize(np.array([7, 9, 2], np.uint8), (1, 600))  # begins again at once, with the row's filter: 2
+    between = []  # moves the next compressor to other memory; of 10,000 places two or three had other bytes
+    contents = set()
+    for _ in range(10_000):
+        contents.add(png.encode_png(image))
+        between.append(np.empty(70_000, np.uint8))
+    assert len(contents) == 1
+
+
 @settings(deadline=None, max_examples=200)
 @given(st.data())
 def test_a_damaged_png_is_left_to_opencv(data):

@@ -15,6 +15,7 @@ _UP = 2
 _BAND = 64  # rows
 _ZLIB_HEAD, _LAST_BLOCK = b"\x78\x01", b"\x03\x00"  # RFC 1950, 2.2; an empty block that is the last (RFC 1951, 3.2.3)
 _FIRST = 1024  # bytes of a deflated picture that hold its first byte: a block's tables take less than 600
+_ALONE = 8  # bytes at the beginning of a band that are a block of their own; from 4 to 16
 
 
 def encode_png(image: np.ndarray) -> bytes:
@@ -67,11 +68,17 @@ class Encoder:
 
 
 def _deflated(band: np.ndarray) -> bytes:
-    """Deflate rows as blocks that end with a whole byte and refer to nothing before them (RFC 1951)."""
+    """Deflate rows as blocks that end with a whole byte and refer to nothing before them (RFC 1951).
+
+    Where the first block has more than 16 bytes, ISA-L 2.32 files its third byte under a register that happens to hold
+    the address of the compressor (igzip_icf_body_h1_gr_bt.asm, write_first_byte): at one of some thousand addresses the
+    bytes are others, and as valid.
+    """
     from isal import isal_zlib
 
-    raw = isal_zlib.compressobj(1, isal_zlib.DEFLATED, -15)
-    return raw.compress(band) + raw.flush(isal_zlib.Z_FULL_FLUSH)
+    raw, content = isal_zlib.compressobj(1, isal_zlib.DEFLATED, -15), band.reshape(-1)
+    begin = raw.compress(content[:_ALONE]) + raw.flush(isal_zlib.Z_SYNC_FLUSH)
+    return begin + raw.compress(content[_ALONE:]) + raw.flush(isal_zlib.Z_FULL_FLUSH)
 
 
 def decode_png(content: bytes) -> np.ndarray | None:
