@@ -119,9 +119,11 @@ class Measured:
     def refusal(self) -> str | None:
         """Why the recording cannot tell where the microphones are; None where it can."""
         if self.told < ENOUGH:
+            stoop = "" if self.placed else " and stoop now and then"
             return (
                 f"this recording cannot tell where the microphones are: of the ways in which the array can be deformed "
-                f"it tells {100 * self.told:.0f} %; walk through the whole room while you talk, or clap in ten places"
+                f"it tells {100 * self.told:.0f} %; walk through the whole room{stoop} while you talk, or clap in ten "
+                "places"
             )
         far = np.linalg.norm(self.shifts, axis=1) > FARTHEST * self.prior.sd_m
         odd = far | (~self.prior.late & (np.abs(self.fit.delays) > ODD_S))

@@ -1,6 +1,7 @@
 """How well avcalib microphones measures an array by sound alone, with tracks, and with faulty channels.
 
-    make bench-microphones            # microphones.md and .jsonl in bench-out/: fifteen minutes
+    make bench-microphones                              # microphones.md and .jsonl in bench-out/: fifteen minutes
+    make bench-microphones BENCH_FLAGS="--falls 0.6"    # the talker stoops and rises again, by 60 cm every 18 s
 
 A person walks for three minutes through rooms of T60 0.35 s and talks (real speech, CMU ARCTIC, from ../shared/data or
 AVCLI_SHARED_DATA); eight microphones at 20 dB, whose positions in config.json are wrong by 4 cm along each axis. The
@@ -32,6 +33,7 @@ from avcli.localization.survey import Listening
 
 ROOT = Path(__file__).resolve().parents[2]
 FS, SECONDS, SNR_DB, WRONG_M, SPEED = 24000, 180.0, 20.0, 0.04, 343.0
+STOOPS_S = 18.0
 SPEAKERS = {"decide": "aew", "report": "axb"}
 
 
@@ -63,8 +65,8 @@ FAULTS: dict[str, dict[str, dict[int, float]]] = {
 }
 
 
-def walk(room: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,) s and mouths (n, 3) m of a person who walks from place to place."""
+def walk(room: np.ndarray, rng: np.random.Generator, falls: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (n,) s and mouths (n, 3) m of a person who walks from place to place and stoops by so many m."""
     t, step = np.arange(0.0, SECONDS + 1e-9, 0.1), 0.1
     here = goal = rng.uniform(0.7, room[:2] - 0.7)
     velocity, speed, path = np.zeros(2), 0.8, []
@@ -76,6 +78,7 @@ def walk(room: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         here = here + velocity * step
         path.append(here)
     height = rng.uniform(1.45, 1.7) + 0.02 * np.sin(2 * np.pi * 0.9 * t) + 0.05 * np.sin(0.2 * t)
+    height = height + 0.5 * falls * (np.sin(2 * np.pi * t / STOOPS_S) - 1.0)
     return t, np.column_stack([path, height])
 
 
@@ -86,11 +89,11 @@ def array(case: Case, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([middle + (middle - 0.15) * level, rng.uniform(0.8 if case.spread else 2.2, 2.5, 8)])
 
 
-def recorded(case: Case, speaker: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def recorded(case: Case, speaker: str, falls: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return samples (n, 8) without noise, microphones (8, 3) m, and the walk: times and mouths."""
     rng = np.random.default_rng(case.seed)
     true = array(case, rng)
-    t, path = walk(np.array(case.room), rng)
+    t, path = walk(np.array(case.room), rng, falls)
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
     spoken = [soundfile.read(file, always_2d=True) for file in sorted(folder.glob(f"*_{speaker}_*.wav"))]
     if not spoken:
@@ -174,6 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--split", choices=list(CASES), default="report")
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
+    parser.add_argument("--falls", type=float, default=0.0, metavar="M", help="by how much the mouth falls and rises")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     head = (
@@ -191,7 +195,7 @@ def main() -> None:
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     with open(given.out / "microphones.jsonl", "w", encoding="utf-8") as log:
         for number, case in enumerate(CASES[given.split]):
-            sound = recorded(case, SPEAKERS[given.split])
+            sound = recorded(case, SPEAKERS[given.split], given.falls)
             runs = [("none", False), ("none", True)] + [(f, False) for f in list(FAULTS)[1:] if number == 0]
             for fault, tracks in runs:
                 row = measured(case, sound, fault, tracks)
