@@ -14,9 +14,6 @@ STRIDE = 8
 _SQUARE = 1.2
 """Ratio of the picture's sides up to which it may be turned by any angle."""
 
-_RECOLOURED = 0.7
-"""Share of pictures in other colours: in other films of a room people wear other clothes."""
-
 
 @dataclass(frozen=True)
 class Lesson:
@@ -65,7 +62,7 @@ def lesson(
 
 
 def drawn(one: Lesson, chance: np.random.Generator) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """A lesson's picture (h, w, 3) uint8, turned, mirrored, scaled, in other light and colours, and its `targets`."""
+    """A lesson's picture (h, w, 3) uint8, turned, mirrored, scaled and in another light, and its `targets`."""
     import cv2
 
     height, width = one.picture.shape[:2]
@@ -78,8 +75,6 @@ def drawn(one: Lesson, chance: np.random.Generator) -> tuple[np.ndarray, tuple[n
     centred = map_.copy()
     centred[:, 2] += centred[:, :2] @ [0.5, 0.5] - 0.5  # OpenCV's pixels are centre-based
     picture = cv2.warpAffine(one.picture, centred, (width, height), borderValue=(PAD, PAD, PAD))
-    if chance.random() < _RECOLOURED:
-        picture = _recoloured(picture, chance)
     light = chance.uniform(0.75, 1.3) * chance.uniform(0.93, 1.07, 3)
     table = np.clip(255 * (np.arange(256) / 255)[:, None] ** chance.uniform(0.8, 1.25) * light, 0, 255).astype(np.uint8)
     picture = np.stack([table[picture[..., k], k] for k in range(3)], axis=-1)
@@ -97,17 +92,6 @@ def drawn(one: Lesson, chance: np.random.Generator) -> tuple[np.ndarray, tuple[n
     ignored = np.concatenate([doubtful, clipped[~whole]])
     spots = np.clip(people[whole, :2], 0, [width, height])
     return picture, targets(clipped[whole], spots, ignored, (width, height))
-
-
-def _recoloured(picture: np.ndarray, chance: np.random.Generator) -> np.ndarray:
-    """A picture (h, w, 3) uint8 with all its hues turned by one angle, paler or stronger."""
-    import cv2
-
-    hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
-    hues, strengths = np.arange(256), np.arange(256) * chance.uniform(0, 1.6)
-    hsv[..., 0] = ((hues + chance.integers(180)) % 180).astype(np.uint8)[hsv[..., 0]]
-    hsv[..., 1] = np.minimum(strengths, 255).astype(np.uint8)[hsv[..., 1]]
-    return cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
 
 
 def targets(boxes: np.ndarray, spots: np.ndarray, ignored: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
