@@ -115,31 +115,30 @@ class _Hypotheses:
     """Kinds of bodies, each seen whole and, if they are upright, also with the side of the feet hidden.
 
     Where a network gives points, those of whom the feet are hidden have a head that is marked, or one that is not.
-    The upright ones come first.
     """
 
-    def __init__(self, *, points: bool):
+    def __init__(self, kinds: tuple[Kind, ...], *, upright: bool, points: bool = False):
+        self.upright = upright
         shares = {(False, True): 1.0}  # of those who are seen whole, and of those whose feet are hidden
-        shares[True, True] = HEAD_TOLD if points else 1.0
-        if points:
+        if upright:
+            shares[True, True] = HEAD_TOLD if points else 1.0
+        if upright and points:
             shares[True, False] = 1 - HEAD_TOLD
-        rows = [(kind, *how, share) for kind in range(len(KINDS)) for how, share in shares.items()]
-        self.count_upright = len(rows)
-        rows += [(len(KINDS) + kind, False, True, 1.0) for kind in range(len(LYING))]
-        self.kind, self.hiding, self.told, share = (np.array(column) for column in zip(*rows, strict=True))
-        self.upright = np.arange(len(rows)) < self.count_upright
-        kinds = KINDS + LYING
+        self.kind = np.repeat(np.arange(len(kinds)), len(shares))
+        self.hiding, self.told = (np.tile(column, len(kinds)) for column in np.array(list(shares)).T)
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
         self.kind_share = np.array([kinds[kind].share for kind in self.kind])
-        self.log_share = np.log(self.kind_share) + np.log(share)
+        self.log_share = np.log(self.kind_share)
+        self.log_share += np.tile(np.log(list(shares.values())), len(kinds))
 
     def __len__(self) -> int:
         return len(self.kind)
 
 
-_BY_BOX, _BY_POINTS = (_Hypotheses(points=points) for points in (False, True))
+_MOST, _MOST_BY_POINTS = (_Hypotheses(KINDS, upright=True, points=points) for points in (False, True))
+_REST = _Hypotheses(LYING, upright=False)
 
 _LEVELS = np.arange(0.1, 1.75, 0.2)
 """m; where what a box shows of somebody may be."""
@@ -198,19 +197,20 @@ class Fitted:
     ):
         boxes = np.asarray(boxes, float).reshape(-1, 4)
         self._room, self._law, self._below = room, law, view.origin[:2]
-        self._hypotheses = _BY_BOX if parts is None else _BY_POINTS
+        self._most = _MOST if parts is None else _MOST_BY_POINTS
         if not len(boxes):
             self._alone = Places(
                 np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2))
             )
             return
         self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
-        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._hypotheses)
-        upright = self._hypotheses.upright
-        whole = fits.good & upright & ~self._hypotheses.hiding
-        loose = np.where(whole, fits.shared, 0.0).max(axis=1) < TIGHT
-        self._fits = replace(fits, good=fits.good & (upright | loose[:, None]))
-        self._alone = _before_walls(self._fits, room).merged(law)
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most)
+        loose = np.flatnonzero(np.where(fits.good & ~self._most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
+        if len(loose):
+            some = [None if item is None else item[loose] for item in (parts, turns, self._unsure)]
+            fits = fits.joined(_fitted(boxes[loose], view, some[0], some[1], some[2], law, _REST), loose)
+        self._fits = fits
+        self._alone = _before_walls(fits, room).merged(law)
         self._on_rays = {
             int(index): _on_rays(boxes[index], 0.0 if turns is None else float(turns[index]), view, room)
             for index in np.flatnonzero(~self._alone.explained)
@@ -228,7 +228,7 @@ class Fitted:
         if known is not None:
             lower = np.flatnonzero(places.heights < known[:, 0] - LOWER * known[:, 1])
             if len(lower):
-                again = _before_walls(self._fits.remembering(known[lower], lower, self._hypotheses), self._room)
+                again = _before_walls(self._fits.remembering(known[lower], lower, self._most), self._room)
                 places = replace(again.merged(self._law), alone=places.alone)
         covariances = stated(places.covariances.copy(), places.positions - self._below, self._law, self._unsure)
         places = replace(places, positions=places.positions.copy(), covariances=covariances)
@@ -319,13 +319,12 @@ class _Judged:
         Args:
             known: (m, 2) m, heights and their standard deviations.
             rows: (m,) the boxes.
-            hypotheses: those that were fitted.
+            hypotheses: those that were fitted first.
         """
-        count = hypotheses.count_upright
-        mean, spread = hypotheses.mean[:count], hypotheses.spread[:count]
-        share = hypotheses.kind_share[:count]
+        count = len(hypotheses)
+        mean, spread = hypotheses.mean, hypotheses.spread
         height, sd = known[:, :1], known[:, 1:]
-        likely = np.log(share / spread) - ((height - mean) / spread) ** 2 / 2
+        likely = np.log(hypotheses.kind_share / spread) - ((height - mean) / spread) ** 2 / 2
         use = (likely >= likely.max(axis=1, keepdims=True)) & (sd < spread)
         precision = np.where(use, 1 / sd**2 - 1 / spread**2, 1.0)  # of a Gaussian, new prior over old prior
         middle = (height / sd**2 - mean / spread**2) / precision
@@ -333,14 +332,14 @@ class _Judged:
         state, covariance = self.state[rows, :count], self.covariance[rows, :count]
         total = covariance[..., 2, 2] + 1 / precision
         away = middle - state[..., 2]
-        gain = np.where(hypotheses.hiding[:count, None], covariance[..., 2] / total[..., None], 0.0)
+        gain = np.where(hypotheses.hiding[:, None], covariance[..., 2] / total[..., None], 0.0)
         told = scale - away**2 / total / 2 - np.log(precision * total) / 2
         more = _Judged(
             state + gain * away[..., None],
             covariance - gain[..., :, None] * covariance[..., None, 2, :],
             self.surplus[rows, :count],
             self.good[rows, :count] & use & (away**2 < 16 * total),
-            self.log_weight[rows, :count] + told + np.log(REMEMBERED / share),
+            self.log_weight[rows, :count] + told + np.log(REMEMBERED / hypotheses.kind_share),
             self.shared[rows, :count],
         )
         weight = self.log_weight.copy()
@@ -406,11 +405,11 @@ class _Fits:
         repeat = rows // len(hypotheses)
         self.outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
         self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
-        upright = np.tile(hypotheses.upright, repeat)
-        self.log_share += np.where(upright, np.log(np.where(self.hiding, feet, 1 - feet)), 0.0)
+        if hypotheses.upright:
+            self.log_share += np.log(np.where(self.hiding, feet, 1 - feet))
         head = np.repeat([False, True, False], 2)
         marked = head & np.tile(hypotheses.told, repeat)[:, None]
-        self.silent = np.where(self.hiding[:, None], ~marked, ~upright[:, None])  # of the parts
+        self.silent = np.where(self.hiding[:, None], ~marked, not hypotheses.upright)  # of the parts
         self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
         turns = np.zeros(rows) if turns is None else turns
         self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2
