@@ -270,8 +270,9 @@ class Session:
         if not total:
             return
         said = f"not computed: {count} of {total} {what} ({100 * count / total:.0f} %), {why}"
-        if stage in self._timings and count < total:
-            said += f"; saved about {self._timings[stage] * count / (total - count):.2f} s"
+        saved = self._timings.get(stage, 0.0) * count / (total - count) if count < total else 0.0
+        if saved >= 0.005:  # two digits are written
+            said += f"; saved about {saved:.2f} s"
         self.note(said)
 
     @contextlib.contextmanager

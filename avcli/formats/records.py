@@ -112,6 +112,8 @@ def decode(line: bytes) -> dict[str, Any]:
     try:
         record = orjson.loads(line)
     except orjson.JSONDecodeError as error:
+        if b"\0" in line or line.startswith(b"\x89PNG"):
+            raise RecordError("not text, but perhaps sound or a picture; a record is a line of JSON") from None
         raise RecordError(f"invalid JSON: {error.msg}", error.colno) from None
     if not isinstance(record, dict):
         raise RecordError(f"must be a JSON object, found {shown(record)}")

@@ -248,7 +248,7 @@ def main() -> None:
         progress = max(step / options.steps, spent / (60 * options.minutes) if options.minutes else 0.0)
         if step % 50 == 0:
             print(json.dumps({"step": step, "s": round(spent), "cpu_s": round(time.process_time()),
-                              "loss": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
+                              "loss of scores, boxes, parts": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
             sums[:] = 0
         if time.time() - saved > 120 or progress >= 1:
             state = {"model": model.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
