@@ -316,14 +316,17 @@ class _Listener:
             # Places fit best to the microphones that gave them: what was put right is compared once it helps too.
             again = self._heard(times, spectra, self._places(times, spectra, found, found.clear, signed=True), found)
             found = max(found, again, key=lambda state: float(state.heard.sum()))
-        # Places bend until exchanged channels agree with them as they are: the two that agree least are exchanged.
-        one, other = np.argsort(found.heard)[:2]
-        order = found.order.copy()
-        order[[one, other]] = order[[other, one]]
-        exchanged = replace(found, order=order)
-        places = self._places(times, spectra, exchanged, exchanged.usable, signed=True)
-        again = self._heard(times, spectra, places, exchanged)
-        return again if (again.order == order).all() and again.heard.sum() > found.heard.sum() else found
+        # Places bend until exchanged channels agree with them as they are. They are among the three that agree least.
+        best = found
+        for one, other in itertools.combinations(np.argsort(found.heard)[:3], 2):
+            order = found.order.copy()
+            order[[one, other]] = order[[other, one]]
+            exchanged = replace(found, order=order)
+            places = self._places(times, spectra, exchanged, exchanged.usable, signed=True)
+            again = self._heard(times, spectra, places, exchanged)
+            if (again.order == order).all() and again.heard.sum() > best.heard.sum():
+                best = again
+        return best
 
     def corrected(self, times: np.ndarray, spectra: np.ndarray, channels: Channels) -> np.ndarray:
         late = channels.delay + channels.drift * times[:, None]
