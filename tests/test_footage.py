@@ -43,7 +43,6 @@ def folder(tmp_path):
 def test_what_a_name_means(name, kind):
     assert footage.source(name).kind == kind
     assert footage.source(name).is_live == (kind in ("stream", "camera", "url"))
-    assert footage.is_camera(name) == (kind == "camera")
 
 
 def test_a_folder_has_its_pictures_in_the_order_of_their_names(folder):

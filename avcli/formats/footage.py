@@ -207,11 +207,6 @@ def _is_virtual(name: str) -> bool:
     return "%" in name or "://" in name
 
 
-def is_camera(name: str) -> bool:
-    """Tell whether a source is a camera: "/dev/video0", or just its number."""
-    return source(name).kind == "camera"
-
-
 def stamped(paths: list[Path], rate_hz: float) -> list[tuple[float, Path]]:
     """Give picture files their times, s: those that all their names end in ("RGB_frame_0.1000000000"), else k / rate.
 
