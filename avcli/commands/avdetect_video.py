@@ -161,10 +161,14 @@ def _people(session: filter.Session, detector: Detector, shot: footage.UnreadSho
 
 
 def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
+    from avcli.detection.bands import BandedNetwork
+
     tally = detector.tally
     if detector.windows is not None:
         seen, still = detector.windows.looked, detector.windows.skipped
         session.note_skipped("windows", still, seen + still, "in which nothing had changed", "network")
+    if isinstance(detector.sight, BandedNetwork):
+        session.note("the pictures are round: the network looked at two bands of each")
     session.note_skipped("pictures", tally.unchanged, tally.pictures, "in which nothing had changed", "network")
     if tally.followed:
         session.note(f"boxes with a low score that were followed from the pictures before: {tally.followed}")

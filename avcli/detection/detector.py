@@ -11,6 +11,7 @@ import numpy as np
 
 from avcli.detection.agreement import within
 from avcli.detection.background import Background
+from avcli.detection.bands import BandedNetwork, suited
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.fitted import FAINT
@@ -207,6 +208,8 @@ class Detector:
         view: the camera in the room.
         network: the network, None for the depth detector.
         windows: the network in windows, None where it looks at the whole picture.
+        sight: what looks at the pictures: the network, or its windows or bands; None for the depth detector, and before
+            the first picture.
         tally: what became of the network's boxes so far.
 
     Raises:
@@ -245,6 +248,7 @@ class Detector:
         self._following = Following() if chosen.confidence is None and not self._before else None
         self.network = self._network(model) if chosen.detector == "net" else None
         self.windows = self._windows(self.network) if self.network and self.settings.windows else None
+        self.sight: Network | WindowedNetwork | BandedNetwork | None = self.windows
         if self.network is None and background is None:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
@@ -288,7 +292,8 @@ class Detector:
         watched = self._stillness if time is not None and (doubts or self._strangers) else None
         if len(regions):
             with self._timing("network"):
-                everything = self._lit((self.windows or self.network).detect(self.view.lit(picture, PAD), regions))
+                shown = self.view.lit(picture, PAD)
+                everything = self._lit(self._looking(self.network, shown).detect(shown, regions))
             told = moves = np.zeros(len(everything))
             if watched and time is not None:
                 with self._timing("stillness"):
@@ -441,6 +446,13 @@ class Detector:
         below = self.view.below()
         centre = np.array(self._size) / 2 if below is None else below + 0.5
         return WindowedNetwork(network, self._size, centre, self.settings.windows or 1, self.view.circle)
+
+    def _looking(self, network: Network, picture: np.ndarray) -> Network | WindowedNetwork | BandedNetwork:
+        """What looks at the pictures, of which the first one says whether they are round."""
+        if self.sight is None:
+            whole = self._before or self.settings.imgsz is not None
+            self.sight = network if whole else suited(network, picture)
+        return self.sight
 
     def _lit(self, found: Boxes) -> Boxes:
         """The boxes whose middle is where the lens lights the picture."""

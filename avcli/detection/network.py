@@ -1,6 +1,7 @@
 """People in a colour picture by an ONNX network: this project's own, or any YOLO export."""
 
 import ast
+import copy
 import os
 from dataclasses import dataclass
 from importlib import resources
@@ -144,6 +145,17 @@ class Network:
         self._shape: tuple | None = None
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
         self.head = find_head([output.shape for output in outputs], self.size, self.names, self.metadata)
+
+    @property
+    def of_own_kind(self) -> bool:
+        """Whether it is a network of this project, for inputs of any size."""
+        return self.head.kind == "points" and self._open
+
+    def resized(self, size: tuple[int, int]) -> "Network":
+        """Return the same model for an input of another size (width, height) px, whose sides it must leave open."""
+        other = copy.copy(self)
+        other.size, other._maps, other._shape = self._input_size(size, size), None, None
+        return other
 
     def detect(self, picture: np.ndarray, regions: np.ndarray | None = None) -> Boxes:
         """Find the people in a picture.

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from avcli.detection.agreement import LEAST, Found, average_precision, matched, overlaps, platt
+from avcli.detection.bands import suited
 from avcli.detection.lessons import Lesson, drawn
 from avcli.detection.network import PAD, Boxes, Network
 from avcli.detection.settings import FEWEST, TeachingSettings
@@ -247,7 +248,7 @@ def teach(
 
 
 def _seen_by(model: bytes, size: tuple[int, int], one: Lesson) -> Boxes:
-    return Network(model, size, LOWEST).detect(one.picture)
+    return suited(Network(model, size, LOWEST), one.picture).detect(one.picture)
 
 
 def _against(one: Lesson, found: Boxes) -> Found:

@@ -6,14 +6,15 @@ FOLDER holds a folder for each set, with pictures and hand-made labels as YOLO w
 SET/**/labels/NAME.txt, a line `0 x y width height` in parts of the picture for each person. Nothing of them ships; see
 examples/benchmarks/real-video.md for where public sets are and under which terms.
 
-Networks: the package's own, what `avcalib detector` made of it, and each other --model, in the whole picture and, with
---windows N, in N turned windows. A box is found if it overlaps a label by more than .3 (or .5, for AP.5). The lens is
-not known: it is taken as equidistant over the picture's shorter side, which serves to lay the windows and to place true
-boxes: `placed` is the share of them that get a position, `explained` the share that a body explains, at the camera
-height of --heights at which most are. With --films RATE the pictures are those of films, in order, and the detector by
-colour alone looks at them, following people and not; its positions are compared with those of the labels' boxes, placed
-in the same way: the lens, the height and the shape of bodies, which are not known, spoil both alike, so what is left is
-what the network's boxes are off. Times are CPU milliseconds of one thread.
+Networks: the package's own, in the whole picture and as the detector uses it (in bands of round pictures), what
+`avcalib detector` made of it, and each other --model, in the whole picture and, with --windows N, in N turned windows.
+A box is found if it overlaps a label by more than .3 (or .5, for AP.5). The lens is not known: it is taken as
+equidistant over the picture's shorter side, which serves to lay the windows and to place true boxes: `placed` is the
+share of them that get a position, `explained` the share that a body explains, at the camera height of --heights at
+which most are. With --films RATE the pictures are those of films, in order, and the detector by colour alone looks at
+them, following people and not; its positions are compared with those of the labels' boxes, placed in the same way: the
+lens, the height and the shape of bodies, which are not known, spoil both alike, so what is left is what the network's
+boxes are off. Times are CPU milliseconds of one thread.
 """
 
 import argparse
@@ -30,6 +31,7 @@ import numpy as np
 from bench_detection import table
 
 from avcli.detection.agreement import Found, average_precision, judged, matched, overlaps, within
+from avcli.detection.bands import suited
 from avcli.detection.body import Person
 from avcli.detection.detector import Detector
 from avcli.detection.following import FOLLOWED
@@ -119,17 +121,24 @@ def placed(labels: list[tuple[tuple[int, int], np.ndarray]], heights: list[float
     }
 
 
+def by_shape(network: Network) -> Callable[[np.ndarray], Boxes]:
+    """A network of this project as the detector uses it."""
+    return lambda picture: suited(network, picture).detect(picture)
+
+
 def ways(options: argparse.Namespace, size: tuple[int, int]) -> dict[str, Callable[[np.ndarray], Boxes]]:
     """The networks, in the whole picture and in windows, for pictures of a size."""
     own = (resources.files("avcli.detection") / "people.onnx").read_bytes()
+    whole = Network(own, None, LEAST, picture=size)
     made: dict[str, Callable[[np.ndarray], Boxes]] = {
         f"people {options.own_size[0]}x{options.own_size[1]}": Network(own, options.own_size, LEAST).detect,
-        "people": Network(own, None, LEAST, picture=size).detect,
+        "people, whole picture": whole.detect,
+        "people": by_shape(whole),
     }
     for path in options.model:
         network = Network(path.read_bytes(), None, LEAST, picture=size)
         if network.head.kind == "points":  # from avcalib detector
-            made[f"people, {path.stem}"] = network.detect
+            made[f"people, {path.stem}"] = by_shape(network)
             continue
         made[path.stem] = network.detect
         if options.windows:

@@ -1,0 +1,134 @@
+"""A network of this project in two bands of a round picture, one across it and one down it.
+
+The networks of this project have learnt from wide pictures, so they know people best in these. A round picture is as
+high as it is wide. Its two bands are as wide pictures are; the second is turned by a right angle. Each band decides on
+the people in the two quarters of the picture that lie along it. Whoever stands where both bands look is judged by both.
+"""
+
+import numpy as np
+
+from avcli.detection.agreement import overlaps
+from avcli.detection.network import MOST, PAD, Boxes, Network, suppress
+
+BREADTH = 0.6
+"""Breadth of a band as a part of its length."""
+
+LEAST_SCORE = 0.02
+"""Score from which a band's boxes count for the other band, and the score of somebody whom that band does not see."""
+
+SAME = 0.4
+"""Intersection over union from which boxes of the two bands show one person."""
+
+SHOWN = 0.85
+"""Part of a box, across a band, that the band must hold to have a say."""
+
+SEAM = 1 / 60
+"""Part of the picture by which the quarters of the two bands overlap."""
+
+ROUND, FEWEST_PX = 1.2, 64
+"""Longer side over shorter side of a picture up to which it can be round, and the shorter side that it must have."""
+
+OUTSIDE, DARK, DARKER, DARK_SHARE = 0.65, 40, 0.6, 0.75
+"""A picture is round if this share of what is farther from its middle than OUTSIDE, as a part of its size, is darker
+than a level and than a part of the median of the inner picture, or has the grey of what the lens does not light."""
+
+
+def is_round(picture: np.ndarray) -> bool:
+    """Whether a picture (height, width, 3) uint8 is about square, with corners that the lens does not light."""
+    height, width = picture.shape[:2]
+    if max(height, width) > ROUND * min(height, width) or min(height, width) < FEWEST_PX:
+        return False
+    some = picture[:: max(height // 256, 1), :: max(width // 256, 1)]
+    level = some.max(axis=2)
+    v, u = np.ogrid[: level.shape[0], : level.shape[1]]
+    away = np.hypot((u + 0.5) / level.shape[1] - 0.5, (v + 0.5) / level.shape[0] - 0.5)
+    dark = min(DARK, DARKER * float(np.median(level[away < 0.4])))
+    unlit = (level < dark) | (some == PAD).all(axis=2)
+    return bool(unlit[away > OUTSIDE].mean() >= DARK_SHARE)
+
+
+class BandedNetwork:
+    """A network that looks at two bands of a round picture in place of all of it.
+
+    Args:
+        network: of this project, for inputs of any size (`Network.of_own_kind`).
+    """
+
+    def __init__(self, network: Network):
+        self.confidence, self._iou = network.confidence, network.iou
+        length = max(network.size)
+        self._bands = [network.resized((length, round(BREADTH * length))) for _ in range(2)]
+        for band in self._bands:
+            band.confidence = min(self.confidence, LEAST_SCORE)
+
+    def detect(self, picture: np.ndarray, regions: np.ndarray | None = None) -> Boxes:
+        """Find the people in a picture, as `Network.detect`."""
+        import cv2
+
+        height, width = picture.shape[:2]
+        across = self._look(0, picture, regions)
+        if regions is not None:
+            regions = np.column_stack([regions[:, 1], width - regions[:, 2], regions[:, 3], width - regions[:, 0]])
+        down = self._look(1, cv2.rotate(picture, cv2.ROTATE_90_COUNTERCLOCKWISE), regions)
+        found = voted(across, _turned_back(down, width), (width, height))
+        kept = suppress(found.boxes, found.scores, self._iou)
+        return found.take(kept[found.scores[kept] >= self.confidence][:MOST])
+
+    def _look(self, number: int, picture: np.ndarray, regions: np.ndarray | None) -> Boxes:
+        """What a band across the middle of a picture shows, in px of the picture."""
+        height, width = picture.shape[:2]
+        margin = max((height - round(BREADTH * width)) // 2, 0)
+        if regions is not None:
+            low, high = regions[:, :2] - [0, margin], regions[:, 2:] - [0, margin]
+            inside = np.concatenate([np.maximum(low, 0), np.minimum(high, [width, height - 2 * margin])], axis=1)
+            regions = inside[(inside[:, 2:] > inside[:, :2]).all(axis=1)]
+        found = self._bands[number].detect(picture[margin : height - margin], regions)
+        corner = np.array([0, margin])
+        parts = None if found.parts is None else found.parts + corner
+        return Boxes(found.boxes + np.tile(corner, 2), found.scores, parts)
+
+
+def suited(network: Network, picture: np.ndarray) -> Network | BandedNetwork:
+    """The bands of a network of this project where a picture (height, width, 3) is round, else the network itself."""
+    return BandedNetwork(network) if network.of_own_kind and is_round(picture) else network
+
+
+def _turned_back(found: Boxes, width: int) -> Boxes:
+    """People in a picture that was turned by a right angle against the clock, in px of the picture (width wide)."""
+    x0, y0, x1, y1 = found.boxes.T
+    parts = None
+    if found.parts is not None:
+        parts = np.stack([width - found.parts[..., 1], found.parts[..., 0]], axis=-1)
+    return Boxes(np.column_stack([width - y1, x0, width - y0, x1]), found.scores, parts)
+
+
+def voted(across: Boxes, down: Boxes, size: tuple[int, int]) -> Boxes:
+    """The people of both bands, each by the band along which they stand; at a seam one may be there twice.
+
+    Where both bands look, the score is that of the mean of their two log odds.
+
+    Args:
+        across, down: what the bands found, in px of the picture.
+        size: (width, height) px of the picture.
+    """
+    boxes, scores, parts = [], [], []
+    middle = np.array(size) / 2
+    for axis, mine, other in ((0, across, down), (1, down, across)):
+        away = np.abs((mine.boxes[:, :2] + mine.boxes[:, 2:]) / 2 - middle)
+        mine = mine.take(away[:, 1 - axis] <= away[:, axis] + SEAM * max(size))
+        reach = BREADTH * size[1 - axis] / 2  # of the other band, to both sides of the middle
+        low, high = mine.boxes[:, axis], mine.boxes[:, axis + 2]
+        seen = np.minimum(high, middle[axis] + reach) - np.maximum(low, middle[axis] - reach)
+        same = overlaps(mine.boxes, other.boxes) > SAME
+        opinion = np.where(same, other.scores[None], LEAST_SCORE).max(axis=1, initial=LEAST_SCORE)
+        both = 1 / (1 + np.exp(-(_log_odds(mine.scores) + _log_odds(opinion)) / 2))
+        boxes.append(mine.boxes)
+        scores.append(np.where(seen >= SHOWN * (high - low), both, mine.scores))
+        parts.append(mine.parts)
+    known = [one for one in parts if one is not None]
+    return Boxes(np.concatenate(boxes), np.concatenate(scores), np.concatenate(known) if len(known) == 2 else None)
+
+
+def _log_odds(scores: np.ndarray) -> np.ndarray:
+    bounded = np.clip(scores, 1e-4, 1 - 1e-4)
+    return np.log(bounded) - np.log1p(-bounded)
