@@ -10,7 +10,7 @@ import numpy as np
 from avcli.detection.agreement import overlaps
 from avcli.detection.network import MOST, PAD, Boxes, Network, suppress
 
-BREADTH = 0.6
+BREADTH = 0.7
 """Breadth of a band as a part of its length."""
 
 LEAST_SCORE = 0.02
