@@ -42,6 +42,7 @@ class Said:
     delays: np.ndarray
     first: np.ndarray
     second: np.ndarray
+    echoes: None = None
 
 
 def said(true, t, path, rng, *, late=0.0, drift=0.0, noise=2e-5, offset=0.0, wrong=0.15):
@@ -62,7 +63,7 @@ def said(true, t, path, rng, *, late=0.0, drift=0.0, noise=2e-5, offset=0.0, wro
 
 
 def measured(heard, given, way=None, **known):
-    prior = microphones.Prior(given, 0.04, SPEED, 2.0, *np.zeros((2, len(given)), bool))
+    prior = microphones.Prior(given, 0.04, SPEED, 2.0, *np.zeros((2, len(given)), bool), np.array([6.0, 5.0, 3.0]))
     return microphones.measure(heard, lambda *_: heard, prior, way, **known)
 
 

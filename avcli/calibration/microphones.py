@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from avcli.calibration import bundle
+from avcli.calibration.echoes import Echoes, surfaces
 from avcli.formats import media
 from avcli.formats.records import Identified
 
@@ -50,10 +51,13 @@ class Heard(Protocol):
     def first(self) -> np.ndarray: ...
     @property
     def second(self) -> np.ndarray: ...
+    @property
+    def echoes(self) -> Echoes | None: ...
 
 
-Again = Callable[[np.ndarray, np.ndarray, np.ndarray], Heard]
-"""Listens again, given times (k,) s, the path (k, 3) m and the pairs' delays (k, p) s there."""
+Again = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], Heard]
+"""Listens again, given times (k,) s, the path (k, 3) m, the pairs' delays (k, p) s there, and when each channel hears
+the direct sound (k, m) s and the echo of each surface (k, m, s) s."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,7 @@ class Prior:
         speed_of_sound, speed_sd: m/s.
         late: (m,) bool, the channels that are late by more than the others, as the survey found.
         adrift: (m,) bool, those of them whose delay grows.
+        room: (3,) m, its size.
     """
 
     positions: np.ndarray
@@ -74,6 +79,7 @@ class Prior:
     speed_sd: float
     late: np.ndarray
     adrift: np.ndarray
+    room: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -225,7 +231,8 @@ def measure(
             prior.speed_of_sound, bundle.Priors(
                 position_m=1e-6 if given else prior.sd_m, speed_m_s=prior.speed_sd,
                 clock_s=0.0 if is_clock_known else CLOCK_SD_S, **priors,
-            ), way_used, clock, doubt_echoes=way is None and said is not heard,
+            ), way_used, clock, doubt_echoes=way is None and said is not heard, surfaces=surfaces(prior.room),
+            echoes=said.echoes and said.echoes.part(rows),
         )  # fmt: skip
 
     way_used = None
@@ -233,7 +240,7 @@ def measure(
     if way is not None:
         clock = 0.0 if is_clock_known else _clock(rough.path, heard.times, way)
         way_used = way
-    said = again(heard.times, rough.path, rough.predicted)
+    said = again(heard.times, rough.path, rough.predicted, rough.arrivals, rough.echoes)
     free = fitted(said)
     off = prior.late | (np.abs(free.delays - np.median(free.delays)) > SYNCHRONOUS * free.delay_sd)
     adrift = prior.adrift | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)
