@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration.echoes import LASTING_S, SMOOTHING_S, Echoes, Field, Surfaces
+from avcli.calibration.echoes import LASTING_S, LOOKS, STANDS_OUT, Echoes, Field, Surfaces
 from avcli.numeric import TooLittle
 
 MOUTH_M, MOUTH_SD_M = 1.5, 0.2
@@ -228,11 +228,11 @@ def adjust(
         for _ in range(4):
             problem.step(scale)
     if echoes is not None:
-        for smoothing in SMOOTHING_S:
-            problem.listen(Field(echoes, smoothing))
-            for _ in range(6):
+        for smoothing, least in LOOKS:
+            problem.listen(Field(echoes, smoothing, least))
+            for _ in range(5):
                 problem.step(scale)
-        problem.listen(Field(echoes, 0.0, LASTING_S, problem.echoes_scatter()))
+        problem.listen(Field(echoes, 0.0, STANDS_OUT, LASTING_S, problem.echoes_scatter()))
         for _ in range(6):
             problem.step(scale)
     return problem.fit(scale, share)

@@ -11,12 +11,15 @@ from typing import Protocol
 
 import numpy as np
 
-STANDS_OUT = 8.0
-"""How many standard deviations of its noise the mean of a channel's correlations at a surface's echo must have."""
+STANDS_OUT, FOLLOWED = 8.0, 4.0
+"""How many standard deviations of its noise the mean of a channel's correlations at a surface's echo must have to be
+believed, and to be followed once the other channels are in their places."""
 LASTING_S = 1e-5
 """The error of a channel's delays at a surface's echo that does not become smaller in a longer recording, s."""
 SMOOTHING_S = (1.6e-4, 8e-5, 4e-5, 0.0)
 """Standard deviations of the Gaussians over which correlations are smoothed, one after the other, s."""
+LOOKS = tuple((smoothing, least) for least in (STANDS_OUT, FOLLOWED) for smoothing in SMOOTHING_S)
+"""Smoothing and what must stand out, one look after the other."""
 SHIFT_S, MOSTLY = 6e-4, 0.5
 """How far about an echo's place all channels together are looked at, s, and how much of the most that is found there a
 surface must have in its place to be believed."""
@@ -74,13 +77,17 @@ class Field:
     Args:
         echoes: what was heard.
         smoothing_s: standard deviation of a Gaussian, s.
+        least: how many standard deviations the mean must stand out.
         lasting_s: the error that does not become smaller in a longer recording.
         inflation: by how much the variance of an echo's time is larger than noise makes it.
     """
 
-    def __init__(self, echoes: Echoes, smoothing_s: float, lasting_s: float = 0.0, inflation: float = 1.0):
+    def __init__(
+        self, echoes: Echoes, smoothing_s: float, least: float, lasting_s: float = 0.0, inflation: float = 1.0
+    ):
         from scipy.ndimage import gaussian_filter1d
 
+        self.least = least
         self.echoes, self.lasting, self.inflation = echoes, lasting_s, inflation
         width = smoothing_s / echoes.step
         self.value = gaussian_filter1d(echoes.heard, width, axis=3) if width else echoes.heard
@@ -91,12 +98,17 @@ class Field:
         self.sign, self.trusted = 1.0, np.zeros(echoes.heard.shape[2], bool)
 
     def trust(self, delays: np.ndarray, direct: np.ndarray) -> None:
-        """Decide whether surfaces invert the pressure, and which of them (s,) are heard where they are expected."""
+        """Decide whether surfaces invert the pressure, and which of them (s,) are heard where they are expected.
+
+        In the last look, each channel must hear them there (m, s).
+        """
         shifts = np.arange(-SHIFT_S, SHIFT_S + 1e-9, 4 * self.echoes.step)
-        curves = np.array([self._clear(delays + shift, direct)[0].sum(axis=0) for shift in shifts - shifts.mean()])
-        here = curves[len(shifts) // 2]
-        self.sign = float(np.sign(here[np.abs(here).argmax()]))
-        self.trusted = self.sign * here > MOSTLY * np.abs(curves).max(axis=0)
+        each = np.array([self._clear(delays + shift, direct)[0] for shift in shifts - shifts.mean()])
+        curves, middle = each.sum(axis=1), len(shifts) // 2
+        self.sign = float(np.sign(curves[middle][np.abs(curves[middle]).argmax()]))
+        self.trusted = self.sign * curves[middle] > MOSTLY * np.abs(curves).max(axis=0)
+        if self.lasting:
+            self.trusted = self.trusted & (self.sign * each[middle] > MOSTLY * (self.sign * each).max(axis=0))
 
     def _clear(self, delays: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return how far the mean correlations stand out of their noise (m, s), where, and the windows (n, m, s)."""
@@ -123,7 +135,7 @@ class Field:
         slope, bend = (self.sign * np.where(count > 0.0, _at(curve, at), 0.0) for curve in (self.slope, self.bend))
         total = np.maximum(count.sum(axis=0), 1.0)
         curvature = -bend.sum(axis=0) / total
-        heard = self.trusted & (clear > STANDS_OUT) & (curvature > 0.0)
+        heard = self.trusted & (clear > self.least) & (curvature > 0.0)
         curvature = np.where(heard, curvature, 1.0)
         information = clear * curvature / (self.noise * np.sqrt(total) * self.inflation)
         # Other echoes come near in some places and bend a surface's echo by a little, in whatever many windows.
