@@ -535,14 +535,17 @@ class _Problem:
         """Return the information (s,) 1/m² that is given on the surfaces.
 
         Of one that is heard without the one opposite nothing shows whether the room is as it is given: it is believed
-        little in the end. Nor should a surface pull that is far from where it is given.
+        little in the end. Nor should a surface pull that is far from where it is given, nor two in a room of another
+        size.
         """
         axis, sd = self.surfaces.axis, self.sd[self.planes].copy()
         if self.field is not None and self.field.lasting:
             heard = (self.clear > 0.0).any(axis=0)
             alone = np.bincount(axis[heard], minlength=3)[axis] < 2
             sd[alone] *= LOOSE
-        far = (self.unknown[self.planes] - self.mean[self.planes]) / sd
+        apart = self.unknown[self.planes] - self.mean[self.planes]
+        size = np.array([np.ptp(apart[axis == across]) for across in axis])
+        far = np.maximum(np.abs(apart), size / np.sqrt(2.0)) / sd
         return 1.0 / (sd * (1.0 + (far / 3.0) ** 2)) ** 2
 
     def step(self, scale: float) -> tuple[float, np.ndarray]:
