@@ -131,6 +131,11 @@ class Measured:
         return (self.fit.clear > 0.0).mean(axis=0) >= 0.5
 
     @property
+    def hearing(self) -> np.ndarray:
+        """Which channels (m,) hear most of these surfaces."""
+        return self.echoing.any() & ((self.fit.clear[:, self.echoing] > 0.0).mean(axis=1) > 0.5)
+
+    @property
     def refusal(self) -> str | None:
         """Why the recording cannot tell where the microphones are; None where it can."""
         if self.told < ENOUGH:

@@ -201,7 +201,7 @@ def microphones_command(
             raise GateNotMet(str(error)) from None
         except ValueError as error:
             session.fail(str(error))
-    channels = channels.refined(found.fit.delays, found.fit.drifts)
+    channels = channels.refined(found.fit.delays, found.fit.drifts, found.hearing)
     for line in [*channels.words(), *found.words()]:
         session.warn(line)
     if html:

@@ -127,13 +127,19 @@ class Channels:
             )
         ]
 
-    def refined(self, delays: np.ndarray, drifts: np.ndarray) -> "Channels":
-        """Return the channels with what a fit found beside: delays (m,) s at time 0 and drifts (m,)."""
+    def refined(self, delays: np.ndarray, drifts: np.ndarray, echoing: np.ndarray) -> "Channels":
+        """Return the channels with what a fit found beside.
+
+        Args:
+            delays, drifts: (m,) s at time 0 and s/s.
+            echoing: (m,) which hear the room's echoes at their microphones: nothing is wrong with them.
+        """
         off, adrift = np.abs(delays) > SYNCHRONOUS_S, np.abs(self.drift + drifts) > STEADY
         return replace(
             self,
             delay=np.where(self.late | off | adrift, self.delay + delays, 0.0),
             drift=np.where(adrift, self.drift + drifts, 0.0),
+            heard=np.where(echoing & self.heard_as_is, np.maximum(self.heard, np.median(self.heard)), self.heard),
         )
 
     def wiring(self) -> list[dict[str, Any]] | None:
@@ -159,6 +165,11 @@ class Channels:
         """Which microphones (m,) agree with the others at some delay, about as well as those do with each other."""
         alike = self.clear & (self.heard >= DOUBTED * np.median(self.heard))
         return alike if alike.sum() >= 5 else self.clear
+
+    @property
+    def heard_as_is(self) -> np.ndarray:
+        """Which microphones (m,) are usable, or agree less but with nothing put right: those are listened to, too."""
+        return self.usable | (self.clear & (self.order == np.arange(len(self.order))) & (self.sign > 0.0) & ~self.late)
 
 
 @dataclass(frozen=True)
@@ -255,7 +266,7 @@ class Listening:
         arrivals = _between(self.times, times, arrivals)
         echoes = _between(self.times, times, echoes.reshape(len(times), -1)).reshape(-1, *shape)
         listener = self.listener
-        usable = self.channels.usable
+        usable = self.channels.heard_as_is
         kept = usable[listener.first] & usable[listener.second]
         block = np.floor(self.times / TOGETHER_S)
         begins = np.concatenate([[0], np.flatnonzero(np.diff(block)) + 1, [len(block)]])
@@ -455,7 +466,8 @@ class _Listener:
 
     def delays(self, windows: np.ndarray, channels: Channels) -> tuple[np.ndarray, np.ndarray]:
         """Return where each window's sound comes from, (n, 3) m, and the peaks of the pairs' GCCs, (n, pairs, k) s."""
-        kept = channels.usable[self.first] & channels.usable[self.second]
+        used = channels.heard_as_is
+        kept = used[self.first] & used[self.second]
         lags = int(np.ceil(self.reach.max() / self.speed / self.step))
         outside = np.abs(np.arange(-lags, lags + 1)) * self.step * self.speed > self.reach[:, None]
         inner = slice(lags - self.response.half_lags, lags + self.response.half_lags + 1)

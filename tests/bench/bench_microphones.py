@@ -166,7 +166,7 @@ def measured(case: Case, sound: tuple[np.ndarray, ...], fault: str, tracks: bool
         "place_mm": 1000 * float(np.linalg.norm((found.fit.positions - true).mean(axis=0))),
         "delay_us": 1e6 * float(np.abs(away - np.median(away)).max()),
         "drift_ppm": 1e6 * float(np.abs(adrift - np.median(adrift)).max()),
-        "named": channels.refined(found.fit.delays, found.fit.drifts).words(),
+        "named": channels.refined(found.fit.delays, found.fit.drifts, found.hearing).words(),
         "refusal": found.refusal,
         "cpu_s": cpu,
     }
