@@ -228,13 +228,7 @@ def adjust(
         for _ in range(4):
             problem.step(scale)
     if echoes is not None:
-        for smoothing, least in LOOKS:
-            problem.listen(Field(echoes, smoothing, least))
-            for _ in range(5):
-                problem.step(scale)
-        problem.listen(Field(echoes, 0.0, STANDS_OUT, LASTING_S, problem.echoes_scatter()))
-        for _ in range(6):
-            problem.step(scale)
+        problem.follow(echoes, scale)
     return problem.fit(scale, share)
 
 
@@ -423,10 +417,18 @@ class _Problem:
         direct = (near - before[:, None]) / speed + behind
         return (far - reference) / speed + behind[..., None], direct, away / far[..., None], mean, straight, shift
 
-    def listen(self, field: Field) -> None:
-        """Follow echoes from here on, of the surfaces that are heard where they are expected."""
+    def follow(self, echoes: Echoes, scale: float) -> None:
+        """Take in echoes, from smoothed correlations to sharp ones."""
+        for smoothing, least in LOOKS:
+            self._look(Field(echoes, smoothing, least), scale)
+        self._look(Field(echoes, 0.0, STANDS_OUT, LASTING_S, self.echoes_scatter()), scale)
+
+    def _look(self, field: Field, scale: float) -> None:
+        """Follow the surfaces that are heard where they are expected."""
         field.trust(*self._echo_model()[:2])
         self.field = field
+        for _ in range(5):
+            self.step(scale)
 
     def echoes_scatter(self) -> float:
         """Return by how much the slopes at echoes vary more from time to time than noise does, at least 1."""
