@@ -9,7 +9,7 @@ import soundfile
 from click.testing import CliRunner
 from localization_rooms import MICROPHONES, heard, noisy, voice
 
-from avcli.calibration import bundle, camera, microphones
+from avcli.calibration import bundle, camera, echoes, microphones
 from avcli.commands.avcalib import main
 from avcli.commands.avdetect_audio import main as detect_audio
 from avcli.formats.experiment import Config, ConfigError
@@ -42,6 +42,7 @@ class Said:
     delays: np.ndarray
     first: np.ndarray
     second: np.ndarray
+    echoes: None = None
 
 
 def said(true, t, path, rng, *, late=0.0, drift=0.0, noise=2e-5, offset=0.0, wrong=0.15):
@@ -62,7 +63,7 @@ def said(true, t, path, rng, *, late=0.0, drift=0.0, noise=2e-5, offset=0.0, wro
 
 
 def measured(heard, given, way=None, **known):
-    prior = microphones.Prior(given, 0.04, SPEED, 2.0, *np.zeros((2, len(given)), bool))
+    prior = microphones.Prior(given, 0.04, SPEED, 2.0, *np.zeros((2, len(given)), bool), np.array([6.0, 5.0, 3.0]))
     return microphones.measure(heard, lambda *_: heard, prior, way, **known)
 
 
@@ -185,6 +186,68 @@ def test_a_channel_that_is_not_a_number_is_left_out(recording):
     assert channels.usable.tolist() == [True] * 5 + [False] + [True] * 2
     assert channels.order.tolist() == list(range(8))
     assert any("channel 6" in str(fault) for fault in channels.faults())
+
+
+@dataclass
+class Heard:
+    """What a survey would hear of echoes."""
+
+    heard: np.ndarray
+    step: float
+    expected: np.ndarray
+    windows: np.ndarray
+
+    def part(self, rows):
+        return Heard(self.heard[rows], self.step, self.expected[rows], self.windows[rows])
+
+
+def echoed(seen, true, t, path, room, loud, rng):
+    """Correlations about echoes that are expected some centimetres beside their places, `loud` (6,) times noise."""
+    step, lags = 1e-5, np.arange(-100, 101) * 1e-5
+    where = np.stack([np.interp(seen.times, t, path[:, i]) for i in range(3)], -1)
+    for _ in range(3):  # times are those of hearing
+        travel = np.linalg.norm(where[:, None] - true, axis=2).mean(axis=1) / SPEED
+        where = np.stack([np.interp(seen.times - travel, t, path[:, i]) for i in range(3)], -1)
+    images = echoes.surfaces(room).mirrored(true, echoes.surfaces(room).position)
+    far = np.linalg.norm(where[:, None, None] - images, axis=3) / SPEED
+    late = far - np.linalg.norm(where[:, None] - true, axis=2).mean(axis=1)[:, None, None] / SPEED
+    expected = late + rng.normal(0.0, 1e-4, late.shape[1:])
+    away = late[..., None] - expected[..., None] - lags
+    noise = np.fft.irfft(np.fft.rfft(rng.standard_normal(away.shape)) * (np.arange(101) < 20), 201)
+    noise /= noise.std()
+    return Heard(noise - np.array(loud)[:, None] * np.sinc(away * 1e4), step, expected, np.full(len(late), 7))
+
+
+def test_echoes_tell_what_one_height_of_the_voice_does_not():
+    rng = np.random.default_rng(7)
+    room, true = np.array([6.0, 5.0, 3.0]), array(np.random.default_rng(7), 8)
+    given = true + rng.normal(0, 0.04, true.shape)
+    t, path = walk(60, rng)
+    seen = said(true, t, path, rng)
+    known = bundle.Priors(delay_s=1e-5, drift=1e-7)
+
+    def errors(surfaces=None, heard=None):
+        fit = bundle.adjust(
+            seen.times, seen.places, seen.delays, seen.first, seen.second, given, SPEED, known, surfaces=surfaces,
+            echoes=heard,
+        )  # fmt: skip
+        return fit, np.median(np.linalg.norm(fit.positions - true, axis=1))
+
+    without = errors()[1]
+    heard = echoed(seen, true, t, path, room, [2, 2, 2, 2, 2, 2], rng)
+    fit, clear = errors(echoes.surfaces(room), heard)
+    assert clear < 0.01 < without
+    assert (fit.clear > 0).all()
+    assert np.median(fit.shape_sd) < 0.007
+    # A ceiling 5 cm from where it is said to be does not harm the shape; then the place is as it was given.
+    fit, _ = errors(echoes.surfaces(room + np.array([0.0, 0.0, 0.05])), heard)
+    off = fit.positions - true
+    assert np.median(np.linalg.norm(off - off.mean(axis=0), axis=1)) < 0.01
+    assert abs(off[:, 2].mean()) < abs((given - true)[:, 2].mean()) + 0.005
+    # Surfaces that give nothing back are not heard.
+    fit, _ = errors(echoes.surfaces(room), echoed(seen, true, t, path, room, [2, 2, 0, 0, 2, 2], rng))
+    assert (fit.clear > 0).mean(axis=0)[[2, 3]].max() < 0.2
+    assert (fit.clear > 0).mean(axis=0)[[0, 1, 4, 5]].min() > 0.8
 
 
 def experiment(tmp_path, samples, fs, positions):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli.calibration.echoes import LASTING_S, LOOKS, STANDS_OUT, Echoes, Field, Surfaces
 from avcli.numeric import TooLittle
 
 MOUTH_M, MOUTH_SD_M = 1.5, 0.2
@@ -21,6 +22,8 @@ BLOCK_S = 3.0
 """The time after which errors of delays are taken to be new ones, s."""
 COARSE_S, TURN_S, FINE_S = 4e-4, 5e-5, 1e-5
 """The robust scale of a delay's error at the beginning of the fit, from where on it is estimated, and the least, s."""
+LOOSE = 5.0
+"""By how much the standard deviation of a surface is larger that is heard without the one opposite."""
 CLEAR_SHARE, ECHOING = 0.9, 10.0
 """By sound alone: the share of delays that fit in a clear recording, and by how much the logarithm of their variance
 grows with what is missing to it. Where echoes take many delays, they bend those that fit as well, all alike, and no
@@ -36,6 +39,7 @@ class Priors:
         delay_s, drift: of a channel, or of each (m,).
         speed_m_s: of the speed of sound.
         clock_s: of the clock between the sound and the places that are given.
+        surface_m: of the position of a surface of the room.
     """
 
     position_m: float = 0.04
@@ -43,6 +47,7 @@ class Priors:
     drift: float | np.ndarray = 2e-5
     speed_m_s: float = 2.0
     clock_s: float = 0.0
+    surface_m: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,10 @@ class Fit:
         clock: s, to add to a time of the sound to get one of the way.
         path: (n, 3) m, where the voice was in each window.
         predicted: (n, p) s, the delays of the pairs in each window.
+        arrivals, echoes: (n, m) and (n, m, s) s, when each channel hears the direct sound and the echo of each surface,
+            after the mean of all direct sounds.
+        surfaces: (s,) m, where the surfaces are.
+        clear: (m, s) by how many standard deviations of noise each echo is heard.
         covariance: of positions (3 m), delays, drifts and speed of sound, in this order.
         residual_s: robust standard deviation of a delay about the model.
         inflation: by how much the variance is larger than that of delays that err independently.
@@ -90,6 +99,10 @@ class Fit:
     clock: float
     path: np.ndarray
     predicted: np.ndarray
+    arrivals: np.ndarray
+    echoes: np.ndarray
+    surfaces: np.ndarray
+    clear: np.ndarray
     covariance: np.ndarray
     residual_s: float
     inflation: float
@@ -164,6 +177,8 @@ def adjust(
     way: Way | None = None,
     clock: float = 0.0,
     doubt_echoes: bool = False,
+    surfaces: Surfaces | None = None,
+    echoes: Echoes | None = None,
 ) -> Fit:
     """Find the array and the path that explain the delays.
 
@@ -179,6 +194,8 @@ def adjust(
         way: where the voice was, if that is known.
         clock: s, roughly, to add to a time of the sound to get one of the way.
         doubt_echoes: whether delays count for less where many of them do not fit.
+        surfaces: the room's, roughly.
+        echoes: what was heard of their echoes.
 
     Raises:
         TooLittle: too few windows have delays.
@@ -189,7 +206,8 @@ def adjust(
     clear = int(np.isfinite(delays).any(axis=(1, 2)).sum())
     if clear < 8:
         raise TooLittle(f"a clear voice in {clear} windows only; record some minutes of speech or claps")
-    problem = _Problem(times, delays, first, second, microphones, speed_of_sound, priors or Priors(), way, clock)
+    known = priors or Priors()
+    problem = _Problem(times, delays, first, second, microphones, speed_of_sound, known, way, clock, surfaces)
     problem.start(places)
     scale = COARSE_S
     for _ in range(60):
@@ -209,6 +227,8 @@ def adjust(
         problem.inflation *= float(np.exp(ECHOING * (CLEAR_SHARE - share)))
         for _ in range(4):
             problem.step(scale)
+    if echoes is not None:
+        problem.follow(echoes, scale)
     return problem.fit(scale, share)
 
 
@@ -226,8 +246,8 @@ def _spread(residuals: np.ndarray, scale: float) -> float:
 class _Problem:
     """The unknowns and their normal equations.
 
-    Global unknowns, in this order: positions (3 m), delays (m), drifts (m), speed of sound, clock, offset (3). Local
-    ones: place and velocity (6) in each window.
+    Global unknowns, in this order: positions (3 m), delays (m), drifts (m), speed of sound, clock, offset (3), surfaces
+    (s). Local ones: place and velocity (6) in each window.
     """
 
     def __init__(
@@ -241,15 +261,21 @@ class _Problem:
         priors: Priors,
         way: Way | None,
         clock: float,
+        surfaces: Surfaces | None,
     ):
         self.times, self.delays, self.first, self.second, self.way = times, delays, first, second, way
         self.middle = float(times.mean())
         count = len(microphones)
         self.count = count
-        self.mean = np.concatenate([microphones.ravel(), np.zeros(2 * count), [speed, clock], np.zeros(3)])
+        self.surfaces = surfaces or Surfaces(np.zeros(0, int), np.zeros(0))
+        self.field: Field | None = None
+        self.clear = np.zeros((count, len(self.surfaces.axis)))
+        known = np.array([speed, clock, 0.0, 0.0, 0.0])
+        self.mean = np.concatenate([microphones.ravel(), np.zeros(2 * count), known, self.surfaces.position])
         late, drift = (np.broadcast_to(sd, (count,)) for sd in (priors.delay_s, priors.drift))
         last = [priors.speed_m_s, max(priors.clock_s, 1e-9), *(way.offset_m if way else (1e-9,) * 3)]
-        self.sd = np.concatenate([np.full(3 * count, priors.position_m), late, drift, last])
+        planes = np.full(len(self.surfaces.position), priors.surface_m)
+        self.sd = np.concatenate([np.full(3 * count, priors.position_m), late, drift, last, planes])
         self.unknown = self.mean.copy()
         self.prior = np.diag(self.sd**-2.0)
         # What all delays have in common is heard by none of the pairs: those that are known best are 0 on average.
@@ -264,6 +290,10 @@ class _Problem:
         # Residuals are smaller than errors, since each window has a place of its own.
         self.freedom = float(np.sqrt((count - 1) / max(count - 4, 1)))
         self.ways = self._on_way()
+        self.offset = slice(5 * count + 2, 5 * count + 5)
+        self.planes = slice(5 * count + 5, len(self.mean))
+        heard = np.isfinite(delays).any(axis=(0, 2))
+        self.hears = np.bincount(np.concatenate([first[heard], second[heard]]), minlength=count) > 0
 
     def _on_way(self) -> np.ndarray:
         """Return the information (n,) 1/m² of the given places in each window."""
@@ -356,7 +386,100 @@ class _Problem:
         ll = np.matmul(light.transpose(0, 2, 1), local)
         lg = np.matmul(light.transpose(0, 2, 1), whole)
         lr = np.einsum("npl,np->nl", light, rest)
+        if self.field is not None:
+            self._add_echoes(self.field, information, gradient, ll, lr, lg)
         return information, gradient, ll, lr, lg, np.where(ratio < 1e6, ratio * scale, np.inf)
+
+    def _echo_model(self) -> tuple[np.ndarray, ...]:
+        """Predict when echoes and direct sounds arrive after the mean direct sound.
+
+        Returns:
+            delays (n, m, s) and (n, m), s; unit vectors (n, m, s, 3) from the images of the microphones, and their mean
+            (n, 3) and each (n, m, 3) from the microphones; by how much later than the window's middle an echo and the
+            direct sound were said together, (n, m, s) s.
+        """
+        count, speed = self.count, self.unknown[5 * self.count]
+        positions, used = self.unknown[: 3 * count].reshape(-1, 3), self.hears / max(self.hears.sum(), 1)
+        late, drift = self.unknown[3 * count : 4 * count], self.unknown[4 * count : 5 * count]
+        place, velocity = self.local[:, :3], self.local[:, 3:]
+        straight = place[:, None] - positions
+        near = np.linalg.norm(straight, axis=2)
+        straight = straight / np.maximum(near, 1e-6)[..., None]
+        before, mean = near @ used, np.einsum("nmx,m->nx", straight, used)
+        images = self.surfaces.mirrored(positions, self.unknown[self.planes])
+        away = place[:, None, None] - images
+        shift = 0.5 * (before[:, None, None] - np.linalg.norm(away, axis=3)) / speed
+        away = away + velocity[:, None, None] * shift[..., None]
+        far = np.linalg.norm(away, axis=3)
+        reference = before[:, None, None] + (mean * velocity).sum(axis=1)[:, None, None] * shift
+        behind = late + drift * (self.times - self.middle)[:, None]
+        behind = behind - (behind @ used)[:, None]
+        direct = (near - before[:, None]) / speed + behind
+        return (far - reference) / speed + behind[..., None], direct, away / far[..., None], mean, straight, shift
+
+    def follow(self, echoes: Echoes, scale: float) -> None:
+        """Take in echoes, from smoothed correlations to sharp ones."""
+        for smoothing, least in LOOKS:
+            self._look(Field(echoes, smoothing, least), scale)
+        self._look(Field(echoes, 0.0, STANDS_OUT, LASTING_S, self.echoes_scatter()), scale)
+
+    def _look(self, field: Field, scale: float) -> None:
+        """Follow the surfaces that are heard where they are expected."""
+        field.trust(*self._echo_model()[:2])
+        self.field = field
+        for _ in range(5):
+            self.step(scale)
+
+    def echoes_scatter(self) -> float:
+        """Return by how much the slopes at echoes vary more from time to time than noise does, at least 1."""
+        if self.field is None:
+            return 1.0
+        delays, direct, *_ = self._echo_model()
+        rest, weight, _ = self.field.told(delays, direct)
+        _, inverse = np.unique(np.floor(self.times / BLOCK_S), return_inverse=True)
+        pull, told = np.zeros((2, inverse.max() + 1, *rest.shape[1:]))
+        np.add.at(pull, inverse, weight * rest)
+        np.add.at(told, inverse, weight)
+        used = told > 0.0
+        return max(1.0, float(np.mean(pull[used] ** 2 / told[used]))) if used.any() else 1.0
+
+    def _add_echoes(
+        self,
+        field: Field,
+        information: np.ndarray,
+        gradient: np.ndarray,
+        ll: np.ndarray,
+        lr: np.ndarray,
+        lg: np.ndarray,
+    ) -> None:
+        """Add what the echoes tell to the normal equations."""
+        count, speed, g = self.count, self.unknown[5 * self.count], len(self.unknown)
+        delays, direct, away, mean, straight, shift = self._echo_model()
+        rest, weight, self.clear = field.told(delays, direct)
+        n, m, s = delays.shape
+        used, one, row = self.hears / max(self.hears.sum(), 1), np.arange(m), np.arange(s)
+        whole = np.zeros((n, m, s, g))
+        reference = (straight * used[:, None]).reshape(n, -1) / speed
+        whole[..., : 3 * count] = reference[:, None, None]
+        turned = away.copy()
+        turned[:, :, row, self.surfaces.axis] *= -1.0
+        for axis in range(3):
+            whole[:, one, :, 3 * one + axis] -= turned[..., axis].transpose(1, 0, 2) / speed
+        elapsed = self.times - self.middle
+        mine = np.eye(m) - used
+        whole[..., 3 * count : 4 * count] = mine[:, None]
+        whole[..., 4 * count : 5 * count] = mine[:, None] * elapsed[:, None, None, None]
+        whole[..., 5 * count] = -delays / speed
+        whole[:, :, row, 5 * count + 5 + row] = -2.0 * away[:, :, row, self.surfaces.axis] / speed
+        towards = (away - mean[:, None, None]) / speed
+        local = np.concatenate([towards, towards * shift[..., None]], axis=3).reshape(n, m * s, 6)
+        every, weight, rest = whole.reshape(n, m * s, g), weight.reshape(n, -1), rest.reshape(n, -1)
+        heavy, light = every * weight[..., None], np.swapaxes(local * weight[..., None], 1, 2)
+        information += heavy.reshape(-1, g).T @ every.reshape(-1, g)
+        gradient += np.einsum("npg,np->ng", heavy, rest)
+        ll += np.matmul(light, local)
+        lg += np.matmul(light, every)
+        lr += np.einsum("nlp,np->nl", light, rest)
 
     def _local_priors(self, ll: np.ndarray, lr: np.ndarray, lg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Add what is known of mouths and of the way; return what that adds to the global information and gradient."""
@@ -369,11 +492,11 @@ class _Problem:
             return information, gradient
         at = self.times + self.unknown[5 * self.count + 1] - self._travel()
         here, ahead = self._along(at), self._along(at + 0.05)
-        rows = slice(5 * self.count + 1, g)
+        rows = slice(5 * self.count + 1, 5 * self.count + 5)
         J = np.zeros((len(at), 3, 4))  # of place - offset - way(clock) to clock and offset
         J[:, :, 0] = -(ahead - here) / 0.05
         J[:, :, 1:] = -np.eye(3)
-        rest = here + self.unknown[-3:] - self.local[:, :3]
+        rest = here + self.unknown[self.offset] - self.local[:, :3]
         w = self.ways
         for axis in range(3):
             ll[:, axis, axis] += w
@@ -404,10 +527,28 @@ class _Problem:
         right = np.concatenate([lg.reshape(6 * n, g), (lr + smooth).reshape(6 * n, 1)], axis=1)
         solved = solveh_banded(banded, right, lower=True)
         Z, z = solved[:, :g], solved[:, g]
+        self.prior[self.planes, self.planes] = np.diag(self._surfaces_known())
         total = information + self.prior + more - lg.reshape(6 * n, g).T @ Z
         reduced = gradients.sum(axis=0) + pull - self.prior @ (self.unknown - self.mean)
         reduced = reduced - lg.reshape(6 * n, g).T @ z
         return total, reduced, Z, z, rest, data, gradients, blocks, coupling, direct
+
+    def _surfaces_known(self) -> np.ndarray:
+        """Return the information (s,) 1/m² that is given on the surfaces.
+
+        Of one that is heard without the one opposite nothing shows whether the room is as it is given: it is believed
+        little in the end. Nor should a surface pull that is far from where it is given, nor two in a room of another
+        size.
+        """
+        axis, sd = self.surfaces.axis, self.sd[self.planes].copy()
+        if self.field is not None and self.field.lasting:
+            heard = (self.clear > 0.0).any(axis=0)
+            alone = np.bincount(axis[heard], minlength=3)[axis] < 2
+            sd[alone] *= LOOSE
+        apart = self.unknown[self.planes] - self.mean[self.planes]
+        size = np.array([np.ptp(apart[axis == across]) for across in axis])
+        far = np.maximum(np.abs(apart), size / np.sqrt(2.0)) / sd
+        return 1.0 / (sd * (1.0 + (far / 3.0) ** 2)) ** 2
 
     def step(self, scale: float) -> tuple[float, np.ndarray]:
         """Take one step; return its largest movement of a microphone, m, and the residuals of the delays, s."""
@@ -454,6 +595,7 @@ class _Problem:
         begin[3 * count : 4 * count, 4 * count : 5 * count] = -self.middle * np.eye(count)
         covariance = begin @ covariance @ begin.T
         late, drift = self.unknown[3 * count : 4 * count], self.unknown[4 * count : 5 * count]
+        echoes, direct, *_ = self._echo_model()
         return Fit(
             positions=self.unknown[: 3 * count].reshape(-1, 3),
             delays=late - self.middle * drift,
@@ -462,6 +604,10 @@ class _Problem:
             clock=float(self.unknown[5 * count + 1]),
             path=self.local[:, :3],
             predicted=self._model()[0],
+            arrivals=direct,
+            echoes=echoes,
+            surfaces=self.unknown[self.planes],
+            clear=self.clear,
             covariance=covariance[: 5 * count + 1, : 5 * count + 1],
             residual_s=scale,
             inflation=self.inflation,

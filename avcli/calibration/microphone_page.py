@@ -27,6 +27,8 @@ def page(found: Measured, channels: Sequence[Mapping[str, Any]], faults: Sequenc
         kind, verdict = "no", found.refusal
     elif found.placed:
         kind, verdict = "yes", "the positions are measured, in the room too"
+    elif found.echoing.all():
+        kind, verdict = "yes", "the positions are measured, in the room too, between its surfaces"
     else:
         kind, verdict = "partly", "the shape of the array is measured; its place in the room is as it was given"
     return document(

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from avcli.calibration import bundle
+from avcli.calibration.echoes import Echoes, surfaces
 from avcli.formats import media
 from avcli.formats.records import Identified
 
@@ -33,6 +34,10 @@ ENOUGH = 0.5
 FARTHEST, ODD_S = 5.0, 6e-4
 """How many standard deviations a microphone may be from its place, and how late a channel may be of which the survey
 said nothing, s; beyond that the recording is not understood."""
+SURFACES = ("the wall x = 0", "that of large x", "the wall y = 0", "that of large y", "the floor", "the ceiling")
+"""What the surfaces of a room are called, in the order of `echoes.surfaces`."""
+ELSEWHERE_M = 0.03
+"""How far a surface must be from where it was given to be worth a word, m."""
 _SURE = 16.3
 """Chi-square with three degrees of freedom that chance exceeds once in a thousand."""
 
@@ -50,10 +55,13 @@ class Heard(Protocol):
     def first(self) -> np.ndarray: ...
     @property
     def second(self) -> np.ndarray: ...
+    @property
+    def echoes(self) -> Echoes | None: ...
 
 
-Again = Callable[[np.ndarray, np.ndarray, np.ndarray], Heard]
-"""Listens again, given times (k,) s, the path (k, 3) m and the pairs' delays (k, p) s there."""
+Again = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], Heard]
+"""Listens again, given times (k,) s, the path (k, 3) m, the pairs' delays (k, p) s there, and when each channel hears
+the direct sound (k, m) s and the echo of each surface (k, m, s) s."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,7 @@ class Prior:
         speed_of_sound, speed_sd: m/s.
         late: (m,) bool, the channels that are late by more than the others, as the survey found.
         adrift: (m,) bool, those of them whose delay grows.
+        room: (3,) m, its size.
     """
 
     positions: np.ndarray
@@ -74,6 +83,7 @@ class Prior:
     speed_sd: float
     late: np.ndarray
     adrift: np.ndarray
+    room: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -116,6 +126,16 @@ class Measured:
         return self.fit.positions.size - 6
 
     @property
+    def echoing(self) -> np.ndarray:
+        """Which of the room's surfaces (6,) are heard by at least half of the channels."""
+        return (self.fit.clear > 0.0).mean(axis=0) >= 0.5
+
+    @property
+    def hearing(self) -> np.ndarray:
+        """Which channels (m,) hear most of these surfaces."""
+        return self.echoing.any() & ((self.fit.clear[:, self.echoing] > 0.0).mean(axis=1) > 0.5)
+
+    @property
     def refusal(self) -> str | None:
         """Why the recording cannot tell where the microphones are; None where it can."""
         if self.told < ENOUGH:
@@ -147,6 +167,10 @@ class Measured:
             "held_out_found_s": self.held_out_s,
             "told": self.told,
             "array_sd_m": fit.place_sd.tolist(),
+            "surfaces": [
+                {"surface": name, "position_m": float(at), "echo_heard": bool(heard)}
+                for name, at, heard in zip(SURFACES, fit.surfaces, self.echoing, strict=True)
+            ],
             "microphones": [
                 {
                     "position": position.tolist(),
@@ -184,11 +208,16 @@ class Measured:
         along = np.sqrt(np.maximum(np.diag(fit.shape_covariance).reshape(-1, 3), 0.0))
         shape = ", ".join(f"{1000 * sd:.0f}" for sd in np.median(along, axis=0))
         place = ", ".join(f"{1000 * sd:.0f}" for sd in fit.place_sd)
-        known = "the places of the voice" if self.placed else "the given positions, since sound alone does not tell it"
+        known = "the places of the voice" if self.placed else "the given positions"
+        if self.echoing.any():
+            known += " and the echoes of the room"
+        elif not self.placed:
+            known += ", since sound alone does not tell it"
         lines += [
             f"the shape of the array is known to {shape} mm along x, y, z (median); the sound tells "
             f"{round(self.told * self.ways)} of {self.ways} ways to deform it, the given positions tell the others",
             f"its place in the room is known to {place} mm along x, y, z, from {known}",
+            self._echoes(),
             f"speed of sound {fit.speed_of_sound:.1f} ± {speed_sd:.1f} m/s; {self.windows} stretches of sound, delay "
             f"residual {1e6 * fit.residual_s:.0f} µs, {100 * fit.used:.0f} % of the delays fit",
             f"on sound held out of the fit, the delays' spread is {1e6 * self.held_out_s:.0f} µs with the found "
@@ -197,6 +226,16 @@ class Measured:
         if not self.placed:  # one of four rooms of another simulator was such a case (examples/benchmarks)
             lines.append("by sound alone the error can be twice what is stated: give TRACKS or --places to make sure")
         return lines
+
+    def _echoes(self) -> str:
+        """Say which surfaces are heard, and which are not where the room's size puts them."""
+        names = [name for name, heard in zip(SURFACES, self.echoing, strict=True) if heard]
+        if not names:
+            return "no echo of the floor, the ceiling or a wall is clear enough to be used"
+        apart = np.where(self.echoing, self.fit.surfaces - surfaces(self.prior.room).position, 0.0)
+        odd = int(np.argmax(np.abs(apart)))
+        elsewhere = f"; {SURFACES[odd]} is {100 * abs(apart[odd]):.0f} cm from where config.json has it"
+        return f"echoes of {', '.join(names)} are used" + (elsewhere if abs(apart[odd]) > ELSEWHERE_M else "")
 
 
 def measure(
@@ -225,7 +264,8 @@ def measure(
             prior.speed_of_sound, bundle.Priors(
                 position_m=1e-6 if given else prior.sd_m, speed_m_s=prior.speed_sd,
                 clock_s=0.0 if is_clock_known else CLOCK_SD_S, **priors,
-            ), way_used, clock, doubt_echoes=way is None and said is not heard,
+            ), way_used, clock, doubt_echoes=way is None and said is not heard, surfaces=surfaces(prior.room),
+            echoes=said.echoes and said.echoes.part(rows),
         )  # fmt: skip
 
     way_used = None
@@ -233,7 +273,7 @@ def measure(
     if way is not None:
         clock = 0.0 if is_clock_known else _clock(rough.path, heard.times, way)
         way_used = way
-    said = again(heard.times, rough.path, rough.predicted)
+    said = again(heard.times, rough.path, rough.predicted, rough.arrivals, rough.echoes)
     free = fitted(said)
     off = prior.late | (np.abs(free.delays - np.median(free.delays)) > SYNCHRONOUS * free.delay_sd)
     adrift = prior.adrift | (np.abs(free.drifts - np.median(free.drifts)) > SYNCHRONOUS * free.drift_sd)

@@ -192,7 +192,8 @@ def microphones_command(
     known = session.config.microphones.positions
     speed, speed_sd = _speed_of_sound(session, given)
     channels = listening.channels
-    prior = microphones.Prior(known, given.position_sd_m, speed, speed_sd, channels.late, channels.drift != 0.0)
+    late, adrift, room = channels.late, channels.drift != 0.0, session.config.room.dimensions
+    prior = microphones.Prior(known, given.position_sd_m, speed, speed_sd, late, adrift, room)
     with session.timing("fit"):
         try:
             found = microphones.measure(listening.heard(), listening.again, prior, way, is_clock_known=not tracks)
@@ -200,7 +201,7 @@ def microphones_command(
             raise GateNotMet(str(error)) from None
         except ValueError as error:
             session.fail(str(error))
-    channels = channels.refined(found.fit.delays, found.fit.drifts)
+    channels = channels.refined(found.fit.delays, found.fit.drifts, found.hearing)
     for line in [*channels.words(), *found.words()]:
         session.warn(line)
     if html:

@@ -44,6 +44,8 @@ TOGETHER_S = 0.5
 """The time over which windows are heard together, once a path is known."""
 NEAR_S = 5e-4
 """How far from the prediction a delay is looked for then."""
+ECHO_NEAR_S, ECHO_FINER = 1e-3, 4
+"""How far from the prediction an echo is listened for, and by how much finer than other lags."""
 CLEAR = 6.0
 """How many standard deviations of its correlation a channel must stand out by at its delay."""
 
@@ -125,13 +127,19 @@ class Channels:
             )
         ]
 
-    def refined(self, delays: np.ndarray, drifts: np.ndarray) -> "Channels":
-        """Return the channels with what a fit found beside: delays (m,) s at time 0 and drifts (m,)."""
+    def refined(self, delays: np.ndarray, drifts: np.ndarray, echoing: np.ndarray) -> "Channels":
+        """Return the channels with what a fit found beside.
+
+        Args:
+            delays, drifts: (m,) s at time 0 and s/s.
+            echoing: (m,) which hear the room's echoes at their microphones: nothing is wrong with them.
+        """
         off, adrift = np.abs(delays) > SYNCHRONOUS_S, np.abs(self.drift + drifts) > STEADY
         return replace(
             self,
             delay=np.where(self.late | off | adrift, self.delay + delays, 0.0),
             drift=np.where(adrift, self.drift + drifts, 0.0),
+            heard=np.where(echoing & self.heard_as_is, np.maximum(self.heard, np.median(self.heard)), self.heard),
         )
 
     def wiring(self) -> list[dict[str, Any]] | None:
@@ -158,6 +166,33 @@ class Channels:
         alike = self.clear & (self.heard >= DOUBTED * np.median(self.heard))
         return alike if alike.sum() >= 5 else self.clear
 
+    @property
+    def heard_as_is(self) -> np.ndarray:
+        """Which microphones (m,) are usable, or agree less but with nothing put right: those are listened to, too."""
+        return self.usable | (self.clear & (self.order == np.arange(len(self.order))) & (self.sign > 0.0) & ~self.late)
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """What was heard of the echoes of a room's surfaces.
+
+    Attributes:
+        heard: (n, m, s, l) each channel's correlation with the voice in each window, the echo of each surface where it
+            was expected in the middle of the lags.
+        step: s, from lag to lag.
+        expected: (n, m, s) s, arrival of an echo minus the mean arrival of the direct sound.
+        windows: (n,) how many windows were heard together.
+    """
+
+    heard: np.ndarray
+    step: float
+    expected: np.ndarray
+    windows: np.ndarray
+
+    def part(self, rows: np.ndarray | slice) -> "Echoes":
+        """Return those of some windows."""
+        return Echoes(self.heard[rows], self.step, self.expected[rows], self.windows[rows])
+
 
 @dataclass(frozen=True)
 class Survey:
@@ -170,6 +205,7 @@ class Survey:
             the pair's first microphone minus at its second; NaN where there is none.
         first, second: (p,) the microphones of each pair.
         channels: what was put right.
+        echoes: what was heard of the room's; None where they were not listened for.
     """
 
     times: np.ndarray
@@ -178,6 +214,7 @@ class Survey:
     first: np.ndarray
     second: np.ndarray
     channels: Channels
+    echoes: Echoes | None = None
 
 
 class Listening:
@@ -212,24 +249,34 @@ class Listening:
         places, delays = self.listener.delays(self.corrected[some], self.channels)
         return Survey(self.times[some], places, delays, self.listener.first, self.listener.second, self.channels)
 
-    def again(self, times: np.ndarray, path: np.ndarray, predicted: np.ndarray) -> Survey:
+    def again(
+        self, times: np.ndarray, path: np.ndarray, predicted: np.ndarray, arrivals: np.ndarray, echoes: np.ndarray
+    ) -> Survey:
         """Return what windows that follow on tell together, turned to where a voice is thought to be in each.
 
         Args:
             times: (k,) s.
             path: (k, 3) m, the voice's place at these times.
             predicted: (k, p) s, the delays of the pairs then.
+            arrivals, echoes: (k, m) and (k, m, s) s, when each channel hears the direct sound and the echo of each
+                surface then.
         """
+        shape = echoes.shape[1:]
         path, predicted = _between(self.times, times, path), _between(self.times, times, predicted)
+        arrivals = _between(self.times, times, arrivals)
+        echoes = _between(self.times, times, echoes.reshape(len(times), -1)).reshape(-1, *shape)
         listener = self.listener
-        usable = self.channels.usable
+        usable = self.channels.heard_as_is
         kept = usable[listener.first] & usable[listener.second]
         block = np.floor(self.times / TOGETHER_S)
         begins = np.concatenate([[0], np.flatnonzero(np.diff(block)) + 1, [len(block)]])
         middles = np.array([(begin + end - 1) // 2 for begin, end in itertools.pairwise(begins)])
         delays = np.full((len(middles), len(kept), CANDIDATES), np.nan)
+        heard = list[np.ndarray]()
         for row, (begin, end) in enumerate(itertools.pairwise(begins)):
             delays[row, kept] = listener.together(self.corrected[begin:end], predicted[begin:end])[kept]
+            at = slice(begin, end)
+            heard.append(listener.echoes(self.corrected[at], arrivals[at], echoes[at], usable))
         return Survey(
             self.times[middles],
             path[middles],
@@ -237,6 +284,7 @@ class Listening:
             listener.first,
             listener.second,
             self.channels,
+            Echoes(np.array(heard), listener.step / ECHO_FINER, echoes[middles], np.diff(begins)),
         )
 
 
@@ -250,8 +298,11 @@ class _Frame:
 
     def turned(self, delays: np.ndarray) -> np.ndarray:
         """Return what advances the band's bins by so many s (...): (..., bins)."""
-        bins = np.arange(self.band.start, self.band.stop)
-        return np.exp((2j * np.pi * self.rate / self.size) * delays[..., None] * bins).astype(np.complex64)
+        fine, count = 32, self.band.stop - self.band.start
+        per_bin = (2j * np.pi * self.rate / self.size) * delays[..., None]
+        steps = np.exp(per_bin * np.arange(fine)).astype(np.complex64)
+        leaps = np.exp(per_bin * np.arange(self.band.start, self.band.stop, fine)).astype(np.complex64)
+        return (leaps[..., None] * steps[..., None, :]).reshape(*delays.shape, -1)[..., :count]
 
 
 def _windows(read: Read) -> tuple[np.ndarray, np.ndarray, np.ndarray, _Frame]:
@@ -415,7 +466,8 @@ class _Listener:
 
     def delays(self, windows: np.ndarray, channels: Channels) -> tuple[np.ndarray, np.ndarray]:
         """Return where each window's sound comes from, (n, 3) m, and the peaks of the pairs' GCCs, (n, pairs, k) s."""
-        kept = channels.usable[self.first] & channels.usable[self.second]
+        used = channels.heard_as_is
+        kept = used[self.first] & used[self.second]
         lags = int(np.ceil(self.reach.max() / self.speed / self.step))
         outside = np.abs(np.arange(-lags, lags + 1)) * self.step * self.speed > self.reach[:, None]
         inner = slice(lags - self.response.half_lags, lags + self.response.half_lags + 1)
@@ -437,6 +489,24 @@ class _Listener:
         gcc = self._lags(cross, far)
         noise = np.sqrt(np.mean(np.delete(gcc, np.s_[far - near : far + near + 1], axis=1) ** 2, axis=1, keepdims=True))
         return self._peaks(gcc[:, far - near - 1 : far + near + 2], near + 1, 3.0 * noise)
+
+    def echoes(self, windows: np.ndarray, arrivals: np.ndarray, echoes: np.ndarray, used: np.ndarray) -> np.ndarray:
+        """Return each channel's correlations (m, s, l) with the voice about echoes of windows (n, m, bins).
+
+        The voice is the sum of the other channels that are used (m,), turned to when they hear it (n, m) s; an echo is
+        expected at (n, m, s) s.
+        """
+        steered = windows * self.frame.turned(arrivals) * used[:, None]
+        voice = steered.sum(axis=1, keepdims=True) - steered
+        voice = voice / np.maximum(np.abs(voice), 1e-6)
+        alone = (windows * voice.conj())[:, :, None]
+        cross = (alone * self.frame.turned(echoes)).sum(axis=0) * used[:, None, None]
+        size = self.frame.size * self.finer * ECHO_FINER
+        spectrum = np.zeros((*cross.shape[:2], size // 2 + 1), np.complex64)
+        spectrum[..., self.frame.band] = cross
+        reach = round(ECHO_NEAR_S / self.step * ECHO_FINER)
+        found = np.fft.irfft(spectrum, size, axis=2)
+        return np.concatenate([found[..., -reach:], found[..., : reach + 1]], axis=2).astype(np.float32)
 
     def _peaks(self, gcc: np.ndarray, lags: int, least: np.ndarray) -> np.ndarray:
         """Return the lags of the highest peaks of GCCs (p, 2 lags + 1), (p, k) s; NaN below `least` (p, 1)."""

@@ -149,7 +149,7 @@ def measured(case: Case, sound: tuple[np.ndarray, ...], fault: str, tracks: bool
         block = np.floor(t / 2.0).astype(int)
         way = microphones.tracked(t, path + rng.normal(0.0, 0.05, (block.max() + 1, 3))[block], True, 0.05)
     channels = listening.channels
-    prior = microphones.Prior(given, WRONG_M, SPEED, 2.0, channels.late, channels.drift != 0.0)
+    prior = microphones.Prior(given, WRONG_M, SPEED, 2.0, channels.late, channels.drift != 0.0, np.array(case.room))
     found = microphones.measure(listening.heard(), listening.again, prior, way, is_clock_known=not tracks)
     cpu = time.process_time() - begin
     late = FAULTS[fault].get("late", {})
@@ -166,7 +166,7 @@ def measured(case: Case, sound: tuple[np.ndarray, ...], fault: str, tracks: bool
         "place_mm": 1000 * float(np.linalg.norm((found.fit.positions - true).mean(axis=0))),
         "delay_us": 1e6 * float(np.abs(away - np.median(away)).max()),
         "drift_ppm": 1e6 * float(np.abs(adrift - np.median(adrift)).max()),
-        "named": channels.refined(found.fit.delays, found.fit.drifts).words(),
+        "named": channels.refined(found.fit.delays, found.fit.drifts, found.hearing).words(),
         "refusal": found.refusal,
         "cpu_s": cpu,
     }
