@@ -208,10 +208,15 @@ def came(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     return {"set": folder.name, "came and moves": "scores .2 to .5", "right": right, "in part": part, "nobody": nobody}
 
 
+def tight(labels: np.ndarray) -> np.ndarray:
+    """Return the boxes (m, 4) px of the people whom hand-made boxes (m, 4) px surround."""
+    loose = LOOSE * np.sqrt((labels[:, 2:] - labels[:, :2]).prod(axis=1, keepdims=True))
+    return labels + loose * [1, 1, -1, -1]
+
+
 def off(people: list[Person], labels: np.ndarray, view: View) -> list[tuple[float, float]]:
     """How far each person whom one label shows is from the label's position: m, and squared, by the covariance."""
-    loose = LOOSE * np.sqrt((labels[:, 2:] - labels[:, :2]).prod(axis=1, keepdims=True))
-    true = locate_boxes(labels + loose * [1, 1, -1, -1], view)
+    true = locate_boxes(tight(labels), view)
     boxes = np.array([person.bbox_px for person in people]).reshape(-1, 4)
     out = []
     for person, row in zip(people, overlaps(boxes, labels), strict=True):

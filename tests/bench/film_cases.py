@@ -1,12 +1,13 @@
 """Films of real people as cases of the bench of trackers: what avdetect-video finds, and whom hand-made labels show.
 
     .venv/bin/python tests/bench/film_cases.py FOLDER cases --films 20
-    make bench-tracking BENCH_FLAGS="--ready cases --variants default no-hidden gnn sort bytetrack oc-sort"
+    make bench-tracking BENCH_FLAGS="--judge --ready cases --set no-hidden --set tracker=gnn --set tracker=sort"
 
 FOLDER is a set as bench_real_video.py takes it, whose pictures are named by film and picture. Each film becomes a
 directory of --out with config.json, video_localizations.jsonl (by colour alone) and groundtruth_sources.jsonl. Labels
 have no identities and no places: they are placed by the detector's own geometry, with the same lens and height, so that
-an unknown lens spoils both alike; and they are linked from picture to picture by place.
+an unknown lens spoils both alike, after the margin that hands leave around people is taken away; and they are linked
+from picture to picture by place.
 """
 
 import argparse
@@ -17,7 +18,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from bench_real_video import HEIGHT_M, camera, fisheye, labelled, shots_of
+from bench_real_video import HEIGHT_M, camera, fisheye, labelled, shots_of, tight
 from scipy.optimize import linear_sum_assignment
 
 from avcli.detection.detector import Detector, detections
@@ -60,7 +61,7 @@ def write(folder: Path, pictures: list[tuple[float, Path]]) -> None:
     """Make the case of one film: the time, s, and the file of each picture."""
     size = read_rgb(pictures[0][1]).shape[1::-1]
     view, links = fisheye(size, HEIGHT_M), Links()
-    places = [locate_boxes(labelled(path) * np.tile(size, 2), view) for _, path in pictures]
+    places = [locate_boxes(tight(labelled(path) * np.tile(size, 2)), view) for _, path in pictures]
     below = [one.positions[one.seen] for one in places]
     half = min(float(np.abs(np.concatenate(below)).max(initial=2.0)) + 0.5, MOST)
     middle = {"camera_position_m": [half, half, HEIGHT_M]}
