@@ -331,13 +331,14 @@ def test_what_is_weak_but_lasts_comes_to_count_and_what_is_unlikely_never_does()
 
 @pytest.mark.parametrize("first", [True, False])
 def test_the_score_falls_with_all_that_speaks_against_a_place(first):
-    usual = {"first": first, "response": 3.0, "own": 0.9, "before": 1.5, "strongest": 1.6}
+    usual = {"first": first, "response": 3.0, "own": 0.9, "before": 1.5, "strongest": 1.6, "confirmed": 2.0}
     score = LAW.probability(features(**usual))
     against = [{"before": -1.0}, {"strongest": 1.0}, {"fall": -12.0}]
     if first:
         against += [{"dilution": 10.0}, {"residual": 0.02}, {"support": 0.1}, {"doubted": 1.0}]
     else:
-        against += [{"strayed": np.zeros(3)}, {"response": 1.0}, {"own": 0.5}]
+        against += [{"response": 1.0}, {"own": 0.5}, {"confirmed": 0.0}, {"crowded": 1.0}, {"leading": 0.5}]
+        against.append({"strayed": np.zeros(3), "confirmed": -4.0})  # nothing was there before
     for changed in against:
         assert LAW.probability(features(**(usual | changed))) < score - 0.001, changed
     assert 0.0 <= LAW.probability(features(**(usual | {"fall": -1e9, "strongest": 1e9}))) <= 1.0

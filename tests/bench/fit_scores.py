@@ -137,15 +137,16 @@ def main() -> None:
         "speech": "CMU ARCTIC aew, and the built-in voices",
         "log_loss": losses if not options.only else {options.only: losses[options.only]},
     }
-    part, written = f"score of {options.only}", [f"score of {options.only}"]
+    part, origin, at = "score", stated["fitted_on"]["origin"], f"fitted at {told['commit']}, see fitted_on."
     if options.only:
+        part = f"score of {options.only}"
         stated["law"]["score"][options.only] = law.score[options.only]
+        origin["score"] += f"; that of {options.only} peaks {at}{part}"
     else:
-        part, written = "score", ["score"] + ["machine"] * ("machine" in losses)
         stated["law"] |= {"score": law.score, "machine": law.machine}
         stated["fitted_on"] = {name: of for name, of in stated["fitted_on"].items() if not name.startswith("score of")}
+        origin |= dict.fromkeys(["score"] + ["machine"] * ("machine" in losses), at + part)
     stated["fitted_on"][part] = told
-    stated["fitted_on"]["origin"] |= dict.fromkeys(written, f"fitted at {told['commit']}, see fitted_on.{part}")
     print(json.dumps(told, indent=2), file=sys.stderr)
     FITTED.write_text(json.dumps(stated, indent=2) + "\n")
 
