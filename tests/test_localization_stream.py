@@ -10,7 +10,7 @@ from avcli.formats.bounds import LONGEST_GAP_S
 from avcli.formats.experiment import Config
 from avcli.localization import localizer
 from avcli.localization.array import Array
-from avcli.localization.memory import Memory, Trace
+from avcli.localization.memory import CONFIRMED, UNKNOWN, Memory, Trace
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import ClosedFormSettings, SteeredSettings
 from avcli.localization.stream import Block, LatestSamples, Recording, stretches
@@ -147,6 +147,19 @@ def test_memory_fades_and_a_trace_that_is_seen_again_is_replaced():
     memory.keep([])
     memory.keep([])
     assert memory.traces == []
+
+
+def test_who_was_confirmed_is_looked_for_again_for_a_second():
+    memory = Memory(rate=10.0, max_speed=1.6, kept=0.9)
+    assert memory.confirmed(UNKNOWN, own=9.0) == CONFIRMED
+    assert memory.confirmed(CONFIRMED, own=0.0) == pytest.approx(CONFIRMED - 0.1)
+    memory.keep([Trace(np.ones(3), np.zeros(3), 0.4, CONFIRMED), Trace(np.full(3, 4.0), np.zeros(3), 0.4)])
+    for _ in range(9):
+        assert [trace.position[0] for trace in memory.known()] == [1.0]
+        memory.keep([])
+    memory.keep([])
+    memory.keep([])
+    assert memory.known() == []
 
 
 def test_a_fall_is_from_the_loudest_of_the_last_second():

@@ -10,6 +10,10 @@ LEVELS, LEVEL_S, SYLLABLES_DB, BEGINS_DB = 15, 0.1, 4.0, 7.0
 """How many levels of a trace count, s between them, dB by which a voice's differ on average, or more, and dB by which
 two of them, at most two steps apart, differ where something begins or ends."""
 
+UNKNOWN, CONFIRMED, FADE, SOUGHT = -4.0, 2.0, 1.0, 1.0
+"""The bounds of what was confirmed of a trace, as logits, by how much it falls in a second, and from how much of it on
+the trace is looked for again."""
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -19,6 +23,7 @@ class Trace:
         position: (3,) m.
         velocity: (3,) m/s, as the decisions so far have it, the latest counting most.
         lasting: how lasting it is, see `uncertainty.Law.remembered`.
+        confirmed: the most that spoke for it lately, as a logit: who surely talked is likelier to be there again.
         levels: dB, how loud it was in this decision and those before in which it was seen, the latest last.
         age: how many decisions ago it was seen.
     """
@@ -26,6 +31,7 @@ class Trace:
     position: np.ndarray
     velocity: np.ndarray
     lasting: float
+    confirmed: float = UNKNOWN
     levels: tuple[float, ...] = ()
     age: int = 1
 
@@ -60,12 +66,21 @@ class Memory:
 
     def known(self) -> list[Trace]:
         """Return the traces that are worth looking for again."""
-        return [trace for trace in self.traces if trace.lasting > 0.5]
+        return [trace for trace in self.traces if trace.lasting > 0.5 or trace.confirmed > SOUGHT]
+
+    def confirmed(self, before: float, own: float = UNKNOWN) -> float:
+        """Return what is confirmed of a trace, by what was a decision before and by what speaks for it now alone."""
+        return max(before - FADE / self.rate, min(own, CONFIRMED), UNKNOWN)
 
     def keep(self, seen: list[Trace]) -> None:
         """Take what a decision saw, and keep what fades of those before it."""
         self.traces = seen + [
-            replace(trace, lasting=self.kept * trace.lasting, age=trace.age + 1)
+            replace(
+                trace,
+                lasting=self.kept * trace.lasting,
+                confirmed=self.confirmed(trace.confirmed),
+                age=trace.age + 1,
+            )
             for trace in self.traces
             if abs(trace.lasting) > 0.05
             and all(level_distance(trace.position, one.position) > self.reach(trace) for one in seen)

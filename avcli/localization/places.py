@@ -8,7 +8,7 @@ from avcli.localization import uncertainty
 from avcli.localization.array import Array, Talker
 from avcli.localization.health import Health
 from avcli.localization.masks import Masks
-from avcli.localization.memory import LEVEL_S, LEVELS, Memory, Trace, level_distance, steadiness
+from avcli.localization.memory import LEVEL_S, LEVELS, UNKNOWN, Memory, Trace, level_distance, steadiness
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
@@ -75,6 +75,7 @@ class PlaceFinder:
                     one.peak.position,
                     0.6 * one.features.gait + 0.4 * one.features.velocity,
                     self.law.remembered(one.features, memory.kept),
+                    memory.confirmed(one.features.confirmed, self.law.own_evidence(one.features)),
                     one.levels,
                 )
                 for one in judged
@@ -94,18 +95,23 @@ class PlaceFinder:
             noise: what noise does to as many windows.
             memory: what the decisions before found.
         """
-        judged, left = [], memory.traces
-        doubted = float(self.health.doubted.any())
-        fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
+        judged, left, leading = [], memory.traces, 0.5
+        of_all = {
+            "channels": heard.channels,
+            "doubted": float(self.health.doubted.any()),
+            "fall": memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum())),
+            "crowded": float(len(peaks) > self.settings.max_speakers),
+        }
         for number, peak in enumerate(peaks):
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             levels = (*(_latest(traces).levels if traces else ()), peak.level)[-LEVELS * self.apart :]
             steady = steadiness(levels[:: -self.apart][::-1])
-            more = {"fall": fall, "channels": heard.channels, "doubted": doubted, "steady": steady}
-            features = self.features(peak, number == 0 and not len(heard.steady), traces, noise, more)
+            first = number == 0 and not len(heard.steady)
+            features = self.features(peak, first, traces, noise, of_all | {"steady": steady, "leading": leading})
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            leading = score if first else leading
             score *= self.health.trust
             judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
         return sorted(judged, key=lambda one: -one.evidence)
@@ -129,6 +135,7 @@ class PlaceFinder:
             agreement=peak.agreement,
             support=peak.support,
             before=max((trace.lasting for trace in traces), default=0.0, key=abs),
+            confirmed=max((trace.confirmed for trace in traces), default=UNKNOWN),
             first=first,
             own=peak.own,
             velocity=peak.velocity,

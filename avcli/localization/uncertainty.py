@@ -44,7 +44,11 @@ class Features:
             noise on either side, over these; from 0 to 1.
         support: share of the pairs that have a peak near the place, from 0 to 1.
         before: how lasting it is: see `remembered`, of what was nearby in the decision before.
+        confirmed: the most that spoke lately for what is nearby, see `memory.Trace`.
         first: whether it is the decision's first peak.
+        crowded: 1 where the decision has more peaks than there may be talkers, so that one is nobody; else 0.
+        leading: the probability that the decision's first peak is right, which tells how far the array and the room may
+            be believed; 0.5 for the first peak itself, and beside a steady source.
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
         velocity: (3,) m/s.
@@ -69,7 +73,10 @@ class Features:
     agreement: float
     support: float
     before: float
+    confirmed: float
     first: bool
+    crowded: float
+    leading: float
     own: float
     velocity: np.ndarray
     residual: float
@@ -174,9 +181,12 @@ class Law:
             features: its own, and what was nearby before.
             kept: how much of that is kept, 0 to 1.
         """
+        return kept * features.before + (1.0 - kept) * float(np.clip(self.own_evidence(features), -4.0, 2.0) + 2.4)
+
+    def own_evidence(self, features: Features) -> float:
+        """Return what speaks for a peak without what was remembered, as a logit."""
         weights = self.first if features.first else self.further
-        own = self.evidence(features) - weights["before"] * features.before
-        return kept * features.before + (1.0 - kept) * float(np.clip(own, -4.0, 2.0) + 2.4)
+        return self.evidence(features) - weights["before"] * features.before
 
     def covariance(
         self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray
@@ -220,14 +230,19 @@ def fitted_law() -> Law:
 def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.0) -> list[float]:
     """Return what the weights of a law's `first`, `further` or `score` are multiplied by, in their order.
 
-    A constant, and the logarithms of the features of these names, but "before", "strongest", "fall" and the evidence as
-    they are, within bounds. "few" is the share of the delays that a place uses up, from 1 with four channels to 0 with
-    many; "few_residual" and its like are what it makes of another term.
+    A constant, and the logarithms of the features of these names, but "before", "confirmed", "crowded", "strongest",
+    "fall" and the evidence as they are, within bounds, and the logit of "leading". "few" is the share of the delays
+    that a place uses up, from 1 with four channels to 0 with many; "few_residual" and its like are what it makes of
+    another term.
     """
     few = min(3.0 / max(features.channels - 1.0, 3.0), 1.0)
+    leading = min(max(features.leading, 0.0025), 0.9975)
     value = {
         "one": 1.0,
         "before": features.before,
+        "confirmed": features.confirmed,
+        "crowded": features.crowded,
+        "leading": float(np.log(leading / (1.0 - leading))),
         "evidence": float(np.clip(evidence, -6.0, 10.0)),
         "strongest": min(features.strongest, 3.0),
         "fall": max(features.fall, -30.0),

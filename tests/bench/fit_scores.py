@@ -2,6 +2,7 @@
 
     make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # an hour; recordings as bench_steady.py has them
     make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
+    make fit-scores FIT_FLAGS="--only further"                 # the score of further talkers alone
 
 The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones, each with its
 array as it is said to be and as people build it. What is remembered of a decision does not depend on the score, so that
@@ -38,7 +39,19 @@ TERMS = {
         "few_dilution",
         "doubted",
     ),
-    "further": ("one", "evidence", "strongest", "fall", "new", "few", "few_support"),
+    "further": (
+        "one",
+        "evidence",
+        "strongest",
+        "fall",
+        "new",
+        "few",
+        "few_support",
+        "confirmed",
+        "crowded",
+        "leading",
+        "own",
+    ),
 }
 """What a score rests on, see `uncertainty.terms`. Chosen on the split "decide", by scenes that were left out."""
 COUNTS = 1 / 3
@@ -107,15 +120,13 @@ def main() -> None:
     """Fit and write."""
     parser = options_of(__doc__, few=70)
     parser.add_argument("--scenes", type=int, default=150)
+    parser.add_argument("--only", choices=tuple(TERMS), help="write the score of these peaks alone")
     options = parser.parse_args()
     stated = json.loads(FITTED.read_bytes())
     standing = uncertainty.Law.of(stated["law"])
     found, _ = peaks(scenes(options, "decide"), standing)
     law, losses = fitted(found, standing)
-    for part in ("score", "machine") if "machine" in losses else ("score",):
-        stated["law"][part] = getattr(law, part)
-        stated["fitted_on"]["origin"][part] = f"fitted at {commit()}, see fitted_on.score"
-    stated["fitted_on"]["score"] = {
+    told = {
         "command": "tests/bench/fit_scores.py",
         "commit": commit(),
         "scenes": options.scenes,
@@ -124,9 +135,19 @@ def main() -> None:
         "split": "decide",
         "arrays": "each as it is said to be, and as people build it",
         "speech": "CMU ARCTIC aew, and the built-in voices",
-        "log_loss": losses,
+        "log_loss": losses if not options.only else {options.only: losses[options.only]},
     }
-    print(json.dumps(stated["fitted_on"]["score"], indent=2), file=sys.stderr)
+    part, origin, at = "score", stated["fitted_on"]["origin"], f"fitted at {told['commit']}, see fitted_on."
+    if options.only:
+        part = f"score of {options.only}"
+        stated["law"]["score"][options.only] = law.score[options.only]
+        origin["score"] += f"; that of {options.only} peaks {at}{part}"
+    else:
+        stated["law"] |= {"score": law.score, "machine": law.machine}
+        stated["fitted_on"] = {name: of for name, of in stated["fitted_on"].items() if not name.startswith("score of")}
+        origin |= dict.fromkeys(["score"] + ["machine"] * ("machine" in losses), at + part)
+    stated["fitted_on"][part] = told
+    print(json.dumps(told, indent=2), file=sys.stderr)
     FITTED.write_text(json.dumps(stated, indent=2) + "\n")
 
 
