@@ -68,8 +68,8 @@ def test_only_the_band_that_something_touches_is_looked_at_anew():
     network.looks.clear()
     banded.detect(image, np.array([[300.0, 150, 310, 170]]))
     (shape, across), (turned, down) = network.looks
-    assert shape == turned == (192, 320, 3)
-    assert across.tolist() == [[300, 86, 310, 106]]
+    assert shape == turned == (224, 320, 3)
+    assert across.tolist() == [[300, 102, 310, 122]]
     assert len(down) == 0
 
 
