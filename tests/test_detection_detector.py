@@ -54,7 +54,7 @@ GREY = np.full((270, 480, 3), 90, np.uint8)
 class FakeNetwork:
     """Finds the same box in every picture, and counts how often it looked."""
 
-    of_own_kind = False
+    learnt_wide = False
 
     def __init__(self, box):
         self.box, self.looks = np.array([box], float), 0

@@ -1,6 +1,6 @@
-"""A network of this project in two bands of a round picture, one across it and one down it.
+"""The package's own network in two bands of a round picture, one across it and one down it.
 
-The networks of this project have learnt from wide pictures, so they know people best in these. A round picture is as
+It has learnt from wide pictures, so it knows people best in these. A round picture is as
 high as it is wide. Its two bands are as wide pictures are; the second is turned by a right angle. Each band decides on
 the people in the two quarters of the picture that lie along it. Whoever stands where both bands look is judged by both.
 """
@@ -51,7 +51,7 @@ class BandedNetwork:
     """A network that looks at two bands of a round picture in place of all of it.
 
     Args:
-        network: of this project, for inputs of any size (`Network.of_own_kind`).
+        network: that has learnt from wide pictures (`Network.learnt_wide`).
     """
 
     def __init__(self, network: Network):
@@ -89,8 +89,8 @@ class BandedNetwork:
 
 
 def suited(network: Network, picture: np.ndarray) -> Network | BandedNetwork:
-    """The bands of a network of this project where a picture (height, width, 3) is round, else the network itself."""
-    return BandedNetwork(network) if network.of_own_kind and is_round(picture) else network
+    """The bands of a network that has `learnt_wide` where a picture (height, width, 3) is round, else the network."""
+    return BandedNetwork(network) if network.learnt_wide and is_round(picture) else network
 
 
 def _turned_back(found: Boxes, width: int) -> Boxes:

@@ -147,9 +147,9 @@ class Network:
         self.head = find_head([output.shape for output in outputs], self.size, self.names, self.metadata)
 
     @property
-    def of_own_kind(self) -> bool:
-        """Whether it is a network of this project, for inputs of any size."""
-        return self.head.kind == "points" and self._open
+    def learnt_wide(self) -> bool:
+        """Whether it takes inputs of any size, and has learnt from wide pictures, not from those of one room."""
+        return self.head.kind == "points" and self._open and self.metadata.get("parts") != "unknown"
 
     def resized(self, size: tuple[int, int]) -> "Network":
         """Return the same model for an input of another size (width, height) px, whose sides it must leave open."""

@@ -231,7 +231,7 @@ def teach(
         keep(state)
         yield progress.step
     size = lessons[0].picture.shape[1], lessons[0].picture.shape[0]
-    raw = [_against(one, _seen_by(graph.content(1.0, 0.0, {}), size, one)) for one in judge]
+    raw = [_against(one, _seen_by(graph.content(1.0, 0.0, {"parts": "unknown"}), size, one)) for one in judge]
     scores = np.clip(np.concatenate([one[1] for one in raw]), 1e-6, 1 - 1e-6)
     right = np.concatenate([matched(*one) for one in raw])
     likely = scores >= CALIBRATED
