@@ -208,6 +208,7 @@ class Measured:
         along = np.sqrt(np.maximum(np.diag(fit.shape_covariance).reshape(-1, 3), 0.0))
         shape = ", ".join(f"{1000 * sd:.0f}" for sd in np.median(along, axis=0))
         place = ", ".join(f"{1000 * sd:.0f}" for sd in fit.place_sd)
+        told = round(self.told * self.ways)
         known = "the places of the voice" if self.placed else "the given positions"
         if self.echoing.any():
             known += " and the echoes of the room"
@@ -215,7 +216,7 @@ class Measured:
             known += ", since sound alone does not tell it"
         lines += [
             f"the shape of the array is known to {shape} mm along x, y, z (median); the sound tells "
-            f"{round(self.told * self.ways)} of {self.ways} ways to deform it, the given positions tell the others",
+            f"{told} of {self.ways} ways to deform it" + ", the given positions tell the others" * (told < self.ways),
             f"its place in the room is known to {place} mm along x, y, z, from {known}",
             self._echoes(),
             f"speed of sound {fit.speed_of_sound:.1f} ± {speed_sd:.1f} m/s; {self.windows} stretches of sound, delay "
