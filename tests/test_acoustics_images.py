@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from avcli.acoustics import absorption as walls
 from avcli.acoustics import decay
-from avcli.acoustics.images import NEAREST_M, DelaySpectrum, image_count, image_microphones, shoebox_rir
+from avcli.acoustics.images import NEAREST_M, DelaySpectrum, audible, image_count, image_microphones, shoebox_rir
 
 ROOM = np.array([4.66, 4.66, 3.0])
 MICROPHONES = np.array(
@@ -305,3 +305,37 @@ def test_what_makes_no_sense_is_refused(change, message):
     } | change
     with pytest.raises(ValueError, match=message):
         shoebox_rir(**arguments)
+
+
+@pytest.mark.parametrize(("band", "error_db"), [(0.25, -55.0), (0.25, -40.0), (0.5, -75.0), (0.2, -45.0)])
+def test_impulses_that_need_not_be_exact_have_the_error_that_is_stated(band, error_db):
+    random = np.random.default_rng(3)
+    spectrum = DelaySpectrum(2048, band, error_db)
+    delays, amplitudes = random.uniform(50, 1900, 600), random.normal(size=600)
+    turns = np.exp(-2j * np.pi * np.outer(np.arange(spectrum.bins) / 2048, delays))
+    exact, mixed = spectrum([(delays, amplitudes)] * 2, [600, 100])
+
+    def error(found, energy):  # of white sound in the band
+        return 10 * np.log10(np.mean(np.abs(found - turns @ amplitudes) ** 2) / energy)
+
+    assert error(exact, np.sum(amplitudes**2)) < error_db
+    assert error(mixed, np.sum(amplitudes[100:] ** 2)) == pytest.approx(spectrum.coarse_db, abs=1.5)
+    assert -35 < spectrum.coarse_db < -5
+
+
+@given(st.integers(1, 400), st.floats(-60, -5), st.floats(0, 30), st.integers(0, 1000))
+@settings(max_examples=60, deadline=None)
+def test_audible_images_leave_out_no_more_than_is_permitted(count, error_db, more_db, seed):
+    random = np.random.default_rng(seed)
+    delays = random.uniform(0, 50, count)  # many fall on one sample
+    amplitudes = random.normal(size=count) * 10 ** random.uniform(-3, 0, count)
+    exact, others = audible(delays, amplitudes, error_db, error_db + more_db)
+    chosen = np.concatenate([exact, others])
+    assert len(set(chosen.tolist())) == len(chosen) <= count
+
+    def energy(of):
+        return np.sum(np.bincount(np.rint(delays[of]).astype(int), amplitudes[of], minlength=1) ** 2)
+
+    permitted = energy(np.arange(count)) * 10 ** (error_db / 10)
+    assert energy(np.setdiff1d(np.arange(count), chosen)) <= permitted * (1 + 1e-9)
+    assert energy(np.setdiff1d(np.arange(count), exact)) <= permitted * 10 ** (more_db / 10) * (1 + 1e-9)

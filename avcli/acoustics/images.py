@@ -76,7 +76,8 @@ class Images:
 
     def __getitem__(self, chosen: np.ndarray) -> "Images":
         # Not positions[:, chosen], of which the rows are not contiguous, and slow ever after.
-        return Images(*(whole.compress(chosen, axis=-1) for whole in (self.positions, self.gains, self.mirrored)))
+        chosen = np.arange(len(self))[chosen]
+        return Images(*(whole.take(chosen, axis=-1) for whole in (self.positions, self.gains, self.mirrored)))
 
     def distances(self, source_m: np.ndarray) -> np.ndarray:
         """Return the distances from a source, (n,) m, in the precision of the positions."""
@@ -257,34 +258,46 @@ def _axis(
     return positions[kept], gains[kept], (1 - 2 * q).astype(np.int8)[kept]
 
 
-def audible(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> np.ndarray:
-    """Return which images a response needs, so that what is left out stays below an error: (n,) bool.
+def audible(
+    delays: np.ndarray, amplitudes: np.ndarray, error_db: float, coarse_db: float = -np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which images a response needs, so that what is left out stays below an error, and which need be exact.
 
-    The faintest are left out. The error is measured on the response rounded to samples, since images that fall on one
-    sample add up there.
+    The faintest are left out, and the faintest of those that are kept need not be exact: together they stay below
+    another energy. Both are measured on the response rounded to samples, since images that fall on one sample add up
+    there.
 
     Args:
         delays: (n,) samples.
         amplitudes: (n,).
-        error_db: energy that may be lost relative to the whole, dB.
+        error_db: energy of the images that are left out relative to the response's, dB.
+        coarse_db: energy of those that are left out or need not be exact, dB.
+
+    Returns:
+        Indices of the images that are kept and exact, (k,), and of those that are kept and not, (m,), in their order.
     """
     if len(delays) == 0:
-        return np.ones(0, bool)
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
     loudness = np.abs(amplitudes)
     samples = np.rint(delays).astype(np.intp)
-    whole = np.bincount(samples, amplitudes)
-    allowed = 10 ** (error_db / 10) * np.sum(whole**2)
+    whole = np.sum(np.bincount(samples, amplitudes) ** 2)
     levels = np.floor(2 * 20 * np.log10(np.maximum(loudness, 1e-300))).astype(np.intp)  # steps of half a decibel
     levels -= levels.min()
     lost = np.cumsum(np.bincount(levels, loudness**2))
-    level = int(np.searchsorted(lost, allowed, side="right"))  # the first level that must be kept if nothing adds up
-    while level > 0:
-        left_out = levels < level
-        missing = np.bincount(samples[left_out], amplitudes[left_out])
-        if np.sum(missing**2) <= allowed:
-            break
-        level -= 1
-    return levels >= level
+
+    def first_level(share_db: float) -> int:
+        """The level from which on images count, where those below it may have a share of the energy."""
+        allowed = 10 ** (share_db / 10) * whole
+        level = int(np.searchsorted(lost, allowed, side="right"))  # it is this one if nothing adds up
+        while level > 0:
+            faint = levels < level
+            if np.sum(np.bincount(samples[faint], amplitudes[faint]) ** 2) <= allowed:
+                break
+            level -= 1
+        return level
+
+    first, exact = first_level(error_db), first_level(coarse_db) if coarse_db > error_db else 0
+    return np.flatnonzero(levels >= max(first, exact)), np.flatnonzero((levels >= first) & (levels < exact))
 
 
 class DelaySpectrum:
@@ -301,6 +314,7 @@ class DelaySpectrum:
     Attributes:
         length: as given.
         bins: number of bins that a spectrum has.
+        coarse_db: error of impulses that are spread over two cells alone, relative to their energy, dB.
     """
 
     ROWS = 4096  # of the kernel's table, a power of two
@@ -331,36 +345,66 @@ class DelaySpectrum:
             lambda f: (np.cos(2 * np.pi * np.outer(f, cells)) * weights).sum(axis=1), 16 + 4 * width, [0.0, highest]
         )
         self._inverse = 1 / smooth(np.arange(self.bins) / self._cells)
+        self._two_cells(highest, smooth, pair)
         self._at_once = at_once(self._cells)
 
-    def __call__(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    def _two_cells(self, highest: float, smooth: np.polynomial.Chebyshev, pair: type) -> None:
+        """Find the two cells, and for each row the weights there, that come nearest to the kernel within the band."""
+        frequencies = np.linspace(0.0, 2 * np.pi * highest, 33)
+        places = np.linspace(0.0, 1.0, 129)  # of an impulse between two rows of cells
+        wanted = np.exp(-1j * np.outer(frequencies, self._width / 2 - 1 + places))
+        self.coarse_db, fractions = np.inf, (np.arange(self.ROWS) + 0.5) / self.ROWS
+        for first in range(self._width - 1):
+            cells = np.exp(-1j * np.outer(frequencies, [first, first + 1])) / smooth(frequencies / 2 / np.pi)[:, None]
+            weights = np.linalg.solve((cells.conj().T @ cells).real, (cells.conj().T @ wanted).real)
+            error_db = 10 * np.log10(np.mean(np.abs(cells @ weights - wanted) ** 2))
+            if error_db < self.coarse_db:
+                self.coarse_db, self._first_of_two = float(error_db), first
+                one, other = (np.interp(fractions, places, row) for row in weights)
+                self._both = (one + 1j * other).astype(pair)
+
+    def __call__(
+        self, impulses: Sequence[tuple[np.ndarray, np.ndarray]], exact: Sequence[int] | None = None
+    ) -> np.ndarray:
         """Return the spectra of several sums, (m, bins) complex128.
 
         Args:
             impulses: m times delays, (n,) samples in [0, length), and amplitudes, (n,).
+            exact: (m,) how many of each come first that are not among those of an error of coarse_db; None: all.
         """
         spectra = np.empty((len(impulses), self.bins), complex)
+        counts = [len(delays) for delays, _ in impulses] if exact is None else exact
         for first in range(0, len(impulses), self._at_once):
             some = slice(first, first + self._at_once)
-            np.multiply(self._halves(impulses[some])[:, : self.bins], self._inverse, out=spectra[some])
+            halves = self._halves(impulses[some], counts[some])
+            np.multiply(halves[:, : self.bins], self._inverse, out=spectra[some])
         return spectra
 
-    def _halves(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    def _halves(self, impulses: Sequence[tuple[np.ndarray, np.ndarray]], exact: Sequence[int]) -> np.ndarray:
         """Return the spectra of the grids over which impulses are spread, (m, cells / 2 + 1), until called again."""
         grids = scratch("grids", (len(impulses), self._cells + 2 * self._width + 2))
-        for grid, (delays, amplitudes) in zip(grids, impulses, strict=True):
-            self._spread(grid, delays, amplitudes)
+        all_cells = list(zip(range(0, self._width, 2), self._taps, strict=True))
+        two_cells = [(self._first_of_two, self._both)]
+        for grid, (delays, amplitudes), count in zip(grids, impulses, exact, strict=True):
+            sums = scratch("sums", (len(grid) - 2,), self._taps[0].dtype)
+            sums.fill(0)
+            self._spread(sums, delays[:count], amplitudes[:count], all_cells)
+            self._spread(sums, delays[count:], amplitudes[count:], two_cells)
+            grid[0] = grid[-1] = 0
+            grid[1:-1] = sums.real
+            grid[2:] += sums.imag
         margin = (self._width + 1) // 2  # what was spread over an end goes round to the other
         circles, rest = grids[:, margin : margin + self._cells], grids[:, margin + self._cells :]
         circles[:, self._cells - margin :] += grids[:, :margin]
         circles[:, : rest.shape[1]] += rest
         return np.fft.rfft(circles, out=scratch("halves", (len(impulses), self._cells // 2 + 1), complex))
 
-    def _spread(self, grid: np.ndarray, delays: np.ndarray, amplitudes: np.ndarray) -> None:
-        sums = scratch("sums", (len(grid) - 2,), self._taps[0].dtype)
-        sums.fill(0)
+    def _spread(
+        self, sums: np.ndarray, delays: np.ndarray, amplitudes: np.ndarray, pairs: Sequence[tuple[int, np.ndarray]]
+    ) -> None:
+        """Add impulses to sums, whose imaginary part belongs a cell later. Pairs are of a cell and taps."""
         whole = scratch("whole", (2, self.TOGETHER), np.intp)
-        weights, spreads = scratch("spreads", (2, self.TOGETHER), self._taps[0].dtype)
+        weights, spreads = scratch("spreads", (2, self.TOGETHER), sums.dtype)
         for begin in range(0, len(delays), self.TOGETHER):
             some = slice(begin, begin + self.TOGETHER)
             count = len(delays[some])
@@ -373,13 +417,10 @@ class DelaySpectrum:
                 first += self.ROWS // 2
             np.bitwise_and(first, self.ROWS - 1, out=rows)
             first >>= self.ROWS.bit_length() - 1
-            for k, taps in enumerate(self._taps):
+            for cell, taps in pairs:
                 taps.take(rows, mode="clip", out=spread)
                 np.multiply(spread, weight, out=spread)
-                np.add.at(sums[2 * k :], first, spread)
-        grid[0] = grid[-1] = 0
-        grid[1:-1] = sums.real
-        grid[2:] += sums.imag
+                np.add.at(sums[cell:], first, spread)
 
 
 def _audible_end(delays: np.ndarray, amplitudes: np.ndarray, error_db: float) -> int:

@@ -107,6 +107,7 @@ class Responses:
         self._lowpass = lowpass.spectrum(length)[: self.bins] if lowpass else 1.0
         self._chosen_at: tuple[np.ndarray, np.ndarray] | None = None  # source, microphones
         self._images: list[Images] = []
+        self._exact: list[int] = []  # how many of each microphone's images come first that need be exact
         self._tail_begin = int(np.ceil(surroundings.reach_m * surroundings.samples_per_m))
         self._tail_end = int(surroundings.end_s * surroundings.sample_rate_hz) if rng is not None else 0
         self._continued = self._tail_end > self._tail_begin  # by noise
@@ -143,17 +144,18 @@ class Responses:
             places: position, (3,) m, heading, a unit vector in which the source looks, and where the microphones are
                 from then on, (k, m, 3) m; see `Surroundings.microphones_from`. Each is not far from the one before.
         """
-        impulses, tails = [], []
+        impulses, exact, tails = [], [], []
         for position, heading, microphones in places:
             of_place = self.impulses(position, heading, microphones)
             for delays, _ in of_place:
                 delays += self.margin
             impulses += of_place
+            exact += np.repeat(self._exact, len(of_place) // len(self._exact)).tolist()
             if self._rng is not None and (self._continued or self._scatters):
                 if self._tail is None or self._fresh:
                     self._tail = self.noise(position, microphones[0], self._rng)
                 tails.append(self._tail)
-        spectra = self.joined(self._spectrum(impulses)).reshape(len(places), -1, self.bins)
+        spectra = self.joined(self._spectrum(impulses, exact)).reshape(len(places), -1, self.bins)
         if tails:
             spectra += tails
         return np.multiply(spectra, self._lowpass, dtype=self.dtype, casting="same_kind")
@@ -173,7 +175,7 @@ class Responses:
         now = microphones[0]
         if self._chosen_at is None or self._gone(position, now) > STRIDE_M:
             self._chosen_at = position, now
-            self._walls, self._tail = [], None
+            self._walls, self._exact, self._tail = [], [], None
             self._images = [self._choose(microphone, position, heading, now) for microphone in range(len(now))]
         moved = microphones - self._chosen_at[1] if any(self._surroundings.trajectories) else None
         impulses = []
@@ -289,7 +291,7 @@ class Responses:
 
     def _choose(self, microphone: int, position: np.ndarray, heading: np.ndarray, microphones: np.ndarray) -> Images:
         """Choose the images that a microphone hears, and note how loud the last of all images are."""
-        s = self._surroundings
+        s, exact = self._surroundings, None
         images = image_microphones(s.room_dimensions_m, microphones[microphone], s.reflection, position, s.reach_m)
         gains = np.ones((len(images), 1))
         if s.bands is not None:
@@ -306,9 +308,13 @@ class Responses:
         if s.error_db is not None:
             far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
             loudness = amplitudes if s.bands is None else amplitudes * np.sqrt(np.mean(heard**2, axis=1))
-            kept = audible(delays, loudness * far, s.error_db)
-            images, gains, amplitudes = images[kept], gains[kept], amplitudes[kept]
+            # How far the spectrum's own error may come from what it takes less exactly.
+            coarse_db = self._error_db - self._spectrum.coarse_db
+            first, others = audible(delays, loudness * far, s.error_db, coarse_db)
+            kept, exact = np.concatenate([first, others]), len(first)
+            images, gains = images[kept], gains[kept]
         self._walls.append(gains[:, self._used])
+        self._exact.append(len(images) if exact is None else exact)
         return images.in_precision_for(self._error_db)
 
     def _arrivals(

@@ -53,7 +53,8 @@ class Interpolation:
             speeds_m_s: (n,) m/s.
             nearest_m: (n,) m, distance of the nearest microphone: close to it the sound changes within that distance.
         """
-        return np.sqrt(speeds_m_s**2 + SLOWEST_M_S**2) / np.minimum(self.spacing_m, nearest_m / NODES_TO_MICROPHONE)
+        paces = np.sqrt(np.sqrt(speeds_m_s**4 + SLOWEST_M_S**4))  # smooth, as the interpolation needs it
+        return paces / np.minimum(self.spacing_m, nearest_m / NODES_TO_MICROPHONE)
 
     def weights(self, places: np.ndarray) -> np.ndarray:
         """Return the weights at places relative to a node, (n,) in units of the spacing: (n,)."""
@@ -103,7 +104,7 @@ def interpolation(
     bands = np.linspace(0.0, frequencies.max(initial=0.0) or 1.0, 2049)
     power = np.histogram(frequencies, bands, weights=power)[0]
     frequencies = (bands[1:] + bands[:-1]) / 2
-    spacings = 0.25 * 0.97 ** np.arange(258)
+    spacings = 0.25 * 0.99 ** np.arange(782)
 
     def is_close_enough(spacing: float) -> bool:
         lost = np.sum(power * np.interp(frequencies * spacing / speed_of_sound_m_s, turns, errors))

@@ -79,9 +79,9 @@ class Speakers:
     ):
         if not np.any(surroundings.reflection):
             error_db = min(error_db, ANECHOIC_ERROR_DB)
-        # Three errors add up: the images left out, the interpolation between nodes (bounded for the worst direction, on
-        # average about 10 dB better), and the signal above the band.
-        self._surroundings = replace(surroundings, error_db=error_db - 3.5)
+        # Four errors add up: the images left out, the interpolation between nodes (bounded for the worst direction, on
+        # average about 10 dB better), the signal above the band, and the responses' own.
+        self._surroundings = replace(surroundings, error_db=error_db - 2.8)
         self._groups = _groups(self._surroundings)
         self._voices, self._error_db, self._pause_s = voices, error_db, pause_s
         self._switch_s, self._seed = switch_s, seed
@@ -194,7 +194,7 @@ class Speakers:
         if self._switch_s is not None:
             sampling = Switching(self._switch_s)
         else:
-            sampling = interpolation(power, frequencies, self._error_db - 5, self._surroundings.speed_of_sound_m_s)
+            sampling = interpolation(power, frequencies, self._error_db - 6, self._surroundings.speed_of_sound_m_s)
         return _Person(
             voice=Voice(voice, rate, self._pause_s),
             sampling=sampling,

@@ -5,8 +5,8 @@ import contextlib
 import io
 import json
 import os
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -96,8 +96,8 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
     if files.sheet is not None:
         extras.append(_Sheet(files.sheet, len(film.scenario.times)))
 
-    def begun(pool: ThreadPoolExecutor) -> Iterator[tuple[dict[str, Any], Callable[[], Any]]]:
-        """Each frame's record, and a function that waits for its files."""
+    def begun(pool: ThreadPoolExecutor) -> Iterator[tuple[dict[str, Any], Future[None]]]:
+        """Each frame's record, and what ends with its files."""
         for frame in film.frames():
             paths = writer.pictures(frame, files.masks)
             with timing("annotate"):
@@ -105,7 +105,7 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
                     extra.add(frame)
             job = pool.submit(writer.save, paths, timing)
             names = {name: path for name, (path, _, _) in paths.items()}
-            yield frame.record | ({"frame": names} if names else {}), job.result
+            yield frame.record | ({"frame": names} if names else {}), job
 
     with contextlib.ExitStack() as stack:
         truth = stack.enter_context(open(stack.enter_context(atomic.replacing(Layout(directory).groundtruth)), "wb"))
@@ -118,17 +118,17 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
         extra.finish()
 
 
-def _complete(frames: Iterator[tuple[dict[str, Any], Callable[[], Any]]]) -> Iterator[dict[str, Any]]:
-    """Yield each record when its files are there."""
-    waiting: collections.deque = collections.deque()
+def _complete(frames: Iterator[tuple[dict[str, Any], Future[None]]]) -> Iterator[dict[str, Any]]:
+    """Yield each record as soon as its files are there; others of a pipe wait for it."""
+    waiting: collections.deque[tuple[dict[str, Any], Future[None]]] = collections.deque()
     for item in frames:
         waiting.append(item)
-        if len(waiting) > _IN_FLIGHT:
-            record, wait = waiting.popleft()
-            wait()
+        while waiting and (len(waiting) > _IN_FLIGHT or waiting[0][1].done()):
+            record, files = waiting.popleft()
+            files.result()
             yield record
-    for record, wait in waiting:
-        wait()
+    for record, files in waiting:
+        files.result()
         yield record
 
 
