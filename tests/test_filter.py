@@ -54,6 +54,7 @@ def test_what_counts_as_records(stdin, count):
 BAD = {
     b'{"timestamp": "0", "obj': "<stdin>:2:24: invalid JSON: ",
     b"RIFF\xa8\xab\x5d\x00WAVEfmt ": "<stdin>:2: not text, but perhaps sound or a picture",
+    b"RIFF\xa8\xf7": "<stdin>:2: not text, but perhaps sound or a picture",
     b"\x89PNG\r": "<stdin>:2: not text, but perhaps sound or a picture",
     b"[1, 2]": "<stdin>:2: must be a JSON object, found [1,2]",
     b'{"objects": []}': '<stdin>:2: "timestamp" is missing',

@@ -181,6 +181,8 @@ def microphones_command(
     from avcli.numeric import TooLittle
 
     given = settings_from(settings.MicrophoneSettings, values)
+    if tracks and tracks.lower().endswith((".wav", ".flac")):
+        session.usage(f"{tracks}: TRACKS are records of where the voice was; --audio takes sound")
     if tracks and places:
         session.usage("give TRACKS or --places, not both")
     session.check_outputs({"--html": html}, [*audio, *filter(None, (tracks, places))])

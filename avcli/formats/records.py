@@ -112,7 +112,7 @@ def decode(line: bytes) -> dict[str, Any]:
     try:
         record = orjson.loads(line)
     except orjson.JSONDecodeError as error:
-        if b"\0" in line or line.startswith(b"\x89PNG"):
+        if not line.startswith(b"{") and (b"\0" in line or not _is_text(line)):
             raise RecordError("not text, but perhaps sound or a picture; a record is a line of JSON") from None
         raise RecordError(f"invalid JSON: {error.msg}", error.colno) from None
     if not isinstance(record, dict):
@@ -129,6 +129,14 @@ def decode(line: bytes) -> dict[str, Any]:
     except Invalid as error:
         raise RecordError(str(error.within("timestamp"))) from None
     return record
+
+
+def _is_text(line: bytes) -> bool:
+    try:
+        line.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 _ALIKE = bytes.maketrans(b"{}", b"[]")
