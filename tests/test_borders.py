@@ -417,3 +417,15 @@ def test_a_picture_that_is_still_being_read_does_not_hold_the_end(tmp_path):
     assert process.stderr.read() == b""
     process.stdout.close()
     process.stderr.close()
+
+
+@pytest.mark.parametrize(("closing", "status", "said"), [(">&-", 74, "Bad file descriptor"), ("2>&-", 0, "")])
+def test_a_closed_stream_is_an_error_or_nothing(tmp_path, closing, status, said):
+    (tmp_path / "d.jsonl").write_bytes(DETECTION + b"{}\n")  # the second line is skipped, which is said
+    program = "from avcli.commands.avfuse import main; main()"
+    line = f'exec "$0" -c "$1" --skip-invalid d.jsonl {closing}'
+    ended = subprocess.run(["sh", "-c", line, sys.executable, program], cwd=tmp_path, capture_output=True, text=True)
+    assert (ended.returncode, len(ended.stderr.splitlines())) == (status, bool(said))
+    assert said in ended.stderr
+    assert all(line.startswith("{") for line in ended.stdout.splitlines())
+    assert bool(ended.stdout) == (closing == "2>&-")

@@ -94,6 +94,7 @@ def main(
             refuse_without_effect(settings_of(kind), f"with --method {method}")
     if method != "srp":
         refuse_without_effect(["live"], f"with --method {method}, which needs the whole recording")
+    session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
         sound = _Sound(session, start, live, raw, channels, gains)
         if live:

@@ -75,6 +75,7 @@ def main(
     from avcli.formats import footage, records
 
     network = settings.detector == "net"
+    session.load("cv2", *(("onnxruntime",) if network else ()))
     detector: Detector | None = None
     with session.output() as write, contextlib.ExitStack() as stack:
         shots = _shots(session, stack, files, rate, settings.sensor, live=live, depth=not network)

@@ -121,6 +121,7 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     from avcli.formats.writer import only_writer
 
     settings = _settings(session, options)
+    session.load("soundfile", "avcli.acoustics.recorder", "avcli.acoustics.tape")
     trajectories = _trajectories(session, options["microphone_path"])
     speech = _speech(session, options["speech"])
     recorder = None

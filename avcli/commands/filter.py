@@ -18,6 +18,7 @@ import ctypes
 import errno
 import functools
 import gc
+import importlib
 import os
 import signal
 import stat
@@ -73,6 +74,7 @@ class Filter(click.Command):
         """Run the command and exit the process; only click's completion of shells returns to click."""
         if f"_{str(self.name).replace('-', '_').upper()}_COMPLETE" in os.environ:
             return super().main(args, self.name, *others, **extra)
+        _reopen_closed()
         for number in _ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:  # "nohup" and "&" ignore some on purpose
                 signal.signal(number, _kill)
@@ -81,9 +83,12 @@ class Filter(click.Command):
             code = self._run(list(sys.argv[1:] if args is None else args))
         except _Killed as killed:
             _die_of(killed.number)
+        full = False
         try:
             sys.stdout.flush()
         except OSError:  # the interpreter must not try again at its end to write to a full disk
+            full = True
+        if full or args is None:  # the next stage of a pipe need not wait until this one has given its memory back
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gc.freeze()  # what is left goes with the process: to look for cycles in it takes as long as a library's import
         sys.exit(code)
@@ -124,6 +129,19 @@ class Filter(click.Command):
 
 class FilterGroup(Filter, click.Group):
     """A filter with several actions (avcalib)."""
+
+
+def _reopen_closed() -> None:
+    """Fill the place of a stream that the caller has closed (>&-), before a file takes it: what is said on stderr is
+    lost, and to write to stdout fails.
+    """
+    for number, name, mode in ((1, "stdout", os.O_RDONLY), (2, "stderr", os.O_WRONLY)):
+        if getattr(sys, name) is None:
+            opened = os.open(os.devnull, mode)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            setattr(sys, name, open(number, "w", encoding="utf-8"))
 
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
@@ -368,6 +386,12 @@ class Session:
             self.usage(f"{path}: is a directory")
 
     # In
+
+    @staticmethod
+    def load(*modules: str) -> None:
+        """Import what the first record will need before it is waited for: the stages of a pipe start together."""
+        for module in modules:
+            importlib.import_module(module)
 
     def open(self, path: str) -> BinaryIO:
         """Open a file that the user named, "-" for stdin, for reading bytes."""

@@ -105,9 +105,10 @@ class Renderer:
         cache, begin = cache if colour else None, perf_counter()
         known = cache.load(self.canvas.drawn_by, self.canvas.size) if cache else None
         self.room_seen, self._room_surface, self._room_colour, self._probes = self._room(solids, known)
-        took_s = perf_counter() - begin
-        self._make_targets()
+        self._make_targets()  # while the room is being drawn
         self._make_programs()
+        self.canvas.wait()
+        took_s = perf_counter() - begin
         width, height = self.canvas.size
         self._outlines, self._index = self.prepare(people.pose([], np.zeros(1))), 0
         everywhere = np.ones((-(-height // TILE), -(-width // TILE)), bool)
@@ -162,7 +163,6 @@ class Renderer:
         picture = draw_room(self.canvas, solids, self._dressed, colour=self.colour and known is None)
         if known is not None:
             picture.colour.write(np.dstack([known, np.full(known.shape[:2], 255, np.uint8)]).tobytes())
-        self.canvas.wait()
         return picture
 
     def _make_targets(self) -> None:
