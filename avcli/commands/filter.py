@@ -141,7 +141,7 @@ def _reopen_closed() -> None:
             if opened != number:
                 os.dup2(opened, number)
                 os.close(opened)
-            setattr(sys, name, open(number, "w", encoding="utf-8"))
+            setattr(sys, name, os.fdopen(number, "w", encoding="utf-8"))
 
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
