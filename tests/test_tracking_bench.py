@@ -82,6 +82,33 @@ def test_walks_are_cut_where_nobody_looked_and_where_they_leave_the_area():
     assert stays[1][0] + len(stays[1][1]) == 101
 
 
+def walk(begin, start, velocity, seconds=4.0):
+    times = begin + np.arange(0.0, seconds + 0.2, 0.4)
+    return times, np.array(start) + (times - begin)[:, None] * np.array(velocity)
+
+
+def test_a_walk_that_goes_on_under_another_number_is_one_and_a_newcomer_elsewhere_is_not():
+    first = walk(0.0, (1.0, 1.0), (1.0, 0.0))
+    again = walk(first[0][-1] + 0.4, (first[1][-1][0] + 0.4, 1.1), (1.0, 0.0))
+    beside = walk(again[0][0], (first[1][-1][0] + 0.4, 1.7), (1.0, 0.0))
+    late = walk(again[0][-1] + 2.0, (again[1][-1][0] + 2.0, 1.1), (1.0, 0.0))
+    found = walks.joined([first, beside, late, again])
+    assert sorted(len(times) for times, _ in found) == [11, 11, 22]
+    assert all((np.diff(times) > 0).all() for times, _ in found)
+
+
+def test_where_all_end_at_once_in_the_middle_nobody_looked_and_it_is_not_scored():
+    stands = [walk(0.0, (x, 5.0), (0.0, 0.0)) for x in (2.0, 5.0, 8.0)]
+    later = walk(9.0, (5.0, 5.0), (0.0, 0.0))
+    assert walks.unlooked([*stands, later], (10.0, 10.0)) == [(4.0, 9.0)]
+    assert not walks.unlooked([*stands[:2], later], (10.0, 10.0))
+    assert not walks.unlooked([*stands[:2], walk(0.0, (9.8, 5.0), (0.0, 0.0)), later], (10.0, 10.0))
+    assert not walks.unlooked([*stands, walk(2.0, (5.0, 1.0), (0.0, 0.0)), later], (10.0, 10.0))
+    places = [{0: (1, 1)}] * 10 + [{}] * 20 + [{1: (1, 1)}] * 10
+    scene = Scene(true(*places), unlooked=[(0.9, 3.0)])  # who is there afterwards may be the same person or another one
+    assert measures.outcome(scene, [frame(t3=(1, 1)) for _ in places], math.nan).hota == pytest.approx(100)
+
+
 @pytest.mark.parametrize("name", ["sort", "bytetrack", "oc-sort"])
 def test_a_peer_follows_one_person_past_a_gap_and_ends_the_track(name):
     tracker = peers.PEERS[name][1](peers.Parameters(hits=2, age=1.0, shown=0.3))

@@ -99,6 +99,9 @@ def _bit(option: int) -> int:
 
 def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluster]]:
     """Return the clusters in lists, together those that compete for a detection."""
+    clusters = list(clusters)
+    if len(clusters) < 2:
+        return [clusters] * len(clusters)
     groups: dict[int, list[Cluster]] = {}
     joined: list[int] = []  # number of a group -> itself, or another group that it has become part of
     wants: dict[int, int] = {}  # detection -> number of a group that may have caused it

@@ -42,13 +42,14 @@ class Undetected:
     """The uniform part of the Poisson process: people whom no sensor has detected yet.
 
     Attributes:
-        expected: (2,) numbers of them anywhere, and near the walls.
+        expected: two numbers of them: anywhere, and near the walls.
         detectable: (S,) probability that each sensor can detect one of them.
     """
 
     def __init__(self, population: Population, entries: Places) -> None:
         self.population, self.entries = population, entries
-        self.expected, self.detectable = np.array([population.present, 0.0]), np.zeros(0)
+        self.expected, self.detectable = [population.present, 0.0], np.zeros(0)
+        self._rates = population.birth_rate.tolist()
 
     def add(self, sensor: Sensor) -> None:
         """Let another sensor report from now on."""
@@ -56,9 +57,8 @@ class Undetected:
 
     def predict(self, dt: float) -> None:
         """Let people come and go for dt seconds."""
-        self.expected = self.expected * math.exp(-dt / self.population.stay) + self.population.birth_rate * (
-            dt * self.entries.overall
-        )
+        stay, due = math.exp(-dt / self.population.stay), dt * self.entries.overall
+        self.expected = [stay * one + rate * due for one, rate in zip(self.expected, self._rates, strict=True)]
 
     def p_detect(self, scan: Scan) -> float:
         """Return the probability that the record's sensor detects one of them."""
@@ -66,14 +66,15 @@ class Undetected:
 
     def due(self, scan: Scan) -> float:
         """Return how many of them a record should show."""
-        return self.p_detect(scan) * float(self.expected.sum())
+        return self.p_detect(scan) * sum(self.expected)
 
     def arriving(self, z: np.ndarray, detection: float, column: int) -> list[float]:
         """Return the densities, n per m², at positions (n, 2) m of detecting one of them."""
         if not len(z):
             return []
-        anywhere, near_walls = (detection * self.detectable.item(column) * self.expected).tolist()
-        return (self.population.density(z, anywhere, near_walls) * self.entries.at(z) / self.entries.overall).tolist()
+        able, (anywhere, near_walls) = detection * self.detectable.item(column), self.expected
+        density = self.population.density(z, able * anywhere, able * near_walls)
+        return (density * self.entries.at(z) / self.entries.overall).tolist()
 
     def relax(self, rest: np.ndarray, mix: np.ndarray) -> None:
         """Let them hide and show: (S,) probabilities in the long run, and shares (S,) of what is not forgotten."""
@@ -81,11 +82,7 @@ class Undetected:
 
     def density(self, positions: np.ndarray) -> np.ndarray:
         """Return the expected number (n,) of them per m² at positions (n, 2) m."""
-        return (
-            self.population.density(positions, *self.expected.tolist())
-            * self.entries.at(positions)
-            / self.entries.overall
-        )
+        return self.population.density(positions, *self.expected) * self.entries.at(positions) / self.entries.overall
 
     def detectable_at(self, positions: np.ndarray) -> np.ndarray:
         """Return the probabilities (n, S) that each sensor can detect one of them at positions (n, 2) m."""
@@ -98,7 +95,7 @@ class Undetected:
     def update(self, scan: Scan) -> None:
         """Take those away whom a record's sensor has detected."""
         p_detect = self.p_detect(scan)
-        self.expected *= 1 - p_detect
+        self.expected = [one * (1 - p_detect) for one in self.expected]
         self.detectable[scan.column] *= (1 - scan.p_newcomer) / max(1 - p_detect, 1e-12)
 
 
@@ -172,14 +169,13 @@ def other_detections(
     room, twice = [1.0] * len(z), [0.0] * len(z)
     if len(z) < 2:
         return room, twice
-    place, spread, body = as_complex(z)[:, 0], noise[:, 0, 0] + noise[:, 1, 1], 2 * body**2
-    apart = place[:, None] - place
-    near = (apart * apart.conj()).real < GATE * (body + 2 * float(spread.max()))
-    np.fill_diagonal(near, False)
+    apart, spread, body = squared_distance(z, z), noise[:, 0, 0] + noise[:, 1, 1], 2 * body**2
+    near = apart < GATE * (body + 2 * max(spread.tolist()))
+    near.ravel()[:: len(z) + 1] = False
     one, other = near.nonzero()
     if not len(one):
         return room, twice
-    apart, width = np.square(abs(apart[one, other])), spread[one] + spread[other]
+    apart, width = apart[near], spread[one] + spread[other]
     free, shown = np.array(unclaimed), np.array(unclaimed) * real
     claimed = np.minimum((1 - free[other]) / np.maximum(free[one], 1e-9), 1.0)  # by somebody, if `one` is not
     claimed = np.where(one > other, np.maximum(claimed, shown[other]), claimed)  # the first of two new people counts

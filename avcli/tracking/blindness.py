@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Chosen on ETH hotel, UCY zara01 and zara02 and on generated scenes (`make bench-tracking`, seeds from 100).
 BLIND, SIGHTED = 0.02, 0.5  # rates per second at which a sensor goes blind, and sees again
 COMMON = 0.05  # probability that what blinds one sensor blinds another one, too
-EMPTIED = 0.05  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
+EMPTIED = 0.02  # odds, at first, that a sensor that suddenly sees nobody is not blind, but everybody left
 TOGETHER = 0.05  # probability that, where one of several people leaves, the others leave at the same time
 ONSET = 0.9  # probability of blindness from which it may be that everybody left
 LOST = 5.0  # records, after which a person who was not detected is lost

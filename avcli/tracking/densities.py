@@ -88,8 +88,9 @@ class Densities:
     def take(self, rows: Sequence[int]) -> Densities:
         """Return copies of the given rows, in that order."""
         at = np.array(rows, int)
-        columns: dict[str, Any] = {name: array.take(at, 0) for name, array in zip(_ARRAYS, _arrays(self), strict=True)}
-        return Densities(label=[self.label[i] for i in rows], node=[self.node[i] for i in rows], **columns)
+        label, node = [self.label[i] for i in rows], [self.node[i] for i in rows]
+        *columns, traits = [array.take(at, 0) for array in _arrays(self)]
+        return Densities(*columns, label, node, traits)  # type: ignore[call-arg]  # mypy counts the list's items
 
     @staticmethod
     def join(parts: Sequence[Densities]) -> Densities:
@@ -98,9 +99,12 @@ class Densities:
         labels = [label for part in parts for label in part.label]
         return Densities(label=labels, node=[node for part in parts for node in part.node], **columns)
 
-    def centres(self, rows: Sequence[int]) -> np.ndarray:
-        """Return the mean states (n, 4) of n rows."""
-        return (self.mode.take(rows, 0)[:, None] @ self.mean.take(rows, 0))[:, 0]
+    def centres(self, rows: Sequence[int] | None = None) -> np.ndarray:
+        """Return the mean states (n, 4) of n rows, or of all."""
+        if rows is None:
+            return (self.mode[:, None] @ self.mean)[:, 0]
+        at = np.array(rows, int)
+        return (self.mode.take(at, 0)[:, None] @ self.mean.take(at, 0))[:, 0]
 
     def nobody(self, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the probabilities (n,) that n rows are nobody, and whether (n,) a camera says so, too."""

@@ -64,7 +64,7 @@ class Between(NamedTuple):
     unshared: np.ndarray
     shared: np.ndarray
 
-    def take(self, rows: Sequence[int]) -> Between:
+    def take(self, rows: np.ndarray) -> Between:
         """Return those of some densities."""
         return Between(self.unshared.take(rows), self.shared.take(rows))
 
@@ -267,7 +267,7 @@ class Errors:
         """
         sensor = self.sensors[column]
         usual = sensor.sigma[0] * sensor.sigma[1]
-        more = stated.max(initial=0.0) > usual
+        more = max(stated.ravel().tolist(), default=0.0) > usual
         self.vague = self.vague or more
         if not self.vague:
             return None

@@ -39,6 +39,8 @@ KNOWN = 0.5  # share of the population's variance that is left of a component's,
 
 X, U, XX, XU, UU = range(5)  # rows of traits: means, variances and covariance of own value and lasting error
 
+Numbers = Sequence[int] | np.ndarray
+
 
 @dataclass
 class Kind:
@@ -228,7 +230,7 @@ class Features:
         log = -0.5 * (np.square(vectors - mean) / variance + np.log(variance))
         return np.where(np.isnan(vectors), 0.0, log)
 
-    def update(self, traits: np.ndarray, evidence: Evidence, rows: Sequence[int], js: Sequence[int]) -> np.ndarray:
+    def update(self, traits: np.ndarray, evidence: Evidence, rows: Numbers, js: Numbers) -> np.ndarray:
         """Return the traits (k, 5, D) of k people after a look at each: traits k was caused by row k before it.
 
         A vector that may be somebody else's counts by the probability that it is not: the result has the moments of

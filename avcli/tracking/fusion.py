@@ -296,17 +296,19 @@ class Fusion:
         shown = None
         if any(one.shows_less() for one in parts):
             positions, covariances, shown = partial.read(parts, positions, covariances, model, self.population)
-        farthest = abs(positions).max(initial=0.0)
-        if not farthest <= FARTHEST_M:
+        where = positions.tolist()
+        if not all(abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M for x, y in where):
+            farthest = abs(positions).max()
             raise ValueError(
                 f"sensor {model.name!r}: a position must be within {FARTHEST_M:g} m of 0, not {farthest:g} m"
             )
         if self.margin is not None:
-            low, high = self.population.corners
-            inside = ((positions >= low - self.margin) & (positions <= high + self.margin)).all(1)
-            if shown is not None:
-                inside |= shown.what != partial.WHOLE
-            if not inside.all():
+            ((x0, y0), (x1, y1)), more = self.population.area, self.margin
+            within = [x0 - more <= x <= x1 + more and y0 - more <= y <= y1 + more for x, y in where]
+            if not all(within):
+                inside = np.array(within)
+                if shown is not None:
+                    inside |= shown.what != partial.WHOLE
                 shown = None if shown is None else shown.take(inside)
                 self.outside += int((~inside).sum())
                 positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
@@ -336,14 +338,15 @@ class Fusion:
         for k, one in enumerate(tracks):
             numbers.setdefault(one.label, len(numbers))
             if ears and one.detectable:
-                speaking[k] = min(max([one.detectable.get(name, 0.0) for name in ears]), 1.0)  # but for rounding
+                # a sum of weights may end an ulp above
+                speaking[k] = min(max([one.detectable.get(name, 0.0) for name in ears]), 1.0)
         covariances[:, 1, 0], covariances[:, 2, 2] = covariances[:, 0, 1], HEIGHT_VARIANCE
         last = [one.last_seen for one in tracks]
         return Identified(
             timestamp=origin + time,
             ids=np.array([numbers[one.label] for one in tracks], np.int64),
             positions=positions,
-            speaking=np.minimum(speaking, 1.0),  # a sum of weights may end an ulp above
+            speaking=np.array(speaking),
             velocities=velocities,
             covariances=covariances,
             existence=np.array([one.existence for one in tracks]),

@@ -145,11 +145,12 @@ def innovation(
         that part of the variances in m² which comes from where the mouth is.
     """
     expected = np.zeros((*mean.shape[:2], 6))
-    expected[..., :2] = mean[..., :2]
     expected[..., 2:5] = cov.reshape(*cov.shape[:2], 16).take(POSITION, 2)
     if mouth_offset:
         expected[..., :2], expected[..., 5] = expected_detection(mean, cov, mouth_offset)
         expected[..., 2:5:2] += expected[..., 5:]
+    else:
+        expected[..., :2] = mean[..., :2]
     if unshared is not None:
         expected[..., 2:5:2] += unshared[:, None, None]
     return expected
@@ -163,7 +164,7 @@ def log_normal(
     dx, dy: m; xx, xy, yy: m², of the covariance.
     """
     det = xx * yy - xy * xy
-    distance = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / det
+    distance = ((yy * dx - 2 * xy * dy) * dx + xx * dy * dy) / det
     return -0.5 * (distance + np.log(det)) - LOG_2_PI, distance
 
 
@@ -249,6 +250,15 @@ def within(
     if more is not None:
         second += more[:, None]
     return np.minimum(-np.add.reduce(mode * np.expm1((radius * -radius)[:, None] / second), 1), 1.0)
+
+
+def places(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean position (n, 2) m of each density, and its mean square error (n,) m²."""
+    centre = (mode[:, None] @ mean[..., :2])[:, 0]
+    away = mean[..., :2] - centre[:, None]
+    away *= away
+    second = cov[..., 0, 0] + cov[..., 1, 1] + away[..., 0] + away[..., 1]
+    return centre, np.add.reduce(mode * second, 1)
 
 
 def moments(mean: np.ndarray, cov: np.ndarray, mode: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

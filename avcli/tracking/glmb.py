@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from operator import eq
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -254,7 +255,7 @@ class GLMB:
         )
         if shown is not None:
             from_undetected[shown.columns()] = 0.0  # they are in the cells
-        birth = (np.add.reduce(from_tentative, 0) + from_undetected).tolist()
+        birth = (np.add.reduce(from_tentative, 0) + from_undetected if tentative else from_undetected).tolist()
         background = [c + b for c, b in zip(scan.clutter, birth, strict=True)]
         groups, unclaimed = self._associate(scan, background)
         self.errors.learn(now, scan, groups, self.people)
@@ -328,7 +329,10 @@ class GLMB:
         stated = noise
         z, noise, floor = self.errors.corrected(column, z, noise)
         ahead, between = self.errors.ahead(column), self.errors.between(people.lean, column)
-        expected = gaussian.innovation(people.mean, people.cov, ahead, between.unshared)
+        if len(z):
+            expected = gaussian.innovation(people.mean, people.cov, ahead, between.unshared)
+        else:
+            expected = np.zeros((*people.mode.shape, 6))  # of nobody's detection
         gain, gain_by_model = likelihoods(people.mode, expected, z, noise)
         seen = None
         if shown is not None:
@@ -352,7 +356,7 @@ class GLMB:
                 }
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
-        doubt = None if score is None else np.where(np.isnan(score), 0.0, 1 - score)
+        doubt = None if score is None else np.array([0.0 if one != one else 1 - one for one in score.tolist()])
         if score is not None and sensor.score_within < math.inf:  # the score knows nothing of the floor
             near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
@@ -408,9 +412,10 @@ class GLMB:
 
     def _believe_who_went(self, column: int) -> None:
         """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""
-        people, rows = self.people, self.labelled_rows
-        for row, place in zip(rows, people.centres(rows)[:, :2].tolist(), strict=True):
-            if people.doubt[row, column] and self.false_places.elsewhere(people.label[row], place):
+        people, doubt = self.people, self.people.doubt[:, column].tolist()
+        rows = [row for row in self.labelled_rows if doubt[row]]
+        for row, place in zip(rows, people.centres(rows)[:, :2].tolist() if rows else (), strict=True):
+            if self.false_places.elsewhere(people.label[row], place):
                 people.doubt[row, column] = 0.0
 
     def _share(self, scan: Scan) -> None:
@@ -442,7 +447,7 @@ class GLMB:
         """Update the joint hypotheses; also returns J probabilities that no labelled person caused the detection."""
         options = association.options(scan, self.labelled_rows, background)
         self.pairs += len(self.labelled_rows) * len(scan.z)
-        self.near += int(np.count_nonzero(scan.gain[self.labelled_rows]))
+        self.near += sum([len(scan.likelihoods[row]) for row in self.labelled_rows])
         unclaimed = [1.0] * len(scan.z)
         most = self.settings.hypotheses
         competing = association.competing(self.clusters, options)
@@ -723,10 +728,10 @@ class GLMB:
             close = gaussian.within(*densities, mean[:, :2], np.full(len(rows), NEAR), more)
             nearer = np.minimum(close / near, 1.0).tolist()
         cov[:, :2, :2] += lasting
-        seen, detectable = people.seen.take(rows, 0), people.detectable.take(rows, 0).tolist()
-        last, count = np.maximum.reduce(seen, 1).tolist(), np.add.reduce(people.hits.take(rows, 0), 1).tolist()
+        seen, detectable = people.seen.take(rows, 0).tolist(), people.detectable.take(rows, 0).tolist()
+        last, count = list(map(max, seen)), list(map(math.fsum, people.hits.take(rows, 0).tolist()))
         tracks, doubts = [], self.false_places.doubts()
-        latest = np.logical_or.reduce(seen == self.last_record, 1).tolist()
+        latest = [any(map(eq, one, self.last_record)) for one in seen]
         nobody, contested = people.nobody(rows)
         in_part = isinstance(self.undetected, UnseenMap)
         looks = watched(mean[:, :2], self.sensors) if in_part else [True] * len(present)

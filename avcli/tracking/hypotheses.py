@@ -180,7 +180,7 @@ def condensed(clusters: Sequence[Cluster], people: Densities, features: Features
     """
     if max([len(cluster.hypotheses) for cluster in clusters], default=1) == 1:
         return list(clusters)
-    states = (people.centres(range(len(people))) / ALIKE).view(complex).tolist()
+    states = (people.centres() / ALIKE).view(complex).tolist()
     several: list[list[int]] = []
     worth: list[list[float]] = []
     out = []
@@ -212,7 +212,7 @@ def decided(clusters: Sequence[Cluster], people: Densities, features: Features |
     doubtful = [k for k, one in enumerate(clusters) if len(one.labels) > 1 and len(one.hypotheses) > 1]
     out = list(clusters)
     if doubtful:
-        states = np.hstack([people.centres(range(len(people))) / TWINS, people.detectable / TWIN_DETECTABLE])
+        states = np.hstack([people.centres() / TWINS, people.detectable / TWIN_DETECTABLE])
         for k in doubtful:
             out[k] = _decided(clusters[k], states, people, features)
     return out

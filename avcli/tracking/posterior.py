@@ -10,7 +10,7 @@ import numpy as np
 
 from avcli.tracking import gaussian, partial
 from avcli.tracking.association import MISSED, STRAY, Group, Pair
-from avcli.tracking.births import TENTATIVE, Birth, uncertainty
+from avcli.tracking.births import TENTATIVE, Birth
 from avcli.tracking.densities import Densities
 from avcli.tracking.errors import followed, leaning
 from avcli.tracking.features import Features
@@ -86,21 +86,21 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
     old = unseen + len(needed.strayed)
     existence, detectable, p_detect = scan.existence, scan.detectable, scan.p_detect
     new = people.take(parents + [row for row, _ in needed.strayed + pairs])
-    overlooked = [1 - p_detect[i] for i in parents]
-    kept = [existence[i] * o for i, o in zip(parents, overlooked, strict=True)]
-    exist = [e / max(1 - existence[i] + e, 1e-12) for i, e in zip(needed.missed, kept, strict=False)]
-    new.existence[:unseen] = exist + kept[n:]
-    new.existence[unseen:old], new.detectable[unseen:old, column] = 1.0, 1.0
-    new.detectable[:unseen, column] = [
-        (detectable[i] - p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
-    ]
+    new.existence[unseen:], new.detectable[unseen:, column] = 1.0, 1.0
+    if parents:
+        overlooked = [1 - p_detect[i] for i in parents]
+        kept = [existence[i] * o for i, o in zip(parents, overlooked, strict=True)]
+        exist = [e / max(1 - existence[i] + e, 1e-12) for i, e in zip(needed.missed, kept, strict=False)]
+        new.existence[:unseen] = exist + kept[n:]
+        new.detectable[:unseen, column] = [
+            (detectable[i] - p_detect[i]) / max(o, 1e-12) for i, o in zip(parents, overlooked, strict=True)
+        ]
     if scan.covered is not None:  # who was missed is rather where the sensor does not see
         able = np.array([scan.p_sensor * detectable[i] for i in parents])
         new.mode[:unseen] *= 1 - able[:, None] * scan.covered[parents]
         new.mode[:unseen] /= new.mode[:unseen].sum(1, keepdims=True)
     if pairs:
-        js = [j for _, j in pairs]
-        rows = [row for row, _ in pairs]
+        rows, js = np.array(pairs).T
         noise, between = scan.noise.take(js, 0), scan.between.take(rows)
         if scan.common is not None:
             place = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])[1][:, :2, :2]
@@ -119,24 +119,27 @@ def updated(scan: Scan, people: Densities, needed: Needed, time: float, features
         )
         new.lean[old:] = leaning(new.lean[old:], column, variance, new.mode[old:], noise, between)
         if before is not None and scan.view is not None:
-            some = [k for k, j in enumerate(js) if j in scan.view.number]
+            some = [k for k, (_, j) in enumerate(pairs) if j in scan.view.number]
             at = [old + k for k in some]
             new.mean[at], new.cov[at], new.mode[at] = partial.update(
                 before.take(some), scan.view, [pairs[k] for k in some], scan.gain_by_model[rows, :, js][some]
             )
             new.lean[at] = before.lean[some]
-        new.existence[old:], new.detectable[old:, column], new.seen[old:, column] = 1.0, 1.0, time
-        centre, spread = gaussian.moments(new.mean[old:], new.cov[old:], new.mode[old:])
-        new.place[old:], new.reach[old:] = centre[:, :2], uncertainty(spread)
+        new.seen[old:, column] = time
+        new.place[old:], variance = gaussian.places(new.mean[old:], new.cov[old:], new.mode[old:])
+        new.reach[old:] = np.sqrt(variance)
         new.hits[old:, column] += 1
-        new.told[old:] += told(scan, rows, js)
+        new.told[old:] += told(scan, pairs, scan.gain[rows, js])
         new.doubt[old:, column] = 0.0 if scan.doubt is None else np.minimum(new.doubt[old:, column], scan.doubt[js])
         if scan.evidence:
             new.traits[old:] = features.update(new.traits[old:], scan.evidence, rows, js)
     return new
 
 
-def told(scan: Scan, rows: Sequence[int], js: Sequence[int]) -> np.ndarray:
-    """Return by how many nats (n,) detections are likelier of people in some rows than of clutter of 1 in a record."""
-    caused = np.array(scan.p_hit).take(rows) * scan.gain[rows, js]
-    return np.log(np.maximum(caused * (scan.expected_clutter / np.array(scan.clutter).take(js)), 1e-300))
+def told(scan: Scan, pairs: Sequence[Pair], gain: np.ndarray) -> np.ndarray:
+    """Return by how many nats (n,) detections are likelier of people in some rows than of clutter of 1 in a record.
+
+    pairs: row and detection; gain: (n,) of these, see `Scan`.
+    """
+    able = [scan.p_hit[row] * (scan.expected_clutter / scan.clutter[j]) for row, j in pairs]
+    return np.log(np.maximum(able * gain, 1e-300))

@@ -70,13 +70,13 @@ class Scales:
         if len(rows) < max(len(scan.z), 1) or scan.p_sensor < 1e-3:
             return False  # where more is detected than people are known, clutter or newcomers are near
         there = np.array([scan.existence[row] * scan.p_detect[row] / scan.p_sensor for row in rows])
-        likelihoods = [np.zeros((len(rows), 0))] * 2
+        likelihoods = np.zeros((len(rows), 2, len(scan.z)))
         if len(scan.z):
-            expected, mode = scan.expected.take(rows, 0), people.mode.take(rows, 0)
-            logs = [gaussian.loglikelihood(expected, scan.z, times * scan.noise)[0] for times in (1.0, WIDER)]
-            likelihoods = [(mode[:, None] @ np.exp(log))[:, 0] for log in logs]
+            both = np.concatenate([scan.z, scan.z]), np.concatenate([scan.noise, WIDER * scan.noise])
+            log = gaussian.loglikelihood(scan.expected.take(rows, 0), *both)[0]
+            likelihoods = (people.mode.take(rows, 0)[:, None] @ np.exp(log)).reshape(likelihoods.shape)
         present, nats = float(there.sum()), []
-        for k, likelihood in enumerate(likelihoods):
+        for k, likelihood in enumerate(likelihoods.swapaxes(0, 1)):
             clutter, detection = self._clutter[k] / self._records, min(self._hits[k] / self._people, 0.99)
             false = clutter / surface + np.array(scan.local)
             whole = np.maximum(false + detection * there @ likelihood, 1e-300)

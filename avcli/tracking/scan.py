@@ -119,7 +119,8 @@ def likelihoods(
         return np.zeros((n, 0)), np.zeros((*mode.shape, 0))
     if n * count <= DENSE:
         log, distance = gaussian.loglikelihood(expected, z, noise)
-        gain = np.where(distance < GATE, np.exp(log), 0.0)
+        gain = np.exp(log)
+        gain *= distance < GATE
         return (mode[:, None] @ gain)[:, 0], gain
     gain, by_pair = np.zeros((n, count)), np.zeros((n, count, mode.shape[1]))
     row, j = _overlapping(expected[..., :2], expected[..., 2:5:2], z, noise)

@@ -159,7 +159,7 @@ class UnseenMap:
         if not unseen:
             return []
         some = people.take(unseen)
-        centres = some.centres(range(len(some)))[:, :2]
+        centres = some.centres()[:, :2]
         blur = np.tile(BLUR**2 * np.eye(2), (len(some), 1, 1))
         gain = (
             likelihoods(some.mode, gaussian.innovation(some.mean, some.cov), centres, blur)[0] * some.existence[:, None]

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -40,10 +40,28 @@ def matched(truth: Truth, tracks: list[Frame]) -> list[dict[int, int]]:
 
 def within(scene: Scene, tracks: list[Frame]) -> tuple[Truth, list[Frame]]:
     """The truth and tracks of what is scored: people in `scene.seen`, and tracks that are of nobody outside it."""
+    truth, tracks = looked_at(scene.truth, tracks, scene.unlooked) if scene.unlooked else (scene.truth, tracks)
     if scene.seen is None:
-        return scene.truth, tracks
+        return truth, tracks
     low, high = np.array(scene.seen)
-    return visits_of(scene.truth, tracks, lambda xy: ((xy >= low) & (xy <= high)).all(1))
+    return visits_of(truth, tracks, lambda xy: ((xy >= low) & (xy <= high)).all(1))
+
+
+def looked_at(truth: Truth, tracks: list[Frame], unlooked: Iterable[tuple[float, float]]) -> tuple[Truth, list[Frame]]:
+    """The truth and tracks without times of which nobody knows who was there, see `Scene.unlooked`.
+
+    Nobody knows either who of those afterwards was there before: a track has another number then.
+    """
+    spans, numbers = sorted(unlooked), dict[tuple[int, int], int]()
+    scored, kept = [], []
+    for one, frame in zip(truth, tracks, strict=True):
+        if any(since + 1e-6 < one[0] < until - 1e-6 for since, until in spans):
+            continue
+        part = sum(until - 1e-6 < one[0] for _, until in spans)
+        scored.append(one)
+        ids = [numbers.setdefault((part, track), len(numbers)) for track in frame.ids]
+        kept.append(replace(frame, ids=ids))
+    return scored, kept
 
 
 def visits_of(truth: Truth, tracks: list[Frame], seen: Callable[[np.ndarray], np.ndarray]) -> tuple[Truth, list[Frame]]:

@@ -5,7 +5,7 @@ Video localizes the body's axis, audio the mouth of whoever speaks, 0.1 m in fro
 detections a record, all in a room of 4.66 m x 4.66 m.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -46,6 +46,7 @@ class Scene:
         features: for each record name -> `Feature` of its detections; empty: none has any.
         ready: the records as avfuse takes them, with what the sensors say of each detection; None: `records` say all.
         seen: two corners of the rectangle that is scored, m, None: everywhere.
+        unlooked: times, from s to s, of which nobody knows who was there, nor who of those afterwards was there before.
     """
 
     truth: Truth
@@ -55,6 +56,7 @@ class Scene:
     features: list[dict[str, Any]] = field(default_factory=list)
     ready: list[tuple[float, str, Detections]] | None = None
     seen: tuple[tuple[float, float], tuple[float, float]] | None = None
+    unlooked: Sequence[tuple[float, float]] = ()
 
     def only(self, *sensors: str) -> "Scene":
         """The same scene heard or seen by some sensors alone."""
