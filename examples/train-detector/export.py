@@ -14,7 +14,7 @@ from generate import HEIGHT, WIDTH
 from judge import average_precision, judge, pictures_to_judge
 from model import Detector, Exported
 from onnx import TensorProto, helper, numpy_helper
-from worlds import read
+from worlds import cut, read
 
 from avcli.detection.agreement import platt
 
@@ -130,7 +130,8 @@ def main() -> None:
                 "imgsz": "[368, 640]"}  # fmt: skip
     samples = list(pictures_to_judge(options.seed, options.judge, panoramas=options.panoramas))
     if options.worlds:
-        samples += [one for path in sorted(options.worlds.glob("[0-9]*[0-9].npz")) for one in read(path)]
+        rng = np.random.default_rng(options.seed)
+        samples += [cut(rng, one) for path in sorted(options.worlds.glob("[0-9]*[0-9].npz")) for one in read(path)]
     raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
     slope, shift = platt(raw.scores, raw.right > 0)
     content = to_onnx(detector, slope, shift, metadata | {"steps": str(state["step"])})

@@ -22,12 +22,12 @@ from renders import PANELS
 
 
 def of_worlds(folder: Path, rng: np.random.Generator):
-    """Yield the pictures of the random worlds in a folder (worlds.py), in random order, for ever."""
-    from worlds import read
+    """Yield looks at the pictures of the random worlds in a folder (worlds.py), in random order, for ever."""
+    from worlds import cut, read
 
     while files := sorted(folder.glob("[0-9]*[0-9].npz")):
         for index in rng.permutation(len(files)):
-            yield from read(files[index])
+            yield from (cut(rng, one) for one in read(files[index]))
     raise FileNotFoundError(f"{folder}: no worlds; draw some with worlds.py")
 
 
@@ -52,8 +52,8 @@ def pictures(
 
     def sample():
         if drawn and generator.rng.random() < share:
-            made = _flipped(generator.rng, next(drawn))
-        elif library and generator.rng.random() < renders:
+            return _flipped(generator.rng, next(drawn))
+        if library and generator.rng.random() < renders:
             made = library()
         else:
             return generator()
@@ -93,7 +93,7 @@ def deceptive_rooms(
             found = next((one for one in itertools.islice(drawn, 50) if not len(one.boxes)), None)
             return _flipped(library.rng, found) if found else library()
 
-        sources += [empty_world] * 2
+        sources += [empty_world] * 5
     empty = [item.numpy() for item in targets([], [], [], [], HEIGHT, WIDTH)]
     while True:
         written = checkpoint.stat().st_mtime if checkpoint.exists() else 0.0
@@ -128,7 +128,7 @@ def another_camera(chance, image: np.ndarray) -> np.ndarray:
     if chance.random() < 0.5:
         levels = np.arange(256) / 255
         bent = levels ** np.exp(chance.normal(0, 0.3))
-        cast = np.exp(chance.normal(0, 0.12, 3) + chance.normal(0, 0.15))
+        cast = np.exp(chance.normal(0, 0.16, 3) + chance.normal(-0.1, 0.3))
         table = bent[:, None] * cast + chance.uniform(0, 0.12) * (1 - bent[:, None])
         image = cv2.LUT(image, np.rint(255 * np.clip(table, 0, 1)).astype(np.uint8)[:, None])
     if chance.random() < 0.3:
