@@ -93,6 +93,10 @@ def feature(people: Sequence[Person]) -> dict[str, Feature]:
     return {NAME: Feature(KIND, looks[:, 0].round(3), looks[:, 1].round(3))}
 
 
+_LOGARITHMS = np.log(np.maximum(np.arange(256), 1) / 255)
+"""Of the levels of a picture."""
+
+
 class Looks:
     """Describes the clothes of the people in a camera's pictures, which must come in order of time.
 
@@ -175,13 +179,14 @@ class Looks:
         """
         room = self._of_room(picture)
         step = _step(picture)
-        free = np.asarray(((room > _USABLE[0]) & (room < _USABLE[1])).all(axis=2))
+        usable = (room > _USABLE[0]) & (room < _USABLE[1])
+        free = np.asarray(usable[..., 0] & usable[..., 1] & usable[..., 2])
         for person in people:
             x0, y0, x1, y1 = np.maximum(person.bbox_px / step, 0).astype(int)
             free[y0 : y1 + 1, x0 : x1 + 1] = False
         if free.sum() < _LEAST_ROOM:
             return None
-        values = np.where(free[..., None], np.log(np.maximum(room, 1) / 255), np.nan)
+        values = np.where(free[..., None], _LOGARITHMS.take(room), np.nan)
         known = self._room
         ratios = values[free] - known[free] if known is not None and known.shape == room.shape else np.empty((0, 3))
         ratios = ratios[~np.isnan(ratios[:, 0])]
@@ -241,8 +246,11 @@ def _filled(room: np.ndarray) -> np.ndarray:
 
 def _is_grey(colours: np.ndarray, few: float) -> bool:
     """Whether at most a few of the samples (..., 3) have a colour."""
-    colours = colours.reshape(-1, 3).astype(int)
-    return bool((np.ptp(colours, axis=1) > _GREY).mean() <= few) if len(colours) else True
+    if not colours.size:
+        return True
+    red, green, blue = np.moveaxis(colours, -1, 0)  # a reduction over three numbers each takes five times as long
+    brightest, darkest = np.maximum(np.maximum(red, green), blue), np.minimum(np.minimum(red, green), blue)
+    return bool((brightest - darkest > _GREY).mean() <= few)
 
 
 def _in_box(surface: Surface, box: np.ndarray) -> np.ndarray:
