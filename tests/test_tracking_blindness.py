@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from avcli.formats.records import Detections
 from avcli.tracking.blindness import Seen, Spell
+from avcli.tracking.fusion import Fusion
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.model import Population
 from avcli.tracking.settings import Settings, sensor
@@ -72,3 +74,24 @@ def test_a_spell_holds_probabilities(records, blind, there, able, dt):
         spell.follow(record(found, there, able), 0.0, -1.0, HIDE, SHOW, dt)
         assert all(0 <= p <= 1 + 1e-12 for pair in spell._after.values() for p in pair)
         assert math.isfinite(spell._odds)
+
+
+@pytest.mark.parametrize("seed", [17, 41, 56])
+def test_a_first_step_may_hold_records_of_many_seconds(seed):
+    random = np.random.default_rng(seed)
+    records = []
+    for k in range(60):
+        there = 3 if k < 11 else int(random.choice([0, 0, 2, 2, 3]))
+        places = np.column_stack([1 + np.arange(there), np.full(there, 2.0), np.full(there, np.nan)])
+        places[:, :2] += random.normal(0, 0.05, (there, 2))
+        records.append((0.1 * k, "video", Detections(0.1 * k, "video", places, kind="camera")))
+        if random.random() < 0.5:
+            heard = np.array([[1.0, 2.0, 1.5]])[: random.integers(2)] + random.normal(0, 0.1, 3)
+            records.append((0.1 * k, "audio", Detections(0.1 * k, "audio", heard, kind="microphones")))
+    at_once, by_turns = Fusion(), Fusion()
+    (last,) = at_once.step(30.0, records)
+    for record in records:
+        by_turns.step(record[0], [record])
+    (other,) = by_turns.step(30.0, [])
+    assert last.ids.tolist() == other.ids.tolist()
+    np.testing.assert_allclose(last.positions, other.positions, atol=1e-6)

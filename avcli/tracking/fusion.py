@@ -216,7 +216,7 @@ class Fusion:
             The tracks of the steps that are due: without lag those of this step.
         """
         if self.origin is None:
-            self.origin = time
+            self.origin = min([time, *(at for at, _, _ in records)])  # nothing is before the tracker's time 0
         now = round(time - self.origin, 6)
         looks: dict[tuple[float, int], list[Detections]] = {}
         for at, name, one in records:
