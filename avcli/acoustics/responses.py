@@ -150,7 +150,8 @@ class Responses:
             for delays, _ in of_place:
                 delays += self.margin
             impulses += of_place
-            exact += np.repeat(self._exact, len(of_place) // len(self._exact)).tolist()
+            bands = len(of_place) // len(self._exact)
+            exact += [count for count in self._exact for _ in range(bands)]
             if self._rng is not None and (self._continued or self._scatters):
                 if self._tail is None or self._fresh:
                     self._tail = self.noise(position, microphones[0], self._rng)
@@ -308,7 +309,7 @@ class Responses:
         if s.error_db is not None:
             far = np.clip(delays / (STRIDE_M * s.samples_per_m), NEAREST_M / STRIDE_M, 1.0)  # the source may move away
             loudness = amplitudes if s.bands is None else amplitudes * np.sqrt(np.mean(heard**2, axis=1))
-            # How far the spectrum's own error may come from what it takes less exactly.
+            # The coarse images may have so much energy that their error is as large as the spectrum's own.
             coarse_db = self._error_db - self._spectrum.coarse_db
             first, others = audible(delays, loudness * far, s.error_db, coarse_db)
             kept, exact = np.concatenate([first, others]), len(first)

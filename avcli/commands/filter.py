@@ -88,7 +88,7 @@ class Filter(click.Command):
             sys.stdout.flush()
         except OSError:  # the interpreter must not try again at its end to write to a full disk
             full = True
-        if full or args is None:  # the next stage of a pipe need not wait until this one has given its memory back
+        if full or args is None:  # the next stage sees the end now, and not after this one's memory is given back
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gc.freeze()  # what is left goes with the process: to look for cycles in it takes as long as a library's import
         sys.exit(code)
@@ -132,8 +132,9 @@ class FilterGroup(Filter, click.Group):
 
 
 def _reopen_closed() -> None:
-    """Fill the place of a stream that the caller has closed (>&-), before a file takes it: what is said on stderr is
-    lost, and to write to stdout fails.
+    """Open streams that the caller has closed (>&-), so that no file takes their numbers.
+
+    Messages on such a stderr are lost. Records on such a stdout are an error.
     """
     for number, name, mode in ((1, "stdout", os.O_RDONLY), (2, "stderr", os.O_WRONLY)):
         if getattr(sys, name) is None:
@@ -185,6 +186,8 @@ def _die_of(number: int) -> NoReturn:
 
 
 def _reason(error: OSError) -> str:
+    if error.errno == errno.EBADF and not error.filename:
+        return "standard output is closed"
     text = error.strerror or str(error)
     return f"{error.filename}: {text}" if error.filename else text
 
@@ -389,7 +392,7 @@ class Session:
 
     @staticmethod
     def load(*modules: str) -> None:
-        """Import what the first record will need before it is waited for: the stages of a pipe start together."""
+        """Import the modules that the first record needs, while it is on its way."""
         for module in modules:
             importlib.import_module(module)
 

@@ -94,7 +94,7 @@ def feature(people: Sequence[Person]) -> dict[str, Feature]:
 
 
 _LOGARITHMS = np.log(np.maximum(np.arange(256), 1) / 255)
-"""Of the levels of a picture."""
+"""Of the 256 levels of a pixel, as fractions of the largest; of 0 that of 1."""
 
 
 class Looks:

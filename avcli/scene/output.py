@@ -97,7 +97,7 @@ def write(film: Film, directory: Path, files: Files, timing: Timing) -> Generato
         extras.append(_Sheet(files.sheet, len(film.scenario.times)))
 
     def begun(pool: ThreadPoolExecutor) -> Iterator[tuple[dict[str, Any], Future[None]]]:
-        """Each frame's record, and what ends with its files."""
+        """Each frame's record, and the job that writes its files."""
         for frame in film.frames():
             paths = writer.pictures(frame, files.masks)
             with timing("annotate"):
