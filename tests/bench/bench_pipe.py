@@ -14,8 +14,9 @@ compared on a busy one, if their runs take turns.
 
 A virtual machine often gets its memory from its host only when it is first used, and gives it back some seconds after
 it is freed. A page that is used anew then costs ten times what writing it costs, and a run writes 425 MB of frames. So
-a run begins with memory that the machine has: it is written and freed just before. --fresh leaves that out. What 1 GB
-costs for the first time and again is printed.
+a run begins with memory that the machine has: it is written and freed just before, as memory of a process and as pages
+of files, which the kernel takes from other places. --fresh leaves that out. What 1 GB of a process costs for the first
+time and again is printed.
 """
 
 import argparse
@@ -35,11 +36,13 @@ CHUNK_S = 0.5
 """s of sound that is heard at once."""
 HELD_BYTES = 3 << 29
 """What a run needs at most: its frames, and the memory of the six stages."""
+FRAME_BYTES, FRAMES = 5 << 20, 96
+"""What the frames of a run take at most, as files."""
 STAGES = ("avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avfuse", "aveval")
 
 
-def hold_memory() -> tuple[float, float]:
-    """Write and free the memory of a run; the CPU s that 1 GB took when it was first written, and again."""
+def hold_memory(directory: Path) -> tuple[float, float]:
+    """Write and free the memory of a run, and its files; the CPU s that 1 GB took when it was first written, and again."""
     took = []
     for _ in range(2):
         with mmap.mmap(-1, HELD_BYTES) as memory:
@@ -47,6 +50,11 @@ def hold_memory() -> tuple[float, float]:
             for page in range(0, HELD_BYTES, mmap.PAGESIZE):
                 memory[page] = 1
             took.append((time.process_time() - begin) / HELD_BYTES * 1e9)
+    held = [directory / str(k) for k in range(FRAMES)]
+    for file in held:
+        file.write_bytes(bytes(FRAME_BYTES))
+    for file in held:
+        file.unlink()
     return took[0], took[1]
 
 
@@ -143,8 +151,8 @@ def main() -> None:
     shaders = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     runs, simulated_s = [], 0.0
     for _ in range(options.runs):
-        first, again = (0.0, 0.0) if options.fresh else hold_memory()
         with tempfile.TemporaryDirectory(prefix="avcli-pipe-") as name:
+            first, again = (0.0, 0.0) if options.fresh else hold_memory(Path(name))
             cache = {"XDG_CACHE_HOME": name, "MESA_SHADER_CACHE_DIR": name if options.compile else shaders}
             runs.append(run_pipe(options.scenario, Path(name), {**os.environ, **cache}))
             runs[-1] |= {"memory_s_per_gb": [first, again]}
