@@ -139,3 +139,44 @@ def dimmed(rng: np.random.Generator, picture: np.ndarray) -> np.ndarray:
     if rng.random() < 0.3:
         stamped(rng, out)
     return out
+
+
+def floor_coloured(
+    rng: np.random.Generator, picture: np.ndarray, mask: np.ndarray, boxes: np.ndarray, parts: np.ndarray
+) -> np.ndarray:
+    """A picture whose people wear, now and then, trousers of the colour of what is behind them.
+
+    Real boxes end at the shirt otherwise, since legs that hardly differ from the floor are rare among random colours.
+
+    Args:
+        picture: (h, w, 3) uint8.
+        mask: (h, w), 1 where a person is seen.
+        boxes, parts: (n, 4), (n, 3, 2) px, see `generate.Sample`.
+    """
+    h, w = mask.shape
+    out = picture.copy()
+    for box, (torso, _, foot) in zip(boxes, parts, strict=True):
+        low, high = np.maximum(box[:2], 0).astype(int), np.minimum(np.ceil(box[2:]), [w, h]).astype(int)
+        axis = foot - torso
+        long = float(np.hypot(*axis))
+        if rng.random() > 0.35 or (high - low).min() < 8 or long < 6:
+            continue
+        edge = int(0.15 * (high - low).max()) + 2
+        x0, y0 = np.maximum(low - edge, 0)
+        x1, y1 = np.minimum(high + edge, [w, h])
+        v, u = np.mgrid[y0:y1, x0:x1] + 0.5
+        along = ((u - torso[0]) * axis[0] + (v - torso[1]) * axis[1]) / long**2
+        start = rng.uniform(-0.1, 0.3) if rng.random() < 0.75 else -9.0
+        below = (along > start) & (along < (rng.uniform(0.75, 0.95) if rng.random() < 0.6 else 9.0))
+        here, seen = out[y0:y1, x0:x1], mask[y0:y1, x0:x1] > 0
+        inside = (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
+        legs, floor = below & seen & inside, ~seen & (along > start)
+        if legs.sum() < 12 or floor.sum() < 12:
+            continue
+        light = cv2.blur(here, (3, 3)).mean(axis=2, dtype=np.float32) + 12
+        folds = np.clip(light / light[legs].mean(), 0.5, 1.8) ** rng.uniform(0.2, 1.0)
+        cloth = np.median(here[floor], axis=0) * np.exp(rng.normal(0, 0.05, 3) + rng.normal(0, 0.18))
+        worn, whole = (cv2.blur(part.astype(np.float32), (3, 3)) for part in (legs, seen))
+        soft = np.where(seen, worn / np.maximum(whole, 1e-3), 0) * rng.uniform(0.7, 1)  # sharp where the body ends
+        here[:] = np.clip(here + (folds[..., None] * cloth - here) * soft[..., None], 0, 255)
+    return out

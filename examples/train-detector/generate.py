@@ -511,7 +511,7 @@ class Generator:
         behind = self.backdrops.furnished(rng, camera.rays, height, walls, (WIDTH, HEIGHT))
         blend(behind, sample.picture.astype(np.float32) / 255, sample.people)
         picture = _camera_effects(rng, dimmed(rng, behind))
-        return Sample(picture, sample.boxes, sample.parts, sample.anchors, sample.visible)
+        return Sample(picture, sample.boxes, sample.parts, sample.anchors, sample.visible, sample.people)
 
 
 def _flipped(rng, sample: Sample) -> Sample:

@@ -36,7 +36,7 @@ def pictures(
 ) -> None:
     """Put batches of pictures and targets into the queue for ever."""
     import cv2
-    from backdrops import Backdrops
+    from backdrops import Backdrops, floor_coloured
     from generate import HEIGHT, WIDTH, Generator, _flipped
 
     os.nice(2)
@@ -50,6 +50,11 @@ def pictures(
         library = Library(seed, furnished=furnished, panels=panels)
     drawn = of_worlds(worlds, generator.rng) if worlds else None
 
+    def coloured(one):
+        if one.people is not None:
+            one.picture = floor_coloured(generator.rng, one.picture, one.people, one.boxes, one.parts)
+        return one
+
     def sample():
         if drawn and generator.rng.random() < share:
             return _flipped(generator.rng, next(drawn))
@@ -60,7 +65,7 @@ def pictures(
         return generator.moved(made) if panoramas and generator.rng.random() < 0.5 else made
 
     while True:
-        samples = [sample() for _ in range(batch)]
+        samples = [coloured(sample()) for _ in range(batch)]
         maps = [targets(s.boxes, s.parts, s.anchors, s.visible, HEIGHT, WIDTH) for s in samples]
         images = np.stack([s.picture for s in samples])
         queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
@@ -230,7 +235,7 @@ def main() -> None:
         for k, score in zip(drawn, parts[0].tolist(), strict=False):  # the last are the deceptive rooms
             badly[k] = score + 0.02
         parts = parts[0].sum(), *parts[1:]
-        total = parts[0] + 2.0 * parts[1] + 2.0 * parts[2]
+        total = parts[0] + 3.0 * parts[1] + 3.0 * parts[2]
         optimizer.zero_grad(set_to_none=True)
         total.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
