@@ -23,6 +23,10 @@ BEYOND_M, BEYOND_NEAR = np.array([0.5, 0.5, 0.3]), 0.68
 """m: the standard deviations of how far a talker is beyond the searched volume, if at all; and the share of talkers who
 are less than half a metre beyond a side of it then."""
 
+HALFWAY = 400.0
+"""The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
+such peaks that seemed sure, those with a dilution above 20 were wrong five times as often as the others."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),
@@ -49,6 +53,8 @@ class Features:
         crowded: 1 where the decision has more peaks than there may be talkers, so that one is nobody; else 0.
         leading: the probability that the decision's first peak is right, which tells how far the array and the room may
             be believed; 0.5 for the first peak itself, and beside a steady source.
+        relative: its response over that of the decision's first peak, whose ghosts are the weaker, the surer it is; 1 for
+            the first peak itself, and beside a steady source.
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
         velocity: (3,) m/s.
@@ -77,6 +83,7 @@ class Features:
     first: bool
     crowded: float
     leading: float
+    relative: float
     own: float
     velocity: np.ndarray
     residual: float
@@ -164,7 +171,8 @@ class Law:
             return voice * BEYOND_NEAR * _logistic(self.evidence(features))
         weights = self.score["first" if features.first else "further"]
         values = terms(features, weights, self.evidence(features))
-        return voice * _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+        chance = _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+        return voice * near(features) * chance
 
     def voice(self, steady: float) -> float:
         """Return the probability that what sounds so steadily, see Features, is no machine."""
@@ -231,18 +239,22 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
     """Return what the weights of a law's `first`, `further` or `score` are multiplied by, in their order.
 
     A constant, and the logarithms of the features of these names, but "before", "confirmed", "crowded", "strongest",
-    "fall" and the evidence as they are, within bounds, and the logit of "leading". "few" is the share of the delays
+    "fall" and the evidence as they are, within bounds, and the logit of "leading". "leading_relative" is the product of
+    two. "few" is the share of the delays
     that a place uses up, from 1 with four channels to 0 with many; "few_residual" and its like are what it makes of
     another term.
     """
     few = min(3.0 / max(features.channels - 1.0, 3.0), 1.0)
     leading = min(max(features.leading, 0.0025), 0.9975)
+    logit, relative = float(np.log(leading / (1.0 - leading))), float(np.log(np.clip(features.relative, 0.02, 1.0)))
     value = {
         "one": 1.0,
         "before": features.before,
         "confirmed": features.confirmed,
         "crowded": features.crowded,
-        "leading": float(np.log(leading / (1.0 - leading))),
+        "leading": logit,
+        "relative": relative,
+        "leading_relative": logit * relative,
         "evidence": float(np.clip(evidence, -6.0, 10.0)),
         "strongest": min(features.strongest, 3.0),
         "fall": max(features.fall, -30.0),
@@ -254,6 +266,11 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
         "few_support": few * _log(features.support),
     }
     return [value[name] if name in value else _log(getattr(features, name)) for name in weights]
+
+
+def near(features: Features) -> float:
+    """Return the probability that a peak of somebody is near him; of the first one the score's other terms tell it."""
+    return 1.0 if features.first else 1.0 / (1.0 + features.dilution / HALFWAY)
 
 
 def dilution(normal: np.ndarray) -> float:

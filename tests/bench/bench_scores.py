@@ -139,8 +139,8 @@ def quiet_for(people: Sequence[Person], time: float) -> float:
 def scenes(options: argparse.Namespace, split: str) -> Iterator[tuple[Given, Scene]]:
     """Yield the scenes of a split, those with few microphones, and those with machines where recordings of these are.
 
-    Each but those with machines comes twice, with the array as it is said to be and `as_built`. Scenes that the cache
-    has are not simulated again.
+    Each comes twice, with the array as it is said to be and `as_built`. Scenes that the cache has are not simulated
+    again.
     """
     spoken = recordings(split, options.speech)
     whole = [
@@ -151,7 +151,7 @@ def scenes(options: argparse.Namespace, split: str) -> Iterator[tuple[Given, Sce
         noises = machines(split, options.noises)
         whole += [
             (f"{split}_machine_{number:04d}.pkl", functools.partial(machine_scene, split, number, spoken, noises))
-            for number in range(options.scenes * 3 // 10)
+            for number in range(options.scenes * 2 // 5)
         ]
     for name, make in whole:
         kept = options.cache / name if options.cache else None
@@ -163,8 +163,7 @@ def scenes(options: argparse.Namespace, split: str) -> Iterator[tuple[Given, Sce
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 kept.write_bytes(pickle.dumps(made))
         yield made
-        if made[0].act not in MACHINES:
-            yield as_built(*made)
+        yield as_built(*made)
 
 
 @dataclass(frozen=True)
@@ -304,7 +303,7 @@ def figures(found: Sequence[Peak], spoken: Sequence[Spoken], law: uncertainty.La
             "bins": reliability(mine, score),
         }
     reported = [one for one in found if one.score >= 0.5]
-    late = [one.quiet for one in reported if one.quiet > LATE_S]
+    late = [one.quiet for one in reported if round(one.quiet, 3) > LATE_S]
     told["together"] = []
     for few, people_built in itertools.product((False, True), repeat=2):
         kind = (few, people_built)
