@@ -20,7 +20,7 @@ from fit_localization import log_loss as fit_log_loss
 
 # isort: split
 import numpy as np
-from array_scenes import MACHINE_S, MACHINES, SECONDS
+from array_scenes import MACHINES
 from scipy.optimize import minimize
 
 from avcli.localization import uncertainty
@@ -56,8 +56,8 @@ TERMS = {
     ),
 }
 """What a score rests on, see `uncertainty.terms`. Chosen on the split "decide", by scenes that were left out."""
-COUNTS = SECONDS / MACHINE_S / 3
-"""How much a peak beside a machine counts: its scene a third of one without, since there are fewer rooms with one."""
+COUNTS = 1 / 3
+"""How much a peak beside a machine counts: there are fewer rooms with one."""
 STEPS = 30
 """Of the fit beside what bounds a score."""
 PARTS = 6
@@ -168,7 +168,7 @@ def main() -> None:
     if options.only:
         part = f"score of {options.only}"
         stated["law"]["score"][options.only] = law.score[options.only]
-        origin["score"] += f"; that of {options.only} peaks {at}{part}"
+        origin["score"] = f"{origin['score'].partition(';')[0]}; that of {options.only} peaks {at}{part}"
     else:
         stated["law"] |= {"score": law.score, "machine": law.machine}
         stated["fitted_on"] = {name: of for name, of in stated["fitted_on"].items() if not name.startswith("score of")}
