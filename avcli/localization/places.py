@@ -109,9 +109,7 @@ class PlaceFinder:
             levels = (*(_latest(traces).levels if traces else ()), peak.level)[-LEVELS * self.apart :]
             steady = steadiness(levels[:: -self.apart][::-1])
             first = number == 0 and not len(heard.steady)
-            relative = 1.0 if len(heard.steady) else peak.response / peaks[0].response
-            told = {"steady": steady, "leading": leading, "relative": relative}
-            features = self.features(peak, first, traces, noise, of_all | told)
+            features = self.features(peak, first, traces, noise, of_all | {"steady": steady, "leading": leading})
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
             leading = score if first else leading
             score *= self.health.trust
