@@ -25,7 +25,7 @@ are less than half a metre beyond a side of it then."""
 
 HALFWAY = 400.0
 """The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
-such peaks that seemed sure, those with a dilution above 20 were wrong five times as often as the others."""
+those with a score above 0.8 without it, 3 % were wrong, and a third where the dilution was above 20."""
 
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
