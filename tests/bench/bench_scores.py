@@ -35,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np  # noqa: E402
 from array_scenes import (  # noqa: E402
     FEW_FROM,
+    MACHINE_S,
     MACHINES,
     MISPLACED_M,
     SECONDS,
@@ -370,11 +371,11 @@ Later than {LATE_S} s after the last word, and not within {NEARBY_S} s before th
 reports, the latest {late["latest_s"]} s after it. A decision's windows reach 0.2 s into the next word, and what they
 hear of it is no tail.
 """
-    text += """
+    text += f"""
 ## Machines
 
-Scenes of 4 s in which a machine sounds all the time, so that most are not named yet. Without: were the score not
-lowered where something goes on as steadily.
+Scenes of {MACHINE_S:g} s in which a machine sounds all the time: a recorded one, or in every fourth a motor that hums.
+Without: were the score not lowered where something goes on as steadily.
 
 | | scenes | | reported, .5 or more | of these right | over 0.9 | of these wrong |
 | --- | ---: | --- | ---: | ---: | ---: | ---: |
