@@ -23,6 +23,10 @@ BEYOND_M, BEYOND_NEAR = np.array([0.5, 0.5, 0.3]), 0.68
 """m: the standard deviations of how far a talker is beyond the searched volume, if at all; and the share of talkers who
 are less than half a metre beyond a side of it then."""
 
+HALFWAY = 400.0
+"""The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
+those with a score above 0.8 without it, 3 % were wrong, and a third where the dilution was above 20."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),
@@ -164,7 +168,8 @@ class Law:
             return voice * BEYOND_NEAR * _logistic(self.evidence(features))
         weights = self.score["first" if features.first else "further"]
         values = terms(features, weights, self.evidence(features))
-        return voice * _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+        chance = _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+        return voice * near(features) * chance
 
     def voice(self, steady: float) -> float:
         """Return the probability that what sounds so steadily, see Features, is no machine."""
@@ -254,6 +259,11 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
         "few_support": few * _log(features.support),
     }
     return [value[name] if name in value else _log(getattr(features, name)) for name in weights]
+
+
+def near(features: Features) -> float:
+    """Return the probability that a peak of somebody is near him; of the first one the score's other terms tell it."""
+    return 1.0 if features.first else 1.0 / (1.0 + features.dilution / HALFWAY)
 
 
 def dilution(normal: np.ndarray) -> float:

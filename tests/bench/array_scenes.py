@@ -34,6 +34,8 @@ LIVE_S = 0.5
 """T60 from which scenes are sampled at the lowest rate, since their simulation is dear."""
 MACHINES_FROM, MACHINES = 10000, ("machine", "machine beside a talker")
 """Scenes with a machine are drawn by numbers from here; what they are called."""
+MACHINE_S, HUMS = 9.0, 1 / 4
+"""s that they last, so that some machines are named within them; the share of them in which the machine hums."""
 FEW_FROM, FEW = 20000, (4, 4, 5, 6)
 """Scenes by numbers from here have so few microphones: of the others too few have four, where a score is hardest."""
 MISPLACED_M, NOISY, LOUDEST_DB, FAULTS = 0.03, 1 / 3, (-5.0, 10.0), 5
@@ -321,27 +323,49 @@ def machine_scene(split: str, number: int, speech: Sequence[Sound], noises: Sequ
     """
     given, array, rng = drawn(split, MACHINES_FROM + number)
     given = replace(given, simulator="pyroomacoustics", act=MACHINES[number % 2], rt60=min(given.rt60, 0.6))
-    times = np.arange(0.0, SECONDS + 0.05, 0.1)
-    mouths, speaking = acted("two", array.room, times, rng)
-    mouths[0] = mouths[0][0]
-    noise = [noises[int(rng.integers(len(noises)))]]
+    times = np.arange(0.0, MACHINE_S + 0.05, 0.1)
+    mouths, speaking = acted("two", array.room, times[times < SECONDS], rng)
+    mouths, turn = np.repeat(mouths[:, :1], len(times), axis=1), np.resize(speaking[1:], (1, len(times)))
+    if rng.random() < HUMS:
+        noise = hum(rng, given.rate)
+    else:
+        noise = noises[int(rng.integers(len(noises)))]
+        begin = int(rng.integers(max(1, len(noise.samples) - round(MACHINE_S * noise.sample_rate_hz))))
+        noise = replace(noise, samples=noise.samples[begin:])
     spoken = [speech[index] for index in rng.permutation(len(speech))[:3]]
     level = 10.0 ** (rng.uniform(-10.0, 0.0) / 20.0)
-    samples, _ = peers(given, array, times, mouths[:1], np.ones((1, len(times)), bool), noise, rng)
+    samples, _ = peers(given, array, times, mouths[:1], np.ones((1, len(times)), bool), [noise], rng)
     people: list[Person] = []
     if number % 2:
-        more, people = peers(given, array, times, mouths[1:], speaking[1:], spoken, rng)
+        more, people = peers(given, array, times, mouths[1:], turn, spoken, rng)
         samples = more + level * samples
     hiss = 10.0 ** (-given.noise_db / 20.0) * float(samples.std()) * rng.standard_normal(samples.shape, np.float32)
     return given, Scene(0, given.rt60, array, (samples + hiss).astype(np.float32), people)
 
 
+def hum(rng: np.random.Generator, rate: int) -> Sound:
+    """Return a motor that hums: harmonics that fall by 3 to 9 dB an octave and swell slowly, and air that rushes."""
+    times = np.arange(round((MACHINE_S + 1.0) * rate)) / rate
+    harmonics = np.arange(1, int(0.4 * rate / (lowest := rng.uniform(40.0, 120.0))))
+    levels = harmonics ** -rng.uniform(0.5, 1.5) * rng.lognormal(0.0, 0.7, len(harmonics))
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(harmonics))
+    tone = np.zeros(len(times))
+    for number, level, phase in zip(harmonics, levels, phases, strict=True):
+        tone += level * np.cos(2.0 * np.pi * number * lowest * times + phase)
+    tone = tone * (1.0 + rng.uniform(0.0, 0.2) * np.cos(2.0 * np.pi * rng.uniform(0.2, 2.0) * times))
+    rush = 10.0 ** (rng.uniform(-25.0, -5.0) / 20.0) * rng.standard_normal(len(times))
+    return Sound((tone / np.std(tone) + rush)[:, None], rate)
+
+
 def machines(split: str, folder: Path) -> list[Sound]:
     """Return the recordings of a split's machines, NAME_K_PART.wav in a folder, see bench_steady.py."""
-    paths = sorted(folder.glob("*_*_*.wav"))
-    deciding = [path.stem.split("_")[1] in DECIDES for path in paths]
-    return [
-        Sound(*read_audio(path))
-        for path, decides in zip(paths, deciding, strict=True)
-        if decides == (split == "decide")
-    ]
+    parts: dict[str, dict[int, Path]] = {}
+    for path in folder.glob("*_*_*.wav"):
+        name, part = path.stem.rsplit("_", 1)
+        if (name.split("_")[1] in DECIDES) == (split == "decide"):
+            parts.setdefault(name, {})[int(part)] = path
+    found = []
+    for _, paths in sorted(parts.items()):
+        each = [read_audio(paths[k]) for k in sorted(paths)]
+        found.append(Sound(np.concatenate([samples for samples, _ in each]), each[0][1]))
+    return found
