@@ -1,8 +1,8 @@
 """How often the filter is right where it believes with some probability that somebody is there: fitted to tracks.
 
-The filter's probability is as true as its models of how people hide, leave and walk. So it is corrected by a logistic law.
-Its terms are the log odds that the person exists, and those that the person is near the place if so, each with a slope
-of its own: real people who are not seen for a second turn, stop and leave the picture more often than the models say.
+The filter's probability is as true as its models of how people hide, leave and walk. So it is corrected by a logistic
+law. Its terms are the log odds that the person exists, and those that the person is near the place if so, each with a
+slope of its own: real people who are not seen for a second turn, stop and leave the picture more often than models say.
 Of people who are not detected two more terms say what a run sees itself:
 
 - records in which nobody detected the person: one miss seldom comes alone, so the filter, for which each speaks
@@ -37,7 +37,7 @@ class Grounds(NamedTuple):
     Attributes:
         existence, near: the filter's probabilities that the person is in the room, and if so near the place.
         detected: whether some sensor detected the person in its latest record.
-        count: how often sensors have detected the person so far.
+        hits: how often sensors have detected the person so far.
         watched: whether a camera looks where the person is.
         missed: records since then, at different times.
         returned: see `Absences.returned`.
@@ -46,7 +46,7 @@ class Grounds(NamedTuple):
     existence: float
     near: float
     detected: bool
-    count: float
+    hits: float
     watched: bool = True
     missed: int = 0
     returned: float = 1.0
@@ -105,7 +105,7 @@ class Trust(NamedTuple):
         """Return which law holds for a person."""
         if not grounds.detected and not grounds.watched:
             return 4
-        return 2 * (grounds.count > 1) + (not grounds.detected)
+        return 2 * (grounds.hits > 1) + (not grounds.detected)
 
 
 class Absences:
@@ -143,13 +143,13 @@ class Absences:
         return (1 + len(self.gaps) - bisect_right(self.gaps, since)) / (1 + max(self.left, 0.0))
 
     def grounds(
-        self, existence: float, near: float, detected: bool, count: float, watched: bool, last: float, now: float
+        self, existence: float, near: float, detected: bool, hits: float, watched: bool, last: float, now: float
     ) -> Grounds:
         """Return what is known of a person now who was detected last at a time; see `Grounds`, times in s."""
         if detected:
-            return Grounds(existence, near, detected, count, watched)
+            return Grounds(existence, near, detected, hits, watched)
         missed = len(self.times) - bisect_right(self.times, last)
-        return Grounds(existence, near, detected, count, watched, missed, self.returned(now - last))
+        return Grounds(existence, near, detected, hits, watched, missed, self.returned(now - last))
 
 
 TRUST = Trust(*(Law(**one) for one in json.loads(FITTED.read_text())["laws"].values()))

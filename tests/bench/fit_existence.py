@@ -45,6 +45,7 @@ REAL = tuple(f"{name}{hiding}@any+120" for name in ("hotel", "zara01", "zara02")
 LONG = ("long-pair", "long-pair-looks", "ten-looks", "crowd100", "60hz", *ONCE)  # minutes, and nearly all is true
 WORTH = {"synthetic": 1.0, "walks": 1.0, "films": 0.2}
 SHRINK = 3e-4  # nats for the square of a term's power, in standard deviations of the term
+NOTHING = Law(1.0, 0.0, 0.0)
 TERMS = {  # of `Law`, but for the odds: those that are fitted
     "once": ("existence", "near"),
     "once_missed": (),  # too few records: those of `again_missed`
@@ -93,7 +94,7 @@ def features(grounds: np.ndarray) -> np.ndarray:
     return np.log([odds_of(existence), odds_of(near), np.maximum(missed, 1), returned]).T
 
 
-def fit(rows: np.ndarray, weight: np.ndarray, terms: Sequence[str], given: Law = Law(1.0, 0.0, 0.0)) -> Law:
+def fit(rows: np.ndarray, weight: np.ndarray, terms: Sequence[str], given: Law = NOTHING) -> Law:
     """The law of greatest likelihood for n records, with three digits: logistic regression, no power negative.
 
     Args:
@@ -137,7 +138,7 @@ def fitted(domains: dict[str, np.ndarray]) -> Trust:
         for domain, worth in WORTH.items():
             here = some & (names == domain)
             weight[here] = worth / max(int(here.sum()), 1)
-        given = laws["again_missed"] if name == "once_missed" else Law(1.0, 0.0, 0.0)
+        given = laws["again_missed"] if name == "once_missed" else NOTHING
         laws[name] = fit(rows[some], weight[some], TERMS[name], given)
     return Trust(**laws)
 
