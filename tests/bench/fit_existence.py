@@ -2,11 +2,11 @@
 
 A record of a track is true if the track is matched, one to one, to somebody within 1 m. The laws of
 avcli/tracking/trust.py are those of greatest likelihood over all records of the tracks in which the filter believes
-with .35 or more, in three domains:
+with .35 or more, in domains:
 
 - the synthetic cases (seeds from 100 on), those with more scenes in bench-tracking with more here, too;
-- the tracks of real people that may decide (ETH hotel, UCY zara01 and zara02, with and without occlusions, from a
-  checkout of OpenTraj), without the times at which nobody annotated;
+- the tracks of real people that may decide, at two places: ETH hotel, and the street of UCY zara01 and zara02, with and
+  without occlusions, from a checkout of OpenTraj, without the times at which nobody annotated;
 - films of real people, as film_cases.py makes them, all that are in --films.
 
 The domains count WORTH, however many records they have. Films are few, and say of whom nobody detects what the others
@@ -43,7 +43,7 @@ from avcli.tracking.trust import FITTED, Grounds, Law, Trust, odds_of
 
 REAL = tuple(f"{name}{hiding}@any+120" for name in ("hotel", "zara01", "zara02") for hiding in ("", "occ"))
 LONG = ("long-pair", "long-pair-looks", "ten-looks", "crowd100", "60hz", *ONCE)  # minutes, and nearly all is true
-WORTH = {"synthetic": 1.0, "walks": 1.0, "films": 0.2}
+WORTH = {"synthetic": 1.0, "hotel": 0.5, "zara": 0.5, "films": 0.2}
 SHRINK = 3e-4  # nats for the square of a term's power, in standard deviations of the term
 NOTHING = Law(1.0, 0.0, 0.0)
 TERMS = {  # of `Law`, but for the odds: those that are fitted
@@ -198,7 +198,7 @@ def main() -> None:
     films = sorted(str(one) for one in options.films.iterdir() if one.is_dir())
     counts = {
         "synthetic": {name: max(options.seeds, MORE.get(name, 0) // 4) for name in synthetic},
-        "walks": dict.fromkeys(REAL, options.real_seeds),
+        **{place: {name: options.real_seeds for name in REAL if name.startswith(place)} for place in ("hotel", "zara")},
         "films": dict.fromkeys(films, 1),
     }
     domains = {}
