@@ -30,7 +30,8 @@
 #: make study         the thesis's hypotheses with intervals, and one factor of the scene at a time (STUDY_FLAGS="--seeds 20")
 #: make fit-localization fit-scores fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence fit-pupil
 #:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
-#:                    FIT_FLAGS="--speech DIR"; fit-pupil folders of pictures of boards: FIT_FLAGS="DIR/*")
+#:                    FIT_FLAGS="--speech DIR"; fit-pupil folders of pictures of boards: FIT_FLAGS="DIR/*";
+#:                    fit-existence walks and films: FIT_FLAGS="--walks OPENTRAJ --films CASES")
 #: make clean         removes out/ and bench-out/; make distclean removes the virtual environments too
 #:
 #: Variables: OUT=out SEED=0 PYTHON=python3 VENV=.venv

@@ -300,6 +300,7 @@ class GLMB:
             journal.add_beliefs(account, rates, leaving, self.people.seen.take(rows, 0).max(1, initial=NEVER))
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = now
+        self.habits.absences.record(now)
         self._rebuild(scan, groups, revealed, now)
         if scan.doubt is not None and scan.sensor.kind == CAMERA:
             self._believe_who_went(scan.column)
@@ -477,6 +478,7 @@ class GLMB:
         seen = people.seen.take(rows, 0).tolist()
         gone = [(now - max(one)) * share for one, share in zip(seen, sure, strict=True)]
         self.habits.stayed(people.mean[:, 0].take(rows, 0), gone)
+        self.habits.absences.back(gone, dt)
         known = [k for k, one in enumerate(seen) if one[column] > NEVER]
         if scan.sensor.hide and known:
             gaps, sure, rates = [now - seen[k][column] for k in known], [sure[k] for k in known], self.rates[column]
@@ -730,7 +732,7 @@ class GLMB:
         cov[:, :2, :2] += lasting
         seen, detectable = people.seen.take(rows, 0).tolist(), people.detectable.take(rows, 0).tolist()
         last, count = list(map(max, seen)), list(map(math.fsum, people.hits.take(rows, 0).tolist()))
-        tracks, doubts = [], self.false_places.doubts()
+        tracks, doubts, grounds = [], self.false_places.doubts(), self.habits.absences.grounds
         latest = [any(map(eq, one, self.last_record)) for one in seen]
         nobody, contested = people.nobody(rows)
         in_part = isinstance(self.undetected, UnseenMap)
@@ -738,7 +740,7 @@ class GLMB:
         for k, (label, _, existence) in enumerate(present):
             existence *= 1 - doubts.get(label, 0.0)
             believed = existence * near[k]
-            there = TRUST.of(believed, latest[k], count[k], looks[k])
+            there = TRUST.of(grounds(existence, near[k], latest[k], count[k], looks[k], last[k], self.time))
             shown = there * (1 - nobody[k]) if contested[k] else there
             if believed > min(least, THERE) and shown > min(least, SHOWN):
                 able = dict(zip(self.column, detectable[k], strict=True))

@@ -12,6 +12,7 @@ import numpy as np
 from avcli.tracking.densities import Densities
 from avcli.tracking.model import Population
 from avcli.tracking.places import Places
+from avcli.tracking.trust import Absences
 
 # Expected events that the prior is worth, in the whole area and at one place.
 EXITS, ENTRIES = (1.0, 0.2), (3.0, 1.0)
@@ -34,6 +35,7 @@ class Habits:
         """Begin with the prior; with `learn` false it stays."""
         self.population, self.learn = population, learn
         self.exits, self.entries = Places(population.area, *EXITS), Places(population.area, *ENTRIES)
+        self.absences = Absences()  # of this run
         self._fresh: dict[int, np.ndarray] = {}  # label -> where it began, until it certainly is a person
         self._came: dict[int, np.ndarray] = {}  # label -> where it was counted as having come
         self._gone: dict[int, np.ndarray] = {}  # label -> where it was counted as having left
@@ -137,6 +139,7 @@ class Habits:
         self._fresh.pop(label, None)
         if self.learn and self.sure(people, row):
             self._gone[label] = people.place[row].copy()
+            self.absences.left += 1
             self._happen(self.exits, self._gone[label])
 
     def was_false(self, label: int) -> None:
@@ -148,6 +151,7 @@ class Habits:
     def came_back(self, label: int) -> None:
         """Note that somebody who was counted as having left was only hidden."""
         if (place := self._gone.pop(label, None)) is not None:
+            self.absences.left -= 1
             self._happen(self.exits, place, -1.0)
 
     def forget(self, labels: Iterable[int]) -> None:
