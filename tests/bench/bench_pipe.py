@@ -42,7 +42,7 @@ STAGES = ("avsim-scene", "avsim-audio", "avdetect-audio", "avdetect-video", "avf
 
 
 def hold_memory(directory: Path) -> tuple[float, float]:
-    """Write and free the memory of a run, and its files; the CPU s that 1 GB took when it was first written, and again."""
+    """Write and free the memory of a run, and its files; the CPU s of 1 GB when it was first written, and again."""
     took = []
     for _ in range(2):
         with mmap.mmap(-1, HELD_BYTES) as memory:
