@@ -48,7 +48,7 @@ def cpu_s(command: Sequence[object], cache: Path, into: Path | None = None) -> f
 def pipe_rows() -> Iterator[Row]:
     """S1 as one pipe, with the least that the machine needs for it; and by `make -j2 s1`."""
     with tempfile.TemporaryDirectory() as temporary:
-        bench_pipe.hold_memory()
+        bench_pipe.hold_memory(Path(temporary))
         run = bench_pipe.run_pipe("s1", Path(temporary), _environment(Path(temporary) / "cache"))
         for name, seconds in run["cpu_s"].items():
             yield figure("pipe", "S1", f"avcli {name}", seconds, "S1")
