@@ -1,6 +1,7 @@
 """Fits how true the filter's existence is; writes avcli/tracking/existence.json (`make fit-existence`).
 
-A record of a track is true if the track is matched, one to one, to somebody within 1 m. The laws of
+A record of a track is true if the track is matched, one to one, to somebody within 1 m: those that the program shows
+take their people first, as in bench-tracking, which sees no others. The laws of
 avcli/tracking/trust.py are those of greatest likelihood over all records of the tracks in which the filter believes
 with .35 or more, in domains:
 
@@ -10,10 +11,14 @@ with .35 or more, in domains:
 - films of real people, as film_cases.py makes them, all that are in --films.
 
 The domains count WORTH, however many records they have. Films are few, and say of whom nobody detects what the others
-cannot: how real people leave the place where a detector lost them.
+cannot: how real people leave the place where a detector lost them. In hotel people vanish amid the area, many together:
+some left there, of others the annotation ends.
+
+A run that was stopped goes on where it was, if the code of the trackers and of the scenes is the same.
 """
 
 import argparse
+import hashlib
 import json
 import math
 import os
@@ -34,8 +39,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from tracking_cases import FIRST_DECIDING, MORE, ONCE, SYNTHETIC, scene_of
 from tracking_measures import matched
-from tracking_runs import Variant, fuse
-from tracking_scenes import Scene
+from tracking_runs import Frame, Variant, fuse
+from tracking_scenes import Scene, Truth
 
 from avcli.tracking import glmb
 from avcli.tracking.model import THERE
@@ -69,7 +74,7 @@ class Noted:
 
 
 def records_of(scene: Scene) -> np.ndarray:
-    """Records of the tracks of a scene: (n, 9) the grounds, what existence is multiplied by, and whether it is true."""
+    """Records of the tracks of a scene: (n, 9) the grounds, the factor of existence, and whether it is true."""
     noted, usual = Noted(), (glmb.TRUST, glmb.SHOWN)
     glmb.TRUST, glmb.SHOWN = noted, 0.0  # type: ignore[assignment]
     try:
@@ -79,13 +84,30 @@ def records_of(scene: Scene) -> np.ndarray:
     grounds = np.reshape(np.array(noted.grounds, float), (-1, len(Grounds._fields)))
     said = np.concatenate([np.zeros(0), *(frame.existence for frame in tracks)])
     times = np.array([t for (t, *_), frame in zip(scene.truth, tracks, strict=True) for _ in frame.ids])
-    true = [
-        one in found for frame, found in zip(tracks, matched(scene.truth, tracks), strict=True) for one in frame.ids
-    ]
+    shown = np.array([usual[0].of(one) > usual[1] for one in noted.grounds], bool)
+    true = truths(scene.truth, tracks, shown)
     looked = np.ones(len(times), bool)
     for since, until in scene.unlooked:
         looked &= (times < since + 1e-6) | (times > until - 1e-6)
     return np.column_stack([grounds, said / (grounds[:, 0] * grounds[:, 1]), true])[looked]
+
+
+def truths(truth: Truth, tracks: list[Frame], shown: np.ndarray) -> list[bool]:
+    """Whether each record of some tracks is true; shown: (n,) of those that take their people first."""
+    first = np.split(shown, np.cumsum([len(frame.ids) for frame in tracks])[:-1])
+    mine = matched(truth, [only(frame, some) for frame, some in zip(tracks, first, strict=True)])
+    rest = []
+    for (t, ids, xy), found in zip(truth, mine, strict=True):
+        left = ~np.isin(ids, list(found.values()))
+        rest.append((t, ids[left], xy[left]))
+    others = matched(rest, [only(frame, ~some) for frame, some in zip(tracks, first, strict=True)])
+    return [one in a or one in b for frame, a, b in zip(tracks, mine, others, strict=True) for one in frame.ids]
+
+
+def only(frame: Frame, some: np.ndarray) -> Frame:
+    """A frame without the tracks but some (n,)."""
+    ids = [one for one, wanted in zip(frame.ids, some.tolist(), strict=True) if wanted]
+    return Frame(ids, frame.xy[some], frame.existence[some])
 
 
 def features(grounds: np.ndarray) -> np.ndarray:
@@ -127,7 +149,7 @@ def fit(rows: np.ndarray, weight: np.ndarray, terms: Sequence[str], given: Law =
 
 
 def fitted(domains: dict[str, np.ndarray]) -> Trust:
-    """The laws that fit the records (n, 9) of some domains best."""
+    """The laws that fit the records (n, 9) of some domains best: see `records_of`."""
     rows = np.concatenate(list(domains.values()))
     kinds = np.array([Trust.group(Grounds(*one)) for one in rows[:, :7].tolist()])
     names = np.repeat(list(domains), [len(some) for some in domains.values()])
@@ -154,12 +176,14 @@ def described(domains: dict[str, np.ndarray], command: str, synthetic: list[str]
     """What the file says of laws that are fitted to the records (n, 9) of some domains."""
     trust = fitted(domains)
 
-    def scores(rows: np.ndarray) -> dict[str, Any]:
+    def scores(name: str, rows: np.ndarray) -> dict[str, Any]:
+        if name == "synthetic":  # bench-tracking does not score people who are outside the picture
+            rows = rows[(rows[:, 2] > 0) | (rows[:, 4] > 0)]
         law = np.array([trust.of(Grounds(*one)) for one in rows[:, :7].tolist()])
         before, after, true = rows[:, 0] * rows[:, 1] * rows[:, 7], law * rows[:, 7], rows[:, 8]
         return {
-            name: {"bins": bins(said, true), "brier": round(float(np.square(said - true).mean()), 5)}
-            for name, said in (("before", before), ("after", after))
+            when: {"bins": bins(said, true), "brier": round(float(np.square(said - true).mean()), 5)}
+            for when, said in (("before", before), ("after", after))
         }
 
     return {
@@ -175,23 +199,44 @@ def described(domains: dict[str, np.ndarray], command: str, synthetic: list[str]
             "walks": list(REAL),
             "worth": WORTH,
             "bins": "records, said, true",
-            **{name: scores(rows) for name, rows in domains.items()},
+            **{name: scores(name, rows) for name, rows in domains.items()},
         },
     }
 
 
-def records_of_case(case: str, seed: int, root: Path) -> np.ndarray:
-    """See `records_of`."""
-    return records_of(scene_of(case, seed, root))
+def code() -> str:
+    """A mark of the code that decides what the records are: the laws themselves do not."""
+    here = Path(__file__).parent
+    sources = [*Path(glmb.__file__).parent.glob("*.py"), *here.glob("*track*.py"), *here.glob("*_scenes.py")]
+    sources += [*here.glob("walk*.py"), Path(__file__)]
+    return hashlib.sha256(b"".join(one.read_bytes() for one in sorted(sources))).hexdigest()[:12]
+
+
+def records_of_case(task: tuple[str, int], root: Path, kept: Path) -> np.ndarray:
+    """See `records_of`; of a file in `kept`, if it is there.
+
+    Ready cases are not kept: they are few, and may be others next time.
+    """
+    case, seed = task
+    if Path(case).is_dir():
+        return records_of(scene_of(case, seed, root))
+    file = kept / f"{case}-{seed}.npy"
+    if not file.exists():
+        part = file.with_suffix(f".{os.getpid()}")
+        with part.open("wb") as stream:
+            np.save(stream, records_of(scene_of(case, seed, root)))
+        part.rename(file)
+    return np.asarray(np.load(file))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--walks", type=Path, required=True, help="a checkout of OpenTraj")
     parser.add_argument("--films", type=Path, required=True, help="a directory of what film_cases.py makes of films")
-    parser.add_argument("--seeds", type=int, default=2, help="scenes of each synthetic case, at least")
-    parser.add_argument("--real-seeds", type=int, default=4, help="scenes of each set of real people")
+    parser.add_argument("--seeds", type=int, default=4, help="scenes of each synthetic case, at least")
+    parser.add_argument("--real-seeds", type=int, default=6, help="scenes of each set of real people")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--kept", type=Path, default=Path("bench-out"), help="where what was run is kept")
     parser.add_argument("--out", type=Path, default=FITTED, help="the file to write")
     options = parser.parse_args()
     synthetic = [name for name in SYNTHETIC if name not in LONG]
@@ -201,11 +246,12 @@ def main() -> None:
         **{place: {name: options.real_seeds for name in REAL if name.startswith(place)} for place in ("hotel", "zara")},
         "films": dict.fromkeys(films, 1),
     }
-    domains = {}
+    domains, kept = {}, options.kept / f"existence-{code()}"
+    kept.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(options.jobs) as pool:
         for domain, cases in counts.items():
             tasks = [(case, FIRST_DECIDING + k) for case, seeds in cases.items() for k in range(seeds)]
-            parts = pool.map(partial(records_of_case, root=options.walks), *zip(*tasks, strict=True))
+            parts = pool.map(partial(records_of_case, root=options.walks, kept=kept), tasks)
             domains[domain] = np.concatenate(list(parts))
             print(f"{domain}: {len(tasks)} scenes, {len(domains[domain])} records", file=sys.stderr)
     command = f"fit_existence.py --seeds {options.seeds} --real-seeds {options.real_seeds}"
