@@ -269,7 +269,7 @@ class Heard:
         count: how many whole windows they amount to.
         channels: how many channels there are in the mean, at least 4.
         pairs: (pairs,) bool, whose GCCs are in any window: of channels that are left out there are none.
-        power: (windows, bins) mean over the channels of the squared spectra.
+        power: (windows, bins) mean over the channels of the squared spectra, as if the stream held all of each window.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
         above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
             no steady source is known.
@@ -311,7 +311,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         shares.append(1.0 if whole else kept.sum() / len(kept))
         parts.append(window.part)
         offsets.append(offset)
-        powers.append(window.power)
+        powers.append(window.power / window.part)
     if not gccs:
         return None
     weights = np.array(shares) * parts
