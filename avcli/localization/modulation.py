@@ -66,7 +66,9 @@ class Course:
             offsets: (windows,) s of them from it.
             apart: how many decisions there are in APART_S.
         """
-        now, steady = levels[np.argmin(np.abs(offsets))], self.steady
+        now, steady = _at(levels, offsets, 0.0), self.steady
+        if now is None:  # what sounds here begins or ends: another decision has that window at its middle
+            return self, steady
         if len(self.levels) == apart:
             steady = _added(steady, self.levels[0], now, 1.0 / apart)
         elif not self.levels:

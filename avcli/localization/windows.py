@@ -80,7 +80,7 @@ class Correlated:
             was then.
         energy: mean square of the median channel, times the band's bins.
         occupancy: share of the bins within 40 dB of the strongest.
-        power: (bins,) mean over the channels of the squared spectra.
+        power: (bins,) median over the channels of the squared spectra.
     """
 
     gcc: np.ndarray
@@ -184,7 +184,8 @@ class Correlator:
         gcc = self.gcc(whitened)
         good, twins = self._without_twins(gcc, good, faint)
         alive = not dead.all()
-        mean = power[~dead].mean(axis=0) if alive else np.zeros(power.shape[1])
+        # A channel of noise would hide in a mean how loud speech is in the others.
+        usual = np.median(power[~dead], axis=0) if alive else np.zeros(power.shape[1])
         heard = (tapered[believed if believed.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
         size = self.band.size
         correlated = Correlated(
@@ -195,8 +196,8 @@ class Correlator:
             part=float(np.count_nonzero(taper)) / size,
             centre=float(heard @ np.arange(size) / heard.sum() - 0.5 * (size - 1)) / self.sample_rate,
             energy=float(np.median(level[~dead])) * float(scale) ** 2 if alive else 0.0,
-            occupancy=occupancy(mean),
-            power=mean * float(scale) ** 2,
+            occupancy=occupancy(usual),
+            power=usual * float(scale) ** 2,
         )
         return Window(correlated, (*notices, *found, *twins))
 
@@ -269,7 +270,7 @@ class Heard:
         count: how many whole windows they amount to.
         channels: how many channels there are in the mean, at least 4.
         pairs: (pairs,) bool, whose GCCs are in any window: of channels that are left out there are none.
-        power: (windows, bins) mean over the channels of the squared spectra, as if the stream held all of each window.
+        power: (windows, bins) median over the channels of the squared spectra, as if the stream held each window whole.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
         above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
             no steady source is known.
