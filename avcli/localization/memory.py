@@ -1,7 +1,7 @@
 """What the decisions before this one found, and for how long it counts."""
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Trace:
     velocity: np.ndarray
     lasting: float
     confirmed: float = UNKNOWN
-    course: Course = Course()
+    course: Course = field(default_factory=Course)
     age: int = 1
 
 

@@ -15,9 +15,9 @@ LOWEST, HIGHEST, BANDS = 150.0, 7000.0, 10
 """Hz, and in how many bands, alike on a logarithmic scale, levels are taken."""
 APART_S = 0.1
 """s between two levels that are compared."""
-CHANGE_DB, LEAST, MOST, UNKNOWN = 4.0, -1.0, 4.0, 1.0
-"""dB: where levels change by less, a machine is likelier than before, else less likely; how much one change counts at
-least, all of them at most, and none."""
+CHANGE_DB, MOST, UNKNOWN = 4.0, 2.5, 1.0
+"""dB: where levels change by less, a machine is likelier than before, else less likely; how much all changes count at
+most, so that a voice is soon heard where a machine was; and how much none count."""
 
 
 class Levels:
@@ -89,4 +89,4 @@ def _added(steady: float, one: np.ndarray | None, other: np.ndarray | None, shar
     if one is None or other is None:
         return steady
     change = float(np.median(np.abs(one - other)))
-    return float(np.clip(steady + share * max(1.0 - change / CHANGE_DB, LEAST), 0.0, MOST))
+    return float(np.clip(steady + share * (1.0 - change / CHANGE_DB), 0.0, MOST))
