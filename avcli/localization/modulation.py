@@ -58,29 +58,29 @@ class Course:
     steady: float = UNKNOWN
     levels: tuple[np.ndarray, ...] = ()
 
-    def goes_on(self, levels: np.ndarray, offsets: np.ndarray, apart: int) -> tuple["Course", float]:
+    def goes_on(self, levels: np.ndarray, middles: np.ndarray, apart: int) -> tuple["Course", float]:
         """Return the course up to a decision, and how steady it is with what is heard of the time after it.
 
         Args:
             levels: (windows, bands) dB, around the decision.
-            offsets: (windows,) s of them from it.
+            middles: (windows,) s of their middles from it.
             apart: how many decisions there are in APART_S.
         """
-        now, steady = _at(levels, offsets, 0.0), self.steady
-        if now is None:  # what sounds here begins or ends: another decision has that window at its middle
+        now, steady = _at(levels, middles, 0.0), self.steady
+        if now is None:  # that window is too faint beside the others
             return self, steady
         if len(self.levels) == apart:
             steady = _added(steady, self.levels[0], now, 1.0 / apart)
         elif not self.levels:
-            steady = _added(steady, _at(levels, offsets, -APART_S), now)
+            steady = _added(steady, _at(levels, middles, -APART_S), now)
         course = Course(steady, (*self.levels, now)[-apart:])
-        return course, _added(steady, now, _at(levels, offsets, APART_S))
+        return course, _added(steady, now, _at(levels, middles, APART_S))
 
 
-def _at(levels: np.ndarray, offsets: np.ndarray, time: float) -> np.ndarray | None:
+def _at(levels: np.ndarray, middles: np.ndarray, time: float) -> np.ndarray | None:
     """Return the levels (bands,) of the window at a time, s from the decision; None where there is none."""
-    nearest = int(np.argmin(np.abs(offsets - time)))
-    near: np.ndarray | None = levels[nearest] if abs(offsets[nearest] - time) < 0.5 * APART_S else None
+    nearest = int(np.argmin(np.abs(middles - time)))
+    near: np.ndarray | None = levels[nearest] if abs(middles[nearest] - time) < 0.25 * APART_S else None
     return near
 
 

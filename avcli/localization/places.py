@@ -108,7 +108,7 @@ class PlaceFinder:
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             so_far = _latest(traces).course if traces else Course()
-            course, steady = so_far.goes_on(peak.levels, heard.offsets, self.apart)
+            course, steady = so_far.goes_on(peak.levels, heard.middles, self.apart)
             first = number == 0 and not len(heard.steady)
             features = self.features(peak, first, traces, noise, of_all | {"steady": steady, "leading": leading})
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))

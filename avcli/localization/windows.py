@@ -266,7 +266,8 @@ class Heard:
         gccs: (windows, pairs, lags), scaled up for the pairs that are missing.
         spectra: (windows, m, bins), whitened; 0 in channels that are left out.
         gains: (windows,) float32, how much each window counts.
-        offsets: (windows,) s of each from the moment.
+        offsets: (windows,) s from the moment to the middle of each one's energy.
+        middles: (windows,) s from the moment to the middle of each.
         count: how many whole windows they amount to.
         channels: how many channels there are in the mean, at least 4.
         pairs: (pairs,) bool, whose GCCs are in any window: of channels that are left out there are none.
@@ -280,6 +281,7 @@ class Heard:
     spectra: np.ndarray
     gains: np.ndarray
     offsets: np.ndarray
+    middles: np.ndarray
     count: float
     channels: float
     pairs: np.ndarray
@@ -295,7 +297,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         windows: each with its offset in s from the moment.
         out: (m,) bool, which channels are left out.
     """
-    gccs, spectra, shares, parts, offsets, powers, channels, pairs = [], [], [], [], [], [], [], []
+    gccs, spectra, shares, parts, offsets, middles, powers, channels, pairs = [], [], [], [], [], [], [], [], []
     first, second = correlation.pairs(len(out))
     usable = [(window, offset) for window, offset in windows if (window.good & ~out).sum() >= 4]
     loudest = max((float(window.power.sum()) for window, _ in usable), default=0.0)
@@ -312,6 +314,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         shares.append(1.0 if whole else kept.sum() / len(kept))
         parts.append(window.part)
         offsets.append(offset)
+        middles.append(offset - window.centre)
         powers.append(window.power / window.part)
     if not gccs:
         return None
@@ -322,6 +325,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         np.stack(spectra),
         gains,
         np.array(offsets),
+        np.array(middles),
         float(weights.sum()),
         float(np.mean(channels)),
         np.any(pairs, axis=0),
