@@ -6,9 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
-from avcli.localization import correlation, events, memory, multilateration, uncertainty
+from avcli.localization import correlation, events, multilateration, uncertainty
 from avcli.localization.array import Array, time_steps
+from avcli.localization.modulation import BANDS, MOST, Course, Levels
 from avcli.localization.srp import SteeredResponse
+from avcli.localization.windows import Band
 
 FS = 16000
 LAW = uncertainty.fitted_law()
@@ -297,18 +299,44 @@ def features(**changed):
     return uncertainty.Features(**(usual | still | more | {"channels": 8.0, "doubted": 0.0, "steady": 0.0} | changed))
 
 
+def course(levels, rate=10.0):
+    """How steady something is, decision by decision, whose levels are (times, bands) dB, 0.1 s apart."""
+    so_far, apart, found = Course(), max(1, round(0.1 * rate)), []
+    for now in np.arange(1.0, len(levels) - 2.0 + 1e-9, 10.0 / rate):
+        around = [[np.interp(now + step, np.arange(len(levels)), band) for band in levels.T] for step in (-1, 0, 1)]
+        so_far, steady = so_far.goes_on(np.array(around), np.array([-0.1, 0.0, 0.1]), apart)
+        found.append(steady)
+    return np.array(found)
+
+
 def test_what_sounds_steadily_comes_to_be_a_machine_and_what_rises_and_falls_does_not():
-    law = uncertainty.fitted_law()
-    voice = 60.0 + 8.0 * np.sin(2.0 * np.pi * 3.7 * 0.1 * np.arange(memory.LEVELS))
-    machine = 60.0 + np.random.default_rng(1).normal(0.0, 0.7, memory.LEVELS)
-    assert memory.steadiness([]) == memory.steadiness([60.0]) == 0.0
-    assert memory.steadiness(voice) < 0.1 < 0.5 < memory.steadiness(machine)
-    heard = [law.probability(features(first=True, steady=memory.steadiness(machine[:k]))) for k in range(1, 16)]
-    assert heard[0] == law.probability(features(first=True))
-    assert heard[14] < heard[9] < heard[4] < heard[0]
-    assert heard[-1] < 0.1
-    assert law.probability(features(first=True, steady=memory.steadiness(voice))) > 0.9 * heard[0]
-    assert memory.steadiness([*machine, 80.0]) == 0.0  # somebody begins to speak at its place
+    rng, law = np.random.default_rng(1), uncertainty.fitted_law()
+    machine = 60.0 + rng.normal(0.0, 0.7, (20, BANDS))
+    voice = 60.0 + 8.0 * np.sin(2.0 * np.pi * (0.37 * np.arange(20)[:, None] + rng.random(BANDS)))
+    beside = machine + 20.0 * (np.arange(BANDS) < 4) * (np.arange(20) % 2)[:, None]
+    unknown = law.probability(features(first=True, steady=Course().steady))
+    for levels, rate in ((machine, 10.0), (beside, 10.0), (machine, 20.0)):
+        said = [law.probability(features(first=True, steady=one)) for one in course(levels, rate)]
+        assert said[0] < unknown
+        assert max(said[4:]) < 0.1
+    said = [law.probability(features(first=True, steady=one)) for one in course(voice)]
+    assert min(said) > unknown
+    assert course(machine)[-1] == MOST
+    begins = course(np.vstack([machine, 20.0 + voice]))  # somebody begins to speak at its place
+    assert law.voice(begins[21]) > 0.9
+
+
+def test_bands_are_followed_by_themselves():
+    band = Band(4096, slice(10, 400), np.ones(390, np.float32), 1.0)
+    levels = Levels(band, 22050.0)
+    coherence, power = np.ones((2, 390)), np.ones((2, 390))
+    power[1, :100] *= 100.0
+    first, second = levels(coherence, power)
+    assert first.shape == (BANDS,)
+    assert (second - first)[0] == pytest.approx(20.0)
+    assert (second - first)[-1] == 0.0
+    narrow = Levels(Band(4096, slice(10, 26), np.ones(16, np.float32), 1.0), 22050.0)
+    assert np.isfinite(narrow(coherence[:, :16], power[:, :16])).all()
 
 
 def lasting(steps, **changed):

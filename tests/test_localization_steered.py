@@ -219,7 +219,7 @@ def test_the_mask_keeps_the_frequencies_that_another_talker_has():
     spectra = np.where(np.arange(len(frequencies)) // 40 % 2, both[0], both[1])[None]
     one = np.ones(1, np.float32)
     pairs, power = np.ones(28, bool), np.ones((1, spectra.shape[2]))
-    windows = Heard(np.zeros(0), spectra, one, np.zeros(1), 1.0, 8.0, pairs, power)
+    windows = Heard(np.zeros(0), spectra, one, np.zeros(1), np.zeros(1), 1.0, 8.0, pairs, power)
     explained = masks.coherence(windows, PLACE, np.zeros(3))
 
     def answers(gccs):

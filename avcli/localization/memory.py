@@ -1,14 +1,11 @@
 """What the decisions before this one found, and for how long it counts."""
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-LEVELS, LEVEL_S, SYLLABLES_DB, BEGINS_DB = 15, 0.1, 4.0, 7.0
-"""How many levels of a trace count, s between them, dB by which a voice's differ on average, or more, and dB by which
-two of them, at most two steps apart, differ where something begins or ends."""
+from avcli.localization.modulation import Course
 
 UNKNOWN, CONFIRMED, FADE, SOUGHT = -4.0, 2.0, 1.0, 1.0
 """The bounds of what was confirmed of a trace, as logits, by how much it falls in a second, and from how much of it on
@@ -24,7 +21,7 @@ class Trace:
         velocity: (3,) m/s, as the decisions so far have it, the latest counting most.
         lasting: how lasting it is, see `uncertainty.Law.remembered`.
         confirmed: the most that spoke for it lately, as a logit: who surely talked is likelier to be there again.
-        levels: dB, how loud it was in this decision and those before in which it was seen, the latest last.
+        course: how steadily it sounded in this decision and those before in which it was seen.
         age: how many decisions ago it was seen.
     """
 
@@ -32,7 +29,7 @@ class Trace:
     velocity: np.ndarray
     lasting: float
     confirmed: float = UNKNOWN
-    levels: tuple[float, ...] = ()
+    course: Course = field(default_factory=Course)
     age: int = 1
 
 
@@ -85,22 +82,6 @@ class Memory:
             if abs(trace.lasting) > 0.05
             and all(level_distance(trace.position, one.position) > self.reach(trace) for one in seen)
         ]
-
-
-def steadiness(levels: Sequence[float]) -> float:
-    """Return how steadily something sounds, from 0 (as a voice, or not known yet) to 1 (as a machine).
-
-    A voice rises and falls with each syllable. What somebody says beside a machine is new: what was before something
-    began or ended does not count.
-
-    Args:
-        levels: dB, `LEVEL_S` apart, the latest last.
-    """
-    latest = np.array(levels[-LEVELS:])
-    changes, two = np.abs(np.diff(latest)), np.abs(latest[2:] - latest[:-2])
-    begins = np.flatnonzero(np.maximum(changes, np.concatenate([np.zeros(1), two])[: len(changes)]) > BEGINS_DB)
-    since = changes[begins[-1] + 1 :] if len(begins) else changes
-    return len(since) / (LEVELS - 1) * max(1.0 - float(since.mean()) / SYLLABLES_DB, 0.0) if len(since) else 0.0
 
 
 def level_distance(one: np.ndarray, other: np.ndarray) -> float:

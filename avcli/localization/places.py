@@ -8,7 +8,8 @@ from avcli.localization import uncertainty
 from avcli.localization.array import Array, Talker
 from avcli.localization.health import Health
 from avcli.localization.masks import Masks
-from avcli.localization.memory import LEVEL_S, LEVELS, UNKNOWN, Memory, Trace, level_distance, steadiness
+from avcli.localization.memory import UNKNOWN, Memory, Trace, level_distance
+from avcli.localization.modulation import APART_S, Course
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
@@ -22,13 +23,13 @@ _SURE = float(np.log(0.9 / 0.1))
 @dataclass(frozen=True)
 class Judged:
     """A peak, the probability that it is right, what speaks for it (see uncertainty.Law), what both rest on, and its
-    levels, see `Trace`."""
+    course, see `Trace`."""
 
     score: float
     evidence: float
     peak: Peak
     features: uncertainty.Features
-    levels: tuple[float, ...]
+    course: Course
 
 
 class PlaceFinder:
@@ -56,7 +57,7 @@ class PlaceFinder:
         self.settings, self.response, self.health, self.law = settings, response, health, law
         self.talkers = TalkerSearch(array, settings, masks, response)
         self.outside = False
-        self.apart = max(1, round(LEVEL_S * settings.rate))  # decisions between two levels of a trace
+        self.apart = max(1, round(APART_S * settings.rate))  # decisions between two levels that are compared
 
     def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
         """Return the talkers in the windows around one moment, the most probable first, and remember them.
@@ -76,7 +77,7 @@ class PlaceFinder:
                     0.6 * one.features.gait + 0.4 * one.features.velocity,
                     self.law.remembered(one.features, memory.kept),
                     memory.confirmed(one.features.confirmed, self.law.own_evidence(one.features)),
-                    one.levels,
+                    one.course,
                 )
                 for one in judged
             ]
@@ -106,14 +107,14 @@ class PlaceFinder:
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
-            levels = (*(_latest(traces).levels if traces else ()), peak.level)[-LEVELS * self.apart :]
-            steady = steadiness(levels[:: -self.apart][::-1])
+            so_far = _latest(traces).course if traces else Course()
+            course, steady = so_far.goes_on(peak.levels, heard.middles, self.apart)
             first = number == 0 and not len(heard.steady)
             features = self.features(peak, first, traces, noise, of_all | {"steady": steady, "leading": leading})
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
             leading = score if first else leading
             score *= self.health.trust
-            judged.append(Judged(score, self.law.evidence(features), peak, features, levels))
+            judged.append(Judged(score, self.law.evidence(features), peak, features, course))
         return sorted(judged, key=lambda one: -one.evidence)
 
     def features(

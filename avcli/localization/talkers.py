@@ -12,6 +12,7 @@ from avcli.localization import multilateration
 from avcli.localization.array import Array
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.modulation import Levels
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
@@ -31,7 +32,7 @@ class Peak:
         response, agreement, support, own, residual, strongest: see uncertainty.Features.
         normal: (3, 3) normal matrix of its range differences, with weights of mean 1.
         gccs: (windows, pairs, lags) those that the peaks before left for it.
-        level: dB, of what agrees with it in the middle window.
+        levels: (windows, bands) dB, of what agrees with it, see `modulation.Levels`.
     """
 
     position: np.ndarray
@@ -44,7 +45,7 @@ class Peak:
     strongest: float
     normal: np.ndarray
     gccs: np.ndarray
-    level: float
+    levels: np.ndarray
 
     def path(self, offsets: np.ndarray) -> np.ndarray:
         """Return where it is at offsets (n,) s, (n, 3) m; (1, 3) m for all of them where it stands."""
@@ -62,6 +63,7 @@ class TalkerSearch:
 
     def __init__(self, array: Array, settings: SteeredSettings, masks: Masks, response: SteeredResponse):
         self.array, self.settings, self.masks, self.response = array, settings, masks, response
+        self.levels = Levels(masks.correlator.band, array.sample_rate)
 
     def peaks(self, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Peak]:
         """Return the places that are answered better than noise would, each without those before it.
@@ -162,7 +164,6 @@ class TalkerSearch:
         places = position + velocity * offsets[:, None]
         each = [steered.response(gcc, place[None])[0] for gcc, place in zip(gccs, places, strict=True)]
         coherence = self.masks.coherence(heard, position, velocity)
-        middle = int(np.argmin(np.abs(offsets)))
         peak = Peak(
             position,
             velocity,
@@ -174,7 +175,7 @@ class TalkerSearch:
             strongest=float(max(each) / max(np.mean(each), 0.1 * noise.deviation)),
             normal=normal / max(height.mean(), 1e-9),
             gccs=gccs,
-            level=10.0 * float(np.log10(max(coherence[middle] @ heard.power[middle], 1e-30))),
+            levels=self.levels(coherence, heard.power),
         )
         return peak, coherence
 

@@ -67,7 +67,7 @@ class Features:
         dilution: by how much errors of range differences grow into errors in x and y, along the worse axis.
         fall: dB, from the loudest of the last second to the sound in which it was found; not above 0. What falls away
             may be the room alone.
-        steady: how steadily it sounds, from 0 (as a voice, or not known yet) to 1, see memory.steadiness.
+        steady: how steadily it sounds, from 0 (as a voice) on, see `modulation.Course`.
         channels: how many channels it rests on. Four tell three delays, which some place nearly always fits.
         doubted: 1 where channels are left out since they disagree with the others, else 0: where somebody is beyond a
             wall, the others agree on a place, too.

@@ -80,7 +80,7 @@ class Correlated:
             was then.
         energy: mean square of the median channel, times the band's bins.
         occupancy: share of the bins within 40 dB of the strongest.
-        power: (bins,) mean over the channels of the squared spectra.
+        power: (bins,) median over the channels of the squared spectra.
     """
 
     gcc: np.ndarray
@@ -184,7 +184,8 @@ class Correlator:
         gcc = self.gcc(whitened)
         good, twins = self._without_twins(gcc, good, faint)
         alive = not dead.all()
-        mean = power[~dead].mean(axis=0) if alive else np.zeros(power.shape[1])
+        # A channel of noise would hide in a mean how loud speech is in the others.
+        usual = np.median(power[~dead], axis=0) if alive else np.zeros(power.shape[1])
         heard = (tapered[believed if believed.any() else slice(None)] ** 2).sum(axis=0, dtype=np.float64)
         size = self.band.size
         correlated = Correlated(
@@ -195,8 +196,8 @@ class Correlator:
             part=float(np.count_nonzero(taper)) / size,
             centre=float(heard @ np.arange(size) / heard.sum() - 0.5 * (size - 1)) / self.sample_rate,
             energy=float(np.median(level[~dead])) * float(scale) ** 2 if alive else 0.0,
-            occupancy=occupancy(mean),
-            power=mean * float(scale) ** 2,
+            occupancy=occupancy(usual),
+            power=usual * float(scale) ** 2,
         )
         return Window(correlated, (*notices, *found, *twins))
 
@@ -265,11 +266,12 @@ class Heard:
         gccs: (windows, pairs, lags), scaled up for the pairs that are missing.
         spectra: (windows, m, bins), whitened; 0 in channels that are left out.
         gains: (windows,) float32, how much each window counts.
-        offsets: (windows,) s of each from the moment.
+        offsets: (windows,) s from the moment to the middle of each one's energy.
+        middles: (windows,) s from the moment to the middle of each.
         count: how many whole windows they amount to.
         channels: how many channels there are in the mean, at least 4.
         pairs: (pairs,) bool, whose GCCs are in any window: of channels that are left out there are none.
-        power: (windows, bins) mean over the channels of the squared spectra.
+        power: (windows, bins) median over the channels of the squared spectra, as if the stream held each window whole.
         steady: (k, 3) m where something sounds that is no talker, see `steady`.
         above: (windows, bins) float32, the share of each bin's power that is not the floor's, from 0 to 1; None where
             no steady source is known.
@@ -279,6 +281,7 @@ class Heard:
     spectra: np.ndarray
     gains: np.ndarray
     offsets: np.ndarray
+    middles: np.ndarray
     count: float
     channels: float
     pairs: np.ndarray
@@ -294,7 +297,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         windows: each with its offset in s from the moment.
         out: (m,) bool, which channels are left out.
     """
-    gccs, spectra, shares, parts, offsets, powers, channels, pairs = [], [], [], [], [], [], [], []
+    gccs, spectra, shares, parts, offsets, middles, powers, channels, pairs = [], [], [], [], [], [], [], [], []
     first, second = correlation.pairs(len(out))
     usable = [(window, offset) for window, offset in windows if (window.good & ~out).sum() >= 4]
     loudest = max((float(window.power.sum()) for window, _ in usable), default=0.0)
@@ -311,7 +314,8 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         shares.append(1.0 if whole else kept.sum() / len(kept))
         parts.append(window.part)
         offsets.append(offset)
-        powers.append(window.power)
+        middles.append(offset - window.centre)
+        powers.append(window.power / window.part)
     if not gccs:
         return None
     weights = np.array(shares) * parts
@@ -321,6 +325,7 @@ def together(windows: list[tuple[Correlated, float]], out: np.ndarray) -> Heard 
         np.stack(spectra),
         gains,
         np.array(offsets),
+        np.array(middles),
         float(weights.sum()),
         float(np.mean(channels)),
         np.any(pairs, axis=0),

@@ -3,6 +3,7 @@
     make setup-bench fit-scores FIT_FLAGS="--noises FOLDER"    # an hour; recordings as bench_steady.py has them
     make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
     make fit-scores FIT_FLAGS="--only further"                 # the score of further talkers alone
+    make fit-scores FIT_FLAGS="--only machine --noises FOLDER" # what tells a machine alone
 
 The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones, each with its
 array as it is said to be and as people build it. What is remembered of a decision does not depend on the score, so that
@@ -145,12 +146,16 @@ def main() -> None:
     """Fit and write."""
     parser = options_of(__doc__, few=70)
     parser.add_argument("--scenes", type=int, default=150)
-    parser.add_argument("--only", choices=tuple(TERMS), help="write the score of these peaks alone")
+    parser.add_argument("--only", choices=(*TERMS, "machine"), help="write the score of these peaks alone")
     options = parser.parse_args()
     stated = json.loads(FITTED.read_bytes())
     standing = uncertainty.Law.of(stated["law"])
     found, _ = peaks(scenes(options, "decide"), standing)
-    law, losses = fitted(found, standing)
+    if options.only == "machine":
+        law, told_of_machines = told_apart(found, standing)
+        losses = {"machine": told_of_machines}
+    else:
+        law, losses = fitted(found, standing)
     told = {
         "command": "tests/bench/fit_scores.py",
         "commit": commit(),
@@ -163,7 +168,11 @@ def main() -> None:
         "log_loss": losses if not options.only else {options.only: losses[options.only]},
     }
     part, origin, at = "score", stated["fitted_on"]["origin"], f"fitted at {told['commit']}, see fitted_on."
-    if options.only:
+    if options.only == "machine":
+        part = "score of machines"
+        stated["law"]["machine"] = law.machine
+        origin["machine"] = at + part
+    elif options.only:
         part = f"score of {options.only}"
         stated["law"]["score"][options.only] = law.score[options.only]
         origin["score"] = f"{origin['score'].partition(';')[0]}; that of {options.only} peaks {at}{part}"
