@@ -29,7 +29,7 @@ def at_rest(bones):
         joints |= {f"upperarm.{side}": arm.shoulder[0], f"lowerarm.{side}": arm.elbow[0], f"hand.{side}": arm.wrist[0]}
         joints |= {f"thigh.{side}": leg.hip[0], f"shank.{side}": leg.knee[0], f"foot.{side}": leg.ankle[0]}
         toes[side] = leg.toe[0]
-    joints = {name: joints[name] for name in meshes._NAMES}
+    joints = {name: joints[name] for name in meshes.SEGMENTS}
     n = len(joints)
     return meshes.Figure(
         np.array(list(joints.values())), np.eye(n), np.zeros((0, 3), int), np.zeros((n, 3)), joints, toes
@@ -43,7 +43,7 @@ def test_the_limbs_of_a_figure_point_as_those_of_the_skeleton(seed):
     still = replace(person.motion, places=np.zeros((2, 2)), headings=np.zeros(2), seated=np.zeros(2, bool), postures=())
     figure = at_rest(skeleton(replace(person, motion=still, carries=None, speech=np.empty((0, 2))), np.array([0.0])))
     bones = skeleton(person, np.array([5.0]))
-    places = dict(zip(meshes._NAMES, meshes.posed(figure, bones, 0), strict=True))
+    places = dict(zip(meshes.SEGMENTS, meshes.posed(figure, bones, 0), strict=True))
     for side, arm, leg in zip(SIDES, bones.arms, bones.legs, strict=True):
         limbs = (("upperarm", "lowerarm", arm.elbow - arm.shoulder), ("lowerarm", "hand", arm.wrist - arm.elbow))
         limbs += (("thigh", "shank", leg.knee - leg.hip), ("shank", "foot", leg.ankle - leg.knee))

@@ -1,7 +1,11 @@
-"""Export a checkpoint as the ONNX file that avdetect-video ships: python export.py CHECKPOINT OUT.onnx [--judge N]
+"""Export checkpoints as the ONNX file that avdetect-video ships: python export.py CHECKPOINT... OUT.onnx [--judge N]
 
-Batch norms are folded, and the score is stretched and shifted so that it says how often such a detection is right on
+Of several checkpoints, of one training or of several that began with the same weights, the mean is taken. Batch norms are folded, and the score is stretched and shifted so that it says how often such a detection is right on
 pictures of other seeds than training had (Platt scaling, at the working point of best F1).
+
+Source:
+    M. Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR 2022 (weights between two), and "Model soups",
+    ICML 2022 (means of weights).
 """
 
 import argparse
@@ -98,9 +102,21 @@ def to_onnx(detector: Detector, slope: float, shift: float, metadata: dict) -> b
     return made.SerializeToString()
 
 
+def blended(states: list[dict], first: dict | None, towards: float) -> dict:
+    """The mean of weights, or what is that far on the way to it from the `first`."""
+    out = {}
+    for name, value in states[-1].items():
+        if value.dtype.is_floating_point:
+            value = torch.stack([state[name].float() for state in states]).mean(dim=0)
+            if first:
+                value = first[name].float().lerp(value, towards)
+        out[name] = value
+    return out
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("checkpoints", type=Path, nargs="+")
     parser.add_argument("out", type=Path)
     parser.add_argument("--judge", type=int, default=200, help="pictures that the score is calibrated on")
     parser.add_argument("--weights", type=Path, help="save the weights alone, in half precision, for train.py --start")
@@ -109,19 +125,15 @@ def main() -> None:
     parser.add_argument(
         "--worlds", type=Path, help="folder of further such pictures, which training has not seen (worlds.py)"
     )
-    parser.add_argument("--towards", type=float, default=1.0, help="how far to go from --start to the checkpoint")
+    parser.add_argument("--towards", type=float, default=1.0, help="how far to go from --start to there")
     parser.add_argument("--start", type=Path, help="weights that the training began with, for --towards")
+    parser.add_argument("--score", type=float, nargs=2, help="slope and shift of the score; else they are fitted")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    state = torch.load(options.checkpoint, map_location="cpu")
+    states = [torch.load(path, map_location="cpu") for path in options.checkpoints]
     detector = Detector().eval()
-    weights = state["average"]
-    if options.start:  # weights between the two keep what the first knew (Wortsman et al., 2022)
-        first = torch.load(options.start, map_location="cpu")
-        weights = {
-            k: first[k].to(v.dtype) + options.towards * (v - first[k].to(v.dtype)) if v.dtype.is_floating_point else v
-            for k, v in weights.items()
-        }
+    first = torch.load(options.start, map_location="cpu") if options.start else None
+    weights = blended([state["average"] for state in states], first, options.towards)
     detector.load_state_dict(weights)
     if options.weights:
         half = {k: v.half() if v.dtype.is_floating_point else v for k, v in weights.items()}
@@ -133,8 +145,9 @@ def main() -> None:
         rng = np.random.default_rng(options.seed)
         samples += [cut(rng, one) for path in sorted(options.worlds.glob("[0-9]*[0-9].npz")) for one in read(path)]
     raw = judge(to_onnx(detector, 1.0, 0.0, metadata), samples, confidence=0.02)
-    slope, shift = platt(raw.scores, raw.right > 0)
-    content = to_onnx(detector, slope, shift, metadata | {"steps": str(state["step"])})
+    slope, shift = options.score or platt(raw.scores, raw.right > 0)
+    steps = "+".join(str(state["step"]) for state in states)
+    content = to_onnx(detector, slope, shift, metadata | {"steps": steps})
     options.out.write_bytes(content)
     with torch.no_grad():
         picture = torch.rand(1, 3, HEIGHT, WIDTH)
@@ -142,7 +155,7 @@ def main() -> None:
     import onnxruntime
 
     got = onnxruntime.InferenceSession(content).run(None, {"images": picture.numpy()})[0]
-    print(f"step {state['step']}, {len(content)} bytes, torch and ONNX differ by {np.abs(wanted - got).max():.2g}")
+    print(f"steps {steps}, {len(content)} bytes, torch and ONNX differ by {np.abs(wanted - got).max():.2g}")
     print(f"score: slope {slope:.3f}, shift {shift:.3f}; AP50 there {average_precision(raw):.3f}")
 
 

@@ -15,7 +15,7 @@ Source:
 
 import functools
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,7 +45,8 @@ _SEGMENTS = (
     )),
 )  # fmt: skip
 """The parts that move as one, and how the names of the rig's bones begin that belong to each; the rest is the head."""
-_NAMES = [name for name, _ in _SEGMENTS]
+SEGMENTS = [name for name, _ in _SEGMENTS]
+"""Names of these parts."""
 _HEADS = {
     "pelvis": "spine05", "waist": "spine04", "chest": "spine02", "neck": "neck01", "head": "head",
     "upperarm": "upperarm01", "lowerarm": "lowerarm01", "hand": "wrist",
@@ -67,7 +68,7 @@ def _part_of(bone: str) -> int:
     for index, (name, begins) in enumerate(_SEGMENTS):
         if bone.startswith(begins) and begins and (name[-2:] == side or "." not in name):
             return index
-    return _NAMES.index("head")
+    return SEGMENTS.index("head")
 
 
 @dataclass
@@ -157,13 +158,13 @@ class Wardrobe:
         rig = json.loads((folder / "core/makehuman/data/rigs/default.mhskel").read_text())
         self.joints = {
             name: np.array(rig["joints"][rig["bones"][bone]["head"]])
-            for name, bone in _HEADS.items() if name in _NAMES
+            for name, bone in _HEADS.items() if name in SEGMENTS
         } | {
             f"{name}{side}": np.array(rig["joints"][rig["bones"][f"{bone}{side}"]["head"]])
-            for name, bone in _HEADS.items() for side in (".L", ".R") if f"{name}{side}" in _NAMES
+            for name, bone in _HEADS.items() for side in (".L", ".R") if f"{name}{side}" in SEGMENTS
         }  # fmt: skip
         self.toes = {side: np.array(rig["joints"][rig["bones"][f"foot.{side}"]["tail"]]) for side in "LR"}
-        self.weights = np.zeros((len(self.base), len(_NAMES)))
+        self.weights = np.zeros((len(self.base), len(SEGMENTS)))
         bones = json.loads((folder / "core/makehuman/data/rigs/default_weights.mhw").read_text())["weights"]
         for bone, rows in bones.items():
             vertices, shares = np.array(rows).reshape(-1, 2).T
@@ -218,6 +219,10 @@ class Figure:
     toes: dict[str, np.ndarray]
 
 
+Dress = Callable[[np.random.Generator, float], Figure]
+"""Makes a random person of a height in m."""
+
+
 def colour_of_cloth(rng: np.random.Generator) -> np.ndarray:
     """Often black, grey, blue or white, sometimes any colour: (3,) sRGB fractions."""
     kind = rng.random()
@@ -255,7 +260,7 @@ def _cloth(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
 
 
 def figure(wardrobe: Wardrobe, rng: np.random.Generator, height: float) -> Figure:
-    """A random person of a height in m."""
+    """A random person of a height in m, in random clothes."""
     sex = str(rng.choice(["female", "male"]))
     body = wardrobe.body(rng, sex)
     tone = rng.uniform(0.2, 1.0)
@@ -283,19 +288,24 @@ def figure(wardrobe: Wardrobe, rng: np.random.Generator, height: float) -> Figur
         parts.append((places, weights, mesh.triangles, colours))
     starts = np.cumsum([0] + [len(part[0]) for part in parts])
     vertices = _room_axes(np.concatenate([part[0] for part in parts]))
-    shown = _room_axes(body[:BODY])
-    low, tall = shown[:, 2].min(), np.ptp(shown[:, 2])
-    scale = height / tall
-
-    def settled(points: np.ndarray) -> np.ndarray:
-        return (points - [0, 0, low]) * scale
-
-    return Figure(
-        settled(vertices), np.concatenate([part[1] for part in parts]),
+    made = Figure(
+        vertices, np.concatenate([part[1] for part in parts]),
         np.concatenate([part[2] + start for part, start in zip(parts, starts[:-1], strict=True)]),
         np.concatenate([part[3] for part in parts]),
-        {name: settled(_room_axes(body[rows].mean(0))) for name, rows in wardrobe.joints.items()},
-        {side: settled(_room_axes(body[rows].mean(0))) for side, rows in wardrobe.toes.items()},
+        {name: _room_axes(body[rows].mean(0)) for name, rows in wardrobe.joints.items()},
+        {side: _room_axes(body[rows].mean(0)) for side, rows in wardrobe.toes.items()},
+    )  # fmt: skip
+    return settled(made, height, _room_axes(body[:BODY])[:, 2])
+
+
+def settled(made: Figure, height: float, levels: np.ndarray | None = None) -> Figure:
+    """A figure on the floor and of a height in m, which is that of its vertices or of `levels` (n,)."""
+    levels = made.vertices[:, 2] if levels is None else levels
+    low, scale = np.array([0, 0, levels.min()]), height / np.ptp(levels)
+    return Figure(
+        (made.vertices - low) * scale, made.weights, made.triangles, made.colours,
+        {name: (place - low) * scale for name, place in made.joints.items()},
+        {side: (place - low) * scale for side, place in made.toes.items()},
     )  # fmt: skip
 
 
@@ -349,12 +359,12 @@ def posed(body: Figure, bones: Skeleton, k: int) -> np.ndarray:
         turn[f"hand.{side}"] = turn[f"lowerarm.{side}"]
     hips = (joints["thigh.R"] + joints["thigh.L"]) / 2
     place = {"pelvis": trunk.pelvis[k] + turn["pelvis"] @ (joints["pelvis"] - hips)}
-    for name in _NAMES[1:]:
+    for name in SEGMENTS[1:]:
         stem, _, side = name.partition(".")
         before = _PARENTS[stem]
         before = before if before in place else f"{before}.{side}"
         place[name] = place[before] + turn[before] @ (joints[name] - joints[before])
-    moved = np.stack([(body.vertices - joints[name]) @ turn[name].T + place[name] for name in _NAMES], 1)
+    moved = np.stack([(body.vertices - joints[name]) @ turn[name].T + place[name] for name in SEGMENTS], 1)
     out = np.einsum("ns,nsd->nd", body.weights, moved)
     out[:, 2] -= min(out[:, 2].min(), 0.0) if bones.trunk.sit[k] > 0.5 else out[:, 2].min()
     return out
@@ -522,7 +532,7 @@ class Seen:
 def paint_people(
     rng: np.random.Generator,
     painter: Painter,
-    wardrobe: Wardrobe,
+    dress: Sequence[Dress],
     picture: np.ndarray,
     depth: np.ndarray,
     view: View,
@@ -532,6 +542,7 @@ def paint_people(
     """Draw people into a picture of a room.
 
     Args:
+        dress: makes the figures; each person's is one of them.
         picture: (height, width, 3) float in 0 to 1.
         depth: (height, width) m along each ray.
         people: each is dressed anew.
@@ -542,7 +553,7 @@ def paint_people(
     """
     meshes = []
     for person in people:
-        body = figure(wardrobe, rng, person.height)
+        body = dress[rng.integers(len(dress))](rng, person.height)
         at = posed(body, skeleton(person, np.array([t])), 0)
         meshes.append((at, body.triangles, lit(rng, at, body.triangles, body.colours)))
     picture = picture * _shade(people, meshes, view, depth, rng)[..., None]

@@ -127,19 +127,25 @@ def mirrored(chance, image, maps) -> tuple:
 
 
 def another_camera(chance, image: np.ndarray) -> np.ndarray:
-    """A picture as a camera of another colour, contrast and sharpness shows it, or as it is."""
+    """A picture as a camera of another colour, contrast, sharpness and noise shows it, or as it is."""
     import cv2
 
-    if chance.random() < 0.5:
+    if chance.random() < 0.65:
         levels = np.arange(256) / 255
-        bent = levels ** np.exp(chance.normal(0, 0.3))
-        cast = np.exp(chance.normal(0, 0.16, 3) + chance.normal(-0.1, 0.3))
-        table = bent[:, None] * cast + chance.uniform(0, 0.12) * (1 - bent[:, None])
+        bent = levels ** np.exp(chance.normal(0, 0.35))
+        cast = np.exp(chance.normal(0, 0.16, 3) + chance.normal(-0.25, 0.45))
+        haze = chance.uniform(0, 0.2)
+        table = cast * (bent + haze * (1 - bent))[:, None]
         image = cv2.LUT(image, np.rint(255 * np.clip(table, 0, 1)).astype(np.uint8)[:, None])
-    if chance.random() < 0.3:
+        colourful = chance.uniform(0.15, 1.2)
+        image = cv2.transform(image, colourful * np.eye(3) + (1 - colourful) * np.full((3, 3), 1 / 3))
+    if chance.random() < 0.4:
         height, width = image.shape[:2]
-        small = cv2.resize(image, None, fx=(f := chance.uniform(0.4, 0.9)), fy=f, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(image, None, fx=(f := chance.uniform(0.35, 0.9)), fy=f, interpolation=cv2.INTER_AREA)
         image = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+    if chance.random() < 0.3:
+        noise = cv2.randn(np.empty(image.shape, np.int16), (0, 0, 0), (chance.uniform(1, 8),) * 3)
+        image = cv2.add(image, noise, dtype=cv2.CV_8U)
     return image
 
 

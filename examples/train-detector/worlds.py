@@ -3,21 +3,23 @@
 The worlds are those of `avsim-scene random`: six kinds of rooms, materials, clutter, lenses in square and wide
 pictures, postures, and the picture of a webcam or an IP camera with its noise and time stamp. Each becomes one file
 NAME.npz, which `train.py --worlds DIR` reads; a file that is there already is not drawn again. Run several at once,
-with other seeds, where there are several processors. With --makehuman FOLDER the people are those of meshes.py, dressed
-anew in each picture, and some more of them stand about; with --panoramas FOLDER half of their rooms are photographed
-(backdrops.py). Pictures are stored whole; `cut` takes from them what one look of the network shows.
+with other seeds, where there are several processors. With --makehuman FOLDER the people are those of meshes.py, with
+--avatars FOLDER those of avatars.py, dressed anew in each picture, and some more of them stand about; with --panoramas
+FOLDER half of their rooms are photographed (backdrops.py). Pictures are stored whole; `cut` takes from them what one
+look of the network shows.
 """
 
 import argparse
+import functools
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from backdrops import Backdrops
 from generate import HEIGHT, PAD, WIDTH, Sample
-from meshes import Painter, Wardrobe, paint_people, somebody
+from meshes import Dress, Painter, Wardrobe, figure, paint_people, somebody
 from pieces import Piece, furnish, pieces
 from renders import hanging, seen_people
 
@@ -86,13 +88,13 @@ def world(
     panels: float = 0.0,
     circles: float = 0.0,
     empty: bool = False,
-    wardrobe: Wardrobe | None = None,
+    dress: Sequence[Dress] = (),
     furniture: list[Piece] | None = None,
     backdrops: Backdrops | None = None,
 ) -> Iterator[Sample]:
     """Yield `count` pictures of a random world, whole.
 
-    An `empty` one is furnished for its people, who are not there. With a wardrobe the people are meshes, and with
+    An `empty` one is furnished for its people, who are not there. With `dress` the people are meshes, and with
     backdrops half of their rooms photographed. A share of `seated` are rooms with tables at which people sit, in a
     share of `panels` something large hangs near the camera, a share of `circles` more than else are round pictures.
     """
@@ -113,7 +115,7 @@ def world(
     size = camera.width_px, camera.height_px
     view = View(camera.lens, camera.T_room_camera, size, camera.theta_max, 1, circle=camera.circle)
     times = np.sort(rng.uniform(0, 10, count))
-    photographed = wardrobe and backdrops and rng.random() < 0.5
+    photographed = dress and backdrops and rng.random() < 0.5
 
     def drawn_room() -> tuple[np.ndarray, np.ndarray]:
         frame = artist.draw(artist.prepare(pose([], times[:1])), 0)
@@ -122,9 +124,9 @@ def world(
     if not photographed:
         dressed = interior.interior(scene.config.room, scene.solids)
         artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, None, 2, context, dressed)
-    if wardrobe:
+    if dress:
         rooms = (_photograph(rng, backdrops, view) for _ in times) if photographed else [drawn_room()]
-        yield from _with_meshes(rng, scene, rooms, view, effects, times, Painter(context), wardrobe, furniture or [])
+        yield from _with_meshes(rng, scene, rooms, view, effects, times, Painter(context), dress, furniture or [])
         return
     bodies, greyed = pose(scene.people, times), rng.random() < GREYED
     drawn = artist.prepare(bodies)
@@ -153,7 +155,7 @@ def _photograph(rng: np.random.Generator, backdrops: Backdrops, view: View) -> t
 
 
 def _with_meshes(
-    rng, scene, rooms: Iterable, view: View, effects: Effects, times, painter, wardrobe, furniture
+    rng, scene, rooms: Iterable, view: View, effects: Effects, times, painter, dress, furniture
 ) -> Iterator[Sample]:
     """Empty rooms, the last for all that follow, with other people in each picture."""
     greyed = rng.random() < GREYED
@@ -168,7 +170,7 @@ def _with_meshes(
         people = [one for one in scene.people if rng.random() < 0.8]
         if scene.people:
             people += [somebody(rng, place) for place in free_floor(rng, scene, view, depth, int(rng.integers(0, 4)))]
-        painted, owner, seen = paint_people(rng, painter, wardrobe, room, depth, view, people, t)
+        painted, owner, seen = paint_people(rng, painter, dress, room, depth, view, people, t)
         picture = (np.clip(painted, 0, 1) * 255).astype(np.uint8)
         picture = sensor.expose(picture, effects, (lens.cx, lens.cy), rng, t)
         picture = view.lit(picture, PAD) if greyed else picture
@@ -280,16 +282,23 @@ def main() -> None:
     parser.add_argument("--panels", type=float, default=0.0, help="share of worlds in which something large hangs")
     parser.add_argument("--round", type=float, default=0.0, help="share of worlds that are made round pictures")
     parser.add_argument("--makehuman", type=Path, help="folder of MakeHuman's files (meshes.py)")
-    parser.add_argument("--pieces", type=Path, help="with --makehuman, folder of furniture as meshes (pieces.py)")
-    parser.add_argument("--panoramas", type=Path, help="with --makehuman, photographs all round (backdrops.py)")
+    parser.add_argument("--avatars", type=Path, help="folder of avatars (avatars.py), half of all beside --makehuman")
+    parser.add_argument("--pieces", type=Path, help="with either, folder of furniture as meshes (pieces.py)")
+    parser.add_argument("--panoramas", type=Path, help="with either, photographs all round (backdrops.py)")
     options = parser.parse_args()
-    if options.pieces and not options.makehuman:
-        parser.error("--pieces wants --makehuman")
+    if options.pieces and not (options.makehuman or options.avatars):
+        parser.error("--pieces wants --makehuman or --avatars")
     options.out.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
     context = render.open_context()
     context.gc_mode = "auto"
-    wardrobe = Wardrobe(options.makehuman) if options.makehuman else None
+    dress: list[Dress] = []
+    if options.makehuman:
+        dress.append(functools.partial(figure, Wardrobe(options.makehuman)))
+    if options.avatars:
+        from avatars import Avatars  # which wants another package
+
+        dress.append(Avatars(options.avatars))
     furniture = pieces(options.pieces) if options.pieces else None
     backdrops = Backdrops(options.panoramas) if options.panoramas else None
     for seed in range(options.seed, options.seed + options.count):
@@ -301,7 +310,7 @@ def main() -> None:
         try:
             drawn = world(
                 seed, people, 1 if empty else options.each, context, seated=options.seated, panels=options.panels,
-                circles=options.round, empty=empty, wardrobe=wardrobe, furniture=furniture, backdrops=backdrops,
+                circles=options.round, empty=empty, dress=dress, furniture=furniture, backdrops=backdrops,
             )  # fmt: skip
             samples = list(drawn)
         except scenario.ScenarioError:
