@@ -61,14 +61,16 @@ def test_a_frame_that_was_not_drawn_is_as_the_one_before(experiment):
     assert sum(one == other for one, other in pairwise(pictures)) == spared
 
 
-def test_detections_of_pictures_that_were_passed_over_are_those_of_the_network(experiment):
+@pytest.mark.parametrize("way", [[], ["--monocular"]], ids=["depth", "colour"])
+def test_detections_of_pictures_that_were_passed_over_are_those_of_the_network(experiment, way):
     folder, _ = experiment
-    every = run("avdetect-video", "-C", folder, "--refresh", "1", folder / "scene.jsonl").stdout.splitlines()
-    some = (folder / "v.jsonl").read_bytes().splitlines()
+    scene = folder / "scene.jsonl"
+    every = run("avdetect-video", "-C", folder, "--refresh", "1", *way, scene).stdout.splitlines()
+    some = run("avdetect-video", "-C", folder, *way, scene).stdout.splitlines()
     for one, other in zip(map(json.loads, every), map(json.loads, some), strict=True):
         # In order of place: two people with nearly the same score change places with the last digits of it.
         places = [np.array(sorted(person["position"][:2] for person in record["objects"])) for record in (one, other)]
-        np.testing.assert_allclose(*places, atol=0.05)  # as avdetect-video(1) says
+        np.testing.assert_allclose(*places, atol=0.08)  # as avdetect-video(1) says
 
 
 def test_sound_of_people_who_stand_is_that_of_responses_that_are_all_computed():

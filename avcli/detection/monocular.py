@@ -265,7 +265,8 @@ def stated(covariances: np.ndarray, away: np.ndarray, law: BoxLaw, unsure: np.nd
     along = away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
     scale = law.across * np.eye(2) + (1 - law.across) * along[..., :, None] * along[..., None, :]
     scale = scale * (law.sure + law.unsure * unsure)[:, None, None]
-    return np.asarray(scale @ covariances @ scale)
+    out = scale @ covariances @ scale
+    return np.asarray((out + out.swapaxes(-1, -2)) / 2)
 
 
 def _behind(xy: np.ndarray, room: np.ndarray) -> np.ndarray:
