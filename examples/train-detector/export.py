@@ -1,7 +1,8 @@
 """Export checkpoints as the ONNX file that avdetect-video ships: python export.py CHECKPOINT... OUT.onnx [--judge N]
 
-Of several checkpoints, of one training or of several that began with the same weights, the mean is taken. Batch norms are folded, and the score is stretched and shifted so that it says how often such a detection is right on
-pictures of other seeds than training had (Platt scaling, at the working point of best F1).
+Of several checkpoints, of one training or of several that began with the same weights, the mean is taken. Batch norms
+are folded, and the score is stretched and shifted so that it says how often such a detection is right on pictures of
+other seeds than training had (Platt scaling, at the working point of best F1).
 
 Source:
     M. Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR 2022 (weights between two), and "Model soups",
