@@ -5,9 +5,11 @@ import pytest
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
 from avcli.localization.array import Array
+from avcli.localization.modulation import Course, Levels
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.steered import SteeredLocalizer
 from avcli.localization.stream import Block
+from avcli.localization.windows import Band
 
 FS = 16000
 FAN, OTHER_FAN, MOUTH = np.array([3.4, 1.2, 1.1]), np.array([1.0, 1.2, 1.6]), np.array([1.4, 3.3, 1.55])
@@ -88,3 +90,13 @@ def test_a_voice_from_the_place_of_a_hiss_is_still_a_talker():
 def test_one_who_speaks_all_the_time_is_no_steady_source_at_low_rates(rate, context):
     decisions = decided(recorded(6.0, fans=(), speaks=[(0.0, 6.0)]), rate=rate, context=context)
     assert not any(len(d.steady) for d in decisions)
+
+
+@pytest.mark.parametrize("bins", [(2, 4), (10, 300), (400, 900)], ids=["below", "usual", "above"])
+def test_a_constant_level_is_steady_and_a_changing_one_is_not_in_any_band(bins):
+    band = Band(2048, slice(*bins), np.ones(bins[1] - bins[0], np.float32), 1.0)
+    power, middles = np.ones((3, bins[1] - bins[0])), np.array([-0.1, 0.0, 0.1])
+    levels = Levels(band, 48_000.0)
+    changing = power * 10.0 ** np.array([[0.0], [1.0], [0.0]])
+    assert Course().goes_on(levels(power, power), middles, 1)[1] > 1
+    assert Course().goes_on(levels(power, changing), middles, 1)[1] == 0

@@ -30,8 +30,10 @@ class Levels:
 
     def __init__(self, band: Band, sample_rate: float):
         frequencies = np.arange(band.bins.start, band.bins.stop) * sample_rate / band.size
-        edges = np.geomspace(max(LOWEST, frequencies[0]), min(HIGHEST, frequencies[-1]), BANDS + 1)
-        number = np.searchsorted(edges, frequencies, side="right") - 1
+        low, high = max(LOWEST, frequencies[0]), min(HIGHEST, frequencies[-1])
+        number = np.zeros(len(frequencies), np.intp)  # one band where the localizer's lies outside
+        if low < high:
+            number = np.searchsorted(np.geomspace(low, high, BANDS + 1), frequencies, side="right") - 1
         members = number[:, None] == np.arange(BANDS)
         self.members = members[:, members.any(axis=0)].astype(float)
 
