@@ -18,9 +18,11 @@ PAD = 114
 MOST = 300
 """Most people reported in one picture."""
 
-REACH_PX, CONTEXT_PX = 16, 96
-"""px of the network's input: a change reaches the network's output up to this far around it; and the context that the
-network needs around that."""
+REACH_PX = 16
+"""px of the network's input: a change reaches the network's output up to this far around it."""
+
+CONTEXT = 6
+"""Cells of the network's coarsest layer: the context that it needs around that."""
 
 WHOLE = 0.6
 """Share of the input above which it is cheaper to look at all of it."""
@@ -185,8 +187,8 @@ class Network:
         """The maps (1, 11, h, w) of an input, of which only what the regions reach is computed anew."""
         cores, maps = [], self._maps if self._shape == shape and regions is not None and self._open else None
         if maps is not None and regions is not None:
-            cores = _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size)
-        crops = [_wider(core, self.size) for core in cores]
+            cores = _cells(fit.to_input(regions.reshape(-1, 2, 2)).reshape(-1, 4), self.size, self._step)
+        crops = [_wider(core, self.size, self._step) for core in cores]
         if maps is None or sum(map(_area, crops)) > WHOLE * self.size[0] * self.size[1]:
             self._maps, self._shape = self._run(image, bgr=False)[0], shape
             return self._maps
@@ -219,11 +221,16 @@ class Network:
         if wanted is None:
             longest = self._longest() / max(picture)
             wanted = round(picture[0] * longest), round(picture[1] * longest)
-        try:
-            step = max(int(float(self.metadata.get("stride", 32))), 1)
-        except (ValueError, OverflowError):
-            step = 32
+        step = self._step
         return max(-(-wanted[0] // step), 1) * step, max(-(-wanted[1] // step), 1) * step
+
+    @property
+    def _step(self) -> int:
+        """The side of a cell of the coarsest layer, px, as the model's metadata say; 32 where they do not."""
+        try:
+            return max(int(float(self.metadata.get("stride", 32))), 1)
+        except (ValueError, OverflowError):
+            return 32
 
     def _longest(self) -> int:
         """The longer side of the input that the model's metadata say, px; 640 where they do not."""
@@ -240,9 +247,8 @@ def own_model() -> bytes:
     return (resources.files("avcli.detection") / "people.onnx").read_bytes()
 
 
-def _cells(regions: np.ndarray, size: tuple[int, int]) -> list[list[int]]:
-    """Regions (n, 4) px of the input and their reach in whole steps of the coarsest layer; one where margins meet."""
-    step = 16
+def _cells(regions: np.ndarray, size: tuple[int, int], step: int) -> list[list[int]]:
+    """Regions (n, 4) px of the input and their reach in whole cells, of `step` px; one where margins meet."""
     low = np.maximum(np.floor((regions[:, :2] - REACH_PX) / step) * step, 0)
     high = np.minimum(np.ceil((regions[:, 2:] + REACH_PX) / step) * step, size)
     cores = np.column_stack([low, high]).astype(int).tolist()
@@ -251,7 +257,8 @@ def _cells(regions: np.ndarray, size: tuple[int, int]) -> list[list[int]]:
         one = cores[at]
         for other in cores[at + 1 :]:
             both = [*np.minimum(one[:2], other[:2]).tolist(), *np.maximum(one[2:], other[2:]).tolist()]
-            if _area(_wider(both, size)) <= _area(_wider(one, size)) + _area(_wider(other, size)):
+            apart = _area(_wider(one, size, step)) + _area(_wider(other, size, step))
+            if _area(_wider(both, size, step)) <= apart:
                 cores.remove(other)
                 cores[at], at = both, -1
                 break
@@ -259,14 +266,9 @@ def _cells(regions: np.ndarray, size: tuple[int, int]) -> list[list[int]]:
     return cores
 
 
-def _wider(core: list[int], size: tuple[int, int]) -> list[int]:
-    x0, y0, x1, y1 = core
-    return [
-        max(x0 - CONTEXT_PX, 0),
-        max(y0 - CONTEXT_PX, 0),
-        min(x1 + CONTEXT_PX, size[0]),
-        min(y1 + CONTEXT_PX, size[1]),
-    ]
+def _wider(core: list[int], size: tuple[int, int], step: int) -> list[int]:
+    (x0, y0, x1, y1), more = core, CONTEXT * step
+    return [max(x0 - more, 0), max(y0 - more, 0), min(x1 + more, size[0]), min(y1 + more, size[1])]
 
 
 def _area(box: list[int]) -> int:

@@ -61,25 +61,30 @@ class Graph:
         y = self.node("Relu", self.conv(y, block.widen.weight, block.widen.bias))
         return self.node("Add", x, self.conv(y, block.narrow.weight, block.narrow.bias))
 
+    def blocks(self, x: str, blocks) -> str:
+        for block in blocks:
+            x = self.block(x, block)
+        return x
+
+    def doubled(self, x: str, lift) -> str:
+        scales = self.constant(np.array([1, 1, 2, 2], np.float32))
+        return self.node("Resize", self.conv(x, lift.weight, lift.bias), "", scales, mode="nearest",
+                         nearest_mode="floor", coordinate_transformation_mode="asymmetric")  # fmt: skip
+
 
 def to_onnx(detector: Detector, slope: float, shift: float, metadata: dict) -> bytes:
     """Write the detector as an ONNX model of open height and width."""
     graph = Graph()
     four, two = graph.constant(np.float32(4)), graph.constant(np.float32(2))
     x = graph.node("Sub", graph.node("Mul", "images", four), two)
-    x = graph.unit(x, detector.stem)
-    fine = graph.unit(x, detector.eighth[0])
-    for block in list(detector.eighth)[1:]:
-        fine = graph.block(fine, block)
-    coarse = graph.unit(fine, detector.sixteenth[0])
-    for block in list(detector.sixteenth)[1:]:
-        coarse = graph.block(coarse, block)
-    coarse = graph.conv(coarse, detector.lift.weight, detector.lift.bias)
-    scales = graph.constant(np.array([1, 1, 2, 2], np.float32))
-    coarse = graph.node("Resize", coarse, "", scales, mode="nearest", nearest_mode="floor",
-                        coordinate_transformation_mode="asymmetric")  # fmt: skip
-    merged = graph.block(graph.node("Add", fine, coarse), detector.merge)
-    merged = graph.unit(merged, detector.heads[0])
+    x = graph.blocks(graph.unit(x, detector.stem), detector.quarter)
+    fine = graph.blocks(graph.unit(x, detector.eighth[0]), detector.eighth[1:])
+    coarse = graph.blocks(graph.unit(fine, detector.sixteenth[0]), detector.sixteenth[1:])
+    if detector.large:
+        deepest = graph.blocks(graph.unit(coarse, detector.deepest[0]), detector.deepest[1:])
+        coarse = graph.node("Add", coarse, graph.doubled(deepest, detector.deepest_lift))
+    merged = graph.block(graph.node("Add", fine, graph.doubled(coarse, detector.lift)), detector.merge)
+    merged = graph.unit(graph.blocks(merged, detector.finish), detector.heads[0])
     head = detector.heads[1]
     logit = graph.conv(merged, head.weight[:1] * slope, head.bias[:1] * slope + shift)
     score = graph.node("Sigmoid", logit)
@@ -132,15 +137,17 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     states = [torch.load(path, map_location="cpu") for path in options.checkpoints]
-    detector = Detector().eval()
     first = torch.load(options.start, map_location="cpu") if options.start else None
+    first = first and first.get("average", first)
     weights = blended([state["average"] for state in states], first, options.towards)
+    detector = Detector("deepest_lift.weight" in weights).eval()
     detector.load_state_dict(weights)
     if options.weights:
         half = {k: v.half() if v.dtype.is_floating_point else v for k, v in weights.items()}
         torch.save(half, options.weights)
-    metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": "16", "iou": "0.5",
-                "imgsz": "[368, 640]"}  # fmt: skip
+    stride, height = (32, 384) if detector.large else (16, 368)
+    metadata = {"task": "detect", "head": "points", "names": "{0: 'person'}", "stride": str(stride), "iou": "0.5",
+                "imgsz": f"[{height}, 640]"}  # fmt: skip
     samples = list(pictures_to_judge(options.seed, options.judge, panoramas=options.panoramas))
     if options.worlds:
         rng = np.random.default_rng(options.seed)

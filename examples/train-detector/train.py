@@ -1,271 +1,259 @@
-"""Train the embedded detector: python train.py --out DIR [--steps N] [--resume] [--renders SHARE] [--worlds DIR]
+"""Train the embedded detector: python train.py --out DIR [--large] [--minutes M] [--worlds DIR] [--resume]
 
-Needs torch and the package itself. Checkpoints every two minutes; --resume goes on from the last one, with another
---steps if need be. One process draws pictures, one learns from them, each with one thread, and the same seed gives the
-same pictures in the same order. A graphics card is used where torch sees one; then let --workers draw.
+Needs torch and the package itself; a graphics card is used where torch sees one. Some processes draw or read pictures,
+one learns from them: what they draw is kept in memory and seen many times, each time turned, in another size and in
+another light (augment.py), and what was learnt badly more often. A folder of worlds may grow meanwhile. Checkpoints
+every two minutes; --resume goes on from the last one.
 """
 
 import argparse
 import copy
-import itertools
 import json
 import math
 import multiprocessing
 import os
+import queue
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import torch
+from augment import HEIGHT, WIDTH, Memory, another_camera, looked_at
+from generate import Sample
 from model import Detector, loss, targets
 from renders import PANELS
 
-
-def of_worlds(folder: Path, rng: np.random.Generator):
-    """Yield looks at the pictures of the random worlds in a folder (worlds.py), in random order, for ever."""
-    from worlds import cut, read
-
-    while files := sorted(folder.glob("[0-9]*[0-9].npz")):
-        for index in rng.permutation(len(files)):
-            yield from (cut(rng, one) for one in read(files[index]))
-    raise FileNotFoundError(f"{folder}: no worlds; draw some with worlds.py")
+KINDS = ("worlds", "others", "empty", "photographs")
+"""Where pictures come from: random worlds, scenes drawn on the fly, rooms without people, photographs of people."""
 
 
-def pictures(
-    queue, seed: int, batch: int, renders: float, furnished: float, panels: float, worlds, share: float, panoramas
-) -> None:
-    """Put batches of pictures and targets into the queue for ever."""
-    import cv2
-    from backdrops import Backdrops, floor_coloured
-    from generate import HEIGHT, WIDTH, Generator, _flipped
+def of_worlds(folder: Path, rng: np.random.Generator, memory: int) -> Iterator[tuple[str, Sample]]:
+    """Yield the pictures of random worlds in a folder (worlds.py) as they appear there, and again when forgotten."""
+    from backdrops import floor_coloured
+    from worlds import read
 
-    os.nice(2)
-    cv2.setNumThreads(1)
-    torch.set_num_threads(1)
-    generator = Generator(seed, Backdrops(panoramas) if panoramas else None)
-    library = None
-    if renders:
-        from renders import Library
-
-        library = Library(seed, furnished=furnished, panels=panels)
-    drawn = of_worlds(worlds, generator.rng) if worlds else None
-
-    def coloured(one):
-        if one.people is not None:
-            one.picture = floor_coloured(generator.rng, one.picture, one.people, one.boxes, one.parts)
-        return one
-
-    def sample():
-        if drawn and generator.rng.random() < share:
-            return _flipped(generator.rng, next(drawn))
-        if library and generator.rng.random() < renders:
-            made = library()
-        else:
-            return generator()
-        return generator.moved(made) if panoramas and generator.rng.random() < 0.5 else made
-
+    seen, count = set(), 0
     while True:
-        samples = [coloured(sample()) for _ in range(batch)]
-        maps = [targets(s.boxes, s.parts, s.anchors, s.visible, HEIGHT, WIDTH) for s in samples]
-        images = np.stack([s.picture for s in samples])
-        queue.put((images, [torch.stack(item).numpy() for item in zip(*maps, strict=True)]))
+        files = sorted(folder.glob("[0-9]*[0-9].npz"))
+        new = [path for path in files if path not in seen]
+        if not new and count <= memory:
+            time.sleep(1.0)
+            continue
+        new = new or files
+        for index in rng.permutation(len(new)):
+            seen.add(new[index])
+            for one in read(new[index]):
+                one.picture = floor_coloured(rng, one.picture, one.people, one.boxes, one.parts)
+                count += 1
+                yield "worlds" if len(one.boxes) else "empty", one
 
 
-def deceptive_rooms(
-    queue, seed: int, weights: Path, checkpoint: Path, furnished: float, worlds, panoramas, least: float = 0.15
-) -> None:
-    """Put rooms without people in which the network sees somebody into the queue, for ever.
-
-    The rooms are photographed, rendered and full of furniture, or empty random worlds; the network is that of the last
-    checkpoint, and of `weights` before there is one.
-    """
-    import cv2
-    from backdrops import Backdrops
-    from generate import HEIGHT, WIDTH, Generator, _flipped
+def of_others(
+    seed: int, renders: float, furnished: float, panels: float, panoramas: Path | None, empty: float
+) -> Iterator[tuple[str, Sample]]:
+    """Yield scenes drawn on the fly: renders, drawings of generate.py, and a share of empty rooms of both."""
+    from backdrops import Backdrops, floor_coloured
+    from generate import Generator
     from renders import Library
 
+    generator = Generator(seed, Backdrops(panoramas) if panoramas else None)
+    rooms = Generator(seed + 1, Backdrops(panoramas), empty=True) if panoramas else None
+    library = Library(seed, furnished=furnished, panels=panels)
+    furniture = Library(seed + 1, each=1, people=0, pieces=(0 if furnished else 6, 18), furnished=furnished)
+    chance = np.random.default_rng(seed)
+    while True:
+        if chance.random() < empty:
+            yield "empty", rooms() if rooms and chance.random() < 0.6 else furniture()
+            continue
+        if chance.random() < renders:
+            made = library()
+            made = generator.moved(made) if panoramas and chance.random() < 0.5 else made
+        else:
+            made = generator()
+        if made.people is not None:
+            made.picture = floor_coloured(chance, made.picture, made.people, made.boxes, made.parts)
+        yield "others" if len(made.boxes) else "empty", made
+
+
+def of_photographs(folder: Path, seed: int) -> Iterator[tuple[str, Sample]]:
+    """Yield photographs of people in ever new positions (photographs.py)."""
+    from photographs import Photographs
+
+    photographs = Photographs(folder, seed)
+    while True:
+        yield "photographs", photographs()
+
+
+def _drawing(made, source, *options) -> None:
+    """Put what a source yields into the queue for ever."""
+    import cv2
+
     os.nice(2)
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
-    network, known = Detector().eval(), None
-    library = Library(seed, each=1, people=0, pieces=(0 if furnished else 6, 18), furnished=furnished)
-    generator = Generator(seed, Backdrops(panoramas), empty=True) if panoramas else None
-    sources = [generator] * 5 * bool(generator) + [library] * 3
-    if worlds:
-        drawn = of_worlds(worlds, library.rng)
+    for one in source(*options):
+        made.put(one)
 
-        def empty_world():
-            found = next((one for one in itertools.islice(drawn, 50) if not len(one.boxes)), None)
-            return _flipped(library.rng, found) if found else library()
 
-        sources += [empty_world] * 5
-    empty = [item.numpy() for item in targets([], [], [], [], HEIGHT, WIDTH)]
+def start_drawing(options: argparse.Namespace, seed: int) -> list:
+    """Start the processes that draw; the queues into which each of them puts its pictures."""
+    drawn = options.renders, options.furnished, options.panels, options.panoramas, 0.35
+    tasks = [(of_others, seed * options.workers + k, *drawn) for k in range(options.workers)]
+    if options.worlds:
+        tasks.append((of_worlds, options.worlds, np.random.default_rng(seed), options.memory))
+    if options.photographs:
+        tasks.append((of_photographs, options.photographs, seed))
+    spawn = multiprocessing.get_context("spawn")  # since OpenGL and CUDA do not outlive a fork
+    queues = [spawn.Queue(16) for _ in tasks]
+    for made, task in zip(queues, tasks, strict=True):
+        spawn.Process(target=_drawing, args=(made, *task), daemon=True).start()
+    return queues
+
+
+def gathered(queues: list, memories: dict[str, Memory], least: int, each: int = 3) -> None:
+    """Take what has been drawn into memory, and wait for it while a kind has fewer than `least` pictures."""
+    until = time.monotonic() + 120
     while True:
-        written = checkpoint.stat().st_mtime if checkpoint.exists() else 0.0
-        if written != known:
-            state = torch.load(checkpoint)["average"] if written else torch.load(weights)
-            network.load_state_dict({name: value.float() for name, value in state.items()})
-            known = written
-        picture = sources[library.rng.integers(len(sources))]().picture
-        with torch.no_grad():
-            maps = network(torch.from_numpy(picture).permute(2, 0, 1)[None].float().div_(255))
-        if torch.sigmoid(maps[:, 0]).max() > least:
-            queue.put((picture, empty))
+        for made in queues:
+            for _ in range(each):
+                try:
+                    kind, sample = made.get_nowait()
+                except queue.Empty:
+                    break
+                if kind in memories:
+                    memories[kind].add(sample)
+        if min(memory.count for memory in memories.values()) >= least:
+            return
+        if time.monotonic() > until:
+            raise RuntimeError("no pictures came for two minutes")
+        time.sleep(0.01)
 
 
-def mirrored(chance, image, maps) -> tuple:
-    """A picture and its maps as they are, or mirrored left to right, top to bottom, or both."""
-    heat, negative, regression, weight = maps
-    for axis, near, far, offsets in ((1, 0, 2, [4, 6, 8]), (0, 1, 3, [5, 7, 9])):
-        if chance.random() < 0.5:
-            image = np.flip(image, axis)
-            heat, negative, weight = (np.flip(item, axis) for item in (heat, negative, weight))
-            regression = np.flip(regression, axis + 1).copy()
-            regression[[near, far]] = regression[[far, near]]
-            regression[offsets] *= -1
-    return image, (heat, negative, regression, weight)
-
-
-def another_camera(chance, image: np.ndarray) -> np.ndarray:
-    """A picture as a camera of another colour, contrast, sharpness and noise shows it, or as it is."""
-    import cv2
-
-    if chance.random() < 0.65:
-        levels = np.arange(256) / 255
-        bent = levels ** np.exp(chance.normal(0, 0.35))
-        cast = np.exp(chance.normal(0, 0.16, 3) + chance.normal(-0.25, 0.45))
-        haze = chance.uniform(0, 0.2)
-        table = cast * (bent + haze * (1 - bent))[:, None]
-        image = cv2.LUT(image, np.rint(255 * np.clip(table, 0, 1)).astype(np.uint8)[:, None])
-        colourful = chance.uniform(0.15, 1.2)
-        image = cv2.transform(image, colourful * np.eye(3) + (1 - colourful) * np.full((3, 3), 1 / 3))
-    if chance.random() < 0.4:
-        height, width = image.shape[:2]
-        small = cv2.resize(image, None, fx=(f := chance.uniform(0.35, 0.9)), fy=f, interpolation=cv2.INTER_AREA)
-        image = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
-    if chance.random() < 0.3:
-        noise = cv2.randn(np.empty(image.shape, np.int16), (0, 0, 0), (chance.uniform(1, 8),) * 3)
-        image = cv2.add(image, noise, dtype=cv2.CV_8U)
-    return image
-
-
-def main() -> None:
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--large", action="store_true", help="the large network")
     parser.add_argument("--steps", type=int, default=20_000, help="length of the learning rate's schedule")
+    parser.add_argument("--minutes", type=float, help="length of the schedule in time, where it comes before --steps")
     parser.add_argument("--batch", type=int, default=8)
-    parser.add_argument("--rate", type=float, default=3e-3)
+    parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="weights to begin with (export.py --weights)")
-    parser.add_argument(
-        "--renders", type=float, default=0.6, help="share of pictures that avsim-scene's renderer draws"
-    )
-    parser.add_argument("--furnished", type=float, default=0.0, help="share of these with a random world's furniture")
-    parser.add_argument("--panels", type=float, default=PANELS, help="share of these in which something large hangs")
-    parser.add_argument(
-        "--hard", type=int, default=0, help="of a batch, how many are empty rooms in which --start sees somebody"
-    )
-    parser.add_argument("--worlds", type=Path, help="folder of random worlds that worlds.py drew")
-    parser.add_argument("--share", type=float, default=0.5, help="of the pictures that come from --worlds")
+    parser.add_argument("--worlds", type=Path, help="folder of random worlds that worlds.py drew, or still draws")
+    parser.add_argument("--photographs", type=Path, help="folder of photographs of people (photographs.py)")
     parser.add_argument("--panoramas", type=Path, help="folder of photographs all round, for rooms (backdrops.py)")
-    parser.add_argument("--minutes", type=float, help="length of the schedule in time, where it comes before --steps")
-    parser.add_argument("--workers", type=int, default=1, help="processes that draw")
-    parser.add_argument("--echo", type=int, default=6, help="how often a picture is learnt from")
-    parser.add_argument("--memory", type=int, default=2400, help="pictures that are kept for it")
-    options = parser.parse_args()
-    if options.hard and not options.start:
-        parser.error("--hard wants --start")
-    options.out.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)
-    torch.manual_seed(options.seed)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    model = Detector().to(device, memory_format=torch.channels_last)
+    parser.add_argument("--share", type=float, default=0.5, help="of a batch that comes from --worlds")
+    parser.add_argument("--photographed", type=float, default=0.15, help="of a batch that comes from --photographs")
+    parser.add_argument("--hard", type=float, default=0.2, help="of a batch that is rooms without people")
+    parser.add_argument(
+        "--renders", type=float, default=0.7, help="share of the other pictures that avsim-scene's renderer draws"
+    )
+    parser.add_argument("--furnished", type=float, default=0.35, help="share of these with a random world's furniture")
+    parser.add_argument("--panels", type=float, default=PANELS, help="share of these in which something large hangs")
+    parser.add_argument("--memory", type=int, default=1200, help="pictures of each kind that are kept to be seen again")
+    parser.add_argument("--workers", type=int, default=1, help="processes that draw the other pictures")
+    parser.add_argument("--keep", type=int, default=0, help="weights on the way that are kept, and those at first")
+    return parser
+
+
+def shares(options: argparse.Namespace) -> dict[str, int]:
+    """How many pictures of a batch are of each kind."""
+    counts = {"empty": round(options.hard * options.batch)}
+    if options.worlds:
+        counts["worlds"] = round(options.share * options.batch)
+    if options.photographs:
+        counts["photographs"] = round(options.photographed * options.batch)
+    return {"others": options.batch - sum(counts.values())} | counts
+
+
+def _keep(network: Detector, step: int, path: Path) -> None:
+    weights = {name: v.half() if v.dtype.is_floating_point else v for name, v in network.state_dict().items()}
+    torch.save({"average": weights, "step": step}, path)
+
+
+def learn(options: argparse.Namespace, device: torch.device) -> None:
+    """The loop; see `_parser`."""
+    model = Detector(options.large).to(device, memory_format=torch.channels_last)
+    if options.start:
+        model.begin_with(torch.load(options.start, map_location=device))
     average = copy.deepcopy(model)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.rate, weight_decay=0.02)
-    step, spent = 0, 0.0
-    if options.start:
-        weights = torch.load(options.start, map_location=device)
-        for network in (model, average):
-            network.load_state_dict({name: value.float() for name, value in weights.items()})
-    checkpoint = options.out / "checkpoint.pt"
+    step, spent, checkpoint = 0, 0.0, options.out / "checkpoint.pt"
     if options.resume:
         state = torch.load(checkpoint, map_location=device)
         model.load_state_dict(state["model"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
         step, spent = state["step"], state["spent"]
-    queue = multiprocessing.Queue(4)
-    for number in range(options.workers):
-        seed = (options.seed * 1000 + step) * options.workers + number
-        drawing = (
-            queue, seed, options.batch, options.renders, options.furnished, options.panels, options.worlds,
-            options.share, options.panoramas,
-        )  # fmt: skip
-        multiprocessing.Process(target=pictures, args=drawing, daemon=True).start()
-    if options.hard:
-        rooms = multiprocessing.Queue(64)
-        furniture = options.furnished, options.worlds, options.panoramas
-        mining = rooms, options.seed * 1000 + step, options.start, checkpoint, *furniture
-        multiprocessing.Process(target=deceptive_rooms, args=mining, daemon=True).start()
-    started, saved, sums = time.time() - spent, time.time(), np.zeros(3)
-    chance, memory = np.random.default_rng([options.seed, step]), []
-    badly, deceptive = [], []
+    counts = shares(options)
+    memories = {kind: Memory(options.memory, device) for kind, count in counts.items() if count}
+    queues = start_drawing(options, options.seed * 1000 + step)
+    started, saved, sums = time.time() - spent, time.time(), torch.zeros(3, device=device)
+    kept = math.ceil(options.keep * step / options.steps)
+    if options.keep and not step:
+        _keep(average, step, options.out / "kept-00.pt")
+        kept = 1
     progress = step / options.steps
     while progress < 1:
         warm = min(1.0, (step + 1) / 100)
         for group in optimizer.param_groups:
             group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
-        # Drawing costs as much as learning: each picture is seen `echo` times, mirrored otherwise, among others.
-        if step % options.echo == 0 or len(memory) < 60 * options.batch:
-            images, maps = queue.get()
-            memory += [(image, [item[k] for item in maps]) for k, image in enumerate(images)]
-            badly += [max(badly, default=1.0)] * options.batch
-            del memory[: -options.memory], badly[: -options.memory]
-        if options.hard and (step % 4 == 0 or len(deceptive) < 30):
-            deceptive.append(rooms.get())
-        # What was learnt badly comes more often (hard example mining, Shrivastava et al., 2016), but not by itself.
-        odds = np.sqrt(badly)
-        drawn = chance.choice(len(memory), options.batch - options.hard, p=odds / odds.sum())
-        chosen = [memory[k] for k in drawn]
-        if options.hard:
-            chosen += [deceptive[k] for k in chance.integers(len(deceptive), size=options.hard)]
-        chosen = [mirrored(chance, *item) for item in chosen]
-        images = np.stack([another_camera(chance, image) for image, _ in chosen])
-        maps = [np.stack(item) for item in zip(*(item for _, item in chosen), strict=True)]
-        batch = torch.from_numpy(images).to(device).permute(0, 3, 1, 2).float().div_(255)
-        batch = batch.contiguous(memory_format=torch.channels_last)
+        gathered(queues, memories, 4)
+        # Rooms in which nobody is seen by mistake teach nothing more, so that these are drawn by what is seen there.
+        drawn = {kind: memory.drawn(counts[kind], 1.0 if kind == "empty" else 0.5) for kind, memory in memories.items()}
+        parts = [memories[kind].of(numbers) for kind, numbers in drawn.items()]
+        taken = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+        with torch.no_grad():
+            pictures, *people = looked_at(taken)
+            pictures = another_camera(pictures).contiguous(memory_format=torch.channels_last)
+            wanted = targets(*people, HEIGHT, WIDTH)
         with torch.autocast(device.type, torch.bfloat16):
-            guess = model(batch)
-        parts = loss(guess.float(), *(torch.from_numpy(item).to(device) for item in maps))
-        for k, score in zip(drawn, parts[0].tolist(), strict=False):  # the last are the deceptive rooms
-            badly[k] = score + 0.02
-        parts = parts[0].sum(), *parts[1:]
-        total = parts[0] + 3.0 * parts[1] + 3.0 * parts[2]
+            guess = model(pictures)
+        scores, boxes, points = loss(guess.float(), *wanted)
+        total = scores.sum() + 3.0 * boxes + 3.0 * points
         optimizer.zero_grad(set_to_none=True)
         total.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
         optimizer.step()
         step += 1
-        decay = min(0.999, step / (step + 20))
         with torch.no_grad():
+            badly = (scores.detach() * options.batch + 0.02).split([len(numbers) for numbers in drawn.values()])
+            for (kind, numbers), value in zip(drawn.items(), badly, strict=True):
+                memories[kind].badly[numbers] = value
+            decay = min(0.999, step / (step + 20))
             for mean, value in zip(average.state_dict().values(), model.state_dict().values(), strict=True):
                 if value.dtype.is_floating_point:
                     mean.lerp_(value, 1 - decay)
                 else:
                     mean.copy_(value)
-        sums += [float(part.detach()) for part in parts]
+            sums += torch.stack([scores.sum(), boxes, points]).detach()
         spent = time.time() - started
         progress = max(step / options.steps, spent / (60 * options.minutes) if options.minutes else 0.0)
         if step % 50 == 0:
-            print(json.dumps({"step": step, "s": round(spent), "cpu_s": round(time.process_time()),
-                              "loss of scores, boxes, parts": (sums / 50).round(3).tolist()}), flush=True)  # fmt: skip
-            sums[:] = 0
+            stored = {kind: memory.count for kind, memory in memories.items()}
+            means = [round(value, 3) for value in (sums / 50).tolist()]
+            said = {"step": step, "s": round(spent), "pictures": stored, "loss of scores, boxes, parts": means}
+            print(json.dumps(said), flush=True)
+            sums.zero_()
+        if options.keep and progress >= kept / options.keep:
+            _keep(average, step, options.out / f"kept-{kept:02}.pt")
+            kept += 1
         if time.time() - saved > 120 or progress >= 1:
             state = {"model": model.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
             torch.save(state | {"step": step, "spent": spent}, f"{checkpoint}.new")
             os.replace(f"{checkpoint}.new", checkpoint)
             saved = time.time()
+
+
+def main() -> None:
+    options = _parser().parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)
+    torch.manual_seed(options.seed)
+    torch.backends.cudnn.benchmark = True
+    learn(options, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
     for process in multiprocessing.active_children():
         process.terminate()
 
