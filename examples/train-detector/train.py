@@ -168,83 +168,105 @@ def shares(options: argparse.Namespace) -> dict[str, int]:
     return {"others": options.batch - sum(counts.values())} | counts
 
 
-def _keep(network: Detector, step: int, path: Path) -> None:
-    weights = {name: v.half() if v.dtype.is_floating_point else v for name, v in network.state_dict().items()}
-    torch.save({"average": weights, "step": step}, path)
+class Training:
+    """The network, its mean over the last steps, and what the optimizer knows."""
 
+    def __init__(self, options: argparse.Namespace, device: torch.device):
+        self.options, self.device, self.step, self.spent = options, device, 0, 0.0
+        self.model = Detector(options.large).to(device, memory_format=torch.channels_last)
+        if options.start:
+            self.model.begin_with(torch.load(options.start, map_location=device))
+        self.average = copy.deepcopy(self.model)
+        self.optimizer = torch.optim.AdamW(self.model.parameters(), lr=options.rate, weight_decay=0.02)
+        self._checkpoint = options.out / "checkpoint.pt"
+        if options.resume:
+            state = torch.load(self._checkpoint, map_location=device)
+            for name in ("model", "average", "optimizer"):
+                getattr(self, name).load_state_dict(state[name])
+            self.step, self.spent = state["step"], state["spent"]
 
-def learn(options: argparse.Namespace, device: torch.device) -> None:
-    """The loop; see `_parser`."""
-    model = Detector(options.large).to(device, memory_format=torch.channels_last)
-    if options.start:
-        model.begin_with(torch.load(options.start, map_location=device))
-    average = copy.deepcopy(model)
-    optimizer = torch.optim.AdamW(model.parameters(), lr=options.rate, weight_decay=0.02)
-    step, spent, checkpoint = 0, 0.0, options.out / "checkpoint.pt"
-    if options.resume:
-        state = torch.load(checkpoint, map_location=device)
-        model.load_state_dict(state["model"])
-        average.load_state_dict(state["average"])
-        optimizer.load_state_dict(state["optimizer"])
-        step, spent = state["step"], state["spent"]
-    counts = shares(options)
-    memories = {kind: Memory(options.memory, device) for kind, count in counts.items() if count}
-    queues = start_drawing(options, options.seed * 1000 + step)
-    started, saved, sums = time.time() - spent, time.time(), torch.zeros(3, device=device)
-    kept = math.ceil(options.keep * step / options.steps)
-    if options.keep and not step:
-        _keep(average, step, options.out / "kept-00.pt")
-        kept = 1
-    progress = step / options.steps
-    while progress < 1:
-        warm = min(1.0, (step + 1) / 100)
-        for group in optimizer.param_groups:
-            group["lr"] = options.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
-        gathered(queues, memories, 4)
-        # Rooms in which nobody is seen by mistake teach nothing more, so that these are drawn by what is seen there.
-        drawn = {kind: memory.drawn(counts[kind], 1.0 if kind == "empty" else 0.5) for kind, memory in memories.items()}
-        parts = [memories[kind].of(numbers) for kind, numbers in drawn.items()]
-        taken = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+    @property
+    def progress(self) -> float:
+        """The part of the schedule that is over, by steps or by time."""
+        options = self.options
+        return max(self.step / options.steps, self.spent / (60 * options.minutes) if options.minutes else 0.0)
+
+    def learn(self, taken: dict) -> tuple:
+        """One step on a batch; the loss of each picture's scores, and of boxes and points."""
+        warm = min(1.0, (self.step + 1) / 100)
+        for group in self.optimizer.param_groups:
+            cosine = 0.5 * (1 + math.cos(math.pi * min(self.progress, 1.0)))
+            group["lr"] = self.options.rate * warm * (0.02 + 0.98 * cosine)
         with torch.no_grad():
             pictures, *people = looked_at(taken)
             pictures = another_camera(pictures).contiguous(memory_format=torch.channels_last)
             wanted = targets(*people, HEIGHT, WIDTH)
-        with torch.autocast(device.type, torch.bfloat16):
-            guess = model(pictures)
+        with torch.autocast(self.device.type, torch.bfloat16):
+            guess = self.model(pictures)
         scores, boxes, points = loss(guess.float(), *wanted)
-        total = scores.sum() + 3.0 * boxes + 3.0 * points
-        optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
-        optimizer.step()
-        step += 1
-        with torch.no_grad():
-            badly = (scores.detach() * options.batch + 0.02).split([len(numbers) for numbers in drawn.values()])
-            for (kind, numbers), value in zip(drawn.items(), badly, strict=True):
-                memories[kind].badly[numbers] = value
-            decay = min(0.999, step / (step + 20))
-            for mean, value in zip(average.state_dict().values(), model.state_dict().values(), strict=True):
-                if value.dtype.is_floating_point:
-                    mean.lerp_(value, 1 - decay)
-                else:
-                    mean.copy_(value)
-            sums += torch.stack([scores.sum(), boxes, points]).detach()
-        spent = time.time() - started
-        progress = max(step / options.steps, spent / (60 * options.minutes) if options.minutes else 0.0)
-        if step % 50 == 0:
+        self.optimizer.zero_grad(set_to_none=True)
+        (scores.sum() + 3.0 * boxes + 3.0 * points).backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 10.0)
+        self.optimizer.step()
+        self.step += 1
+        self._follow()
+        return scores.detach(), boxes.detach(), points.detach()
+
+    @torch.no_grad()
+    def _follow(self) -> None:
+        decay = min(0.999, self.step / (self.step + 20))
+        for mean, value in zip(self.average.state_dict().values(), self.model.state_dict().values(), strict=True):
+            if value.dtype.is_floating_point:
+                mean.lerp_(value, 1 - decay)
+            else:
+                mean.copy_(value)
+
+    def save(self) -> None:
+        """Write the checkpoint that --resume goes on from."""
+        state = {name: getattr(self, name).state_dict() for name in ("model", "average", "optimizer")}
+        torch.save(state | {"step": self.step, "spent": self.spent}, f"{self._checkpoint}.new")
+        os.replace(f"{self._checkpoint}.new", self._checkpoint)
+
+    def keep(self, number: int) -> None:
+        """Write the mean's weights alone, in half precision."""
+        weights = self.average.state_dict()
+        half = {name: value.half() if value.dtype.is_floating_point else value for name, value in weights.items()}
+        torch.save({"average": half, "step": self.step}, self.options.out / f"kept-{number:02}.pt")
+
+
+def learn(options: argparse.Namespace, device: torch.device) -> None:
+    """The loop; see `_parser`."""
+    training, counts = Training(options, device), shares(options)
+    memories = {kind: Memory(options.memory, device) for kind, count in counts.items() if count}
+    queues = start_drawing(options, options.seed * 1000 + training.step)
+    started, saved, sums = time.time() - training.spent, time.time(), torch.zeros(3, device=device)
+    kept = math.ceil(options.keep * training.progress)
+    while training.progress < 1:
+        if options.keep and training.progress >= kept / options.keep:
+            training.keep(kept)
+            kept += 1
+        gathered(queues, memories, 4)
+        # Rooms in which nobody is seen by mistake teach nothing more, so that these are drawn by what is seen there.
+        drawn = {kind: memory.drawn(counts[kind], 1.0 if kind == "empty" else 0.5) for kind, memory in memories.items()}
+        parts = [memories[kind].of(numbers) for kind, numbers in drawn.items()]
+        scores, *others = training.learn({name: torch.cat([part[name] for part in parts]) for name in parts[0]})
+        badly = (scores * options.batch + 0.02).split([len(numbers) for numbers in drawn.values()])
+        for (kind, numbers), value in zip(drawn.items(), badly, strict=True):
+            memories[kind].badly[numbers] = value
+        sums += torch.stack([scores.sum(), *others])
+        training.spent = time.time() - started
+        if training.step % 50 == 0:
             stored = {kind: memory.count for kind, memory in memories.items()}
             means = [round(value, 3) for value in (sums / 50).tolist()]
-            said = {"step": step, "s": round(spent), "pictures": stored, "loss of scores, boxes, parts": means}
-            print(json.dumps(said), flush=True)
+            said = {"step": training.step, "s": round(training.spent), "pictures": stored}
+            print(json.dumps(said | {"loss of scores, boxes, parts": means}), flush=True)
             sums.zero_()
-        if options.keep and progress >= kept / options.keep:
-            _keep(average, step, options.out / f"kept-{kept:02}.pt")
-            kept += 1
-        if time.time() - saved > 120 or progress >= 1:
-            state = {"model": model.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
-            torch.save(state | {"step": step, "spent": spent}, f"{checkpoint}.new")
-            os.replace(f"{checkpoint}.new", checkpoint)
+        if time.time() - saved > 120:
+            training.save()
             saved = time.time()
+    training.save()
+    if options.keep:
+        training.keep(kept)
 
 
 def main() -> None:
