@@ -366,6 +366,7 @@ def test_the_score_falls_with_all_that_speaks_against_a_place(first):
         against += [{"dilution": 10.0}, {"residual": 0.02}, {"support": 0.1}, {"doubted": 1.0}]
     else:
         against += [{"response": 1.0}, {"own": 0.5}, {"confirmed": 0.0}, {"crowded": 1.0}, {"leading": 0.5}]
+        against += [{"relative": 0.2}, {"familiar": 0.0}]
         against.append({"dilution": 100.0})
         against.append({"strayed": np.zeros(3), "confirmed": -4.0})  # nothing was there before
     for changed in against:
