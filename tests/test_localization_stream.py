@@ -167,7 +167,7 @@ def test_a_place_becomes_familiar_where_something_is_heard_again_and_again():
     here, beside, there = np.array([1.0, 1.0, 1.5]), np.array([1.3, 1.0, 1.5]), np.array([3.0, 3.0, 1.5])
     known = [memory.familiar(here)]
     for _ in range(60):
-        memory.keep([Trace(here, np.zeros(3), 1.0, own=2.0), Trace(there, np.zeros(3), 1.0, own=-4.0)])
+        memory.keep([Trace(here, np.zeros(3), 1.0, heard=1.0), Trace(there, np.zeros(3), 1.0, heard=0.5)])
         known.append(memory.familiar(here))
     assert known[0] == 0.0
     assert (np.diff(known) >= 0.0).all()

@@ -10,8 +10,8 @@ from avcli.localization.modulation import Course
 UNKNOWN, CONFIRMED, FADE, SOUGHT = -4.0, 2.0, 1.0, 1.0
 """The bounds of what was confirmed of a trace, as logits, by how much it falls in a second, and from how much of it on
 the trace is looked for again."""
-FAMILIAR_M, FAMILIAR_S, NOTHING = 0.4, 1.5, -8.0
-"""Within so many m of a place what was heard counts for it, after so many s by 1/e; and a logit that tells nothing."""
+FAMILIAR_M, FAMILIAR_S = 0.4, 1.5
+"""Within so many m of a place what was heard counts for it, and after so many s by 1/e."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Trace:
         lasting: how lasting it is, see `uncertainty.Law.remembered`.
         confirmed: the most that spoke for it lately, as a logit: who surely talked is likelier to be there again.
         course: how steadily it sounded in this decision and those before in which it was seen.
-        own: what spoke for it in that decision alone, as a logit.
+        heard: how surely a voice was heard there in that decision, see `uncertainty.Law.heard`.
         age: how many decisions ago it was seen.
     """
 
@@ -33,7 +33,7 @@ class Trace:
     lasting: float
     confirmed: float = UNKNOWN
     course: Course = field(default_factory=Course)
-    own: float = NOTHING
+    heard: float = 0.0
     age: int = 1
 
 
@@ -76,7 +76,7 @@ class Memory:
         return max(before - FADE / self.rate, min(own, CONFIRMED), UNKNOWN)
 
     def familiar(self, position: np.ndarray) -> float:
-        """Return how often and how surely something was heard lately where a place (3,) m is, from 0 to 1.
+        """Return how often and how surely a voice was heard lately where a place (3,) m is, from 0 to 1.
 
         Who talks stays for seconds, while what is left of a first talker and his echoes peaks here and there.
         """
@@ -86,7 +86,7 @@ class Memory:
     def keep(self, seen: list[Trace]) -> None:
         """Take what a decision saw, and keep what fades of those before it."""
         share = 1.0 / (self.rate * FAMILIAR_S)
-        new = [[*one.position[:2], share * min(max(1.0 - one.own / NOTHING, 0.0), 1.0)] for one in seen]
+        new = [[*one.position[:2], share * one.heard] for one in seen]
         heard = np.array([*self.heard, *new]).reshape(-1, 3) * [1.0, 1.0, np.exp(-share)]
         self.heard = heard[heard[:, 2] > 0.05 * share]
         self.traces = seen + [

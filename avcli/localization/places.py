@@ -78,7 +78,7 @@ class PlaceFinder:
                     self.law.remembered(one.features, memory.kept),
                     memory.confirmed(one.features.confirmed, self.law.own_evidence(one.features)),
                     one.course,
-                    self.law.own_evidence(one.features),
+                    self.law.heard(one.features),
                 )
                 for one in judged
             ]

@@ -27,6 +27,9 @@ HALFWAY = 400.0
 """The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
 those with a score above 0.8 without it, 3 % were wrong, and a third where the dilution was above 20."""
 
+ANYTHING = 8.0
+"""From its negative on a logit of evidence tells that anything is heard."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),
@@ -54,7 +57,7 @@ class Features:
         leading: the probability that the decision's first peak is right, which tells how far the array and the room may
             be believed; 0.5 for the first peak itself, and beside a steady source.
         relative: its response over that of the peak that the decision found first.
-        familiar: how often and how surely something was heard there lately, see `memory.Memory.familiar`.
+        familiar: how often and how surely a voice was heard there lately, see `memory.Memory.familiar`.
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
         velocity: (3,) m/s.
@@ -196,6 +199,10 @@ class Law:
         """Return what speaks for a peak without what was remembered, as a logit."""
         weights = self.first if features.first else self.further
         return self.evidence(features) - weights["before"] * features.before
+
+    def heard(self, features: Features) -> float:
+        """Return how surely a voice is heard by a peak's own evidence, from 0 to 1: what a machine makes is no voice."""
+        return self.voice(features.steady) * min(max(1.0 + self.own_evidence(features) / ANYTHING, 0.0), 1.0)
 
     def covariance(
         self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray
