@@ -27,8 +27,8 @@ HALFWAY = 400.0
 """The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
 those with a score above 0.8 without it, 3 % were wrong, and a third where the dilution was above 20."""
 
-ANYTHING = 8.0
-"""From its negative on a logit of evidence tells that anything is heard."""
+NOTHING = -8.0
+"""A logit of evidence up to which nothing at all is heard."""
 
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
@@ -201,8 +201,8 @@ class Law:
         return self.evidence(features) - weights["before"] * features.before
 
     def heard(self, features: Features) -> float:
-        """Return how surely a voice is heard by a peak's own evidence, from 0 to 1: what a machine makes is no voice."""
-        return self.voice(features.steady) * min(max(1.0 + self.own_evidence(features) / ANYTHING, 0.0), 1.0)
+        """Return how surely a voice is heard, not a machine, by a peak's own evidence, from 0 to 1."""
+        return self.voice(features.steady) * min(max(1.0 - self.own_evidence(features) / NOTHING, 0.0), 1.0)
 
     def covariance(
         self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray
