@@ -295,7 +295,7 @@ def features(**changed):
     usual = {"response": 1.3, "agreement": 0.3, "support": 0.4, "before": 0.0, "first": False, "own": 0.8}
     still = dict.fromkeys(("velocity", "pace", "gait"), np.zeros(3))
     more = {"residual": 0.01, "strayed": np.full(3, 0.01), "strongest": 1.3, "dilution": 1.0, "fall": 0.0}
-    more |= {"confirmed": -4.0, "crowded": 0.0, "leading": 0.9}
+    more |= {"confirmed": -4.0, "crowded": 0.0, "leading": 0.9, "relative": 0.4, "familiar": 0.2}
     return uncertainty.Features(**(usual | still | more | {"channels": 8.0, "doubted": 0.0, "steady": 0.0} | changed))
 
 
@@ -366,6 +366,7 @@ def test_the_score_falls_with_all_that_speaks_against_a_place(first):
         against += [{"dilution": 10.0}, {"residual": 0.02}, {"support": 0.1}, {"doubted": 1.0}]
     else:
         against += [{"response": 1.0}, {"own": 0.5}, {"confirmed": 0.0}, {"crowded": 1.0}, {"leading": 0.5}]
+        against += [{"relative": 0.2}, {"familiar": 0.0}]
         against.append({"dilution": 100.0})
         against.append({"strayed": np.zeros(3), "confirmed": -4.0})  # nothing was there before
     for changed in against:

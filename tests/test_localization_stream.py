@@ -162,6 +162,28 @@ def test_who_was_confirmed_is_looked_for_again_for_a_second():
     assert memory.known() == []
 
 
+def test_a_place_becomes_familiar_where_something_is_heard_again_and_again():
+    memory = Memory(rate=10.0, max_speed=1.6, kept=0.5)
+    here, beside, there = np.array([1.0, 1.0, 1.5]), np.array([1.3, 1.0, 1.5]), np.array([3.0, 3.0, 1.5])
+    known = [memory.familiar(here)]
+    for _ in range(60):
+        memory.keep([Trace(here, np.zeros(3), 1.0, heard=1.0), Trace(there, np.zeros(3), 1.0, heard=0.5)])
+        known.append(memory.familiar(here))
+    assert known[0] == 0.0
+    assert (np.diff(known) >= 0.0).all()
+    assert known[-1] == pytest.approx(0.94, abs=0.03)
+    assert memory.familiar(beside) == known[-1]
+    assert memory.familiar(there) == pytest.approx(0.5 * known[-1], rel=0.06)
+    assert memory.familiar(np.full(3, 2.0)) == 0.0
+    for _ in range(15):
+        memory.keep([])
+    assert memory.familiar(here) == pytest.approx(known[-1] / np.e, rel=0.15)
+    for _ in range(60):
+        memory.keep([])
+    assert memory.familiar(here) == 0.0
+    assert len(memory.heard) == 0
+
+
 def test_a_fall_is_from_the_loudest_of_the_last_second():
     memory = Memory(rate=10.0, max_speed=1.6, kept=0.5)
     assert memory.fall(1.0) == 0.0

@@ -10,6 +10,8 @@ from avcli.localization.modulation import Course
 UNKNOWN, CONFIRMED, FADE, SOUGHT = -4.0, 2.0, 1.0, 1.0
 """The bounds of what was confirmed of a trace, as logits, by how much it falls in a second, and from how much of it on
 the trace is looked for again."""
+FAMILIAR_M, FAMILIAR_S = 0.4, 1.5
+"""Within so many m of a place what was heard counts for it, and after so many s by 1/e."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,7 @@ class Trace:
         lasting: how lasting it is, see `uncertainty.Law.remembered`.
         confirmed: the most that spoke for it lately, as a logit: who surely talked is likelier to be there again.
         course: how steadily it sounded in this decision and those before in which it was seen.
+        heard: how surely a voice was heard there in that decision, see `uncertainty.Law.heard`.
         age: how many decisions ago it was seen.
     """
 
@@ -30,6 +33,7 @@ class Trace:
     lasting: float
     confirmed: float = UNKNOWN
     course: Course = field(default_factory=Course)
+    heard: float = 0.0
     age: int = 1
 
 
@@ -46,11 +50,13 @@ class Memory:
         self.rate, self.max_speed, self.kept = rate, max_speed, kept
         self.traces: list[Trace] = []
         self.levels: deque[float] = deque(maxlen=max(1, round(rate)))  # dB, of the last second of sound
+        self.heard = np.zeros((0, 3))  # of all that was seen lately x and y in m, and how much it counts
 
     def forget(self) -> None:
         """Begin anew, as after a gap in the stream."""
         self.traces.clear()
         self.levels.clear()
+        self.heard = self.heard[:0]
 
     def fall(self, power: float) -> float:
         """Take the power of a decision's sound, and return its level over the loudest of the last second, dB."""
@@ -69,8 +75,20 @@ class Memory:
         """Return what is confirmed of a trace, by what was a decision before and by what speaks for it now alone."""
         return max(before - FADE / self.rate, min(own, CONFIRMED), UNKNOWN)
 
+    def familiar(self, position: np.ndarray) -> float:
+        """Return how often and how surely a voice was heard lately where a place (3,) m is, from 0 to 1.
+
+        Who talks stays for seconds, while what is left of a first talker and his echoes peaks here and there.
+        """
+        near = np.hypot(*(self.heard[:, :2] - position[:2]).T) < FAMILIAR_M
+        return min(float(self.heard[near, 2].sum()), 1.0)
+
     def keep(self, seen: list[Trace]) -> None:
         """Take what a decision saw, and keep what fades of those before it."""
+        share = 1.0 / (self.rate * FAMILIAR_S)
+        new = [[*one.position[:2], share * one.heard] for one in seen]
+        heard = np.array([*self.heard, *new]).reshape(-1, 3) * [1.0, 1.0, np.exp(-share)]
+        self.heard = heard[heard[:, 2] > 0.05 * share]
         self.traces = seen + [
             replace(
                 trace,

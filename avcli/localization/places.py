@@ -78,6 +78,7 @@ class PlaceFinder:
                     self.law.remembered(one.features, memory.kept),
                     memory.confirmed(one.features.confirmed, self.law.own_evidence(one.features)),
                     one.course,
+                    self.law.heard(one.features),
                 )
                 for one in judged
             ]
@@ -110,7 +111,13 @@ class PlaceFinder:
             so_far = _latest(traces).course if traces else Course()
             course, steady = so_far.goes_on(peak.levels, heard.middles, self.apart)
             first = number == 0 and not len(heard.steady)
-            features = self.features(peak, first, traces, noise, of_all | {"steady": steady, "leading": leading})
+            of_one = {
+                "steady": steady,
+                "leading": leading,
+                "relative": peak.response / max(peaks[0].response, 1e-9),
+                "familiar": memory.familiar(peak.position),
+            }
+            features = self.features(peak, first, traces, noise, of_all | of_one)
             score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
             leading = score if first else leading
             score *= self.health.trust

@@ -27,6 +27,9 @@ HALFWAY = 400.0
 """The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
 those with a score above 0.8 without it, 3 % were wrong, and a third where the dilution was above 20."""
 
+NOTHING = -8.0
+"""A logit of evidence up to which nothing at all is heard."""
+
 PARTS = {
     "peaks": ("one", "residual", "dilution", "pace"),
     "lattice": ("one", "heights"),
@@ -53,6 +56,8 @@ class Features:
         crowded: 1 where the decision has more peaks than there may be talkers, so that one is nobody; else 0.
         leading: the probability that the decision's first peak is right, which tells how far the array and the room may
             be believed; 0.5 for the first peak itself, and beside a steady source.
+        relative: its response over that of the peak that the decision found first.
+        familiar: how often and how surely a voice was heard there lately, see `memory.Memory.familiar`.
         own: share of the frequencies' agreement on the peak that is not better on a peak before it, from 0 to 1; an
             echo of the first talker has little.
         velocity: (3,) m/s.
@@ -81,6 +86,8 @@ class Features:
     first: bool
     crowded: float
     leading: float
+    relative: float
+    familiar: float
     own: float
     velocity: np.ndarray
     residual: float
@@ -193,6 +200,10 @@ class Law:
         weights = self.first if features.first else self.further
         return self.evidence(features) - weights["before"] * features.before
 
+    def heard(self, features: Features) -> float:
+        """Return how surely a voice is heard, not a machine, by a peak's own evidence, from 0 to 1."""
+        return self.voice(features.steady) * min(max(1.0 - self.own_evidence(features) / NOTHING, 0.0), 1.0)
+
     def covariance(
         self, normal: np.ndarray, others: np.ndarray, features: Features, low: np.ndarray, high: np.ndarray
     ) -> np.ndarray:
@@ -236,18 +247,22 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
     """Return what the weights of a law's `first`, `further` or `score` are multiplied by, in their order.
 
     A constant, and the logarithms of the features of these names, but "before", "confirmed", "crowded", "strongest",
-    "fall" and the evidence as they are, within bounds, and the logit of "leading". "few" is the share of the delays
-    that a place uses up, from 1 with four channels to 0 with many; "few_residual" and its like are what it makes of
-    another term.
+    "fall" and the evidence as they are, within bounds, the logit of "leading", and the root of "familiar". "few" is
+    the share of the delays that a place uses up, from 1 with four channels to 0 with many; "few_residual" and its like
+    are what it makes of another term, and "leading_relative" what "leading" makes of "relative".
     """
     few = min(3.0 / max(features.channels - 1.0, 3.0), 1.0)
-    leading = min(max(features.leading, 0.0025), 0.9975)
+    chance = min(max(features.leading, 0.0025), 0.9975)
+    leading, relative = float(np.log(chance / (1.0 - chance))), max(_log(features.relative), -4.0)
     value = {
         "one": 1.0,
         "before": features.before,
         "confirmed": features.confirmed,
         "crowded": features.crowded,
-        "leading": float(np.log(leading / (1.0 - leading))),
+        "leading": leading,
+        "relative": relative,
+        "leading_relative": leading * relative,
+        "familiar": float(np.sqrt(features.familiar)),
         "evidence": float(np.clip(evidence, -6.0, 10.0)),
         "strongest": min(features.strongest, 3.0),
         "fall": max(features.fall, -30.0),

@@ -52,6 +52,9 @@ TERMS = {
         "crowded",
         "leading",
         "own",
+        "relative",
+        "leading_relative",
+        "familiar",
     ),
 }
 """What a score rests on, see `uncertainty.terms`. Chosen on the split "decide", by scenes that were left out."""
