@@ -483,6 +483,17 @@ def test_smoothed_covariances_are_no_larger_and_the_newest_state_is_the_filtered
         assert exist > 0.99
 
 
+def test_one_number_is_given_once_where_who_is_recognised_came_before_that_person_was_given_up():
+    tracker = GLMB(Settings(), Population(motion=CV), [WHITE], record=True)
+    follow(tracker, 1)
+    (end,) = tracker.ends()
+    tracker.retired[end.label] = end._replace(mean=end.mean + 1.0, meant=0.9)
+    for time, found in Delayed(tracker, math.inf)._collect([3.8, 3.9]):
+        (one,) = found
+        assert one.label == end.label
+        assert one.state == pytest.approx(tracker.tracks(3.9)[0].state, abs=0.2), time
+
+
 def test_lag_zero_is_the_filter_and_all_lags_end_alike():
     scene = scenes.s2(np.random.default_rng(1))
     runs = {lag: track(scene, lag=lag) for lag in (0, 3, math.inf)}

@@ -211,7 +211,7 @@ class Delayed:
         return self._collect(times)
 
     def _collect(self, times: Sequence[float]) -> list[tuple[float, list[Track]]]:
-        wanted: dict[float, list[Track]] = {round(time, 6): [] for time in times}
+        wanted: dict[float, dict[int, Track]] = {round(time, 6): {} for time in times}
         earliest = min(wanted, default=-math.inf)
         for end in self.tracker.ends():
             for node, mean, cov, existence in backwards(end.node, end.mean, end.cov, end.existence):
@@ -229,8 +229,11 @@ class Delayed:
                     if (believed if end.contested else there) > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
                         believed *= min(_within(NEAR, spread) / near, 1.0)
-                        wanted[now].append(Track(end.label, mean, spread, believed, detectable, node.seen))
-        return [(time, sorted(wanted[round(time, 6)], key=lambda track: track.label)) for time in times]
+                        track = Track(end.label, mean, spread, believed, detectable, node.seen)
+                        other = wanted[now].setdefault(end.label, track)  # of who was recognised before that one left
+                        if other.existence < believed:
+                            wanted[now][end.label] = track
+        return [(time, [one for _, one in sorted(wanted[round(time, 6)].items())]) for time in times]
 
 
 def _within(radius: float, cov: np.ndarray) -> float:
