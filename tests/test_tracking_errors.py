@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from avcli.formats.records import Detections
 from avcli.formats.sensors import CAMERA, MICROPHONES
-from avcli.tracking.errors import LEAST, MOST, Errors, followed, leaning
+from avcli.tracking.errors import LEAST, MOST, WHITE, Errors, followed, leaning
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.glmb import GLMB
 from avcli.tracking.model import Population
@@ -123,21 +123,23 @@ def test_what_was_learnt_is_restored():
     st.floats(LEAST, MOST),
     st.floats(LEAST, MOST),
     st.sampled_from([0.0, 0.05, 0.1]),
+    st.sampled_from([[EYE], [EYE, ARM]]),
 )
 @settings(max_examples=100, deadline=None)
-def test_noise_stays_positive_definite(given_noise, on_told, on_floor, floor):
+def test_noise_stays_positive_definite(given_noise, on_told, on_floor, floor, sensors):
     xx, yy, correlation = np.array(given_noise).T
     cross = correlation * np.sqrt(xx * yy)
     noise = np.stack([xx, cross, cross, yy], 1).reshape(-1, 2, 2)
     errors = Errors()
-    errors.add(dataclasses.replace(EYE, floor=floor))
+    for one in sensors:
+        errors.add(dataclasses.replace(one, floor=floor))
     errors.factor[0] = on_told, on_floor
     _, scaled, part = errors.corrected(0, np.zeros((len(noise), 2)), noise)
     assert np.isfinite(scaled).all()
     assert (part >= 0).all()
     np.testing.assert_array_equal(scaled, scaled.swapaxes(1, 2))
     assert (np.linalg.det(scaled / np.sqrt(xx * yy)[:, None, None]) > 0).all()
-    if floor == 0.0 and on_told == 1.0:
+    if floor == 0.0 and on_told == 1.0 and len(sensors) > 1:
         np.testing.assert_allclose(scaled, noise)
 
 
@@ -228,6 +230,39 @@ def test_common_errors_are_covariances_and_microphones_have_none(before, detecte
     after = followed(ellipse(before), part, ellipse(place), stated)
     for one in (part, stated - part, after):
         assert np.linalg.eigvalsh(one).min() >= -1e-9
+
+
+@given(vectors)
+@settings(max_examples=60, deadline=None)
+def test_one_camera_s_doubt_along_the_line_of_sight_is_no_noise_of_the_way_but_is_reported(detected):
+    stated = ellipse(detected)
+    eye = dataclasses.replace(EYE, floor=0.0)
+    alone, together = Errors(), Errors()
+    for errors, sensors in ((alone, [eye]), (together, [eye, ARM])):
+        for one in sensors:
+            errors.add(one)
+    _, noise, _ = alone.corrected(0, np.zeros((1, 2)), stated)
+    np.testing.assert_allclose(together.corrected(0, np.zeros((1, 2)), stated)[1], stated)
+    across, along = np.linalg.eigvalsh(stated[0])
+    least = max(across, 0.15**2)
+    expected = [across, along - (1 - WHITE) * max(along - least, 0.0)]
+    assert np.linalg.eigvalsh(noise[0]) == pytest.approx(expected)
+    kept, usual = alone.common(0, stated), together.common(0, stated)
+    if across <= 0.15**2 < along:
+        np.testing.assert_allclose(noise + kept, stated, atol=1e-9)
+        assert np.linalg.eigvalsh(usual - kept).min() >= -1e-9
+
+
+def test_a_track_by_colour_keeps_up_with_who_walks_to_the_camera():
+    """A track that took what is stated for noise was 1.2 m behind."""
+    fusion, told = Fusion(Settings()), np.full((1, 3, 3), np.nan)
+    told[0, :2, :2] = np.diag([1.2**2, 0.1**2])
+    for k in range(16):
+        place = np.array([[4.0 if k < 8 else 4.0 - 0.4 * (k - 7), 2.0, np.nan]])
+        found = Detections(k / 3, "eye", place, told, np.array([0.99]), CAMERA)
+        tracks = fusion.step(k / 3, [(k / 3, "eye", found)])
+    assert abs(tracks[0].positions[0, 0] - place[0, 0]) < 0.4
+    assert math.sqrt(tracks[0].covariances[0, 0, 0]) > 1.0
 
 
 @pytest.mark.parametrize("lag", [0, 5])
