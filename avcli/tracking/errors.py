@@ -37,6 +37,7 @@ import numpy as np
 from avcli.formats.sensors import CAMERA
 from avcli.tracking import gaussian
 from avcli.tracking.densities import Densities
+from avcli.tracking.model import Corners, unobserved
 from avcli.tracking.settings import Sensor
 
 if TYPE_CHECKING:
@@ -153,9 +154,16 @@ class Errors:
         lasting: (S,) m² per axis, variance of what a sensor's detections of one person have in common.
     """
 
-    def __init__(self, learn: bool = True) -> None:
-        """Begin without sensors; learn: whether to learn, or to keep what is known beforehand."""
+    def __init__(self, learn: bool = True, area: Corners | None = None) -> None:
+        """Begin without sensors.
+
+        Args:
+            learn: whether to learn, or to keep what is known beforehand.
+            area: two corners, m, where people may be; None: unknown.
+        """
         self.learns = learn
+        sides = zip(*area, strict=True) if area else ()
+        self._unobserved = min((0.999 * unobserved(low, high) for low, high in sides), default=math.inf)  # m²
         self.known: Mapping[str, Mapping[str, Any]] = {}
         self.sensors: list[Sensor] = []
         self.factor, self.worth = np.ones((0, 2)), np.zeros(0)
@@ -286,14 +294,17 @@ class Errors:
         """Return the part (J, 2, 2) m² of stated covariances along a line of sight alone, where one camera sees people.
 
         It is what exceeds the usual noise and what is stated across: how far away is somebody of unknown height? Noise
-        that a camera states all around is taken as it is, and so is all of it where other sensors tell the distance.
+        that a camera states all around is taken as it is, and so is all of it where other sensors tell the distance,
+        and where the distance was not observed.
         """
         sensor = self.sensors[column]
         usual = sensor.sigma[0] * sensor.sigma[1]
         if len(self.sensors) > 1 or sensor.kind != CAMERA or max(stated.ravel().tolist(), default=0.0) <= usual:
             return np.zeros(stated.shape)
         variances, axes = np.linalg.eigh(stated)
-        along = np.maximum(variances[:, 1] - np.maximum(variances[:, 0], usual), 0.0)
+        along = np.maximum(variances[:, 1] - np.maximum(variances[:, 0], usual), 0.0) * (
+            variances[:, 1] < self._unobserved
+        )
         return along[:, None, None] * (axes[:, :, 1:] * axes[:, None, :, 1])
 
     def between(self, lean: np.ndarray, column: int) -> Between:

@@ -18,7 +18,7 @@ from avcli.tracking import partial
 from avcli.tracking.coverage import Coverage, of_config
 from avcli.tracking.live import LiveMerger
 from avcli.tracking.merging import Merger, Record, in_turn
-from avcli.tracking.model import Corners, Population, Track
+from avcli.tracking.model import Corners, Population, Track, unobserved
 from avcli.tracking.settings import Sensor, Settings, sensor
 from avcli.tracking.smoothing import Delayed
 from avcli.tracking.trackers import TRACKERS, Explainable, Learning, Partly, Smoothable
@@ -369,8 +369,7 @@ def _with_heights(config: Config, given: Given) -> Given:
 def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, area: Corners) -> np.ndarray:
     """Return measurement noise as the filter needs it, (J, 2, 2) m², positive definite.
 
-    A variance of 0 means that the coordinate was not observed: it becomes the one whose density is that of a uniform
-    distribution over the area.
+    A variance of 0 means that the coordinate was not observed, see `model.unobserved`.
 
     Args:
         covariances: (J, 2, 2) m², NaN where not given.
@@ -385,7 +384,7 @@ def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, 
             xx, yy, cross = sigma[0] ** 2, sigma[1] ** 2, 0.0
         if not (xx and yy):
             cross = 0.0
-            xx, yy = (v or (high - low) ** 2 / (2 * math.pi) for v, low, high in zip((xx, yy), *area, strict=True))
+            xx, yy = (v or unobserved(low, high) for v, low, high in zip((xx, yy), *area, strict=True))
         xx, yy = min(max(xx, FLOOR), CEILING), min(max(yy, FLOOR), CEILING)
         most = 0.999 * math.sqrt(xx * yy)
         cross = min(max(cross, -most), most)

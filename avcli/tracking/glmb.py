@@ -129,7 +129,7 @@ class GLMB:
         self.known: dict[str, Any] = {}  # sensor name -> what another run has learnt
         self.detectable, self.turnover = np.zeros(0), np.zeros(0)  # of each sensor: see `rates.Hiding`
         self.last_record: list[float] = []  # s
-        self.errors = Errors(settings.learn)
+        self.errors = Errors(settings.learn, population.area)
         self.scales: list[Scales] = []
         self.false_places = FalsePlaces(settings.learn)
         self.pairs = self.near = 0  # of people and detections so far, and those of them within the gate

@@ -130,6 +130,14 @@ class Population:
         return [self.centre.tolist(), self.middle.tolist()]
 
 
+def unobserved(low: float, high: float) -> float:
+    """Return the variance (m²) of a coordinate that was not observed, of an area from low to high m.
+
+    It is that of the normal distribution whose density in the middle is the uniform distribution's over the area.
+    """
+    return (high - low) ** 2 / (2 * math.pi)
+
+
 class Track(NamedTuple):
     """One person at one time.
 
