@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from generate import PAD, Sample
 from torch.nn import functional as F
+from worlds import BANDS, LONGEST
 
 from avcli.detection.bands import BREADTH
 
-SIDE = 640
+SIDE = LONGEST
 """px, of the squares in which pictures are kept."""
 
 HEIGHT, WIDTH = 448, 640
@@ -21,11 +22,8 @@ HEIGHT, WIDTH = 448, 640
 MOST = 24
 """People in one picture; those of whom least is seen are left out."""
 
-LONGEST, SHORTEST = 640, 480
-"""px, the length of a band of a square picture."""
-
-BANDS = 0.75
-"""Share of the looks at a square picture that are at a band across its middle; the others are anywhere."""
+SHORTEST = 480
+"""px, the least length of a band of a square picture."""
 
 
 class Memory:
@@ -72,7 +70,7 @@ class Memory:
         return {name: value[numbers] for name, value in self._kept.items()}
 
 
-def looked_at(taken: dict, *, banded: float = BANDS) -> tuple:
+def looked_at(taken: dict) -> tuple:
     """One look of the network at each picture of a batch, mirrored, turned and in other sizes at random.
 
     A square picture is turned by a right angle and made as long as a band may be; of it HEIGHT rows are shown, mostly
@@ -96,7 +94,7 @@ def looked_at(taken: dict, *, banded: float = BANDS) -> tuple:
     turn = turn * mirror[:, :, None] * scale[:, None, None]
     size = (turn @ shown[:, :, None])[..., 0].abs()  # of the picture when it is turned and scaled
     # A window (left, top, width, height) of that, and where it is put in what the network sees.
-    rows = torch.where(square & (uniform(0, 1) < banded), (BREADTH * size[:, 1]).round(), size[:, 1])
+    rows = torch.where(square & (uniform(0, 1) < BANDS), (BREADTH * size[:, 1]).round(), size[:, 1])
     first = ((size[:, 1] - rows) / 2).round()
     spare = HEIGHT - rows
     top = first - torch.where(spare >= 0, (uniform(0, 1) * (spare + 1)).floor().clamp(max=spare.clamp(min=0)),

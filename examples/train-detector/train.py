@@ -24,9 +24,6 @@ from generate import Sample
 from model import Detector, loss, targets
 from renders import PANELS
 
-KINDS = ("worlds", "others", "empty", "photographs")
-"""Where pictures come from: random worlds, scenes drawn on the fly, rooms without people, photographs of people."""
-
 
 def of_worlds(folder: Path, rng: np.random.Generator, memory: int) -> Iterator[tuple[str, Sample]]:
     """Yield the pictures of random worlds in a folder (worlds.py) as they appear there, and again when forgotten."""
