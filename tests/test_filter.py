@@ -239,6 +239,53 @@ def test_a_signal_leaves_the_old_file_and_no_other(tmp_path, number):
     assert os.listdir(tmp_path) == ["old.jsonl"]
 
 
+def test_a_signal_at_any_instruction_of_the_writer_leaves_the_old_file_and_no_other(tmp_path):
+    """A process for each instruction between the first and the last of the writer; each gets SIGTERM there."""
+    program = f"""
+import os, signal, sys
+import click
+from avcli.commands.filter import Filter
+from avcli.formats import atomic
+OURS = {{atomic.__file__, atomic.contextlib.__file__}}
+@click.command("x", cls=Filter)
+@click.argument("instruction", type=int)
+@click.argument("path")
+def main(instruction, path):
+    left = instruction
+    def trace(frame, event, argument):
+        nonlocal left
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left == 0:
+                os.kill(os.getpid(), {int(signal.SIGTERM)})
+        return trace if frame.f_code.co_filename in OURS else None
+    sys.settrace(trace)
+    with atomic.replacing(path) as temporary:
+        temporary.write_text("new")
+    sys.settrace(None)
+    sys.exit(9 if left > 0 else 8)
+folder = sys.argv[1]
+path = os.path.join(folder, "old")
+for instruction in range(1, 100000):
+    with open(path, "w") as stream:
+        stream.write("good")
+    child = os.fork()
+    if child == 0:
+        main([str(instruction), path])
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    with open(path) as stream:
+        print(code, stream.read(), *os.listdir(folder), flush=True)
+    if code == 9:
+        break
+"""
+    result = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, timeout=240)
+    *ended, last = result.stdout.splitlines()
+    assert (result.stderr, last) == ("", "9 new old")
+    assert len(ended) > 100
+    assert set(ended) <= {"-15 good old", "-15 new old"}
+
+
 def test_a_failed_run_leaves_the_old_file(tmp_path):
     old = tmp_path / "old.jsonl"
     old.write_text("good\n")

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 import click
 
 from avcli import __version__
+from avcli.formats import atomic
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Config
@@ -178,6 +179,7 @@ def _deliver_again(unraisable: sys.UnraisableHookArgs) -> None:
 
 def _die_of(number: int) -> NoReturn:
     """End by the signal itself, as `cat` does, so that shells, loops and make see it."""
+    atomic.remove_unfinished()
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()
     signal.signal(number, signal.SIG_DFL)
@@ -472,7 +474,7 @@ class Session:
         A regular file appears whole when the block ends well, and otherwise not at all. With --mark-end the first
         record announces a mark, which follows the last one when the block ends well.
         """
-        from avcli.formats import atomic, records
+        from avcli.formats import records
 
         @contextlib.contextmanager
         def writer(stream: BinaryIO) -> Iterator[Write]:

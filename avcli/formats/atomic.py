@@ -14,7 +14,8 @@ _LONGEST_NAME = 255
 """bytes; NAME_MAX of the file systems in use."""
 _TEMPORARY = re.compile(r"\..*\.(\d+)\.avcli-tmp(\.\w+)?", re.DOTALL)
 _swept: set[Path] = set()
-_in_progress: set[Path] = set()
+_in_progress: dict[Path, Path] = {}
+"""The temporary file of each path that is being written."""
 
 
 @contextlib.contextmanager
@@ -42,22 +43,34 @@ def replacing(path: str | os.PathLike[str], suffix: str = "") -> Iterator[Path]:
         raise FileExistsError(errno.EEXIST, "two outputs have the same name", str(path))
     _sweep(path.parent)
     temporary = _temporary(path, suffix)
-    # The file is created here, with the user's umask, so that an unwritable directory is known before any work is done.
-    handle = os.open(temporary, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o666)
-    _in_progress.add(path)
+    _in_progress[path] = temporary
     try:
-        with contextlib.suppress(OSError):  # some file systems have no locks
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield temporary
-        os.replace(temporary, path)
+        # It is created here, with the user's umask, so that an unwritable directory is known before any work is done.
+        with open(temporary, "wb") as stream:
+            with contextlib.suppress(OSError):  # some file systems have no locks
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield temporary
+            os.replace(temporary, path)
     except BaseException as error:
-        temporary.unlink(missing_ok=True)
+        _remove(temporary)
         if isinstance(error, OSError) and error.filename is None:
             error.filename = str(path)  # a full disk does not say where it is full
         raise
     finally:
-        os.close(handle)
-        _in_progress.remove(path)
+        del _in_progress[path]
+
+
+def remove_unfinished() -> None:
+    """Remove the temporary files of a process that a signal ends, as its last act: the exception that a signal raises
+    may fall between the creation of a file and the block that would remove it.
+    """
+    for temporary in _in_progress.values():
+        _remove(temporary)
+
+
+def _remove(temporary: Path) -> None:
+    with contextlib.suppress(OSError):
+        os.unlink(temporary)
 
 
 def _temporary(path: Path, suffix: str) -> Path:
