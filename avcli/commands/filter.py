@@ -34,7 +34,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 import click
 
 from avcli import __version__
-from avcli.formats import atomic
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Config
@@ -179,6 +178,8 @@ def _deliver_again(unraisable: sys.UnraisableHookArgs) -> None:
 
 def _die_of(number: int) -> NoReturn:
     """End by the signal itself, as `cat` does, so that shells, loops and make see it."""
+    from avcli.formats import atomic
+
     atomic.remove_unfinished()
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()
@@ -434,7 +435,7 @@ class Session:
 
     def stream_records(self, stream: BinaryIO, name: str, parse: Callable[..., Any] | None = None) -> Iterator[Any]:
         """Yield the records of one open stream, as `records` does."""
-        from avcli.formats import records
+        from avcli.formats import atomic, records
 
         bad = self._drop_object if self.skip_invalid else records.refuse
         marks = records.EndMarks()
@@ -474,7 +475,7 @@ class Session:
         A regular file appears whole when the block ends well, and otherwise not at all. With --mark-end the first
         record announces a mark, which follows the last one when the block ends well.
         """
-        from avcli.formats import records
+        from avcli.formats import atomic, records
 
         @contextlib.contextmanager
         def writer(stream: BinaryIO) -> Iterator[Write]:
