@@ -435,7 +435,7 @@ class Session:
 
     def stream_records(self, stream: BinaryIO, name: str, parse: Callable[..., Any] | None = None) -> Iterator[Any]:
         """Yield the records of one open stream, as `records` does."""
-        from avcli.formats import atomic, records
+        from avcli.formats import records
 
         bad = self._drop_object if self.skip_invalid else records.refuse
         marks = records.EndMarks()
