@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from avcli.formats.records import Detections
 from avcli.formats.sensors import CAMERA, MICROPHONES
+from avcli.tracking import gaussian
 from avcli.tracking.errors import LEAST, MOST, WHITE, Errors, followed, leaning
 from avcli.tracking.fusion import Fusion
 from avcli.tracking.glmb import GLMB
@@ -189,8 +190,8 @@ def test_a_camera_that_states_more_than_usual_errs_by_the_same_again(told, least
     tracker = person(4, 10.0, eye=(exact, told, 0.1, np.array([told, 0.0])))
     sd, existence = spread(tracker, 10.0)
     assert least < sd < most
-    # In two dimensions an error of sigma is within 1 m with a probability of 1 - exp(-1 / (2 sigma²)).
-    assert existence == pytest.approx(-math.expm1(-0.5 / sd**2), abs=0.05)
+    # Student's t with four degrees of freedom and a variance of sigma² along each of two axes.
+    assert existence == pytest.approx(1 - (1 + 0.5 / sd**2) ** -2, abs=0.05)
 
 
 def test_an_exact_sensor_ends_the_doubt_of_a_vague_one():
@@ -230,6 +231,17 @@ def test_common_errors_are_covariances_and_microphones_have_none(before, detecte
     after = followed(ellipse(before), part, ellipse(place), stated)
     for one in (part, stated - part, after):
         assert np.linalg.eigvalsh(one).min() >= -1e-9
+
+
+@pytest.mark.parametrize(("along", "across"), [(0.2, 0.2), (1.0, 1.0), (1.4, 0.1), (0.5, 0.02)])
+def test_a_place_is_near_as_often_as_errors_with_long_tails_are(along, across):
+    rng = np.random.default_rng(1)
+    errors = rng.standard_normal((400_000, 2)) * [along, across]
+    errors *= np.sqrt(2 / rng.chisquare(4, (400_000, 1)))  # Student's, of that variance
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    cov = turn @ np.diag([along**2, across**2]) @ turn.T
+    expected = float(np.mean(np.hypot(*errors.T) < 1))
+    assert gaussian.near(cov[None], 1.0).item() == pytest.approx(expected, abs=0.003)
 
 
 @given(vectors)
@@ -275,4 +287,4 @@ def test_later_detections_do_not_end_the_doubt_of_a_vague_camera(lag):
         tracks += fusion.step(k / 10, [(k / 10, "eye", found)])
     (late,) = (one for one in tracks if one.timestamp == 3.0)
     assert 0.5 < math.sqrt(late.covariances[0, 0, 0]) < 0.7
-    assert 0.65 < late.existence[0] < 0.8
+    assert late.existence[0] == pytest.approx(1 - (1 + 0.5 / 0.6**2) ** -2, abs=0.05)

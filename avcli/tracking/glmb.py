@@ -725,11 +725,9 @@ class GLMB:
         near = gaussian.within(*densities, mean[:, :2], np.maximum(NEAR, BLUR * people.reach.take(rows))).tolist()
         lasting = self.errors.covariances(people, rows)
         nearer = [1.0] * len(rows)  # how much less probable it is that the person is so near as existence means
-        if self.errors.vague:
-            more = lasting[:, 0, 0] + lasting[:, 1, 1]
-            close = gaussian.within(*densities, mean[:, :2], np.full(len(rows), NEAR), more)
-            nearer = np.minimum(close / near, 1.0).tolist()
         cov[:, :2, :2] += lasting
+        if self.errors.vague:
+            nearer = np.minimum(gaussian.near(cov[:, :2, :2], NEAR) / near, 1.0).tolist()
         seen, detectable = people.seen.take(rows, 0).tolist(), people.detectable.take(rows, 0).tolist()
         last, count = list(map(max, seen)), list(map(math.fsum, people.hits.take(rows, 0).tolist()))
         tracks, doubts, grounds = [], self.false_places.doubts(), self.habits.absences.grounds

@@ -228,7 +228,7 @@ class Delayed:
                     believed = there * (1 - end.doubt)
                     if (believed if end.contested else there) > THERE:
                         detectable = dict(zip(self.tracker.column, node.detectable.tolist(), strict=False))
-                        believed *= min(_within(NEAR, spread) / near, 1.0)
+                        believed *= min(gaussian.near(spread[None, :2, :2], NEAR).item() / near, 1.0)
                         track = Track(end.label, mean, spread, believed, detectable, node.seen)
                         other = wanted[now].setdefault(end.label, track)  # of who was recognised before that one left
                         if other.existence < believed:
