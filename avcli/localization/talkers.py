@@ -69,8 +69,8 @@ class TalkerSearch:
         """Return the places that are answered better than noise would, each without those before it.
 
         There is one more than there may be talkers, since a ghost may still come before the second talker. After the
-        first, talkers of the decisions before are searched for where they were: a known talker needs a smaller response
-        than a new one.
+        first, and where there is none, talkers of the decisions before are searched for where they were: a known talker
+        needs a smaller response than a new one.
 
         Args:
             heard: the windows around the moment.
@@ -81,20 +81,24 @@ class TalkerSearch:
         # Where steady sources and the peaks so far are, (windows, 3) m or (1, 3) m each.
         taken = [place[None] for place in heard.steady]
         gccs, explained = heard.gccs, self.masks.explained(heard)
-        known = memory.known()
+        known, nobody_new = memory.known(), False
         for _ in range(self.settings.max_speakers + 1):
             if taken or heard.above is not None:
                 gccs = self.left(heard, explained, taken)
             known = [trace for trace in known if not any(_same(peak, trace, memory) for peak in found)]
-            again = known.pop(0) if found and known else None
+            again = known.pop(0) if known and (found or nobody_new) else None
             threshold = noise.threshold(self.settings.candidate if taken else self.settings.false_alarm)
             start = again.position if again else self.brightest(gccs, noise, threshold)
-            if start is None:
-                break
-            peak, coherence = self.fitted(gccs, heard, start, noise, explained)
-            explained = np.maximum(explained, coherence)
-            if again is None and peak.response < threshold:
-                break
+            weak = start is None
+            if start is not None:
+                peak, coherence = self.fitted(gccs, heard, start, noise, explained)
+                explained = np.maximum(explained, coherence)
+                weak = again is None and peak.response < threshold
+            if weak:
+                if found or nobody_new or not known:
+                    break
+                nobody_new = True
+                continue
             if again is not None and not _same(peak, again, memory):
                 continue
             if all(level_distance(peak.position, one.position) > self.settings.separation for one in found):
