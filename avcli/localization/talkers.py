@@ -89,16 +89,14 @@ class TalkerSearch:
             again = known.pop(0) if known and (found or nobody_new) else None
             threshold = noise.threshold(self.settings.candidate if taken else self.settings.false_alarm)
             start = again.position if again else self.brightest(gccs, noise, threshold)
-            weak = start is None
-            if start is not None:
-                peak, coherence = self.fitted(gccs, heard, start, noise, explained)
-                explained = np.maximum(explained, coherence)
-                weak = again is None and peak.response < threshold
-            if weak:
+            fit = None if start is None else self.fitted(gccs, heard, start, noise, explained)
+            if fit is None or (again is None and fit[0].response < threshold):
                 if found or nobody_new or not known:
                     break
                 nobody_new = True
                 continue
+            peak, coherence = fit
+            explained = np.maximum(explained, coherence)
             if again is not None and not _same(peak, again, memory):
                 continue
             if all(level_distance(peak.position, one.position) > self.settings.separation for one in found):
