@@ -13,7 +13,7 @@ from avcli.formats.arrivals import Arrivals
 from avcli.formats.records import Detections
 from avcli.tracking import track
 from avcli.tracking.live import LiveMerger
-from avcli.tracking.merging import Merger, in_turn
+from avcli.tracking.merging import Merger, in_turn, rate_of
 
 
 def seen(time, sensor="video"):
@@ -54,6 +54,31 @@ def test_steps_are_regular_whatever_the_times(times, rate):
     taken = sum(len(inside) for _, inside in steps)
     assert taken + sum(merger.late.values()) <= len(times)
     assert all(t <= step + 1e-6 for step, inside in steps for t in inside)
+
+
+@pytest.mark.parametrize("rate", [7.5, 10, 12.5, 29.97, 30, 60, 120])
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_a_clock_whose_rate_is_found_does_not_run_away(rate, start):
+    """Steps were rounded to a microsecond: 60 Hz ran at 59.9988 Hz, 1 ms late after 50 s."""
+    times = [round(start + k / rate, 9) for k in range(round(100 * rate))]
+    steps, _ = merged(times)
+    assert len(steps) == len(times)
+    assert np.allclose([step for step, _ in steps], times, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("rate", [10, 15, 30, 60])
+def test_time_stamps_that_are_rounded_or_jitter_are_no_faster_clock(rate):
+    """Where no two steps were alike, the shortest of them was taken for the usual one: 44.7 Hz for 30 Hz."""
+    exact, rng = np.arange(rate + 1) / rate, np.random.default_rng(0)
+    assert rate_of([np.diff(exact.round(3)).tolist()]) == rate
+    shaken = np.array([rate_of([np.diff(exact + rng.uniform(-0.1, 0.1, rate + 1) / rate).tolist()]) for _ in range(20)])
+    assert abs(np.median(shaken) / rate - 1) < 0.01
+    assert np.all(abs(shaken / rate - 1) < 0.1)
+
+
+def test_the_commonest_step_is_that_of_one_sensor():
+    assert rate_of([[0.1] * 9, [1 / 12] * 11]) == 12
+    assert rate_of([[0.1] * 30, [0.04] * 25]) == 10
 
 
 def test_a_step_closes_when_all_sensors_have_passed_it():
