@@ -340,6 +340,8 @@ GIVEN = {
         (("--motion", "imm", "--process-noise", "3"), "imm"),
         (("--process-noise", "3"), "imm"),
         (("--room-margin", "1"), "config.json"),
+        (("--lag", "3", "--show", "all"), "--lag"),
+        (("--lag", "inf", "--show", "all"), "--lag"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )

@@ -241,6 +241,8 @@ def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> N
     refuse_without_effect(TRACKERS[tracker].unused - (set() if lag else {"lag"}), f"with --tracker {tracker}")
     foreign = [name for name, (_, one) in settings_of(Settings).items() if one.only not in ("", settings.motion)]
     refuse_without_effect(foreign, f"with --motion {settings.motion}")
+    if lag and settings.show == "all":
+        refuse_without_effect(["show"], "with --lag if it is all: whether a person has left is known then")
     if not has_config:
         refuse_without_effect(["room_margin"], "without a config.json (-C or -c), which gives the room's size")
 
