@@ -198,6 +198,9 @@ def test_nothing_on_either_side(tmp_path):
     assert found["summary"]["RMSE"] is None
     nothing = scored(tmp_path, "", lines(walk()))
     assert "the ground truth has no objects" in nothing.stderr
+    neither = scored(tmp_path, "", "").stderr
+    assert "there are no tracks either; that is right" in neither
+    assert "missed" not in neither
     assert records_of(nothing)[0]["HOTA"]["HOTA_FP"] == [41] * 19
     assert records_of(scored(tmp_path, "", ""))[0]["Count"]["Frames"] == 0
     table = scored(tmp_path, lines(walk()), "", "--format", "table")

@@ -275,7 +275,7 @@ def _score(
     piped = {path: _identified(session, path, rate) for _, path in entry.tracks if path == "-"}
     truth = _identified(session, entry.truth, rate)
     if not any(map(len, truth)):
-        session.warn(f"{entry.name}: the ground truth has no objects, so all tracks are false")
+        session.warn(f"{entry.name}: the ground truth has no objects, so any track is false")
     keep_first = session.skip_invalid
     config = _config(session, entry) if plotted or shown is not None or entry.detections else None
     kinds = config.sensors if config else None
@@ -289,8 +289,10 @@ def _score(
             tracked, mismatch = score_tracks(truth, tracks, settings, entry.name, name, keep_first=keep_first)
         if any(map(len, tracks)):
             _warn(session, f"{entry.name} {name}", mismatch, settings, "track")
-        else:
+        elif any(map(len, truth)):
             session.warn(f"{entry.name} {name}: there are no tracks, so all people are missed")
+        else:
+            session.warn(f"{entry.name} {name}: there are no tracks either; that is right, but HOTA and its like are 0")
         emit(tracked.record)
         trackers[name] = tracked
     paths = (*entry.detections, *(entry.unscored if plotted or shown is not None else ()))
