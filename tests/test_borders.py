@@ -327,6 +327,15 @@ def test_two_outputs_of_one_name_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_second_output_on_standard_output_is_refused(tmp_path, monkeypatch):
+    """It was a file of the name "-"."""
+    monkeypatch.chdir(tmp_path)
+    for option in ("--explain", "--learn", "--map"):
+        refused(run_forked("avfuse", option, "-", stdin=DETECTION), f"{option} -: only --output", status=2)
+    refused(run_forked("avview", "--html", "-", stdin=DETECTION), "--html -: only --output", status=2)
+    assert list(tmp_path.iterdir()) == []
+
+
 # --- the end of a stream ----------------------------------------------------------------------------------------------
 
 

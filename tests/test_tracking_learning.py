@@ -546,6 +546,12 @@ def test_a_map_of_a_run_and_of_its_file_alone(room):
     assert (run_map != file_map).mean() < 0.02
 
 
+def test_a_learnt_file_that_is_only_read_must_exist(tmp_path):
+    result = run("avfuse", "--learn", tmp_path / "rom.json", "--no-learn", stdin="")
+    assert result.returncode == 2
+    assert "rom.json: no such file" in result.stderr
+
+
 def test_live_records_say_who_is_observed(room):
     *_, last = avfuse(room, "--live", "--show", "observed", stdin="".join(lines(1).splitlines(True)[:20])).splitlines()
     (person,) = json.loads(last)["objects"]

@@ -274,6 +274,8 @@ class Session:
         """
         taken = {os.path.realpath(path): "this file is an input; name another one" for path in inputs}
         for option, path in {"": self.output_path, **outputs}.items():
+            if option and path == "-":
+                self.usage(f"{option} -: only --output writes to standard output; a file of that name is ./-")
             if not path or path == "-" or (os.path.exists(path) and not os.path.isfile(path)):  # a device takes several
                 continue
             if option and os.path.realpath(path) in taken:
