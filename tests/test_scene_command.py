@@ -243,6 +243,25 @@ def test_a_printed_scenario_is_the_scenario(tmp_path):
     assert again.stdout == printed.stdout
 
 
+@pytest.mark.parametrize(
+    ("options", "because"),
+    [
+        (["--gltf", "mine.json"], "--gltf mine.json: this file is an input"),
+        (["--coco", "x", "--sheet", "x"], "--sheet x: two outputs have the same name"),
+        (["--coco", "none/x"], "--coco none/x: there is no such directory"),
+        (["--sheet", "-"], "--sheet -: only --output writes to standard output"),
+    ],
+)
+def test_a_further_output_replaces_no_input_and_no_other_output(tmp_path, monkeypatch, options, because):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.json").write_text("{}")
+    ended = run("avsim-scene", "mine.json", "-C", "exp", *options)
+    assert ended.returncode == 2
+    assert because in ended.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.json"]
+    assert (tmp_path / "mine.json").read_text() == "{}"
+
+
 def test_masks_coco_and_sheet_agree_with_the_truth(tmp_path):
     coco, sheet = tmp_path / "coco.json", tmp_path / "sheet.png"
     lines = simulate(tmp_path, SMALL, "--masks", "--coco", coco, "--sheet", sheet)

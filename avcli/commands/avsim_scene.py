@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +91,8 @@ def main(session: Session, scenario: str, **options: Any) -> None:
     SCENARIO is a built-in one (s1, s2, s3, s4), random, or a JSON file, - for standard input. Writes config.json,
     groundtruth_sources.jsonl and video/ into the experiment directory, and one record per frame to standard output.
     """
+    inputs = [path for path in (scenario, options["camera_config"]) if path and os.path.exists(path)]
+    session.check_outputs({f"--{name}": options[name] for name in ("coco", "sheet", "gltf")}, inputs)
     scene = _scenario(session, scenario, options)
     if options["print_scenario"]:
         with session.output() as write:
