@@ -14,7 +14,8 @@ from hypothesis import strategies as some
 
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
-from avcli.tracking import gaussian
+from avcli.tracking import gaussian, track
+from avcli.tracking.births import Undetected
 from avcli.tracking.blindness import COMMON, EMPTIED, LOST, Blindness
 from avcli.tracking.coverage import Coverage
 from avcli.tracking.fusion import Fusion
@@ -26,6 +27,7 @@ from avcli.tracking.picture import bounds, picture, ticks
 from avcli.tracking.places import Places
 from avcli.tracking.rates import EVENTS, KEEP, MOST_AGAIN, Hiding, Rates, logit
 from avcli.tracking.settings import Settings, sensor
+from avcli.tracking.unseen import UnseenMap
 
 ROOM = ((0.0, 0.0), (8.0, 6.0))
 DOOR = np.array([5.0, 3.0])  # where people leave, amid the room: no prior knows of it
@@ -330,6 +332,34 @@ def test_without_learning_a_run_changes_nothing_of_what_it_was_given(learnt):
     after = fusion.state()
     assert (after["exits"], after["entries"]) == (learnt["exits"], learnt["entries"])
     assert after["sensors"]["ceiling"]["errors"] == learnt["sensors"]["ceiling"]["errors"]
+
+
+def test_after_a_pause_of_a_day_a_run_tracks_as_at_its_start():
+    """The people who came in a day were all expected to be there, and those of before counted as having left at once:
+    clutter became people (16 numbers for three), and tracks ended after two misses.
+    """
+    rng, seen = np.random.default_rng(0), []
+    for start in (0.0, 86400.0):
+        for k in range(100):
+            people = np.array([[1 + k / 50, 1.2, 0], [3.5, 1 + k / 50, 0], [3.5 - k / 50, 3.8, 0]])
+            people[:, :2] += rng.normal(0, 0.1, (3, 2))
+            found = np.concatenate([people[rng.random(3) < 0.9], rng.uniform(0, 4.66, (rng.poisson(0.3), 3))])
+            noise = np.tile(0.01 * np.eye(3), (len(found), 1, 1))
+            seen.append(Detections(start + k / 10, "ceiling", found, noise, kind="camera"))
+    tracks = track(None, seen)
+    first, second = ([one for one in tracks if (one.timestamp >= 86400) == late] for late in (False, True))
+    assert len({label for one in second for label in one.ids.tolist()}) <= 4
+    assert abs(np.mean(list(map(len, second))) - np.mean(list(map(len, first)))) < 0.2
+
+
+def test_no_more_people_come_in_a_pause_than_stay():
+    population = Population(((0.0, 0.0), (6.0, 4.0)))
+    habits = Habits(population, learn=True)
+    everywhere, in_part = Undetected(population, habits.entries), UnseenMap(population, habits, [])
+    for one in (everywhere, in_part):
+        one.predict(1e7)
+    assert sum(everywhere.expected) == pytest.approx(population.arrivals * population.stay)
+    assert in_part.number.sum() == pytest.approx(population.arrivals * population.stay)
 
 
 def test_a_low_score_speaks_against_an_exact_detection_and_not_against_a_vague_one():

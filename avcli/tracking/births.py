@@ -57,7 +57,8 @@ class Undetected:
 
     def predict(self, dt: float) -> None:
         """Let people come and go for dt seconds."""
-        stay, due = math.exp(-dt / self.population.stay), dt * self.entries.overall
+        stay = math.exp(-dt / self.population.stay)
+        due = min(dt, self.population.stay) * self.entries.overall  # who came longer ago has left again
         self.expected = [stay * one + rate * due for one, rate in zip(self.expected, self._rates, strict=True)]
 
     def p_detect(self, scan: Scan) -> float:

@@ -18,6 +18,7 @@ from avcli.tracking.trust import Absences
 EXITS, ENTRIES = (1.0, 0.2), (3.0, 1.0)
 SURE_HITS, SURE = 3, 5.0  # detections, and nats, from which on a track certainly was a person
 AT_START = 1.0  # s; who is detected first before was there already
+PAUSE = 60.0  # s without a record, after which it is as at the start: who left and who came meanwhile, nobody knows
 REFRESH = 1.0  # s between two computations of the maps
 MEMORY = 1800.0  # s, over which what was learnt is forgotten
 
@@ -78,6 +79,9 @@ class Habits:
         """Note that dt s have passed up to a time in s."""
         if self._begin is None:
             self._begin = self._refreshed = time - dt
+        if dt > PAUSE:
+            self._begin, dt = time, 0.0
+            self._fresh.clear()
         self._now = time
         if not self.learn:
             return
@@ -137,7 +141,8 @@ class Habits:
     def ended(self, label: int, people: Densities, row: int) -> None:
         """Note that a label hardly exists any more, whose best density is a row."""
         self._fresh.pop(label, None)
-        if self.learn and self.sure(people, row):
+        watched = self._begin is None or people.seen[row].max() >= self._begin
+        if self.learn and watched and self.sure(people, row):
             self._gone[label] = people.place[row].copy()
             self.absences.left += 1
             self._happen(self.exits, self._gone[label])

@@ -89,7 +89,8 @@ class UnseenMap:
     def predict(self, dt: float) -> None:
         """Let people come, go and walk for dt seconds."""
         mix = math.exp(-dt / self.population.stay)
-        self.number = self._moved(self.number * mix, dt) + self.arrivals * dt
+        came = self.arrivals * min(dt, self.population.stay)  # who came longer ago has left again
+        self.number = self._moved(self.number * mix, dt) + came
         self.able = self._moved(self.able * mix, dt)
 
     def relax(self, rest: np.ndarray, mix: np.ndarray) -> None:
