@@ -207,6 +207,20 @@ def test_nothing_on_either_side(tmp_path):
     assert " - " in table.stdout.decode()
 
 
+def test_standard_input_is_named_once_and_no_page_replaces_an_input(tmp_path):
+    for paths in (("-", "-"), (tmp_path / "truth.jsonl", "-", "--detections", "-")):
+        (tmp_path / "truth.jsonl").write_text(lines(walk()))
+        ended = run("aveval", *paths, stdin=lines(walk()))
+        assert ended.returncode == 2
+        assert "standard input ('-') is named twice" in ended.stderr
+    for command in ("aveval", "avview"):
+        truth = tmp_path / "truth.jsonl"
+        ended = run(command, truth, truth, "--html", truth)
+        assert ended.returncode == 2
+        assert "this file is an input" in ended.stderr
+        assert truth.read_text() == lines(walk())
+
+
 def test_what_does_not_match_in_time_is_said(tmp_path):
     late = "".join(record(k / 10 + 0.02, [{"object_id": 1, "position": [0.33 + k / 10, 2.33]}]) for k in range(41))
     result = scored(tmp_path, lines(walk()), late)

@@ -108,7 +108,9 @@ def main(
         least = [gates.parse_gate(text) for text in fail_under]
     if plot and Path(plot).suffix.lower() not in (".png", ".svg", ".pdf"):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
-    session.check_outputs({"--plot": plot, "--html": html})
+    if [*paths, *detections].count("-") > 1:
+        session.usage("standard input ('-') is named twice")
+    session.check_outputs({"--plot": plot, "--html": html}, [*paths, *detections])
     if kind is None:
         kind = "table" if session.output_path == "-" and sys.stdout.isatty() else "jsonl"
     if leaderboard:

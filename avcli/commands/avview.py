@@ -131,7 +131,7 @@ def main(
     options = Options(**values)
     if not (html or mp4 or rrd or serve):
         session.usage("nothing to do: give --html FILE, --mp4 FILE, --rrd FILE or --serve")
-    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd})
+    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd}, paths)
     runs = list(_runs(session, paths, options))
     if (serve or mp4 or rrd) and len(runs) > 1:
         session.usage("--serve, --mp4 and --rrd show one run; --html shows several")
