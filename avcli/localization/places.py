@@ -57,6 +57,7 @@ class Found:
         noise: what noise does to as many windows.
         memory: what the decisions before found.
         fall: see uncertainty.Features.
+        trust: by which its scores are multiplied, see `Health`.
     """
 
     time: float
@@ -65,6 +66,7 @@ class Found:
     noise: NoiseLaw
     memory: Memory
     fall: float
+    trust: float
 
 
 class PlaceFinder:
@@ -104,7 +106,7 @@ class PlaceFinder:
             memory: what the decisions before found.
         """
         fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
-        found = Found(time, [], heard, noise, copy.copy(memory), fall)
+        found = Found(time, [], heard, noise, copy.copy(memory), fall, self.health.trust)
         judged = self.judge(self.talkers.peaks(heard, noise, memory), found)
         judged.sort(key=lambda one: -one.evidence)
         memory.keep(
@@ -120,7 +122,7 @@ class PlaceFinder:
                 for one in judged
             ]
         )
-        self.outside = any(one.evidence > _SURE for one in judged[:1] if self.on_the_edge(one.peak.position)[:2].any())
+        self.outside = any(one.evidence > _SURE for one in judged[:1] if self.beside_a_wall(one.peak))
         return replace(found, judged=judged)
 
     def talkers_of(self, found: Found, later: Sequence[Found | None]) -> list[Talker]:
@@ -132,14 +134,18 @@ class PlaceFinder:
             found: the decision.
             later: those after it that are known, one after another; None where nothing was heard.
         """
-        if not later:
-            return self.report(found.time, found.judged, found.heard, found.noise)
-        sought = self.judge(self.sought(found, later), found)
-        told = []
-        for number, one in enumerate(found.judged + sought):
-            after = self.after(one, found.time, later, sought=number >= len(found.judged))
-            score = self.law.borne_out(after, one.features)
-            told.append(replace(one, score=score, after=after))
+        told = found.judged
+        if later:
+            sought = self.judge(self.sought(found, later), found)
+            known = [self.after(one, found.time, later, sought=False) for one in told]
+            known += [self.after(one, found.time, later, sought=True) for one in sought]
+            told = [
+                replace(
+                    one, score=self.law.borne_out(after, one.features, edge=self.beside_a_wall(one.peak)), after=after
+                )
+                for one, after in zip((*told, *sought), known, strict=True)
+            ]
+        told = [replace(one, score=found.trust * one.score) for one in told]
         return self.report(found.time, told, found.heard, found.noise)
 
     def after(self, one: Judged, time: float, later: Sequence[Found | None], *, sought: bool) -> uncertainty.After:
@@ -205,9 +211,8 @@ class PlaceFinder:
                 "familiar": memory.familiar(peak.position),
             }
             features = self.features(peak, first, traces, noise, of_all | of_one)
-            score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            score = self.law.probability(features, edge=self.beside_a_wall(peak))
             leading = score if first else leading
-            score *= self.health.trust
             judged.append(Judged(score, self.law.evidence(features), peak, features, course))
         return judged[len(found.judged) :]
 
@@ -271,6 +276,10 @@ class PlaceFinder:
         covariance = self.law.covariance(peak.normal, others, judged.features, low, high)
         covariance = covariance + uncertainty.beyond(self.on_the_edge(peak.position))
         return covariance + uncertainty.UNSURE_M**2 * np.eye(3) if self.health.doubted.any() else covariance
+
+    def beside_a_wall(self, peak: Peak) -> bool:
+        """Tell whether the search ended on a side of its volume."""
+        return bool(self.on_the_edge(peak.position)[:2].any())
 
     def on_the_edge(self, position: np.ndarray) -> np.ndarray:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""

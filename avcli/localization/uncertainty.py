@@ -199,11 +199,11 @@ class Law:
         chance = _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
         return voice * near(features) * chance
 
-    def borne_out(self, after: After, features: Features) -> float:
-        """Return the probability that a peak is right, as it is known by what the decisions after it found."""
+    def borne_out(self, after: After, features: Features, *, edge: bool = False) -> float:
+        """Return that probability as it is known by what the decisions after it found (see `probability`)."""
         weights = self.after["first" if features.first else "further"]
         logit = flattened(sum(weights[name] * term for name, term in after_terms(after).items()), weights["middle"])
-        return min(_logistic(logit), self.voice(features.steady))
+        return min(_logistic(logit), self.voice(features.steady) * (BEYOND_NEAR if edge else 1.0))
 
     def voice(self, steady: float) -> float:
         """Return the probability that what sounds so steadily, see Features, is no machine."""
