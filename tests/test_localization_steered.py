@@ -98,13 +98,15 @@ def test_any_decision_rate(talk, rate):
     assert np.median(errors(decisions)) < 0.02
 
 
-def test_a_decision_needs_no_sample_that_comes_after_its_latency(talk, found):
+@pytest.mark.parametrize(("lookahead", "latency"), [(0.3, 0.52), (0.0, 0.22)])
+def test_a_decision_needs_no_sample_that_comes_after_its_latency(talk, lookahead, latency):
     array = Array(MICROPHONES, FS, ROOM)
-    localizer = SteeredLocalizer(array, SteeredSettings(), np.random.default_rng(0))
-    assert localizer.latency < 0.22
+    localizer = SteeredLocalizer(array, SteeredSettings(lookahead=lookahead), np.random.default_rng(0))
+    assert localizer.latency < latency
     until = round((1.0 + localizer.latency) * FS) + 1
-    decided = localize(talk[:until])
-    np.testing.assert_array_equal(decided[10].positions, found[10].positions)
+    whole, decided = (localize(samples, lookahead=lookahead) for samples in (talk, talk[:until]))
+    np.testing.assert_array_equal(decided[10].positions, whole[10].positions)
+    np.testing.assert_array_equal(decided[10].scores, whole[10].scores)
 
 
 def test_a_stream_that_begins_later_and_a_tail_in_which_nobody_speaks(talk, found):
@@ -250,6 +252,22 @@ def test_a_talker_is_heard_again_in_the_pauses_of_another():
     decisions = localize(noisy(samples, 30, rng))[1:15]
     assert np.mean([(errors([d]) < 0.3).any() for d in decisions]) >= 0.7
     assert np.mean([(errors([d], other) < 0.3).any() for d in decisions]) >= 0.9
+
+
+def test_who_begins_softly_beside_another_is_found_earlier_by_what_comes_after():
+    """At once, the first words of a second talker are too faint; later it is known that somebody is there."""
+    rng = np.random.default_rng(17)
+    other = np.array([3.4, 1.0, 1.7])
+    swells = np.clip(np.arange(round(1.6 * FS)) / FS - 0.4, 0.0, 0.8) ** 2 / 0.64
+    samples = heard(PLACE, voice(1.6, FS, rng), FS, reflection=0.7, order=2)
+    samples += heard(other, swells * voice(1.6, FS, rng), FS, reflection=0.7, order=2)
+    samples = noisy(samples, 20, rng)
+    at_once, later = (
+        [(errors([d], other) < 0.3).any() for d in localize(samples, lookahead=lookahead)] for lookahead in (0.0, 0.3)
+    )
+    assert np.argmax(later) < np.argmax(at_once)
+    assert sum(later) > sum(at_once)
+    assert not any(later[:4])
 
 
 # --- what it must not find --------------------------------------------------------------------------------------------

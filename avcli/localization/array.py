@@ -189,6 +189,11 @@ class Decision:
             machines=np.array([talker.machine for talker in talkers], dtype=np.float64),
         )
 
+    def with_talkers(self, talkers: Sequence[Talker], features: Mapping[str, Feature]) -> "Decision":
+        """Return it with these talkers and what tells them from others."""
+        told = Decision.of(self.time, talkers, self.notices, features, self.faults, self.steady)
+        return replace(told, skipped=self.skipped)
+
     def detections(self, sensor: str = "audio") -> Detections:
         """Return it as what a sensor of this name found."""
         return Detections(

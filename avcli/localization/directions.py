@@ -7,7 +7,7 @@ position whose covariance reaches along the ray as far as the room lets it.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -282,6 +282,10 @@ class DirectionFinder:
 
     def _near(self, trace: Trace, ray: np.ndarray, memory: Memory) -> bool:
         return level_distance(trace.position, self.response.centre + AWAY_M * ray) < memory.reach(trace)
+
+    def talkers_of(self, found: list[Talker], later: Sequence[list[Talker] | None]) -> list[Talker]:
+        """Return a decision's talkers: what comes later does not count here."""
+        return found
 
     def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
         """Return the talkers in the windows around one moment, the most probable first, and remember them.

@@ -54,7 +54,7 @@ class Memory:
 
     def forget(self) -> None:
         """Begin anew, as after a gap in the stream."""
-        self.traces.clear()
+        self.traces = []
         self.levels.clear()
         self.heard = self.heard[:0]
 

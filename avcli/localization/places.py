@@ -1,6 +1,8 @@
 """Where talkers are, decision by decision: peaks of the steered response in metres, their scores and covariances."""
 
-from dataclasses import dataclass
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,20 +18,55 @@ from avcli.localization.srp import SteeredResponse
 from avcli.localization.talkers import Peak, TalkerSearch
 from avcli.localization.windows import Heard
 
+NEAR_M, SOUGHT = 0.2, 0.5
+"""m: how far apart two decisions may place one talker who stands; and the score from which one is looked for in the
+decisions before."""
 _SURE = float(np.log(0.9 / 0.1))
 """Evidence from which a source is surely heard."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A peak, the probability that it is right, what speaks for it (see uncertainty.Law), what both rest on, and its
-    course, see `Trace`."""
+    """A peak and what is known about it.
+
+    Attributes:
+        score: the probability that it is right.
+        evidence: what speaks for it, see uncertainty.Law.
+        peak: the peak.
+        features: what both rest on.
+        course: see `Trace`.
+        after: what the decisions after it tell about it, once they are known.
+    """
 
     score: float
     evidence: float
     peak: Peak
     features: uncertainty.Features
     course: Course
+    after: uncertainty.After | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in one decision by what was heard until then.
+
+    Attributes:
+        time: s.
+        judged: its peaks.
+        heard: the windows around it.
+        noise: what noise does to as many windows.
+        memory: what the decisions before found.
+        fall: see uncertainty.Features.
+        trust: by which its scores are multiplied, see `Health`.
+    """
+
+    time: float
+    judged: list[Judged]
+    heard: Heard
+    noise: NoiseLaw
+    memory: Memory
+    fall: float
+    trust: float
 
 
 class PlaceFinder:
@@ -59,8 +96,8 @@ class PlaceFinder:
         self.outside = False
         self.apart = max(1, round(APART_S * settings.rate))  # decisions between two levels that are compared
 
-    def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
-        """Return the talkers in the windows around one moment, the most probable first, and remember them.
+    def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> Found:
+        """Return what the windows around one moment hold, those peaks first for which most speaks, and remember it.
 
         Args:
             time: s, the moment.
@@ -68,8 +105,10 @@ class PlaceFinder:
             noise: what noise does to as many windows.
             memory: what the decisions before found.
         """
-        peaks = self.talkers.peaks(heard, noise, memory)
-        judged = self.judge(peaks, heard, noise, memory)
+        fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
+        found = Found(time, [], heard, noise, copy.copy(memory), fall, self.health.trust)
+        judged = self.judge(self.talkers.peaks(heard, noise, memory), found)
+        judged.sort(key=lambda one: -one.evidence)
         memory.keep(
             [
                 Trace(
@@ -83,46 +122,99 @@ class PlaceFinder:
                 for one in judged
             ]
         )
-        self.outside = any(one.evidence > _SURE for one in judged[:1] if self.on_the_edge(one.peak.position)[:2].any())
-        return self.report(time, judged, heard, noise)
+        self.outside = any(one.evidence > _SURE for one in judged[:1] if self.beside_a_wall(one.peak))
+        return replace(found, judged=judged)
 
-    def judge(self, peaks: list[Peak], heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Judged]:
-        """Return a decision's peaks with their scores, those first for which most speaks.
+    def talkers_of(self, found: Found, later: Sequence[Found | None]) -> list[Talker]:
+        """Return a decision's talkers, the most probable first, as those after it bear them out.
+
+        A talker of a later decision of whom nothing was found is searched for where he was then.
+
+        Args:
+            found: the decision.
+            later: those after it that are known, one after another; None where nothing was heard.
+        """
+        told = found.judged
+        if later:
+            sought = self.judge(self.sought(found, later), found)
+            known = [self.after(one, found.time, later, sought=False) for one in told]
+            known += [self.after(one, found.time, later, sought=True) for one in sought]
+            told = [
+                replace(
+                    one, score=self.law.borne_out(after, one.features, edge=self.beside_a_wall(one.peak)), after=after
+                )
+                for one, after in zip((*told, *sought), known, strict=True)
+            ]
+        told = [replace(one, score=found.trust * one.score) for one in told]
+        return self.report(found.time, told, found.heard, found.noise)
+
+    def after(self, one: Judged, time: float, later: Sequence[Found | None], *, sought: bool) -> uncertainty.After:
+        """Return what the decisions after one at a time in s tell about a peak of it."""
+        again = [0.0] * len(later)
+        for k, known in enumerate(later):
+            if known is not None:
+                age = known.time - time
+                place, reach = one.peak.position + one.peak.velocity * age, self.reach(age)
+                near = [other for other in known.judged if level_distance(other.peak.position, place) <= reach]
+                again[k] = max((other.score for other in near), default=0.0)
+        return uncertainty.After(one.score, tuple(again), sought)
+
+    def reach(self, age: float) -> float:
+        """Return how far, in m, a talker may seem to have moved in so many s."""
+        return NEAR_M + self.settings.max_speed * age
+
+    def sought(self, found: Found, later: Sequence[Found | None]) -> list[Peak]:
+        """Return the peaks of a decision where talkers of later ones were, of whom nothing was found in it."""
+        peaks = [one.peak for one in found.judged]
+        for known in filter(None, later):
+            near = self.reach(known.time - found.time)
+            for start in (other.peak.position for other in known.judged if other.score >= SOUGHT):
+                if all(level_distance(peak.position, start) > near for peak in peaks):
+                    peak = self.talkers.beside(found.heard, found.noise, peaks, start)
+                    if level_distance(peak.position, start) <= near:
+                        peaks.append(peak)
+        return peaks[len(found.judged) :]
+
+    def judge(self, peaks: Sequence[Peak], found: Found) -> list[Judged]:
+        """Return peaks of a decision with their scores.
 
         Beside a known steady source, which was taken away before, all of them are further ones.
 
         Args:
             peaks: in the order in which they were found.
-            heard: the windows around the moment.
-            noise: what noise does to as many windows.
-            memory: what the decisions before found.
+            found: the decision, with those peaks that were judged before.
         """
-        judged, left, leading = [], memory.traces, 0.5
+        memory, heard, noise = found.memory, found.heard, found.noise
+        judged, left = list(found.judged), memory.traces
+        for one in judged:
+            left = [t for t in left if level_distance(t.position, one.peak.position) >= memory.reach(t)]
+        strongest = judged[0].peak.response / judged[0].features.relative if judged else 0.0
+        leading = next((one.score for one in judged if one.features.first), 0.5)
         of_all = {
             "channels": heard.channels,
             "doubted": float(self.health.doubted.any()),
-            "fall": memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum())),
-            "crowded": float(len(peaks) > self.settings.max_speakers),
+            "fall": found.fall,
+            "crowded": float(len(judged) + len(peaks) > self.settings.max_speakers),
         }
-        for number, peak in enumerate(peaks):
+        for peak in peaks:
             near = [level_distance(trace.position, peak.position) < memory.reach(trace) for trace in left]
             traces = [trace for trace, same in zip(left, near, strict=True) if same]
             left = [trace for trace, same in zip(left, near, strict=True) if not same]
             so_far = _latest(traces).course if traces else Course()
             course, steady = so_far.goes_on(peak.levels, heard.middles, self.apart)
-            first = number == 0 and not len(heard.steady)
+            first = not judged and not len(heard.steady)
+            strongest = strongest or peak.response
             of_one = {
                 "steady": steady,
                 "leading": leading,
-                "relative": peak.response / max(peaks[0].response, 1e-9),
+                "relative": peak.response / max(strongest, 1e-9),
                 "familiar": memory.familiar(peak.position),
             }
             features = self.features(peak, first, traces, noise, of_all | of_one)
-            score = self.law.probability(features, edge=bool(self.on_the_edge(peak.position)[:2].any()))
+            score = self.law.probability(features, edge=self.beside_a_wall(peak))
             leading = score if first else leading
-            score *= self.health.trust
             judged.append(Judged(score, self.law.evidence(features), peak, features, course))
-        return sorted(judged, key=lambda one: -one.evidence)
+        return judged[len(found.judged) :]
 
     def features(
         self, peak: Peak, first: bool, traces: list[Trace], noise: NoiseLaw, more: dict[str, float]
@@ -184,6 +276,10 @@ class PlaceFinder:
         covariance = self.law.covariance(peak.normal, others, judged.features, low, high)
         covariance = covariance + uncertainty.beyond(self.on_the_edge(peak.position))
         return covariance + uncertainty.UNSURE_M**2 * np.eye(3) if self.health.doubted.any() else covariance
+
+    def beside_a_wall(self, peak: Peak) -> bool:
+        """Tell whether the search ended on a side of its volume."""
+        return bool(self.on_the_edge(peak.position)[:2].any())
 
     def on_the_edge(self, position: np.ndarray) -> np.ndarray:
         """Return for each axis (3,) whether a place lies on the edge of the searched volume."""

@@ -46,6 +46,14 @@ class SteeredSettings:
         24, "Number of cells that each level passes to the next, finer one.", unit="N", least=1, only="srp"
     )
     max_speakers: int = setting(2, "Largest number of talkers at one time.", unit="N", least=1, only="srp")
+    lookahead: float = setting(
+        0.3,
+        "Judge each moment by what is heard up to this many seconds later, too; 0: at once.",
+        unit="S",
+        least=0.0,
+        most=2.0,
+        only="srp",
+    )
     max_speed: float = setting(1.6, "Largest walking speed, in m/s.", unit="M/S", least=0.0, only="srp")
     false_alarm: float = setting(
         0.01,

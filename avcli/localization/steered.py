@@ -6,14 +6,15 @@ and one of 0.39 s for rooms that echo; the search over place and velocity lets t
 """
 
 import itertools
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from avcli.formats.features import Feature
 from avcli.localization import directions, uncertainty
-from avcli.localization.array import Array, Decision, Talker, time_steps
+from avcli.localization.array import Array, Decision, time_steps
 from avcli.localization.directions import DirectionFinder, RaySearch
 from avcli.localization.events import Gate
 from avcli.localization.health import Health
@@ -26,7 +27,7 @@ from avcli.localization.srp import SteeredResponse
 from avcli.localization.steady import SteadySources
 from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.voice import VoiceMeter
-from avcli.localization.windows import Band, Correlator, Window, together
+from avcli.localization.windows import Band, Correlated, Correlator, Window, together
 
 UNSETTLED = (
     "channel {} or others are left out most of the time: they are noisy, or their microphones are not where config.json"
@@ -37,6 +38,25 @@ CONTRADICTED = (
     "the channels contradict each other: they fit together much better in another order, with other delays or other"
     " polarities, but not clearly enough to name these; until they do, talkers have lower scores"
 )
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time step that waits for what is heard after it.
+
+    Attributes:
+        step: its number.
+        found: what its windows hold; None: nothing.
+        now: its own window; None: nothing sounds.
+        out: (m,) bool, which channels were left out.
+        decision: what is known of it but the talkers.
+    """
+
+    step: int
+    found: Any
+    now: Correlated | None
+    out: np.ndarray
+    decision: Decision
 
 
 class SteeredLocalizer:
@@ -99,6 +119,7 @@ class SteeredLocalizer:
         self.hop = 1.0 / (settings.rate * self.windows_a_step)
         self.reach = int(np.floor(settings.context / self.hop + 1e-9))
         self.offsets = np.arange(-self.reach, self.reach + 1) * self.hop
+        self.ahead = 0 if compact else int(np.floor(settings.lookahead * settings.rate + 1e-9))  # decisions
         self.gate = Gate(1.0 / self.hop)
         self.steady = SteadySources(self.correlator, response, self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
@@ -116,10 +137,11 @@ class SteeredLocalizer:
     @property
     def latency(self) -> float:
         """How long after the sound left the mouth its decision can be made, s."""
-        return self.delay + 0.5 * self.band.size / self.array.sample_rate + self.reach * self.hop
+        windows = self.delay + 0.5 * self.band.size / self.array.sample_rate + self.reach * self.hop
+        return windows + self.ahead / self.settings.rate
 
     def localize(self, blocks: Iterable[Block], begin: int = 0) -> Iterator[Decision]:
-        """Yield a decision for every time step of a stream, as soon as its last window is complete.
+        """Yield a decision for every time step of a stream, as soon as all is heard that it rests on.
 
         Args:
             blocks: the stream, piece by piece. Time steps are skipped where a block says that others wait behind it.
@@ -135,6 +157,7 @@ class SteeredLocalizer:
         fs, rate = self.array.sample_rate, self.settings.rate
         stream = LatestSamples(begin, len(self.array.microphones))
         windows: dict[int, Window] = {}
+        waiting = deque[Moment]()
         step, tail, skipped = time_steps(begin, 1, fs, rate, 0.0).start, 0.0, 0
         for block in itertools.chain(blocks, [None]):
             if block is not None:
@@ -145,8 +168,22 @@ class SteeredLocalizer:
             while step < last and behind and self._skip(stream, step):
                 step, skipped = step + 1, skipped + 1
             while step < last and not behind and self._cut(stream, windows, step, ended=block is None):
-                yield replace(self.step(step, windows), skipped=skipped)
+                moment = self.step(step, windows)
+                waiting.append(replace(moment, decision=replace(moment.decision, skipped=skipped)))
                 step, skipped = step + 1, 0
+                while waiting and waiting[0].step + self.ahead < step:
+                    yield self.decided(waiting.popleft(), waiting)
+        while waiting:
+            yield self.decided(waiting.popleft(), waiting)
+
+    def decided(self, moment: Moment, later: Sequence[Moment]) -> Decision:
+        """Return the decision about a moment, given those after it."""
+        if moment.found is None or moment.now is None:
+            return moment.decision
+        known = [one.found for one in later if one.step <= moment.step + self.ahead]
+        talkers = self.finder.talkers_of(moment.found, known)
+        features = self.voices.features(moment.now, moment.out, talkers)
+        return moment.decision.with_talkers(talkers, features)
 
     def _skip(self, stream: LatestSamples, step: int) -> bool:
         """Pass over a time step if its last window is complete; tell whether it is."""
@@ -188,14 +225,13 @@ class SteeredLocalizer:
         self.silent += 1
         return Window(None, window.notices)
 
-    def step(self, step: int, windows: dict[int, Window]) -> Decision:
-        """Decide about one time step from the windows around it, by their numbers."""
+    def step(self, step: int, windows: dict[int, Window]) -> Moment:
+        """Find what one time step holds, from the windows around it, by their numbers."""
         middle = step * self.windows_a_step
         around = [windows[middle + i].correlated for i in range(-self.reach, self.reach + 1)]
         time, notices = step / self.settings.rate, list(windows[middle].notices)
-        talkers: list[Talker] = []
-        features: dict[str, Feature] = {}
-        now = around[self.reach]
+        found = None
+        now, out = around[self.reach], self.health.out
         if now is None:
             self.memory.keep([])
         else:
@@ -204,7 +240,7 @@ class SteeredLocalizer:
                 for window, offset in zip(around, self.offsets.tolist(), strict=True)
                 if window is not None
             ]
-            heard = together(sounding, self.health.out)
+            heard = together(sounding, out)
             if heard is None:
                 self.memory.keep([])
                 if self.health.usable < 4:
@@ -212,10 +248,9 @@ class SteeredLocalizer:
             else:
                 if len(self.steady.places):
                     heard = self.steady.beside(heard)
-                talkers = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
+                found = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
                 if self.finder.outside:
                     notices.append("a source is on the edge of the room or outside it")
-            features = self.voices.features(now, self.health.out, talkers)
             self.health.examine(now, [window for window, _ in sounding], self.noise(1).deviation)
             notices += self._news() + self.steady.news()
             if self.health.unsettled and not self.told_unsettled:
@@ -224,7 +259,8 @@ class SteeredLocalizer:
             if self.health.trust < 1.0 and not self.told_contradicted:
                 notices.append(CONTRADICTED)
                 self.told_contradicted = True
-        return Decision.of(time, talkers, notices, features, self.health.faults, self.steady.told)
+        decision = Decision.of(time, notices=notices, faults=self.health.faults, steady=self.steady.told)
+        return Moment(step, found, now, out, decision)
 
     def _news(self) -> list[str]:
         """Return a sentence about each fault of a channel that has not been named yet."""

@@ -4,6 +4,7 @@ What a talker explains is taken away in three ways: by a mask over times and fre
 the direct sound, and by notches where the lags of the first echoes must be.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,6 +104,24 @@ class TalkerSearch:
                 found.append(peak)
             taken.append(peak.path(heard.offsets))
         return found
+
+    def beside(self, heard: Heard, noise: NoiseLaw, peaks: Sequence[Peak], start: np.ndarray) -> Peak:
+        """Return the peak near a start (3,) m, without those that were found before it.
+
+        Args:
+            heard: the windows around the moment.
+            noise: what noise does to as many windows.
+            peaks: those before.
+            start: (3,) m.
+        """
+        explained, gccs = self.masks.explained(heard), heard.gccs
+        taken = [place[None] for place in heard.steady]
+        for peak in peaks:
+            explained = np.maximum(explained, self.masks.coherence(heard, peak.position, peak.velocity))
+            taken.append(peak.path(heard.offsets))
+        if taken or heard.above is not None:
+            gccs = self.left(heard, explained, taken)
+        return self.fitted(gccs, heard, start, noise, explained)[0]
 
     def brightest(self, gccs: np.ndarray, noise: NoiseLaw, threshold: float) -> np.ndarray | None:
         """Return the place (3,) m that answers best; None where a fit could not lift it to the threshold.

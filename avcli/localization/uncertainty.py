@@ -27,6 +27,9 @@ HALFWAY = 400.0
 """The dilution, see `Features`, at which a further peak of somebody is as likely as not within half a metre of him. Of
 those with a score above 0.8 without it, 3 % were wrong, and a third where the dilution was above 20."""
 
+MIDDLE = 2.2
+"""A logit up to which a peak is undecided, see `flattened`."""
+
 NOTHING = -8.0
 """A logit of evidence up to which nothing at all is heard."""
 
@@ -103,6 +106,21 @@ class Features:
 
 
 @dataclass(frozen=True)
+class After:
+    """What is known of a peak once the decisions after it are known.
+
+    Attributes:
+        score: the probability that it is right by what was heard until then.
+        again: for each of these decisions the score of the best peak near it, 0 where there is none.
+        sought: whether it was found only since a talker was there later.
+    """
+
+    score: float
+    again: tuple[float, ...]
+    sought: bool
+
+
+@dataclass(frozen=True)
 class ClosedForm:
     """How far a mean of closed-form solutions may be believed.
 
@@ -132,6 +150,8 @@ class Law:
         score: for the "first" peak and a "further" one, weights of the logit of the probability that it is within half
             a metre (x, y) of a talker, with any array in any room, by the names of `terms`.
         machine: weights of the logit of the probability that a peak is a machine: "one", and how "steady" it sounds.
+        after: for the "first" peak and a "further" one, weights of the logit of that probability once it is known what
+            the decisions after it found, by the names of `after_terms`, and how far it is `flattened`: "middle".
         spread: for each of `PARTS` the weights of its terms.
         widened: logarithms by which parts are wider than `spread` has them: errors have heavier tails than the Gaussian
             that is fitted, and 95 % ellipses shall hold 95 % of them. Empty where `spread` has it in it.
@@ -144,6 +164,7 @@ class Law:
     further: Mapping[str, float]
     score: Mapping[str, Mapping[str, float]]
     machine: Mapping[str, float]
+    after: Mapping[str, Mapping[str, float]]
     spread: Mapping[str, Mapping[str, float]]
     widened: Mapping[str, float]
     memory: float
@@ -177,6 +198,12 @@ class Law:
         values = terms(features, weights, self.evidence(features))
         chance = _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
         return voice * near(features) * chance
+
+    def borne_out(self, after: After, features: Features, *, edge: bool = False) -> float:
+        """Return that probability as it is known by what the decisions after it found (see `probability`)."""
+        weights = self.after["first" if features.first else "further"]
+        logit = flattened(sum(weights[name] * term for name, term in after_terms(after).items()), weights["middle"])
+        return min(_logistic(logit), self.voice(features.steady) * (BEYOND_NEAR if edge else 1.0))
 
     def voice(self, steady: float) -> float:
         """Return the probability that what sounds so steadily, see Features, is no machine."""
@@ -274,6 +301,20 @@ def terms(features: Features, weights: Mapping[str, float], evidence: float = 0.
         "few_support": few * _log(features.support),
     }
     return [value[name] if name in value else _log(getattr(features, name)) for name in weights]
+
+
+def after_terms(after: After) -> dict[str, float]:
+    """Return what the weights of a law's `after` but "middle" are multiplied by."""
+    chance = min(max(after.score, 1e-3), 1.0 - 1e-3)
+    score = float(np.log(chance / (1.0 - chance)))
+    again = float(np.mean(after.again))
+    return {"one": 1.0, "score": score, "doubt": min(score, 0.0), "again": again, "sought": float(after.sought)}
+
+
+def flattened(logit: Any, middle: float) -> Any:
+    """Return logits, numbers or arrays, less `middle` times themselves within `MIDDLE`: undecided peaks are a mixture
+    of a few talkers and many ghosts, whose odds change little there."""
+    return logit - middle * np.clip(logit, -MIDDLE, MIDDLE)
 
 
 def near(features: Features) -> float:

@@ -84,6 +84,7 @@ class Peak:
         sounds: whether its talker sounds at this time.
         together: whether two talkers sound at this time, its own one of them.
         quiet: s since the last word where nobody sounds now or in the next 0.15 s; 0 else.
+        after: what is known afterwards, see uncertainty.After; None at the end of a scene.
     """
 
     given: Given
@@ -96,6 +97,7 @@ class Peak:
     sounds: bool
     together: bool
     quiet: float
+    after: uncertainty.After | None
 
 
 class Witness(PlaceFinder):
@@ -112,7 +114,7 @@ class Witness(PlaceFinder):
         for one in judged:
             if not self.people:
                 self.seen.append(
-                    Peak(self.given, time, one.features, one.score, False, False, False, False, False, 0.0)
+                    Peak(self.given, time, one.features, one.score, False, False, False, False, False, 0.0, one.after)
                 )
                 continue
             right, nearest, error = match(one.peak.position, time, self.people, taken)
@@ -124,7 +126,9 @@ class Witness(PlaceFinder):
             sounds = sounding[nearest]
             together = sum(sounding) > 1 and sounds
             self.seen.append(
-                Peak(self.given, time, one.features, one.score, right, inside, walks, sounds, together, quiet)
+                Peak(
+                    self.given, time, one.features, one.score, right, inside, walks, sounds, together, quiet, one.after
+                )
             )
         return []
 

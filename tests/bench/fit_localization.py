@@ -165,7 +165,8 @@ def peaks(heard: Sequence[Scene], law: uncertainty.Law, *, spread: bool = False)
     """Return the peaks that the localizer finds in each scene with a law."""
     found = []
     for scene in heard:
-        localizer = SteeredLocalizer(scene.array, SteeredSettings(), np.random.default_rng(0), law)
+        settings = SteeredSettings(lookahead=0.0)  # what is fitted here is what is known at once
+        localizer = SteeredLocalizer(scene.array, settings, np.random.default_rng(0), law)
         if not isinstance(localizer.finder, PlaceFinder):
             raise TypeError("the array observes no ranges")
         localizer.finder = witness = Witness(localizer.finder, scene, spread=spread)

@@ -4,10 +4,13 @@
     make fit-scores FIT_FLAGS="--scenes 100 --cache DIR"       # fewer scenes; DIR keeps the simulated ones
     make fit-scores FIT_FLAGS="--only further"                 # the score of further talkers alone
     make fit-scores FIT_FLAGS="--only machine --noises FOLDER" # what tells a machine alone
+    make fit-scores FIT_FLAGS="--only after --noises FOLDER"   # what the decisions after one say about its peaks alone
 
 The scenes are those of array_scenes.py, split "decide", and more of them with four to six microphones, each with its
 array as it is said to be and as people build it. What is remembered of a decision does not depend on the score, so that
-the peaks are the same whatever it is. `make bench-scores` measures the result on the split "judge".
+the peaks are the same whatever it is, except for those that are sought since somebody was there later. What the
+decisions after one say rests on their scores: it is fitted last, to scenes that are heard again. `make bench-scores`
+measures the result on the split "judge".
 """
 
 import json
@@ -102,6 +105,40 @@ def fitted(found: Sequence[Peak], law: uncertainty.Law) -> tuple[uncertainty.Law
     return law, losses
 
 
+def fitted_after(found: Sequence[Peak], law: uncertainty.Law) -> tuple[uncertainty.Law, dict[str, dict[str, float]]]:
+    """Return the law with what the decisions after one say about its peaks, and log losses, on scenes left out."""
+    after, losses = {}, {}
+    for name in TERMS:
+        mine = [one for one in found if one.after and one.features.first == (name == "first")]
+        terms = [uncertainty.after_terms(one.after) for one in mine if one.after]
+        x = np.array([list(term.values()) for term in terms])
+        right, part = np.array([one.right for one in mine]), np.array([one.given.number % PARTS for one in mine])
+        weight = np.array([COUNTS if one.given.act in MACHINES else 1.0 for one in mine])
+        after[name] = dict(zip([*terms[0], "middle"], rounded(undecided(x, right, weight)), strict=True))
+        left_out = np.zeros(len(mine))
+        for k in range(PARTS):
+            here, rest = part == k, part != k
+            *weights, middle = undecided(x[rest], right[rest], weight[rest])
+            left_out[here] = _logistic(uncertainty.flattened(x[here] @ weights, middle))
+        losses[f"{name} after"] = {
+            "peaks": len(mine),
+            "at_once": round(log_loss(right, np.array([one.after.score for one in mine if one.after])), 4),
+            "left_out": round(log_loss(right, left_out), 4),
+        }
+    return replace(law, after=after), losses
+
+
+def undecided(terms: np.ndarray, right: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the weights (k + 1,) of greatest likelihood of terms (n, k), and how far their logit is `flattened`."""
+
+    def loss(values: np.ndarray) -> float:
+        logit = uncertainty.flattened(terms @ values[:-1], values[-1])
+        return float(np.average(np.logaddexp(0.0, np.where(right, -logit, logit)), weights=weight))
+
+    found: np.ndarray = minimize(loss, [*logistic(terms, right, weight), 0.0], method="BFGS").x
+    return found
+
+
 def bounded(terms: np.ndarray, right: np.ndarray, weight: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """Return the weights (k,) of greatest likelihood where a peak is right with `bound` times its logistic chance.
 
@@ -149,16 +186,23 @@ def main() -> None:
     """Fit and write."""
     parser = options_of(__doc__, few=70)
     parser.add_argument("--scenes", type=int, default=150)
-    parser.add_argument("--only", choices=(*TERMS, "machine"), help="write the score of these peaks alone")
+    parser.add_argument("--only", choices=(*TERMS, "machine", "after"), help="write the score of these peaks alone")
     options = parser.parse_args()
     stated = json.loads(FITTED.read_bytes())
     standing = uncertainty.Law.of(stated["law"])
     found, _ = peaks(scenes(options, "decide"), standing)
-    if options.only == "machine":
-        law, told_of_machines = told_apart(found, standing)
+    at_once = [one for one in found if not (one.after and one.after.sought)]
+    if options.only == "after":
+        law, losses = fitted_after(found, standing)
+    elif options.only == "machine":
+        law, told_of_machines = told_apart(at_once, standing)
         losses = {"machine": told_of_machines}
     else:
-        law, losses = fitted(found, standing)
+        law, losses = fitted(at_once, standing)
+        if not options.only:
+            found, _ = peaks(scenes(options, "decide"), law)
+            law, told_after = fitted_after(found, law)
+            losses |= told_after
     told = {
         "command": "tests/bench/fit_scores.py",
         "commit": commit(),
@@ -168,21 +212,25 @@ def main() -> None:
         "split": "decide",
         "arrays": "each as it is said to be, and as people build it",
         "speech": "CMU ARCTIC aew, and the built-in voices",
-        "log_loss": losses if not options.only else {options.only: losses[options.only]},
+        "log_loss": {name: one for name, one in losses.items() if options.only in (None, "after", name)},
     }
     part, origin, at = "score", stated["fitted_on"]["origin"], f"fitted at {told['commit']}, see fitted_on."
     if options.only == "machine":
         part = "score of machines"
         stated["law"]["machine"] = law.machine
         origin["machine"] = at + part
+    elif options.only == "after":
+        part = "score of after"
+        stated["law"]["after"] = law.after
+        origin["after"] = at + part
     elif options.only:
         part = f"score of {options.only}"
         stated["law"]["score"][options.only] = law.score[options.only]
         origin["score"] = f"{origin['score'].partition(';')[0]}; that of {options.only} peaks {at}{part}"
     else:
-        stated["law"] |= {"score": law.score, "machine": law.machine}
+        stated["law"] |= {"score": law.score, "machine": law.machine, "after": law.after}
         stated["fitted_on"] = {name: of for name, of in stated["fitted_on"].items() if not name.startswith("score of")}
-        origin |= dict.fromkeys(["score"] + ["machine"] * ("machine" in losses), at + part)
+        origin |= dict.fromkeys(["score", "after"] + ["machine"] * ("machine" in losses), at + part)
     stated["fitted_on"][part] = told
     print(json.dumps(told, indent=2), file=sys.stderr)
     FITTED.write_text(json.dumps(stated, indent=2) + "\n")
