@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_detection_windows import picture_of
 
-from avcli.detection.bands import LEAST_SCORE, BandedNetwork, is_round, voted
+from avcli.detection.bands import LEAST_SCORE, BandedNetwork, is_round, round_part, voted
 from avcli.detection.detector import Detector
 from avcli.detection.network import PAD, Boxes
 from avcli.detection.settings import Settings
@@ -73,6 +73,21 @@ def test_only_the_band_that_something_touches_is_looked_at_anew():
     assert len(down) == 0
 
 
+def test_a_round_picture_between_margins_is_looked_at_as_one_without_them():
+    image, _ = picture_of(1.0, 80.0)
+    framed = np.pad(image, ((10, 0), (120, 60), (0, 0)))
+    network = Bright()
+    alone = BandedNetwork(network).detect(image)
+    network.looks.clear()
+    regions = np.array([[420.0, 160, 430, 180], [0, 0, 50, 9]])
+    found = BandedNetwork(network, (120, 10, 440, 330)).detect(framed, regions)
+    assert np.allclose(found.boxes - alone.boxes, [120, 10, 120, 10])
+    assert np.allclose(found.parts - alone.parts, [120, 10])
+    (shape, across), _ = network.looks
+    assert shape == (224, 320, 3)
+    assert across.tolist() == [[300, 102, 310, 122]]
+
+
 def lit_disc(level=120, outside=0, size=(240, 240)):
     picture = np.full((size[1], size[0], 3), outside, np.uint8)
     return cv2.circle(picture, (size[0] // 2, size[1] // 2), min(size) // 2, (level, level, level), -1)
@@ -94,6 +109,24 @@ def lit_disc(level=120, outside=0, size=(240, 240)):
 )
 def test_a_round_picture_is_square_with_dark_corners(picture, answer):
     assert is_round(picture) == answer
+
+
+@pytest.mark.parametrize(
+    ("picture", "part"),
+    [
+        (lit_disc(), (0, 0, 240, 240)),
+        (lit_disc(size=(426, 240)), (93, 0, 334, 240)),
+        (lit_disc(outside=PAD, size=(320, 240)), (40, 0, 281, 240)),
+        (lit_disc(outside=9, size=(1920, 1080)), (420, 0, 1504, 1080)),
+        (np.full((240, 426, 3), 120, np.uint8), None),
+        (lit_disc(0, size=(426, 240)), None),
+        (lit_disc(outside=120, size=(426, 240)), None),
+    ],
+)
+def test_a_round_picture_is_found_between_margins_that_the_lens_does_not_light(picture, part):
+    found = round_part(picture)
+    assert (found is None) == (part is None)
+    assert part is None or np.allclose(found, part, atol=0.02 * picture.shape[1])
 
 
 def test_the_own_network_looks_at_bands_of_round_pictures_unless_a_size_is_given():

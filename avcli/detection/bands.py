@@ -33,18 +33,51 @@ OUTSIDE, DARK, DARKER, DARK_SHARE = 0.65, 40, 0.6, 0.75
 than a level and than a part of the median of the inner picture, or has the grey of what the lens does not light."""
 
 
+MARGIN = 0.97
+"""Least share of a row or a column beside a round picture that the lens does not light."""
+
+Part = tuple[int, int, int, int]
+"""(left, top, right, bottom) px of a part of a picture."""
+
+
+def _unlit(picture: np.ndarray) -> tuple[np.ndarray, int]:
+    """What the lens does not light (h, w) bool of a picture (height, width, 3) uint8, and of which step it is, px."""
+    step = max(min(picture.shape[:2]) // 256, 1)
+    some = picture[::step, ::step]
+    level = some.max(axis=2)
+    dark = min(DARK, DARKER * float(np.median(level[_away(level.shape) < 0.4])))
+    return (level < dark) | (some == PAD).all(axis=2), step
+
+
+def _away(shape: tuple[int, ...]) -> np.ndarray:
+    """Distances (h, w) from the middle of a picture, as parts of its size."""
+    v, u = np.ogrid[: shape[0], : shape[1]]
+    return np.hypot((u + 0.5) / shape[1] - 0.5, (v + 0.5) / shape[0] - 0.5)
+
+
 def is_round(picture: np.ndarray) -> bool:
     """Whether a picture (height, width, 3) uint8 is about square, with corners that the lens does not light."""
     height, width = picture.shape[:2]
     if max(height, width) > ROUND * min(height, width) or min(height, width) < FEWEST_PX:
         return False
-    some = picture[:: max(height // 256, 1), :: max(width // 256, 1)]
-    level = some.max(axis=2)
-    v, u = np.ogrid[: level.shape[0], : level.shape[1]]
-    away = np.hypot((u + 0.5) / level.shape[1] - 0.5, (v + 0.5) / level.shape[0] - 0.5)
-    dark = min(DARK, DARKER * float(np.median(level[away < 0.4])))
-    unlit = (level < dark) | (some == PAD).all(axis=2)
-    return bool(unlit[away > OUTSIDE].mean() >= DARK_SHARE)
+    unlit, _ = _unlit(picture)
+    return bool(unlit[_away(unlit.shape) > OUTSIDE].mean() >= DARK_SHARE)
+
+
+def round_part(picture: np.ndarray) -> Part | None:
+    """The round picture in a picture (height, width, 3) uint8: all of it, or what unlit margins leave, or None."""
+    height, width = picture.shape[:2]
+    if is_round(picture):
+        return 0, 0, width, height
+    if min(height, width) < FEWEST_PX:
+        return None
+    unlit, step = _unlit(picture)
+    lit = [np.flatnonzero(unlit.mean(axis=axis) < MARGIN) for axis in (0, 1)]
+    if not all(map(len, lit)):
+        return None
+    (left, right), (top, bottom) = ((int(one[0]) * step, int(one[-1] + 1) * step) for one in lit)
+    part = left, top, min(right, width), min(bottom, height)
+    return part if is_round(picture[top:bottom, left:right]) else None
 
 
 class BandedNetwork:
@@ -52,10 +85,11 @@ class BandedNetwork:
 
     Args:
         network: that has learnt from wide pictures (`Network.learnt_wide`).
+        part: where the round picture is, None for all of a picture.
     """
 
-    def __init__(self, network: Network):
-        self.confidence, self._iou = network.confidence, network.iou
+    def __init__(self, network: Network, part: Part | None = None):
+        self.confidence, self._iou, self._part = network.confidence, network.iou, part
         length = max(network.size)
         self._bands = [network.resized((length, round(BREADTH * length))) for _ in range(2)]
         for band in self._bands:
@@ -65,12 +99,18 @@ class BandedNetwork:
         """Find the people in a picture, as `Network.detect`."""
         import cv2
 
+        corner = np.zeros(2, int)
+        if self._part is not None:
+            left, top, right, bottom = self._part
+            picture, corner = picture[top:bottom, left:right], np.array([left, top])
         height, width = picture.shape[:2]
+        if regions is not None:
+            regions = _inside(regions - np.tile(corner, 2), width, height)
         across = self._look(0, picture, regions)
         if regions is not None:
             regions = np.column_stack([regions[:, 1], width - regions[:, 2], regions[:, 3], width - regions[:, 0]])
         down = self._look(1, cv2.rotate(picture, cv2.ROTATE_90_COUNTERCLOCKWISE), regions)
-        found = voted(across, _turned_back(down, width), (width, height))
+        found = _moved(voted(across, _turned_back(down, width), (width, height)), corner)
         kept = suppress(found.boxes, found.scores, self._iou)
         return found.take(kept[found.scores[kept] >= self.confidence][:MOST])
 
@@ -79,18 +119,27 @@ class BandedNetwork:
         height, width = picture.shape[:2]
         margin = max((height - round(BREADTH * width)) // 2, 0)
         if regions is not None:
-            low, high = regions[:, :2] - [0, margin], regions[:, 2:] - [0, margin]
-            inside = np.concatenate([np.maximum(low, 0), np.minimum(high, [width, height - 2 * margin])], axis=1)
-            regions = inside[(inside[:, 2:] > inside[:, :2]).all(axis=1)]
+            regions = _inside(regions - [0, margin, 0, margin], width, height - 2 * margin)
         found = self._bands[number].detect(picture[margin : height - margin], regions)
-        corner = np.array([0, margin])
-        parts = None if found.parts is None else found.parts + corner
-        return Boxes(found.boxes + np.tile(corner, 2), found.scores, parts)
+        return _moved(found, np.array([0, margin]))
+
+
+def _inside(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
+    """What a picture of this size, px, shows of boxes (n, 4); those of which it shows nothing are left out."""
+    seen = np.concatenate([np.maximum(boxes[:, :2], 0), np.minimum(boxes[:, 2:], [width, height])], axis=1)
+    return seen[(seen[:, 2:] > seen[:, :2]).all(axis=1)]
+
+
+def _moved(found: Boxes, corner: np.ndarray) -> Boxes:
+    """People of a part of a picture, whose corner (2,) px is given, in px of the picture."""
+    parts = None if found.parts is None else found.parts + corner
+    return Boxes(found.boxes + np.tile(corner, 2), found.scores, parts)
 
 
 def suited(network: Network, picture: np.ndarray) -> Network | BandedNetwork:
-    """The bands of a network that has `learnt_wide` where a picture (height, width, 3) is round, else the network."""
-    return BandedNetwork(network) if network.learnt_wide and is_round(picture) else network
+    """The bands of a network that has `learnt_wide` if a picture (height, width, 3) holds a round one, else itself."""
+    part = round_part(picture) if network.learnt_wide else None
+    return network if part is None else BandedNetwork(network, part)
 
 
 def _turned_back(found: Boxes, width: int) -> Boxes:
