@@ -73,11 +73,11 @@ def of_others(
         yield "others" if len(made.boxes) else "empty", made
 
 
-def of_photographs(folder: Path, seed: int) -> Iterator[tuple[str, Sample]]:
-    """Yield photographs of people in ever new positions (photographs.py)."""
+def of_photographs(folder: Path, seed: int, worlds: Path | None) -> Iterator[tuple[str, Sample]]:
+    """Yield photographs of people in ever new positions (photographs.py), half of them in random worlds."""
     from photographs import Photographs
 
-    photographs = Photographs(folder, seed)
+    photographs = Photographs(folder, seed, worlds)
     while True:
         yield "photographs", photographs()
 
@@ -100,7 +100,7 @@ def start_drawing(options: argparse.Namespace, seed: int) -> list:
     if options.worlds:
         tasks.append((of_worlds, options.worlds, np.random.default_rng(seed), options.memory))
     if options.photographs:
-        tasks.append((of_photographs, options.photographs, seed))
+        tasks.append((of_photographs, options.photographs, seed, options.worlds))
     spawn = multiprocessing.get_context("spawn")  # since OpenGL and CUDA do not outlive a fork
     queues = [spawn.Queue(16) for _ in tasks]
     for made, task in zip(queues, tasks, strict=True):
