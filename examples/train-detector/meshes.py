@@ -371,7 +371,7 @@ def posed(body: Figure, bones: Skeleton, k: int) -> np.ndarray:
 
 
 def somebody(rng: np.random.Generator, place: np.ndarray, seat: float | None = None) -> Person:
-    """Somebody at a place (2,) m, who walks, stands, sits or does something; on a seat, who looks where it does (rad)."""
+    """Somebody at a place (2,) m, who walks, stands, sits or does something, or looks from a `seat` (rad)."""
     height = float(np.clip(rng.normal(1.70, 0.12), 1.1, 2.0))
     kind, turn = rng.random(), rng.uniform(0, 2 * np.pi)
     postures = sorted(POSTURES)

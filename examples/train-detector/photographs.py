@@ -224,7 +224,7 @@ class Photographs:
         out[y0:y1, x0:x1] = _seen(path, made, scale, (x1 - x0, y1 - y0), border)
 
         def moved(points: np.ndarray) -> np.ndarray:
-            return _moved(made, points) + [x0, y0]
+            return _moved(made, points) + np.array([x0, y0])
 
         rows = []
         for one in people:

@@ -108,8 +108,8 @@ def start_drawing(options: argparse.Namespace, seed: int) -> list:
     return queues
 
 
-def gathered(queues: list, memories: dict[str, Memory], least: int, each: int = 3) -> None:
-    """Take what has been drawn into memory, and wait for it while a kind has fewer than `least` pictures."""
+def gathered(queues: list, memories: dict[str, Memory], least: int, each: int) -> None:
+    """Take into memory at most `each` pictures of a source, and wait while a kind has fewer than `least`."""
     until = time.monotonic() + 120
     while True:
         for made in queues:
@@ -242,7 +242,7 @@ def learn(options: argparse.Namespace, device: torch.device) -> None:
         if options.keep and training.progress >= kept / options.keep:
             training.keep(kept)
             kept += 1
-        gathered(queues, memories, 4)
+        gathered(queues, memories, 4, max(1, options.batch // 32))
         # Rooms in which nobody is seen by mistake teach nothing more, so that these are drawn by what is seen there.
         drawn = {kind: memory.drawn(counts[kind], 1.0 if kind == "empty" else 0.5) for kind, memory in memories.items()}
         parts = [memories[kind].of(numbers) for kind, numbers in drawn.items()]

@@ -128,7 +128,8 @@ def world(
         artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, None, 2, context, dressed)
     if dress:
         rooms = (_photograph(rng, backdrops, view) for _ in times) if photographed else [drawn_room()]
-        yield from _with_meshes(rng, scene, rooms, view, effects, times, Painter(context), dress, furniture or [], chairs)
+        painter, known = Painter(context), furniture or []
+        yield from _with_meshes(rng, scene, rooms, view, effects, times, painter, dress, known, chairs)
         return
     bodies, greyed = pose(scene.people, times), rng.random() < GREYED
     drawn = artist.prepare(bodies)
@@ -290,7 +291,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=2000, help="worlds")
     parser.add_argument("--seed", type=int, default=1_000_000, help="of the first world")
-    parser.add_argument("--each", type=int, default=6, help="pictures of a world with people; a third of an empty world")
+    parser.add_argument("--each", type=int, default=6, help="pictures of a world; a third of them of an empty one")
     parser.add_argument("--empty", type=float, default=0.4, help="share of worlds without people")
     parser.add_argument("--seated", type=float, default=0.0, help="share of worlds made rooms with people at tables")
     parser.add_argument("--panels", type=float, default=0.0, help="share of worlds in which something large hangs")
@@ -324,8 +325,9 @@ def main() -> None:
         empty, people = bool(rng.random() < options.empty), int(rng.integers(1, 9))
         try:
             drawn = world(
-                seed, people, max(1, options.each // 3) if empty else options.each, context, seated=options.seated, panels=options.panels,
-                circles=options.round, chairs=options.chairs, empty=empty, dress=dress, furniture=furniture, backdrops=backdrops,
+                seed, people, max(1, options.each // 3) if empty else options.each, context, seated=options.seated,
+                panels=options.panels, circles=options.round, chairs=options.chairs, empty=empty, dress=dress,
+                furniture=furniture, backdrops=backdrops,
             )  # fmt: skip
             samples = list(drawn)
         except scenario.ScenarioError:
