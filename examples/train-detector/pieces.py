@@ -2,10 +2,10 @@
 
 The furniture of avsim-scene is made of boxes, so that a network that has seen nothing else takes chairs, screens and
 shelves of real rooms for people. FOLDER holds models in any folders below it (COLLADA, Wavefront, glTF), which are no
-part of this project. Those of the shipped networks:
+part of this project. The shipped network has seen those of the first line, no other ones:
 
-    github.com/aws-robotics/aws-robomaker-small-house-world, -hospital-world, -bookstore-world, -small-warehouse-world:
-        MIT-0
+    github.com/aws-robotics/aws-robomaker-small-house-world and -hospital-world: MIT-0
+    github.com/aws-robotics/aws-robomaker-bookstore-world and -small-warehouse-world: MIT-0
     github.com/open-rmf/rmf_demos, rmf_demos_assets/models: Apache-2.0
     Poly Haven's furniture as github.com/RobotLocomotion/drake keeps it: CC0
 
