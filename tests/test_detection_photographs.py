@@ -61,3 +61,27 @@ def test_people_are_where_the_labels_say_in_every_position(folder):
                 assert head @ foot < 0  # the torso is between them
             seen += 1
     assert seen > 8
+
+
+def test_who_is_cut_out_and_put_into_a_world_is_where_the_labels_say(folder, tmp_path):
+    from generate import Sample
+    from photographs import Photographs
+    from worlds import write
+
+    nothing = np.zeros((0, 4)), np.zeros((0, 3, 2)), np.zeros((0, 2)), np.zeros(0)
+    ground = np.full((400, 640, 3), 40, np.uint8)
+    write([Sample(ground, *nothing, np.zeros((400, 640), np.uint8))], tmp_path / "10.npz")
+    photographs, seen, hidden = Photographs(folder, 3, tmp_path), 0, 0
+    while seen < 20:
+        sample = photographs()
+        if sample.picture.shape != ground.shape:
+            continue  # side by side
+        for box, anchor, visible in zip(sample.boxes, sample.anchors, sample.visible, strict=True):
+            x0, y0, x1, y1 = box.astype(int)
+            inside = sample.picture[y0:y1, x0:x1].max(axis=2)
+            assert inside.size
+            assert ((box >= 0) & (box <= [640, 400, 640, 400])).all()
+            assert sample.picture[tuple(anchor.astype(int)[::-1])].max() > 60
+            hidden += visible < 0.9
+            seen += 1
+    assert 2 < hidden < 18

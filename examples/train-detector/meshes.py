@@ -30,7 +30,7 @@ from avcli.detection.monocular import PART_HEIGHTS
 from avcli.detection.view import View
 from avcli.scene.motion import Motion
 from avcli.scene.person import Person
-from avcli.scene.postures import LOADS, POSTURES
+from avcli.scene.postures import LOADS, POSTURES, SEATED
 from avcli.scene.skeleton import Skeleton, skeleton
 
 BODY = 13380
@@ -370,16 +370,18 @@ def posed(body: Figure, bones: Skeleton, k: int) -> np.ndarray:
     return out
 
 
-def somebody(rng: np.random.Generator, place: np.ndarray) -> Person:
-    """Somebody at a place (2,) m, who walks, stands, sits or does something."""
+def somebody(rng: np.random.Generator, place: np.ndarray, seat: float | None = None) -> Person:
+    """Somebody at a place (2,) m, who walks, stands, sits or does something, or looks from a `seat` (rad)."""
     height = float(np.clip(rng.normal(1.70, 0.12), 1.1, 2.0))
     kind, turn = rng.random(), rng.uniform(0, 2 * np.pi)
     postures = sorted(POSTURES)
     name = postures[rng.integers(len(postures))] if kind > 0.65 else ("sit" if kind > 0.55 else "stand")
+    if seat is not None:
+        kind, name, turn = 1.0, SEATED[rng.integers(len(SEATED))], seat + rng.normal(0, 0.2)
     walks = 10.0 * (rng.uniform(0.4, 1.8) if kind < 0.4 else 0.0)
     way = np.array([np.cos(turn), np.sin(turn)])
     places = place + np.array([[-0.5], [0.5]]) * walks * way
-    motion = Motion(np.array([0.0, 10.0]), places, np.full(2, turn), np.full(2, name == "sit"), height, (name, name))
+    motion = Motion(np.array([0.0, 10.0]), places, np.full(2, turn), np.full(2, name in SEATED), height, (name, name))
     carries = str(rng.choice(sorted(LOADS))) if kind < 0.55 and rng.random() < 0.25 else None
     speech = np.array([[0.0, 10.0]]) if rng.random() < 0.4 else np.empty((0, 2))
     return Person(int(rng.integers(1000)), motion, random_look(rng, height), height, speech, carries=carries)

@@ -73,11 +73,11 @@ def of_others(
         yield "others" if len(made.boxes) else "empty", made
 
 
-def of_photographs(folder: Path, seed: int) -> Iterator[tuple[str, Sample]]:
-    """Yield photographs of people in ever new positions (photographs.py)."""
+def of_photographs(folder: Path, seed: int, worlds: Path | None) -> Iterator[tuple[str, Sample]]:
+    """Yield photographs of people in ever new positions (photographs.py), half of them in random worlds."""
     from photographs import Photographs
 
-    photographs = Photographs(folder, seed)
+    photographs = Photographs(folder, seed, worlds)
     while True:
         yield "photographs", photographs()
 
@@ -100,7 +100,7 @@ def start_drawing(options: argparse.Namespace, seed: int) -> list:
     if options.worlds:
         tasks.append((of_worlds, options.worlds, np.random.default_rng(seed), options.memory))
     if options.photographs:
-        tasks.append((of_photographs, options.photographs, seed))
+        tasks.append((of_photographs, options.photographs, seed, options.worlds))
     spawn = multiprocessing.get_context("spawn")  # since OpenGL and CUDA do not outlive a fork
     queues = [spawn.Queue(16) for _ in tasks]
     for made, task in zip(queues, tasks, strict=True):
@@ -108,8 +108,8 @@ def start_drawing(options: argparse.Namespace, seed: int) -> list:
     return queues
 
 
-def gathered(queues: list, memories: dict[str, Memory], least: int, each: int = 3) -> None:
-    """Take what has been drawn into memory, and wait for it while a kind has fewer than `least` pictures."""
+def gathered(queues: list, memories: dict[str, Memory], least: int, each: int) -> None:
+    """Take into memory at most `each` pictures of a source, and wait while a kind has fewer than `least`."""
     until = time.monotonic() + 120
     while True:
         for made in queues:
@@ -242,7 +242,7 @@ def learn(options: argparse.Namespace, device: torch.device) -> None:
         if options.keep and training.progress >= kept / options.keep:
             training.keep(kept)
             kept += 1
-        gathered(queues, memories, 4)
+        gathered(queues, memories, 4, max(1, options.batch // 32))
         # Rooms in which nobody is seen by mistake teach nothing more, so that these are drawn by what is seen there.
         drawn = {kind: memory.drawn(counts[kind], 1.0 if kind == "empty" else 0.5) for kind, memory in memories.items()}
         parts = [memories[kind].of(numbers) for kind, numbers in drawn.items()]

@@ -87,6 +87,7 @@ def world(
     seated: float = 0.0,
     panels: float = 0.0,
     circles: float = 0.0,
+    chairs: float = 0.0,
     empty: bool = False,
     dress: Sequence[Dress] = (),
     furniture: list[Piece] | None = None,
@@ -96,7 +97,8 @@ def world(
 
     An `empty` one is furnished for its people, who are not there. With `dress` the people are meshes, and with
     backdrops half of their rooms photographed. A share of `seated` are rooms with tables at which people sit, in a
-    share of `panels` something large hangs near the camera, a share of `circles` more than else are round pictures.
+    share of `panels` something large hangs near the camera, a share of `circles` more than else are round pictures, a
+    share of `chairs` of the furniture are chairs.
     """
     rng = np.random.default_rng([seed, 17])
     kind = str(rng.choice(TABLES)) if rng.random() < seated else None
@@ -126,7 +128,8 @@ def world(
         artist = render.Renderer(camera, scene.config.room.dimensions, scene.solids, None, 2, context, dressed)
     if dress:
         rooms = (_photograph(rng, backdrops, view) for _ in times) if photographed else [drawn_room()]
-        yield from _with_meshes(rng, scene, rooms, view, effects, times, Painter(context), dress, furniture or [])
+        painter, known = Painter(context), furniture or []
+        yield from _with_meshes(rng, scene, rooms, view, effects, times, painter, dress, known, chairs)
         return
     bodies, greyed = pose(scene.people, times), rng.random() < GREYED
     drawn = artist.prepare(bodies)
@@ -155,21 +158,23 @@ def _photograph(rng: np.random.Generator, backdrops: Backdrops, view: View) -> t
 
 
 def _with_meshes(
-    rng, scene, rooms: Iterable, view: View, effects: Effects, times, painter, dress, furniture
+    rng, scene, rooms: Iterable, view: View, effects: Effects, times, painter, dress, furniture, chairs
 ) -> Iterator[Sample]:
     """Empty rooms, the last for all that follow, with other people in each picture."""
     greyed = rng.random() < GREYED
-    lens, source, seen_room = scene.config.camera.lens, iter(rooms), None
+    lens, source = scene.config.camera.lens, iter(rooms)
     for t in times.tolist():
         if (new := next(source, None)) is not None:
-            seen_room = new
+            bare = new
+        if new is not None or not scene.people:  # nobody's room is furnished anew for each picture
+            room, depth, sat = *bare, np.zeros((0, 3))
             if furniture:
-                places = free_floor(rng, scene, view, new[1], int(rng.integers(2, 14)))
-                seen_room = furnish(rng, painter, furniture, *new, view, places)
-        room, depth = seen_room
+                places = free_floor(rng, scene, view, depth, int(rng.integers(2, 14)))
+                room, depth, sat = furnish(rng, painter, furniture, *bare, view, places, chairs)
         people = [one for one in scene.people if rng.random() < 0.8]
         if scene.people:
             people += [somebody(rng, place) for place in free_floor(rng, scene, view, depth, int(rng.integers(0, 4)))]
+            people += [somebody(rng, place[:2], place[2]) for place in sat if rng.random() < 0.35]
         painted, owner, seen = paint_people(rng, painter, dress, room, depth, view, people, t)
         picture = (np.clip(painted, 0, 1) * 255).astype(np.uint8)
         picture = sensor.expose(picture, effects, (lens.cx, lens.cy), rng, t)
@@ -259,16 +264,26 @@ def write(samples: list[Sample], path: Path) -> None:
     os.replace(new, path)
 
 
+def _sample(data, k: int) -> Sample:
+    picture = cv2.imdecode(data[f"picture{k}"], cv2.IMREAD_COLOR)[..., ::-1]
+    people = np.unpackbits(data[f"people{k}"])[: picture.shape[0] * picture.shape[1]]
+    return Sample(
+        picture, data[f"boxes{k}"], data[f"parts{k}"], data[f"anchors{k}"], data[f"visible{k}"],
+        people.reshape(picture.shape[:2]),
+    )  # fmt: skip
+
+
 def read(path: Path) -> Iterator[Sample]:
     """Read the pictures that `write` wrote."""
     with np.load(path) as data:
         for k in range(int(data["count"])):
-            picture = cv2.imdecode(data[f"picture{k}"], cv2.IMREAD_COLOR)[..., ::-1]
-            people = np.unpackbits(data[f"people{k}"])[: picture.shape[0] * picture.shape[1]]
-            yield Sample(
-                picture, data[f"boxes{k}"], data[f"parts{k}"], data[f"anchors{k}"], data[f"visible{k}"],
-                people.reshape(picture.shape[:2]),
-            )  # fmt: skip
+            yield _sample(data, k)
+
+
+def read_one(rng: np.random.Generator, path: Path) -> Sample:
+    """Read one of the pictures that `write` wrote."""
+    with np.load(path) as data:
+        return _sample(data, int(rng.integers(int(data["count"]))))
 
 
 def main() -> None:
@@ -276,7 +291,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=2000, help="worlds")
     parser.add_argument("--seed", type=int, default=1_000_000, help="of the first world")
-    parser.add_argument("--each", type=int, default=6, help="pictures of a world with people; one of an empty world")
+    parser.add_argument("--each", type=int, default=6, help="pictures of a world; a third of them of an empty one")
     parser.add_argument("--empty", type=float, default=0.4, help="share of worlds without people")
     parser.add_argument("--seated", type=float, default=0.0, help="share of worlds made rooms with people at tables")
     parser.add_argument("--panels", type=float, default=0.0, help="share of worlds in which something large hangs")
@@ -284,6 +299,7 @@ def main() -> None:
     parser.add_argument("--makehuman", type=Path, help="folder of MakeHuman's files (meshes.py)")
     parser.add_argument("--avatars", type=Path, help="folder of avatars (avatars.py), half of all beside --makehuman")
     parser.add_argument("--pieces", type=Path, help="with either, folder of furniture as meshes (pieces.py)")
+    parser.add_argument("--chairs", type=float, default=0.0, help="share of the furniture as meshes that are chairs")
     parser.add_argument("--panoramas", type=Path, help="with either, photographs all round (backdrops.py)")
     options = parser.parse_args()
     if options.pieces and not (options.makehuman or options.avatars):
@@ -309,8 +325,9 @@ def main() -> None:
         empty, people = bool(rng.random() < options.empty), int(rng.integers(1, 9))
         try:
             drawn = world(
-                seed, people, 1 if empty else options.each, context, seated=options.seated, panels=options.panels,
-                circles=options.round, empty=empty, dress=dress, furniture=furniture, backdrops=backdrops,
+                seed, people, max(1, options.each // 3) if empty else options.each, context, seated=options.seated,
+                panels=options.panels, circles=options.round, chairs=options.chairs, empty=empty, dress=dress,
+                furniture=furniture, backdrops=backdrops,
             )  # fmt: skip
             samples = list(drawn)
         except scenario.ScenarioError:
