@@ -201,8 +201,10 @@ class Law:
 
     def borne_out(self, after: After, features: Features, *, edge: bool = False) -> float:
         """Return that probability as it is known by what the decisions after it found (see `probability`)."""
-        weights = self.after["first" if features.first else "further"]
-        logit = flattened(sum(weights[name] * term for name, term in after_terms(after).items()), weights["middle"])
+        weights, terms = self.after["first" if features.first else "further"], after_terms(after)
+        logit = flattened(
+            sum(weight * terms[name] for name, weight in weights.items() if name in terms), weights["middle"]
+        )
         return min(_logistic(logit), self.voice(features.steady) * (BEYOND_NEAR if edge else 1.0))
 
     def voice(self, steady: float) -> float:
