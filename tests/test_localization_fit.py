@@ -95,3 +95,39 @@ def test_the_logistic_fit_finds_the_weights_that_made_the_data():
     assert found == pytest.approx(weights, abs=0.1)
     fitted = 1.0 / (1.0 + np.exp(-terms @ found))
     assert fit_localization.log_loss(right, fitted) <= fit_localization.log_loss(right, chance)
+
+
+@pytest.mark.parametrize("peak", ["first", "further"])
+def test_a_peak_is_the_likelier_the_surer_it_and_what_comes_after_it_are(peak):
+    law = uncertainty.fitted_law()
+    loss = FITTED_ON["score of after"]["log_loss"][f"{peak} after"]
+    assert loss["peaks"] > 20000
+    assert loss["left_out"] < 0.95 * loss["at_once"]
+    chances = np.linspace(0.0, 1.0, 21)
+    told = np.array(
+        [
+            [
+                law.borne_out(uncertainty.After(score, (again,) * 3, False), _features(peak == "first"))
+                for again in chances
+            ]
+            for score in chances
+        ]
+    )
+    assert ((told > 0.0) & (told < 1.0)).all()
+    assert (np.diff(told, axis=0) >= 0.0).all()
+    assert (np.diff(told, axis=1) >= 0.0).all()
+    assert told[10, 0] < 0.5 < told[10, -1]
+
+
+def test_what_is_certainly_a_machine_and_what_is_beside_a_wall_stay_so_afterwards():
+    law, sure = uncertainty.fitted_law(), uncertainty.After(0.99, (0.99, 0.99), False)
+    assert law.borne_out(sure, _features(True)) > 0.95
+    assert law.borne_out(sure, _features(True), edge=True) <= uncertainty.BEYOND_NEAR
+    hum = replace(_features(True), steady=3.0)
+    assert law.borne_out(sure, hum) <= law.voice(3.0) < 0.1
+
+
+def _features(first):
+    numbers = (2.0, 0.5, 0.8, 0.0, 0.0), (0.0, 0.5, 1.0, 0.0, 1.0), (1.0, 2.0, 0.0, 8.0, 0.0, 0.0)
+    still = np.zeros(3)
+    return uncertainty.Features(*numbers[0], first, *numbers[1], still, 0.003, still, still, still, *numbers[2])
