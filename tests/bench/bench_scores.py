@@ -298,13 +298,17 @@ def figures(found: Sequence[Peak], spoken: Sequence[Spoken], law: uncertainty.La
         mine = [one for one in found if one.features.first == first]
         score, right = np.array([one.score for one in mine]), np.array([one.right for one in mine])
         built = np.array([one.given.misplaced > 0.0 for one in mine])
-        evidence = np.array([law.evidence(one.features) for one in mine])
+        at_once = [one for one in mine if not (one.after and one.after.sought)]
+        evidence = np.array([law.evidence(one.features) for one in at_once])
+        known = np.array([one.after.score if one.after else one.score for one in at_once])
+        were = np.array([one.right for one in at_once])
         told[name] = {
             "peaks": len(mine),
             **counted(score, right),
             "said_places": counted(score[~built], right[~built]),
             "as_built": counted(score[built], right[built]),
-            "evidence": counted(1.0 / (1.0 + np.exp(-np.clip(evidence, -30.0, 30.0))), right),
+            "evidence": counted(1.0 / (1.0 + np.exp(-np.clip(evidence, -30.0, 30.0))), were),
+            "at_once": counted(known, were),
             "bins": reliability(mine, score),
         }
     reported = [one for one in found if one.score >= 0.5]
@@ -342,11 +346,13 @@ A bin counts where it has {LEAST} peaks of {RUNS} scenes; its true share may be 
         text += f"""
 ## {what}
 
-{one["peaks"]} peaks. Before is the score that knew no array but a ring of eight, the evidence of today.
+{one["peaks"]} peaks. Before is the score that knew no array but a ring of eight, the evidence of today; at once,
+what is said of those that are found before later decisions are known.
 
 | | log loss | over {SURE} | of these wrong | reported, .5 or more | of these right |
 | --- | ---: | ---: | ---: | ---: | ---: |
 {_counts("before", one["evidence"])}
+{_counts("at once", one["at_once"])}
 {_counts("now", one)}
 {_counts("now, places as said", one["said_places"])}
 {_counts("now, as built", one["as_built"])}
