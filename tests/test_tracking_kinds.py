@@ -159,6 +159,24 @@ def test_turning_and_moving_the_world_turns_and_moves_the_result(at, target, ang
     np.testing.assert_allclose(other[1][1][0, 0], whole @ cov @ whole.T, atol=0.02)
 
 
+@given(places, places, st.sampled_from(["floor", "space", "range"]))
+@settings(max_examples=60, deadline=None)
+def test_who_exchanges_x_and_y_gets_the_same_result(at, target, shows):
+    """The cubature points lie alike along both axes, however long the covariance is across them."""
+    if math.dist(at, target) < 0.3:
+        return
+    model, there, swap = sensor("a"), np.array(target) + 0.1, [1, 0, 3, 2]
+    person, other = people(there), people(there[::-1])
+    person.cov[..., :2, :2] = [[0.3, 0.1], [0.1, 0.05]]
+    other.cov[..., :2, :2] = [[0.05, 0.1], [0.1, 0.3]]
+    other.mean[..., 2:] = (0.1, 0.2)
+    one = looked(detections(0.0, (*at, 2.0), [(*target, 1.1)], shows=shows), person, model)
+    two = looked(detections(0.0, (*at[::-1], 2.0), [(*target[::-1], 1.1)], shows=shows), other, model)
+    assert two[0] == pytest.approx(one[0], rel=1e-6, abs=1e-12)
+    np.testing.assert_allclose(two[1][0][0, 0][swap], one[1][0][0, 0], atol=1e-6)
+    np.testing.assert_allclose(two[1][1][0, 0][np.ix_(swap, swap)], one[1][1][0, 0], atol=1e-6)
+
+
 @pytest.mark.parametrize("shows", ["floor", "space", "range"])
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (1e-9, 0.0), (0.0, 0.05), (4.0, 0.0)])
 @pytest.mark.parametrize("sd", [1e-9, 0.05, 3.0])

@@ -216,18 +216,18 @@ def view(partial: Partial, people: Densities, sensor: Sensor, hold: np.ndarray) 
     spread = (
         weight[..., None] * (people.cov[..., :2, :2] + loose[..., None, None] * EYE2 + away * away.swapaxes(2, 3))
     ).sum(1)
-    l11 = np.sqrt(spread[:, 0, 0])
-    l21 = spread[:, 0, 1] / l11
-    l22 = np.sqrt(np.maximum(spread[:, 1, 1] - l21**2, 1e-9))
-    step, zero = ROOT3 * np.array([l11, l21, l22]), np.zeros(len(l11))
-    high = np.full(len(l11), ROOT3 * sensor.height_sd)
-    axes = np.array([[step[0], step[1], zero], [zero, step[2], zero], [zero, zero, high]]).transpose(2, 0, 1)
+    # Along the columns of the symmetric root: who mirrors the floor or turns it by 90 degrees finds the same points.
+    xx, xy, yy = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+    area = np.sqrt(np.maximum(xx * yy - xy**2, 1e-9 * (xx + yy)))
+    root = (spread + area[:, None, None] * EYE2) / np.sqrt(xx + yy + 2 * area)[:, None, None]
+    axes = np.zeros((len(root), 3, 3))
+    axes[:, :2, :2], axes[:, 2, 2] = ROOT3 * root, ROOT3 * sensor.height_sd
     middle = np.column_stack([centre, np.full(len(centre), sensor.height)])
     points = np.concatenate([middle[:, None] + axes, middle[:, None] - axes], 1)  # (n, 6, 3)
     columns = partial.columns()
     seen = [_shown(partial, j, middle, points, sensor.height) for j in columns]
-    residual = np.array([one[0] for one in seen]).reshape(len(columns), len(l11), 2)
-    shown = np.array([one[1] for one in seen]).reshape(len(columns), len(l11), 6, 2)
+    residual = np.array([one[0] for one in seen]).reshape(len(columns), len(root), 2)
+    shown = np.array([one[1] for one in seen]).reshape(len(columns), len(root), 6, 2)
     mean = shown.mean(2)
     slope = (shown[:, :, :3] - shown[:, :, 3:]) / (2 * ROOT3)  # (J, n, 3, 2): along each axis, one standard deviation
     outer = slope[..., None] * slope[..., None, :]
@@ -238,8 +238,7 @@ def view(partial: Partial, people: Densities, sensor: Sensor, hold: np.ndarray) 
     noise += (partial.sd[columns] ** 2)[:, None, None, None] * EYE2
     dims = np.array([partial.dims(j) for j in columns], int)
     noise[dims == 1, :, 1, 1], noise[dims == 1, :, 0, 1], noise[dims == 1, :, 1, 0] = 1.0, 0.0, 0.0
-    first = slope[:, :, 0] / l11[:, None] - slope[:, :, 1] * (l21 / (l11 * l22))[:, None]
-    jacobian = np.stack([first, slope[:, :, 1] / l22[:, None]], -1)
+    jacobian = slope[:, :, :2].swapaxes(-1, -2) @ np.linalg.inv(root)
     number = {j: k for k, j in enumerate(columns)}
     return View(number, position, loose, centre, residual - mean, jacobian, noise, dims)
 
