@@ -148,6 +148,11 @@ def stocked(rng: np.random.Generator) -> Piece:
                 boxes.append(((x + wide / 2, 0, z + tall * 0.55), (0.35 * wide, back + 0.004, 0.2 * tall), label))
                 x += wide
             x += rng.uniform(0, 0.15) * (rng.random() < 0.3)
+    return _boxes(boxes)
+
+
+def _boxes(boxes: list[tuple]) -> Piece:
+    """Boxes of a centre, half of a size, and a colour each."""
     centre, half, colours = (np.array(one, float) for one in zip(*boxes, strict=True))
     # Each face has corners of its own, so that edges stay sharp in the light.
     faces = np.concatenate([np.roll([[s, a, b] for a, b in _AROUND], k, axis=1) for k in range(3) for s in (-1, 1)])
@@ -157,6 +162,128 @@ def stocked(rng: np.random.Generator) -> Piece:
     vertices = centre[:, None] + half[:, None] * faces
     triangles = np.arange(len(boxes))[:, None, None] * 24 + two
     return Piece(vertices.reshape(-1, 3), triangles.reshape(-1, 3), np.repeat(colours, 24, axis=0))
+
+
+def _soft(rng: np.random.Generator, at, half, colour: np.ndarray, turn: float = 0.0) -> Piece:
+    """A coat or a bag: a lump of half a size (3,) with dents, about a place `at`, not below the floor."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    waves = np.cos(ball.vertices @ rng.normal(0, 3, (3, 6)) + rng.uniform(0, 2 * np.pi, 6)).sum(axis=1)
+    vertices = np.asarray(ball.vertices) * half * (1 + 0.1 * waves[:, None])
+    c, s = np.cos(turn), np.sin(turn)
+    vertices = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + at
+    vertices[:, 2] = np.maximum(vertices[:, 2], 0)
+    return Piece(vertices, ball.faces, np.clip(colour * (1 + 0.06 * waves[:, None]), 0, 1))
+
+
+def _together(parts: list[Piece]) -> Piece:
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+    return Piece(*(np.concatenate(one) for one in (
+        [part.vertices for part in parts], triangles, [part.colours for part in parts])))  # fmt: skip
+
+
+def _cloth(rng: np.random.Generator) -> np.ndarray:
+    """A colour, half of the time a dark one."""
+    return rng.uniform(0.02, 0.15) * np.ones(3) if rng.random() < 0.5 else rng.uniform(0.05, 0.95, 3)
+
+
+def _things(rng: np.random.Generator, count: int, length: float, depth: float, z: float) -> list[tuple]:
+    """Boxes that lie about on a board at a height z."""
+    half = rng.uniform(0.02, 0.17, (count, 3)) * [1, 1, 0.8]
+    spots = rng.uniform(-0.45, 0.45, (count, 2)) * [length, depth]
+    return [((*spot, z + size[2]), size, _cloth(rng)) for spot, size in zip(spots, half, strict=True)]
+
+
+def _workbench(rng: np.random.Generator) -> list[Piece]:
+    long, deep, high = rng.uniform(0.9, 2.4), rng.uniform(0.5, 0.9), rng.uniform(0.7, 1.0)
+    board = rng.uniform(0.1, 0.9) * np.array([1, rng.uniform(0.7, 1), rng.uniform(0.4, 1)])
+    tiles = np.linspace(-0.5, 0.5, 9)[:-1] + 1 / 16
+    boxes = [((x * long, 0, high - 0.02), (long / 16, deep / 2, 0.02), board) for x in tiles]
+    legs = [(x * long, y * deep, high / 2) for x in (-0.47, 0.47) for y in (-0.45, 0.45)]
+    boxes += [(leg, (0.03, 0.03, high / 2), board / 2) for leg in legs]
+    boxes += _things(rng, int(rng.integers(4, 30)), long, deep, high)
+    if rng.random() < 0.5:  # a board above its back, with things, too
+        z = high + rng.uniform(0.3, 0.6)
+        boxes += [((x * long, 0.4 * deep, z), (long / 16, 0.12, 0.012), board) for x in tiles]
+        raised = _things(rng, int(rng.integers(2, 15)), long, 0.2, z)
+        boxes += [((at[0], at[1] + 0.4 * deep, at[2]), size, colour) for at, size, colour in raised]
+    bags = [_soft(rng, (rng.uniform(-0.4, 0.4) * long, 0, high + 0.1), rng.uniform(0.08, 0.2, 3), _cloth(rng))]
+    return [_boxes(boxes), *bags[: int(rng.integers(2))]]
+
+
+def _cartons(rng: np.random.Generator) -> list[Piece]:
+    boxes: list[tuple] = []
+    kraft = np.array([0.7, 0.52, 0.34]) if rng.random() < 0.6 else _cloth(rng)
+    for _ in range(int(rng.integers(1, 5))):
+        spot, z = rng.uniform(-0.5, 0.5, 2), 0.0
+        for _ in range(int(rng.integers(1, 5))):
+            half, tape = rng.uniform(0.12, 0.3, 3), rng.uniform(0.3, 0.9) * np.ones(3)
+            at = (*(spot + rng.normal(0, 0.03, 2)), z + half[2])
+            boxes += [(at, half, kraft * rng.uniform(0.7, 1.2)), (at, (half[0] + 0.003, 0.03, half[2] + 0.003), tape)]
+            z += 2 * half[2]
+    return [_boxes(boxes)]
+
+
+def _printer(rng: np.random.Generator) -> list[Piece]:
+    wide, deep, tall = rng.uniform(0.2, 0.35), rng.uniform(0.2, 0.35), rng.uniform(0.12, 0.5)
+    low = rng.choice([0.0, rng.uniform(0.3, 0.8)])
+    case = rng.choice([0.1, 0.35, 0.8]) * rng.uniform(0.7, 1.1) * np.ones(3)
+    other = case * 0.3 if case[0] > 0.3 else _cloth(rng)
+    z = low + 2 * tall
+    boxes = [
+        ((0, 0, low + tall), (wide, deep, tall), case),
+        ((0, 0.2 * deep, z + 0.03), (0.9 * wide, 0.7 * deep, 0.03), other),
+        ((0, -0.8 * deep, z + 0.02), (0.3 * wide, 0.15 * deep, 0.03), _cloth(rng)),
+        ((0, -deep, low + tall), (0.7 * wide, rng.uniform(0.02, 0.2), 0.02), rng.uniform(0.5, 0.95) * np.ones(3)),
+    ]  # fmt: skip
+    if low:
+        boxes.append(((0, 0, low / 2), (1.2 * wide, 1.2 * deep, low / 2), rng.uniform(0.1, 0.9, 3)))
+    return [_boxes(boxes)]
+
+
+def _bin(rng: np.random.Generator) -> list[Piece]:
+    radius, high, colour = rng.uniform(0.12, 0.3), rng.uniform(0.25, 0.95), _cloth(rng)
+    made = trimesh.creation.cylinder(radius, high, sections=int(rng.choice([4, 24])))
+    vertices = np.asarray(made.vertices) + np.array([0, 0, high / 2])
+    inside = _soft(rng, (0, 0, high), (0.85 * radius, 0.85 * radius, rng.uniform(0.02, 0.2)), _cloth(rng))
+    return [Piece(vertices, made.faces, np.tile(colour, (len(vertices), 1))), inside]
+
+
+def _bags(rng: np.random.Generator) -> list[Piece]:
+    high = rng.choice([0.0, rng.uniform(0.4, 1.2)])
+    parts = [_boxes([((0, 0, high / 2), (0.3, 0.3, high / 2), rng.uniform(0.1, 0.9, 3))])] if high else []
+    for _ in range(int(rng.integers(1, 4))):
+        half = rng.uniform(0.1, 0.3, 3)
+        parts.append(_soft(rng, (*rng.normal(0, 0.15, 2), high + half[2]), half, _cloth(rng)))
+    return parts
+
+
+def _coat_stand(rng: np.random.Generator) -> list[Piece]:
+    high, colour = rng.uniform(1.5, 1.9), rng.uniform(0.05, 0.8) * np.ones(3)
+    boxes = [((0, 0, z), (0.02, 0.02, 0.1), colour) for z in np.arange(0.1, high, 0.2)]
+    boxes += [((0, 0, 0.02), (0.25, 0.02, 0.02), colour), ((0, 0, 0.02), (0.02, 0.25, 0.02), colour)]
+    parts = [_boxes(boxes)]
+    for turn in rng.uniform(0, 2 * np.pi, int(rng.integers(0, 5))):
+        long = rng.uniform(0.2, 0.5)
+        at = np.array([0.15 * np.cos(turn), 0.15 * np.sin(turn), high - 0.1 - long])
+        parts.append(_soft(rng, at, (rng.uniform(0.06, 0.13), rng.uniform(0.12, 0.24), long), _cloth(rng), turn))
+    return parts
+
+
+def clutter(rng: np.random.Generator) -> Piece:
+    """What lies and stands about in a workroom, of plain shapes."""
+    makers = (_workbench, _workbench, _cartons, _printer, _bin, _bags, _coat_stand)
+    return _together(makers[rng.integers(len(makers))](rng))
+
+
+def _coat(rng: np.random.Generator, chair: Piece) -> Piece:
+    """What hangs over a chair's back or lies on its seat."""
+    level = chair.vertices[:, 2] / chair.vertices[:, 2].max()
+    if rng.random() < 0.7:
+        half, shown = rng.uniform([0.06, 0.18, 0.15], [0.12, 0.3, 0.35]), level > 0.75
+    else:
+        half, shown = rng.uniform(0.1, 0.2, 3), (level > 0.3) & (level < 0.5)
+    return _soft(rng, chair.vertices[shown].mean(axis=0), half, _cloth(rng), chair.front or 0.0)
 
 
 def _changed(rng: np.random.Generator, piece: Piece, turn: float | None = None) -> Piece:
@@ -210,6 +337,8 @@ def furnish(
     def seat(chair: Piece, at: np.ndarray, turn: float | None = None) -> None:
         made = _changed(rng, chair, turn)
         put(made, np.append(at, 0.0))
+        if rng.random() < 0.25:
+            put(_coat(rng, made), np.append(at, 0.0))
         sat.append([*at, made.front])
 
     # Small ones and those of the size of a person come most often, high ones never below the camera.
@@ -222,6 +351,9 @@ def furnish(
             continue
         if rng.random() < 0.3 * seats and np.hypot(*(place - view.origin[:2])) > 1.2:
             put(_changed(rng, stocked(rng)), np.append(place, 0.0))
+            continue
+        if rng.random() < 0.6 * seats:
+            put(_changed(rng, clutter(rng)), np.append(place, 0.0))
             continue
         if chairs and rng.random() < seats:
             seat(chairs[rng.integers(len(chairs))], place)

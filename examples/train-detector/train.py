@@ -242,7 +242,7 @@ def learn(options: argparse.Namespace, device: torch.device) -> None:
         if options.keep and training.progress >= kept / options.keep:
             training.keep(kept)
             kept += 1
-        gathered(queues, memories, 4, max(1, options.batch // 32))
+        gathered(queues, memories, 4, max(1, options.batch // 8))
         # Rooms in which nobody is seen by mistake teach nothing more, so that these are drawn by what is seen there.
         drawn = {kind: memory.drawn(counts[kind], 1.0 if kind == "empty" else 0.5) for kind, memory in memories.items()}
         parts = [memories[kind].of(numbers) for kind, numbers in drawn.items()]
