@@ -7,8 +7,8 @@ position whose covariance reaches along the ray as far as the room lets it.
 """
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -18,9 +18,11 @@ from avcli.localization import correlation
 from avcli.localization.array import Array, Ray, Talker
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.modulation import APART_S, Course, Levels
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import interpolated
+from avcli.localization.uncertainty import After, after_terms, flattened
 from avcli.localization.windows import Heard
 
 TIMED_M = 0.005
@@ -35,8 +37,8 @@ NEAREST_M, SPACING, DEFOCUS_M = 0.4, np.radians(2.5), 0.01
 PLACED_M = 0.001
 """m: how well the places of the microphones are known."""
 
-APART = np.radians(25.0)
-"""rad: the least angle between two talkers."""
+APART, NEAR_M = np.radians(25.0), 0.2
+"""rad: the least angle between two talkers; and m across AWAY_M: how far apart two decisions may see one who stands."""
 
 AWAY_M = 2.0
 """m: where along its ray a direction is remembered."""
@@ -80,21 +82,38 @@ class DirectionLaw:
     """What was fitted: see `fitted_law`.
 
     Attributes:
-        first, further: weights of the logit of the probability that a direction is right: a constant, and of the
-            logarithms of the response over the largest of noise and of the agreement, and of what was there before.
-        spread: weights of the logarithm of a factor on the standard deviation that the curvature of the response gives:
-            a constant ("one") and the logarithm of the agreement.
+        first, further: weights of the logit of the probability that a direction is right, by the names of
+            `Bearing.terms`.
+        after: for the "first" and a "further" one, weights of that logit once it is known what the decisions after it
+            found, as of an `uncertainty.Law`.
+        spread: weights of the logarithm of a factor on the standard deviation that the curvature of the response gives,
+            likewise.
         sharpness: logarithm of a range's likelihood over its response, in standard deviations of a GCC of noise.
     """
 
     first: Mapping[str, float]
     further: Mapping[str, float]
+    after: Mapping[str, Mapping[str, float]]
     spread: Mapping[str, float]
     sharpness: float
 
+    def probability(self, terms: Mapping[str, float], *, first: bool) -> float:
+        """Return the probability that a direction is right by what was heard until then."""
+        return _logistic(self.logit(terms, first=first))
+
     def logit(self, terms: Mapping[str, float], *, first: bool) -> float:
-        """Return the logit of the probability that a direction is right."""
+        """Return the logit of that probability."""
         return sum(weight * terms[name] for name, weight in (self.first if first else self.further).items())
+
+    def own(self, terms: Mapping[str, float], *, first: bool) -> float:
+        """Return that logit without what was remembered."""
+        return self.logit({**terms, "before": 0.0}, first=first)
+
+    def borne_out(self, after: After, *, first: bool) -> float:
+        """Return that probability as it is known by what the decisions after it found."""
+        weights, terms = self.after["first" if first else "further"], after_terms(after)
+        logit = sum(weight * terms[name] for name, weight in weights.items() if name in terms)
+        return _logistic(float(flattened(logit, weights["middle"])))
 
 
 @cache
@@ -216,16 +235,45 @@ class Bearing:
         gcc: (pairs, lags) in which it was found.
         curvature: (2, 2) 1/rad², see RaySearch.refined.
         response: there.
-        terms: what the weights of a DirectionLaw are multiplied by.
+        coherence: (windows, bins) of it, see `Masks.coherence`.
+        terms: what the weights of a DirectionLaw are multiplied by. "one" is a constant. Of these the logarithms count:
+            "agreement", of the pairs, each cut off at three standard deviations of noise; "coherence", mean over times
+            and frequencies, 1 where the channels agree; "narrow" and "wide", the curvatures over the deviation of
+            noise; "own", the share of the coherence that is not better on a direction before it;
+            "size", of the array, see RaySearch. "strongest" is the best window's response over their mean, "few" the
+            share of the delays that a place uses up, from 1 with four channels to 0 with many, and "before" what is
+            remembered.
         first: whether it is the decision's first.
+        score: the probability that it is right, and a voice.
+        course: how steadily it sounded so far.
+        voice: the probability that what sounds so steadily is a voice.
     """
 
     ray: np.ndarray
     gcc: np.ndarray
     curvature: np.ndarray
     response: float
+    coherence: np.ndarray
     terms: dict[str, float]
     first: bool
+    score: float = 0.0
+    course: Course = field(default_factory=Course)
+    voice: float = 1.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in one decision by what was heard until then.
+
+    Attributes:
+        time: s.
+        bearings: in the order in which they were found.
+        noise: what noise does to as many windows.
+    """
+
+    time: float
+    bearings: list[Bearing]
+    noise: NoiseLaw
 
 
 class DirectionFinder:
@@ -235,60 +283,105 @@ class DirectionFinder:
         settings: see SteeredSettings.
         response, masks: of the array.
         law: see DirectionLaw.
+        voice: returns the probability that what sounds so steadily is a voice, see `uncertainty.Law.voice`.
     """
 
     outside = False  # along a ray there is always a place in the room
 
-    def __init__(self, settings: SteeredSettings, response: RaySearch, masks: Masks, law: DirectionLaw):
-        self.settings, self.response, self.masks, self.law = settings, response, masks, law
+    def __init__(
+        self,
+        settings: SteeredSettings,
+        response: RaySearch,
+        masks: Masks,
+        law: DirectionLaw,
+        voice: Callable[[float], float],
+    ):
+        self.settings, self.response, self.masks, self.law, self.voice = settings, response, masks, law, voice
         self.mirror = _mirror(response.microphones)
+        self.levels = Levels(masks.correlator.band, masks.array.sample_rate)
+        self.apart = max(1, round(APART_S * settings.rate))  # decisions between two levels that are compared
 
     def bearings(self, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Bearing]:
         """Return the directions that are answered better than noise would, each without those before it."""
         found: list[Bearing] = []
         explained = self.masks.explained(heard)
-        gcc, free = heard.gccs.mean(axis=0), np.ones(len(self.response.rays), bool)
+        gccs, free = heard.gccs, np.ones(len(self.response.rays), bool)
         for away in heard.steady - self.response.centre:
             free &= self.response.rays @ (away / np.linalg.norm(away)) < np.cos(APART)
         begin = len(heard.steady)
         for number in range(begin, begin + self.settings.max_speakers):
             if number or heard.above is not None:
-                gcc = self.masks.masked(heard, explained).mean(axis=0)
-            values = np.where(free, self.response.responses(gcc), -np.inf)
+                gccs = self.masks.masked(heard, explained)
+            values = np.where(free, self.response.responses(gccs.mean(axis=0)), -np.inf)
             threshold = noise.threshold(self.settings.candidate if number else self.settings.false_alarm)
             if not free.any() or values.max() * 1.5 < threshold:
                 break
-            ray, distance, curvature, response = self.response.refined(gcc, self.response.rays[int(np.argmax(values))])
-            place = self.response.centre + ray * distance
-            coherence = self.masks.coherence(heard, place, np.zeros(3))
-            own = float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12))
-            explained = np.maximum(explained, coherence)
-            free &= self.response.rays @ ray < np.cos(APART)
-            if self.mirror is not None:
-                free &= self.response.rays @ _mirrored(ray, self.mirror) < np.cos(APART)
-            if response < threshold:
+            one = self.fitted(gccs, heard, self.response.rays[int(np.argmax(values))], noise, explained, number == 0)
+            explained = np.maximum(explained, one.coherence)
+            for ray in self.images(one.ray):
+                free &= self.response.rays @ ray < np.cos(APART)
+            if one.response < threshold:
                 break
-            at_lag = interpolated(gcc, self.response.lags(place[None]) + self.response.half_lags)[:, 0]
-            agreement = max(float(np.clip(at_lag / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.02)
-            terms = {
-                "one": 1.0,
-                "response": float(np.log(max(response / noise.location, 1e-3))),
-                "agreement": float(np.log(agreement)),
-                "own": float(np.log(max(own, 1e-3))),
-                "before": max((t.lasting for t in memory.traces if self._near(t, ray, memory)), default=0.0, key=abs),
-            }
-            found.append(Bearing(ray, gcc, curvature, response, terms, number == 0))
+            found.append(self.remembered(one, heard, memory))
         return found
+
+    def remembered(self, one: Bearing, heard: Heard, memory: Memory) -> Bearing:
+        """Return a bearing with its score, by what the decisions before tell of it, too."""
+        near = [trace for trace in memory.traces if self._near(trace, one.ray, memory)]
+        terms = one.terms | {"before": max((trace.lasting for trace in near), default=0.0, key=abs)}
+        course = min(near, key=lambda trace: trace.age).course if near else Course()
+        course, steady = course.goes_on(self.levels(one.coherence, heard.power), heard.middles, self.apart)
+        voice = self.voice(steady)
+        score = voice * self.law.probability(terms, first=one.first)
+        return replace(one, terms=terms, score=score, course=course, voice=voice)
+
+    def fitted(
+        self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray, first: bool
+    ) -> Bearing:
+        """Fit a direction to the GCCs (windows, pairs, lags) that those before leave.
+
+        Args:
+            gccs: see above.
+            heard: the windows around the moment.
+            start: (3,) unit vector.
+            noise: what noise does to as many windows.
+            explained: (windows, bins) the coherence of the directions before.
+            first: whether there are none.
+        """
+        gcc = gccs.mean(axis=0)
+        ray, distance, curvature, response = self.response.refined(gcc, start)
+        place = self.response.centre + ray * distance
+        at_lag = interpolated(gcc, self.response.lags(place[None]) + self.response.half_lags)[:, 0]
+        each = [self.response.response(one, place[None])[0] for one in gccs]
+        coherence = self.masks.coherence(heard, place, np.zeros(3))
+        own = float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12))
+        whole = self.masks.correlator.band.weight.mean() * max(heard.channels - 1.0, 1.0)
+        wide, narrow = np.linalg.eigvalsh(curvature) / noise.deviation
+        logarithms = {
+            "agreement": max(float(np.clip(at_lag / (3.0 * noise.deviation), -1.0, 1.0).mean()), 0.02),
+            "coherence": max(float(coherence.mean()) / whole, 3e-3),
+            "narrow": max(narrow, 1e-3),
+            "wide": max(wide, 1e-3),
+            "own": max(own, 1e-3),
+            "size": self.response.size,
+        }
+        terms = {name: float(np.log(value)) for name, value in logarithms.items()} | {
+            "one": 1.0,
+            "strongest": min(float(max(each) / max(np.mean(each), 0.1 * noise.deviation)), 3.0),
+            "few": min(3.0 / max(heard.channels - 1.0, 3.0), 1.0),
+        }
+        return Bearing(ray, gcc, curvature, response, coherence, terms, first)
+
+    def images(self, ray: np.ndarray) -> list[np.ndarray]:
+        """Return a direction, and its mirror image where that is heard alike."""
+        return [ray] if self.mirror is None else [ray, _mirrored(ray, self.mirror)]
 
     def _near(self, trace: Trace, ray: np.ndarray, memory: Memory) -> bool:
-        return level_distance(trace.position, self.response.centre + AWAY_M * ray) < memory.reach(trace)
+        places = [self.response.centre + AWAY_M * image for image in self.images(ray)]
+        return min(level_distance(trace.position, place) for place in places) < memory.reach(trace)
 
-    def talkers_of(self, found: list[Talker], later: Sequence[list[Talker] | None]) -> list[Talker]:
-        """Return a decision's talkers: what comes later does not count here."""
-        return found
-
-    def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
-        """Return the talkers in the windows around one moment, the most probable first, and remember them.
+    def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> Found:
+        """Return the directions in the windows around one moment, and remember them.
 
         Args:
             time: s, the moment.
@@ -297,38 +390,63 @@ class DirectionFinder:
             memory: what the decisions before found.
         """
         found = self.bearings(heard, noise, memory)
-        logits = [self.law.logit(one.terms, first=one.first) for one in found]
         memory.keep(
             [
                 Trace(
                     self.response.centre + AWAY_M * one.ray,
                     np.zeros(3),
-                    memory.kept * one.terms["before"] + (1.0 - memory.kept) * float(np.clip(logit, -4.0, 2.0) + 2.4),
+                    memory.kept * one.terms["before"]
+                    + (1.0 - memory.kept) * float(np.clip(self.law.own(one.terms, first=one.first), -4.0, 2.0) + 2.4),
+                    course=one.course,
                 )
-                for one, logit in zip(found, logits, strict=True)
+                for one in found
             ]
         )
-        talkers: list[Talker] = []
-        for one, logit in zip(found, logits, strict=True):
-            score = 1.0 / (1.0 + float(np.exp(-np.clip(logit, -30.0, 30.0))))
-            if score >= self.settings.min_score:
-                talkers += self.told(one, score, noise)
+        return Found(time, found, noise)
+
+    def talkers_of(self, found: Found, later: Sequence[Found | None]) -> list[Talker]:
+        """Return a decision's talkers, the most probable first, as those after it bear them out.
+
+        Args:
+            found: the decision.
+            later: those after it that are known, one after another; None where nothing was heard.
+        """
+        told = found.bearings
+        if later:
+            borne_out = [self.law.borne_out(self.after(one, found.time, later), first=one.first) for one in told]
+            told = [replace(one, score=min(score, one.voice)) for one, score in zip(told, borne_out, strict=True)]
+        told = [one for one in told if one.score >= self.settings.min_score]
+        talkers = [talker for one in told for talker in self.told(one, found.noise)]
         return sorted(talkers, key=lambda talker: -talker.score)
 
-    def told(self, one: Bearing, score: float, noise: NoiseLaw) -> list[Talker]:
+    def after(self, one: Bearing, time: float, later: Sequence[Found | None]) -> After:
+        """Return what the decisions after one at a time in s tell about a direction of it."""
+        again = [0.0] * len(later)
+        for k, known in enumerate(later):
+            if known is not None:
+                reach = NEAR_M + self.settings.max_speed * (known.time - time)
+                near = [
+                    other.score
+                    for other in known.bearings
+                    if any(AWAY_M * np.hypot(*(other.ray - ray)[:2]) <= reach for ray in self.images(one.ray))
+                ]
+                again[k] = max(near, default=0.0)
+        return After(one.score, tuple(again), sought=False)
+
+    def told(self, one: Bearing, noise: NoiseLaw) -> list[Talker]:
         """Return a bearing as a talker, and as two of half the score where a mirror image is as good.
 
         An image above or below the talker says no more than that the height is unknown.
         """
         if self.mirror is None:
-            return [self.talker(one, [one.ray], score, noise)]
+            return [self.talker(one, [one.ray], one.score, noise)]
         other = _mirrored(one.ray, self.mirror)
         reach = self.response.stretch(other[None])[0]
         if other @ one.ray > np.cos(APART) or reach[1] < reach[0] + 0.3:
-            return [self.talker(one, [one.ray], score, noise)]
+            return [self.talker(one, [one.ray], one.score, noise)]
         if abs(self.mirror[2]) > np.cos(APART):
-            return [self.talker(one, [one.ray, other], score, noise)]
-        return [self.talker(one, [ray], 0.5 * score, noise) for ray in (one.ray, other)]
+            return [self.talker(one, [one.ray, other], one.score, noise)]
+        return [self.talker(one, [ray], 0.5 * one.score, noise) for ray in (one.ray, other)]
 
     def talker(self, one: Bearing, rays: list[np.ndarray], score: float, noise: NoiseLaw) -> Talker:
         """Return a talker in one of some directions, with the middle of where along them he may be."""
@@ -344,12 +462,11 @@ class DirectionFinder:
             told = Ray(self.response.centre, flat, float(sideways / level))
         else:
             told = Ray(self.response.centre, ray, float(np.sqrt(0.5 * (turned[0, 0] + turned[1, 1]))))
-        return Talker(position, covariance, score, told)
+        return Talker(position, covariance, score, told, machine=1.0 - one.voice)
 
     def across(self, one: Bearing, noise: NoiseLaw) -> np.ndarray:
         """Return the covariance (2, 2) rad² of a direction along `tangents`."""
-        weights = self.law.spread
-        factor = np.exp(2.0 * (weights["one"] + weights["agreement"] * one.terms["agreement"]))
+        factor = np.exp(2.0 * sum(weight * one.terms[name] for name, weight in self.law.spread.items()))
         turned = factor * noise.deviation * np.linalg.inv(one.curvature + 0.02 * noise.deviation * np.eye(2))
         turned = turned + (PLACED_M / self.response.size) ** 2 * np.eye(2)
         return 0.5 * (turned + turned.T)
@@ -418,6 +535,10 @@ def _mirror(microphones: np.ndarray) -> np.ndarray | None:
     across = np.cross(axes[0], [0.0, 0.0, 1.0])  # a line hears a cone alike; its mirror image on the floor is told
     length = float(np.linalg.norm(across))
     return across / length if length > 1e-6 else None
+
+
+def _logistic(logit: float) -> float:
+    return 1.0 / (1.0 + float(np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 def _mirrored(ray: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -109,7 +109,7 @@ class SteeredLocalizer:
         masks = Masks(array, self.correlator)
         self.finder: PlaceFinder | DirectionFinder
         if isinstance(response, RaySearch):
-            self.finder = DirectionFinder(settings, response, masks, directions.fitted_law())
+            self.finder = DirectionFinder(settings, response, masks, directions.fitted_law(), self.law.voice)
         else:
             self.finder = PlaceFinder(array, settings, response, masks, self.health, self.law)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
@@ -119,7 +119,7 @@ class SteeredLocalizer:
         self.hop = 1.0 / (settings.rate * self.windows_a_step)
         self.reach = int(np.floor(settings.context / self.hop + 1e-9))
         self.offsets = np.arange(-self.reach, self.reach + 1) * self.hop
-        self.ahead = 0 if compact else int(np.floor(settings.lookahead * settings.rate + 1e-9))  # decisions
+        self.ahead = int(np.floor(settings.lookahead * settings.rate + 1e-9))  # decisions
         self.gate = Gate(1.0 / self.hop)
         self.steady = SteadySources(self.correlator, response, self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))

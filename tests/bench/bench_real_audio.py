@@ -11,7 +11,7 @@ import argparse
 import importlib.util
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -101,24 +101,104 @@ def azimuth_error(direction: np.ndarray, true: np.ndarray) -> float:
     return float(np.degrees(abs(np.angle(np.exp(1j * turn)))))
 
 
+@dataclass
+class Both:
+    """What was found in the frames in which two loudspeakers speak.
+
+    Attributes:
+        frames: how many there were.
+        found, told: method -> how many of the loudspeakers were found, and how many were told.
+        scores, right: of every detection.
+    """
+
+    frames: int = 0
+    found: dict[str, int] = field(default_factory=dict)
+    told: dict[str, int] = field(default_factory=dict)
+    scores: list[float] = field(default_factory=list)
+    right: list[bool] = field(default_factory=list)
+
+    def note(self, method: str, errors: np.ndarray) -> np.ndarray:
+        """Note the errors (k, 2) in degrees, or in shares of what is right, of k directions; return which are right.
+
+        Each loudspeaker is found once.
+        """
+        right = np.zeros(len(errors), bool)
+        for number in np.argsort(errors.min(axis=1)) if len(errors) else []:
+            nearest = int(errors[number].argmin())
+            right[number] = errors[number, nearest] < RIGHT_DEG and nearest not in errors[right].argmin(axis=1)
+        self.found[method] = self.found.get(method, 0) + int(right.sum())
+        self.told[method] = self.told.get(method, 0) + len(errors)
+        return right
+
+
+def two_at_once(pair: tuple[Measured, Measured], number: int, both: Both) -> None:
+    """Note what is found where two loudspeakers of one room say different sentences."""
+    rng = np.random.default_rng([8, number])
+    sounds, speaks = [], []
+    for k, case in enumerate(pair):
+        samples, sounding = heard(case, number + k, rng)
+        sounds.append(samples[int(delay(case) * case.sample_rate) :])
+        speaks.append(sounding)
+    samples = np.sum([sound[: min(map(len, sounds))] for sound in sounds], axis=0)
+    array = Array(pair[0].microphones, pair[0].sample_rate, pair[0].room, SPEED)
+    centre, true = array.microphones.mean(axis=0), np.array([case.source for case in pair])
+    localizer = SteeredLocalizer(array, SteeredSettings(), np.random.default_rng(0))
+    steps = np.arange(0.5, len(samples) / array.sample_rate - 0.35, EVERY_S).round(1)
+    times = [time for time in steps if all(np.abs(one - time).min() < 0.03 for one in speaks)]
+    both.frames += len(times)
+    for decision in localizer.localize([Block(samples)]):
+        if any(abs(decision.time - time) < 1e-6 for time in times):
+            away = [
+                [np.hypot(*(place - one)[:2]) * RIGHT_DEG / RIGHT_M for one in true] for place in decision.positions
+            ]
+            if decision.rays:
+                away = [[azimuth_error(ray.direction, one - centre) for one in true] for ray in decision.rays if ray]
+            right = both.note("avdetect-audio", np.array(away).reshape(-1, 2))
+            both.scores += decision.scores.tolist()
+            both.right += right.tolist()
+    if localizer.compact:
+        travel = float(np.linalg.norm(true - centre, axis=1).mean()) / SPEED
+        for name in PEERS:
+            for time in times:
+                values = answered(name, array, samples, float(time) + travel, count=2)
+                around = np.maximum(np.roll(values, 1), np.roll(values, -1))
+                peaks = np.flatnonzero(values >= around)
+                turns = np.radians(peaks[np.argsort(-values[peaks])[:2]])
+                rays = np.column_stack([np.cos(turns), np.sin(turns)])
+                both.note(name, np.array([[azimuth_error(ray, one - centre) for one in true] for ray in rays]))
+
+
+def answered(name: str, array: Array, samples: np.ndarray, middle: float, *, count: int) -> np.ndarray:
+    """Return how a method of pyroomacoustics answers each degree, (360,), in a frame about a time in s.
+
+    Args:
+        name: of the method.
+        array: the microphones.
+        samples: (n, m).
+        middle: s.
+        count: how many sources it looks for.
+    """
+    finder = PEERS[name](
+        (array.microphones - array.microphones.mean(axis=0)).T, array.sample_rate, NFFT, c=SPEED, num_src=count,
+        mode="far", azimuth=np.radians(np.arange(360.0)),
+    )  # fmt: skip
+    window = np.hanning(NFFT)[:, None]
+    begin = int((middle - 0.5 * FRAME_S) * array.sample_rate)
+    frame = samples[begin : begin + int(FRAME_S * array.sample_rate)]
+    spectra = [np.fft.rfft(window * frame[k : k + NFFT], axis=0).T for k in range(0, len(frame) - NFFT + 1, NFFT // 2)]
+    finder.locate_sources(np.stack(spectra, axis=2), freq_range=list(PEER_BAND_HZ))
+    values: np.ndarray = finder.grid.values
+    return values
+
+
 def by_peers(case: Measured, samples: np.ndarray, times: list[float], tally: Tally) -> None:
     """Note what pyroomacoustics finds, its grid of a degree refined by a parabola, in frames of FRAME_S."""
-    centre = case.microphones.mean(axis=0)
-    true, azimuths = case.source - centre, np.radians(np.arange(360.0))
+    array = Array(case.microphones, case.sample_rate, case.room, SPEED)
+    true = case.source - case.microphones.mean(axis=0)
     travel = float(np.linalg.norm(true)) / SPEED + delay(case)
-    window = np.hanning(NFFT)[:, None]
-    for name, method in PEERS.items():
-        finder = method(
-            (case.microphones - centre).T, case.sample_rate, NFFT, c=SPEED, num_src=1, mode="far", azimuth=azimuths
-        )
+    for name in PEERS:
         for time in times:
-            begin = int((time + travel - 0.5 * FRAME_S) * case.sample_rate)
-            frame = samples[begin : begin + int(FRAME_S * case.sample_rate)]
-            spectra = [
-                np.fft.rfft(window * frame[k : k + NFFT], axis=0).T for k in range(0, len(frame) - NFFT + 1, NFFT // 2)
-            ]
-            finder.locate_sources(np.stack(spectra, axis=2), freq_range=list(PEER_BAND_HZ))
-            values = finder.grid.values
+            values = answered(name, array, samples, time + travel, count=1)
             at = int(np.argmax(values))
             before, peak, after = values[at - 1], values[at], values[(at + 1) % len(values)]
             shift = 0.5 * (before - after) / min(before - 2.0 * peak + after, -1e-12)
@@ -183,6 +263,41 @@ def table(tallies: dict[tuple[str, str], Tally]) -> list[str]:
     return lines
 
 
+def table_of_both(tallies: dict[tuple[str, str], Both]) -> list[str]:
+    """Return the lines of the table of two at once."""
+    names = ["avdetect-audio", *PEERS]
+    lines = [
+        "| array | used to | frames | "
+        + " | ".join(f"{name}, recall / precision" for name in names)
+        + " | said / true |",
+        "|" + "---|" * (4 + len(names)),
+    ]
+    for (array, split), both in tallies.items():
+        each = [
+            f"{both.found[name] / (2 * both.frames):.2f} / {both.found[name] / max(both.told[name], 1):.2f}"
+            if name in both.found
+            else "-"
+            for name in names
+        ]
+        said = f"{np.mean(both.scores):.2f} / {np.mean(both.right):.2f}" if both.scores else "-"
+        lines.append(f"| {array} | {split} | {both.frames} | {' | '.join(each)} | {said} |")
+    return lines
+
+
+def pairs(cases: Sequence[Measured]) -> list[tuple[Measured, Measured]]:
+    """Return pairs of loudspeakers, each with the next but some in the same room that stands elsewhere."""
+    found = []
+    for number, one in enumerate(cases):
+        others = [*cases[number + 1 :], *cases[:number]]
+        middle = one.microphones.mean(axis=0)
+        for other in others[len(others) // 3 :] + others[: len(others) // 3]:
+            alike = one.name.split(",")[-1] == other.name.split(",")[-1]
+            if alike and azimuth_error(one.source - middle, other.source - middle) > 30.0:
+                found.append((one, other))
+                break
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="directory with the sets as folders")
@@ -192,6 +307,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take every so many loudspeakers of large sets")
     chosen = parser.parse_args()
     tallies: dict[tuple[str, str], Tally] = {}
+    both: dict[tuple[str, str], Both] = {}
     sources: list[str] = []
     for one in (one for one in SETS if chosen.folder in (None, one.folder)):
         if not (chosen.data / one.folder).is_dir():
@@ -207,11 +323,15 @@ def main() -> None:
             by_avcli(case, samples, times, tally)
             if tally.inside:  # pyroomacoustics takes sound for plane waves, which it is not inside a large array
                 by_peers(case, samples, times, tally)
+        for split in dict.fromkeys(case.split for case in cases):
+            some = [case for case in cases if case.split == split]
+            for number, pair in enumerate(pairs(some)[:: chosen.every if len(some) > 20 else 1]):
+                two_at_once(pair, number, both.setdefault((pair[0].set, split), Both()))
         sources.append(f"- {cases[0].set}: {one.source}; licence: {one.licence}")
     if not tallies:
         sys.exit(f"bench-real-audio: none of the sets is in {chosen.data}")
     chosen.out.mkdir(parents=True, exist_ok=True)
-    text = "\n".join([*table(tallies), "", *sources, ""])
+    text = "\n".join([*table(tallies), "", *table_of_both(both), "", *sources, ""])
     (chosen.out / "real-audio.md").write_text(text)
     print(text)
 

@@ -5,6 +5,7 @@
 Scenes are simulated by avcli's own acoustics, with real speech (CMU ARCTIC aew to fit, axb to check) where
 ../shared/data or AVCLI_SHARED_DATA has it: rings, spheres, planes, lines and irregular arrays of 4 to 10 microphones
 and 6 to 40 cm, on tables, walls and ceilings, in rooms of 3.5 to 10 m and T60 .15 to .9 s, one or two people who stand.
+What is remembered rests on the law that stands: scenes are heard twice, the second time by the law of the first.
 """
 
 import json
@@ -13,12 +14,15 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np  # noqa: E402
+from fit_localization import log_loss, rounded  # noqa: E402
+from fit_scores import undecided  # noqa: E402
 from localization_scenes import FS, Person, recorded, voices  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 
@@ -26,19 +30,29 @@ from avcli.formats.experiment import Config  # noqa: E402
 from avcli.formats.media import Sound  # noqa: E402
 from avcli.formats.records import Identified  # noqa: E402
 from avcli.localization.array import Array, Talker  # noqa: E402
-from avcli.localization.directions import Bearing, DirectionFinder, DirectionLaw, fitted_law, tangents  # noqa: E402
-from avcli.localization.memory import Memory  # noqa: E402
-from avcli.localization.noise import NoiseLaw  # noqa: E402
+from avcli.localization.directions import (  # noqa: E402
+    Bearing,
+    DirectionFinder,
+    DirectionLaw,
+    Found,
+    fitted_law,
+    tangents,
+)
 from avcli.localization.settings import SteeredSettings  # noqa: E402
 from avcli.localization.steered import SteeredLocalizer  # noqa: E402
 from avcli.localization.stream import Block  # noqa: E402
-from avcli.localization.windows import Heard  # noqa: E402
+from avcli.localization.uncertainty import After, after_terms  # noqa: E402
 
 FITTED = ROOT / "avcli" / "localization" / "directions.json"
-SPLITS = {"fit": (31, 24), "held out": (5031, 12)}
+SPLITS = {"fit": (31, 300), "held out": (5031, 100)}
 """Seed and number of scenes."""
 SECONDS, RIGHT = 4.5, np.radians(10.0)
-FIRST, FURTHER = ("one", "response", "agreement", "before"), ("one", "response", "agreement", "own", "before")
+FIRST = ("one", "agreement", "coherence", "narrow", "wide", "strongest", "few", "before")
+FURTHER = ("one", "agreement", "coherence", "wide", "strongest", "few", "own", "before")
+AFTER = ("one", "score", "again")
+SPREAD = ("one", "agreement", "size", "few")
+PARTS = 6
+"""In so many parts the scenes are split; each is predicted from the others."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +66,18 @@ class Scene:
 
 @dataclass(frozen=True)
 class Row:
-    """A direction that was found: whether it is right, its errors (2,) rad level and upward, and what is told of it."""
+    """A direction that was found: whether it is right, its errors (2,) rad level and upward, and what is told of it.
+
+    `after` is what the decisions after it tell, and `part` that of its scene.
+    """
 
     right: bool
     error: np.ndarray
     terms: dict[str, float]
     shape: np.ndarray
     first: bool
+    part: int
+    after: After | None = None
 
 
 def compact(rng: np.random.Generator) -> np.ndarray:
@@ -129,44 +148,44 @@ def scenes(split: str, spoken: Sequence[Sound], numbers: Iterable[int]) -> Itera
 class Witness(DirectionFinder):
     """A finder that notes each of its bearings."""
 
-    def __init__(self, finder: DirectionFinder, scene: Scene):
+    def __init__(self, finder: DirectionFinder, scene: Scene, part: int):
         vars(self).update(vars(finder))
-        self.scene, self.rows = scene, list[Row]()
+        self.scene, self.part, self.rows = scene, part, list[Row]()
 
-    def decide(self, time: float, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Talker]:
-        """Note the bearings of a decision, and decide as ever."""
+    def talkers_of(self, found: Found, later: Sequence[Found | None]) -> list[Talker]:
+        """Note the bearings of a decision, and tell its talkers as ever."""
         taken: set[int] = set()
-        for one in self.bearings(heard, noise, memory):
-            self.note(one, time, noise, taken)
-        return super().decide(time, heard, noise, memory)
+        for one in found.bearings:
+            self.note(one, found, later, taken)
+        return super().talkers_of(found, later)
 
-    def note(self, one: Bearing, time: float, noise: NoiseLaw, taken: set[int]) -> None:
+    def note(self, one: Bearing, found: Found, later: Sequence[Found | None], taken: set[int]) -> None:
         """Note a bearing, as the nearest person's who is not taken yet, or the mirror image of that."""
-        rays = [one.ray] if self.mirror is None else [one.ray, one.ray - 2.0 * (one.ray @ self.mirror) * self.mirror]
         best: tuple[float, int, np.ndarray] = (np.inf, -1, np.zeros(2))
         for number, person in enumerate(self.scene.people):
-            true = person.at(time) - self.response.centre
-            for ray in rays:
+            true = person.at(found.time) - self.response.centre
+            for ray in self.images(one.ray):
                 error = tangents(ray) @ (true / np.linalg.norm(true))
                 if ray @ true > 0.0 and abs(error[0]) < best[0]:
                     best = (abs(float(error[0])), number, error)
-        right = best[0] < RIGHT and best[1] not in taken and self.scene.people[best[1]].sounds(time, 0.1)
+        right = best[0] < RIGHT and best[1] not in taken and self.scene.people[best[1]].sounds(found.time, 0.1)
         if right:
             taken.add(best[1])
-        law, self.law = self.law, replace(self.law, spread={"one": 0.0, "agreement": 0.0})
-        shape = self.across(one, noise)
+        law, self.law = self.law, replace(self.law, spread={})
+        shape = self.across(one, found.noise)
         self.law = law
-        self.rows.append(Row(right, best[2], one.terms, shape, one.first))
+        after = self.after(one, found.time, later) if later else None
+        self.rows.append(Row(right, best[2], one.terms, shape, one.first, self.part, after))
 
 
 def rows(law: DirectionLaw, heard: Iterable[Scene]) -> list[Row]:
     """Return the bearings that are found in scenes with a law."""
     found: list[Row] = []
-    for scene in heard:
+    for number, scene in enumerate(heard):
         localizer = SteeredLocalizer(scene.array, SteeredSettings(), np.random.default_rng(0))
         if not isinstance(localizer.finder, DirectionFinder):
             continue
-        witness = Witness(localizer.finder, scene)
+        witness = Witness(localizer.finder, scene, number % PARTS)
         witness.law = law
         localizer.finder = witness
         for _ in localizer.localize([Block(scene.samples)]):
@@ -188,31 +207,42 @@ def logistic(found: Sequence[Row], names: Sequence[str], ridge: float = 0.5) -> 
 
 def width(found: Sequence[Row]) -> dict[str, float]:
     """Return the weights of the spread: the likelihood of the level errors, Student's t, and 95 % within 1.96 sd."""
-    error = np.array([row.error[0] for row in found if row.right])
-    shape = np.array([row.shape[0, 0] for row in found if row.right])
-    agreement = np.array([row.terms["agreement"] for row in found if row.right])
+    some = [row for row in found if row.right]
+    error, shape = np.array([row.error[0] for row in some]), np.array([row.shape[0, 0] for row in some])
+    terms = np.array([[row.terms[name] for name in SPREAD] for row in some])
 
-    def loss(w: np.ndarray) -> float:
-        variance = np.exp(2.0 * (w[0] + w[1] * agreement)) * shape
-        return float(np.sum(0.5 * np.log(variance) + 2.5 * np.log1p(error**2 / (4.0 * variance))))
+    def loss(weights: np.ndarray) -> float:
+        variance = np.exp(2.0 * terms @ weights) * shape
+        return float(np.mean(0.5 * np.log(variance) + 2.5 * np.log1p(error**2 / (4.0 * variance))))
 
-    one, slope = minimize(loss, np.zeros(2), method="Nelder-Mead").x
-    ratio = np.abs(error) / np.sqrt(np.exp(2.0 * (one + slope * agreement)) * shape)
-    return {"one": round(one + np.log(np.quantile(ratio, 0.95) / 1.96), 2), "agreement": round(slope, 2)}
+    one, *weights = minimize(loss, np.zeros(len(SPREAD))).x
+    ratio = np.abs(error) / np.sqrt(np.exp(2.0 * terms @ [one, *weights]) * shape)
+    one += float(np.log(np.quantile(ratio, 0.95) / 1.96))
+    return dict(zip(SPREAD, np.round([one, *weights], 2).tolist(), strict=True))
 
 
-def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
-    """Return how well a law holds: log losses, and how often the level error is within 1.96 standard deviations."""
-    said = {}
+def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, Any]:
+    """Return how well a law holds: log losses, and how often the level error is within 1.96 standard deviations.
+
+    Of the scores between two tenths it says how many there are, what they say on average, and how many are right.
+    """
+    said: dict[str, Any] = {}
     for name, first in (("first", True), ("further", False)):
         some = [row for row in found if row.first == first]
-        p = np.array([1.0 / (1.0 + np.exp(-law.logit(row.terms, first=first))) for row in some])
+        at_once = np.array([law.probability(row.terms, first=first) for row in some])
+        p = np.array(
+            [law.borne_out(row.after, first=first) if row.after else q for row, q in zip(some, at_once, strict=True)]
+        )
         right = np.array([row.right for row in some])
-        said[f"{name}_log_loss"] = float(-np.mean(np.log(np.clip(np.where(right, p, 1.0 - p), 1e-9, 1.0))))
+        said[f"{name}_log_loss_at_once"], said[f"{name}_log_loss"] = log_loss(right, at_once), log_loss(right, p)
         said[f"{name}_said"], said[f"{name}_true"], said[f"{name}_count"] = p.mean(), right.mean(), len(some)
-    factor = np.array(
-        [np.exp(2.0 * (law.spread["one"] + law.spread["agreement"] * r.terms["agreement"])) for r in found]
-    )
+        tenth = np.minimum((10.0 * p).astype(int), 9)
+        said[f"{name}_by_tenths"] = [
+            [int(here.sum()), round(float(p[here].mean()), 3), round(float(right[here].mean()), 3)]
+            for here in (tenth == k for k in range(10))
+            if here.any()
+        ]
+    factor = np.exp([2.0 * sum(weight * row.terms[name] for name, weight in law.spread.items()) for row in found])
     sd = np.sqrt(factor * [row.shape[0, 0] for row in found])
     right = np.array([row.right for row in found])
     error = np.abs([row.error[0] for row in found])
@@ -221,23 +251,33 @@ def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, float]:
         np.degrees(np.median(error[right])),
         np.degrees(np.median(sd[right])),
     )
-    return {name: round(float(value), 3) for name, value in said.items()}
+    return {name: value if isinstance(value, list) else round(float(value), 3) for name, value in said.items()}
 
 
 def fitted(found: Sequence[Row], law: DirectionLaw) -> DirectionLaw:
-    """Return a law fitted to bearings; what the law before remembered is in their terms."""
+    """Return a law fitted to bearings; what the law before remembered is in their terms, and its scores in `after`."""
     first = logistic([row for row in found if row.first], FIRST)
     further = logistic([row for row in found if not row.first], FURTHER)
-    return replace(law, first=first, further=further, spread=width(found))
+    after = {}
+    for name in ("first", "further"):
+        some = [row for row in found if row.after and row.first == (name == "first")]
+        terms = np.array([[after_terms(row.after)[term] for term in AFTER] for row in some if row.after])
+        right = np.array([row.right for row in some])
+        after[name] = dict(zip([*AFTER, "middle"], rounded(undecided(terms, right, np.ones(len(some)))), strict=True))
+    return replace(law, first=first, further=further, after=after, spread=width(found))
 
 
 def main() -> None:
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
-    before = fitted_law()
-    found = {
-        split: rows(before, scenes(split, voices(split, folder), range(count))) for split, (_, count) in SPLITS.items()
-    }
-    write(fitted(found["fit"], before), found["held out"], real=folder.exists())
+    law = fitted_law()
+    for _ in range(2):
+        law = fitted(rows(law, heard("fit", folder)), law)
+    write(law, rows(law, heard("held out", folder)), real=folder.exists())
+
+
+def heard(split: str, folder: Path) -> Iterator[Scene]:
+    """Yield the scenes of a split, with the speech in a folder."""
+    return scenes(split, voices(split, folder), range(SPLITS[split][1]))
 
 
 def write(law: DirectionLaw, held_out: Sequence[Row], *, real: bool) -> None:
