@@ -6,7 +6,8 @@ FOLDER holds recordings of machines, NAME_K_PART.wav, whose parts follow one ano
 github.com/Timgrau/Projektarbeit-1 (air conditioners, dishwashers, vacuum cleaners; CC0); without it the machine is
 pink noise. Recordings 0 and 1 of each name decide settings (--split decide), the others are reported. One talker, with
 real speech (CMU ARCTIC) from ../shared/data or AVCLI_SHARED_DATA and a pause after each sentence, and one machine
-elsewhere in the room, which sounds from beginning to end; rooms by pyroomacoustics.
+elsewhere in the room, which sounds from beginning to end; rooms by pyroomacoustics. With --compact the microphones are
+a ring of 5 cm on a table, and who is reported within 10 degrees of the talker is right.
 """
 
 import argparse
@@ -34,6 +35,8 @@ SECONDS, PAUSE_S = 15.0, 0.8
 LEVELS = (-10.0, 0.0)
 """dB, of the machine over the talker."""
 DECIDES = {"0", "1"}
+COMPACT_M, RIGHT, APART = 0.05, np.radians(10.0), np.radians(40.0)
+"""m and rad: the radius of a compact array, the error of a right direction, and how far apart its two sources are."""
 
 
 def machines(folder: Path | None, split: str) -> dict[str, np.ndarray]:
@@ -76,6 +79,13 @@ def places(case: Case, rng: np.random.Generator) -> np.ndarray:
             return found
 
 
+def between(rays: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the angles (n,) rad on the floor between rays (n, 3) and another one (3,)."""
+    turn = np.arctan2(rays[:, 1], rays[:, 0]) - np.arctan2(other[1], other[0])
+    angles: np.ndarray = np.abs(np.angle(np.exp(1j * turn)))
+    return angles
+
+
 def measured(case: Case, sound: np.ndarray, talker: np.ndarray, at: np.ndarray, microphones: np.ndarray) -> dict:
     """Return what was reported of a talker (3,) m whose dry voice is given, and of a machine at another place."""
     array = Array(microphones, FS, np.array(case.room, float), SPEED)
@@ -85,8 +95,10 @@ def measured(case: Case, sound: np.ndarray, talker: np.ndarray, at: np.ndarray, 
     active = hit = right = early = late = 0
     begin, named = time.process_time(), None
     for decision in localizer.localize(Block(sound[i : i + 4096]) for i in range(0, len(sound), 4096)):
-        away = np.hypot(*(decision.positions[:, None] - at)[:, :, :2].transpose(2, 0, 1)).reshape(-1, 2)
-        near = away[:, 0] < 0.5
+        near = np.hypot(*(decision.positions - at[0])[:, :2].T) < 0.5
+        if decision.rays:
+            told = np.array([ray.direction for ray in decision.rays if ray]).reshape(-1, 3)
+            near = between(told, at[0] - microphones.mean(axis=0)) < RIGHT
         now = bool(speaks[min(int(decision.time * FS), len(speaks) - 1)])
         active, hit, right = active + now, hit + (now and near.any()), right + near.any()
         wrong = len(near) - near.any()
@@ -107,6 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--split", choices=list(CASES), default="report")
     parser.add_argument("--noises", type=Path)
+    parser.add_argument("--compact", action="store_true", help="a ring of 5 cm on a table, which tells directions")
     parser.add_argument("--cases", nargs="+", default=None)
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     options = parser.parse_args()
@@ -119,6 +132,12 @@ def main() -> None:
             rng, room = np.random.default_rng([case.seed, 50]), np.array(case.room, float)
             microphones = ring(room, case.microphones, rng)
             at = places(case, rng)
+            if options.compact:
+                turn = 2.0 * np.pi * np.arange(case.microphones) / case.microphones
+                middle = np.array([*room[:2] * rng.uniform(0.4, 0.6, 2), 1.0])
+                microphones = middle + COMPACT_M * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+                while between((at - middle)[:1], at[1] - middle)[0] < APART:
+                    at = places(case, rng)
             order = min(int(SPEED * case.rt60 / room.min()) + 1, 45)
             to_talker, to_machine = responses(room, FS, case.rt60, list(at), microphones, order)
             voice = np.column_stack([fftconvolve(dry, one)[: len(dry)] for one in to_talker])
