@@ -136,6 +136,15 @@ def test_any_sample_format(experiment, found, sound, subtype):
             assert a["position"] == pytest.approx(b["position"], abs=0.05)
 
 
+@pytest.mark.parametrize(
+    "kind", [{"format": "W64"}, {"format": "AU"}, {"format": "RF64"}, {"format": "WAV", "endian": "BIG"}], ids=str
+)
+def test_other_kinds_of_sound_files_are_no_records(tmp_path, sound, kind):
+    write(tmp_path, sound)
+    soundfile.write(tmp_path / "a", sound, FS, subtype="FLOAT", **kind)
+    assert len(lines(run("avdetect-audio", "-C", tmp_path, tmp_path / "a"))) == 13
+
+
 def test_flac_by_name(tmp_path, sound):
     write(tmp_path, sound)
     soundfile.write(tmp_path / "a.flac", sound, FS, subtype="PCM_24")

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 16
 """samples that are read of a file at a time."""
-_SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
+_SOUND = (b"RIFF", b"RIFX", b"RF64", b"riff", b"fLaC", b"FORM", b"caff", b".snd", b"OggS")
+"""How sound files begin: WAV, its form for large files and W64, FLAC, AIFF, CAF, AU, Ogg."""
 
 
 @click.command("avdetect-audio", cls=Filter, epilog="Example: avdetect-audio -C out/s1 audio.jsonl -o a.jsonl")

@@ -275,12 +275,11 @@ class SteeredLocalizer:
         return [str(fault) for fault in new]
 
     def noise(self, windows: float) -> NoiseLaw:
-        """Return what so many of a decision's windows of white noise, independent in each channel, do to the response.
-        """
+        """Return what white noise, independent in each channel, does to the response of so many windows."""
         return self._noise.of(windows)
 
     def noise_apart(self, windows: float) -> NoiseLaw:
-        """Return the same of windows that lie `SPACING_S` apart, and so share less of their noise."""
+        """Return the same of windows that lie `SPACING_S` apart and so share little of their noise."""
         return self._noise_apart.of(windows)
 
     @cached_property
