@@ -15,8 +15,8 @@ _ROUNDING = 3e-6
 before a simulated sound arrives: no converter is so quiet."""
 
 _ROUNDED = 1e-6
-"""Where all channels have a root mean square in the band below this, the largest sample at 1, a constant or a rumble is all
-that there is, and the rest is what computing leaves: alike in all channels, it would be a source."""
+"""Where all channels have a root mean square in the band below this, the largest sample at 1, a constant or a rumble is
+all that there is, and the rest is what computing leaves: alike in all channels, it would be a source."""
 
 FAINT = 0.003
 """Power of a window over that of the loudest around a moment, up to which it is left out. Where somebody begins or
@@ -172,7 +172,10 @@ class Correlator:
         scale = peak.max()
         if scale == 0.0:
             return Window(None, tuple(notices))
-        tapered = (samples * (taper / scale)).astype(np.float32)
+        tapered = samples * (taper / scale)
+        if not taper[1] * taper[-2]:  # the taper of a part is narrow, and a constant would leak into the band
+            tapered -= tapered.sum(axis=1, keepdims=True) * (taper / taper.sum())
+        tapered = tapered.astype(np.float32)
         spectra = self._spectra(tapered)
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
