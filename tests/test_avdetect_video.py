@@ -377,7 +377,9 @@ def test_a_film_of_depth_and_a_pattern_say_what_the_pictures_say(folder, tmp_pat
         media.write_png(tmp_path / f"d{number}.png", picture)
     film.release()
     expected = found(run(*DEPTH, "-C", folder, folder / "frames.jsonl"))
-    assert found(run(*DEPTH, "-C", folder, tmp_path / "depth.mkv")) == expected
+    result = run(*DEPTH, "-C", folder, tmp_path / "depth.mkv", env={})  # a process that has not loaded OpenCV
+    assert found(result) == expected
+    assert result.stderr == ""
     assert found(run(*DEPTH, "-C", folder, tmp_path / "d%d.png")) == expected
     refused(run(*DEPTH, "-C", folder, tmp_path / "e%d.png"), "no file matches this pattern", code=2)
 

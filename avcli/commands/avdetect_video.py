@@ -72,8 +72,9 @@ def main(
     settings = settings_from(Settings, options)
     _refuse_without_effect(settings)
     from avcli.detection.detector import detections
-    from avcli.formats import footage, records
+    from avcli.formats import footage, media, records
 
+    media.quiet_decoders()  # OpenCV asks when it is loaded
     network = settings.detector == "net"
     session.load("cv2", *(("onnxruntime",) if network else ()))
     detector: Detector | None = None
