@@ -145,6 +145,14 @@ def test_other_kinds_of_sound_files_are_no_records(tmp_path, sound, kind):
     assert len(lines(run("avdetect-audio", "-C", tmp_path, tmp_path / "a"))) == 13
 
 
+def test_scores_that_are_too_high_are_said(tmp_path, sound):
+    write(tmp_path, sound)
+    soundfile.write(tmp_path / "a.wav", sound, FS, subtype="FLOAT")
+    result = run("avdetect-audio", "-C", tmp_path, "--beta", "0.7", tmp_path / "a.wav")
+    assert "--beta 0.7: scores were fitted with 1" in result.stderr
+    assert run("avdetect-audio", "-C", tmp_path, "--beta", "1", tmp_path / "a.wav").stderr == ""
+
+
 def test_flac_by_name(tmp_path, sound):
     write(tmp_path, sound)
     soundfile.write(tmp_path / "a.flac", sound, FS, subtype="PCM_24")

@@ -117,6 +117,11 @@ def main(
         if sound.microphones.wiring:
             session.note("the channels are put right as microphone_config.channels in config.json says")
         at = "position"  # of a steady source
+        if isinstance(chosen, SteeredLocalizer) and chosen.settings.beta < 1.0:
+            beta = chosen.settings.beta
+            session.warn(
+                f"--beta {beta:g}: scores were fitted with 1 and are too high here; second talkers are mostly false"
+            )
         if isinstance(chosen, SteeredLocalizer) and chosen.compact:
             at = "direction"
             session.note("the microphones are close together: directions are told, distances are not known")
