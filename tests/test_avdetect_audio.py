@@ -145,6 +145,19 @@ def test_other_kinds_of_sound_files_are_no_records(tmp_path, sound, kind):
     assert len(lines(run("avdetect-audio", "-C", tmp_path, tmp_path / "a"))) == 13
 
 
+def test_numbers_that_mean_nothing_are_wrong_usage(tmp_path, sound):
+    write(tmp_path, sound)
+    for options in (["--start", "nan"], ["--start", "inf"], ["--temperature", "nan"], ["--heights", "2", "1"]):
+        assert options[0] in one_line(run("avdetect-audio", "-C", tmp_path, *options, tmp_path / WAV), 2)
+
+
+def test_a_wav_is_not_taken_for_raw_samples(tmp_path, sound):
+    write(tmp_path, sound)
+    assert "leave --raw out" in one_line(
+        run("avdetect-audio", "-C", tmp_path, "--raw", f"s16le,{FS},8", tmp_path / WAV)
+    )
+
+
 def test_scores_that_are_too_high_are_said(tmp_path, sound):
     write(tmp_path, sound)
     soundfile.write(tmp_path / "a.wav", sound, FS, subtype="FLOAT")

@@ -422,6 +422,12 @@ def test_a_stream_at_an_address(folder, network):
     refused(nobody, "no stream of pictures answers")
 
 
+def test_windows_for_the_own_network_are_warned_of(folder):
+    result = run("avdetect-video", "-C", folder, "--windows", "4", "--monocular", folder / "frames.jsonl")
+    assert result.returncode == 0
+    assert "misses most people in windows" in result.stderr
+
+
 def test_windows_give_turned_boxes_and_say_what_they_skipped(folder, network):
     options = "-v", "--windows", "4", "--model", network, "--monocular"
     result = run("avdetect-video", "-C", folder, *options, folder / "frames.jsonl")
