@@ -145,6 +145,8 @@ def main(
         session.usage("--mp4 plays the beam at one track; give one --beam")
     if options.film and sum(map(bool, (html, mp4, rrd))) > 1:
         session.usage("a --film can be read once: give one of --html, --mp4 and --rrd")
+    if options.start and not (options.film or options.sound):
+        session.usage("--start has no effect without --film or --sound; records state their own times")
     with contextlib.ExitStack() as stack:
         watch = partial(_serve, session, stack, port) if serve else None
         shown = [_shown(session, run, options, watch, bool(html)) for run in runs]
