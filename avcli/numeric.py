@@ -1,14 +1,21 @@
-"""What several stages compute: FFT lengths, the speed of sound, optimal assignment. It imports numpy alone."""
+"""What several stages compute: FFT lengths, the speed of sound, a clock's rate, optimal assignment. It imports numpy
+alone.
+"""
 
 import functools
+import itertools
 import math
 import sys
-from collections.abc import Callable
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 SPEED_OF_SOUND_M_S = 343.0
 """m/s, where neither a speed nor a temperature is stated; the thesis's Table 5.1."""
+
+_ALIKE = 0.25
+"""Share by which steps differ that are one step of a clock."""
 
 _WORK_WORTH_SCIPY = 3_000_000
 """Inner steps of `assign` that take as long as the import of scipy.optimize (about 0.15 s)."""
@@ -51,6 +58,32 @@ def speed_of_sound(temperature_c: float) -> float:
     if not -273.15 < temperature_c < math.inf:
         raise ValueError(f"the temperature must be above -273.15 °C, not {temperature_c}")
     return 343.2 * math.sqrt((temperature_c + 273.15) / 293.15)
+
+
+def rate_of(steps: Sequence[Sequence[float]]) -> float:
+    """Return the rate in Hz of the commonest step: of the step like which most others are.
+
+    Time stamps are rounded, and sensors are late by more or less. So the rate is that of the mean of these steps, and
+    the roundest number that is as near as the mean is uncertain: 30 Hz, since a clock of 30.001 Hz soon runs away.
+
+    Args:
+        steps: s between successive records, of each sensor that has some.
+
+    >>> rate_of([[0.033, 0.034, 0.033]])
+    30.0
+    """
+    every = sorted(itertools.chain.from_iterable(steps))
+
+    def alike(step: float) -> int:
+        return bisect_right(every, step * (1 + _ALIKE)) - bisect_left(every, step * (1 - _ALIKE))
+
+    usual = max(every, key=lambda step: (alike(step), -step))
+    each = [[step for step in own if abs(step - usual) <= _ALIKE * usual] for own in steps]
+    best = max(each, key=len)  # of sensors that are nearly as fast, one
+    mean = math.fsum(best) / len(best)
+    uncertain = (max(best) - min(best)) / mean / math.sqrt(len(best)) + 1e-9  # a share
+    rounder = (round(1 / mean, digits) for digits in range(3))
+    return next((rate for rate in rounder if abs(rate * mean - 1) <= uncertain), 1 / mean)
 
 
 def assignment_solver(work: float) -> Assignment:

@@ -136,6 +136,36 @@ def test_any_sample_format(experiment, found, sound, subtype):
             assert a["position"] == pytest.approx(b["position"], abs=0.05)
 
 
+@pytest.mark.parametrize(
+    "kind", [{"format": "W64"}, {"format": "AU"}, {"format": "RF64"}, {"format": "WAV", "endian": "BIG"}], ids=str
+)
+def test_other_kinds_of_sound_files_are_no_records(tmp_path, sound, kind):
+    write(tmp_path, sound)
+    soundfile.write(tmp_path / "a", sound, FS, subtype="FLOAT", **kind)
+    assert len(lines(run("avdetect-audio", "-C", tmp_path, tmp_path / "a"))) == 13
+
+
+def test_numbers_that_mean_nothing_are_wrong_usage(tmp_path, sound):
+    write(tmp_path, sound)
+    for options in (["--start", "nan"], ["--start", "inf"], ["--temperature", "nan"], ["--heights", "2", "1"]):
+        assert options[0] in one_line(run("avdetect-audio", "-C", tmp_path, *options, tmp_path / WAV), 2)
+
+
+def test_a_wav_is_not_taken_for_raw_samples(tmp_path, sound):
+    write(tmp_path, sound)
+    assert "leave --raw out" in one_line(
+        run("avdetect-audio", "-C", tmp_path, "--raw", f"s16le,{FS},8", tmp_path / WAV)
+    )
+
+
+def test_scores_that_are_too_high_are_said(tmp_path, sound):
+    write(tmp_path, sound)
+    soundfile.write(tmp_path / "a.wav", sound, FS, subtype="FLOAT")
+    result = run("avdetect-audio", "-C", tmp_path, "--beta", "0.7", tmp_path / "a.wav")
+    assert "--beta 0.7: scores were fitted with 1" in result.stderr
+    assert run("avdetect-audio", "-C", tmp_path, "--beta", "1", tmp_path / "a.wav").stderr == ""
+
+
 def test_flac_by_name(tmp_path, sound):
     write(tmp_path, sound)
     soundfile.write(tmp_path / "a.flac", sound, FS, subtype="PCM_24")

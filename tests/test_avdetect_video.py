@@ -377,7 +377,9 @@ def test_a_film_of_depth_and_a_pattern_say_what_the_pictures_say(folder, tmp_pat
         media.write_png(tmp_path / f"d{number}.png", picture)
     film.release()
     expected = found(run(*DEPTH, "-C", folder, folder / "frames.jsonl"))
-    assert found(run(*DEPTH, "-C", folder, tmp_path / "depth.mkv")) == expected
+    result = run(*DEPTH, "-C", folder, tmp_path / "depth.mkv", env={})  # a process that has not loaded OpenCV
+    assert found(result) == expected
+    assert result.stderr == ""
     assert found(run(*DEPTH, "-C", folder, tmp_path / "d%d.png")) == expected
     refused(run(*DEPTH, "-C", folder, tmp_path / "e%d.png"), "no file matches this pattern", code=2)
 
@@ -418,6 +420,12 @@ def test_a_stream_at_an_address(folder, network):
     assert float(json.loads(result.stdout.splitlines()[0])["timestamp"]) > 1e9
     nobody = run("avdetect-video", "-C", folder, "--model", network, "http://127.0.0.1:9/nothing")
     refused(nobody, "no stream of pictures answers")
+
+
+def test_windows_for_the_own_network_are_warned_of(folder):
+    result = run("avdetect-video", "-C", folder, "--windows", "4", "--monocular", folder / "frames.jsonl")
+    assert result.returncode == 0
+    assert "misses most people in windows" in result.stderr
 
 
 def test_windows_give_turned_boxes_and_say_what_they_skipped(folder, network):

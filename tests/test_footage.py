@@ -54,6 +54,13 @@ def test_a_folder_has_its_pictures_in_the_order_of_their_names(folder):
     assert [one.timestamp for one in footage.pictures(names)] == [0.0, 1.0, 2.0]
 
 
+def test_a_folder_has_picture_10_after_picture_2(tmp_path):
+    for name in ("f10.png", "f2.png", "f1.png", "a_10.5.png", "a_9.5.png"):
+        media.write_png(tmp_path / name, picture())
+    names = [path.name for path in footage.source(str(tmp_path)).files()]
+    assert names == ["a_9.5.png", "a_10.5.png", "f1.png", "f2.png", "f10.png"]
+
+
 @pytest.mark.parametrize(("name", "missing"), [("gone.png", "no such file"), ("9876", "no such camera")])
 def test_what_is_missing_is_named(folder, name, missing):
     with pytest.raises(FileNotFoundError, match=missing) as error:
@@ -64,6 +71,8 @@ def test_what_is_missing_is_named(folder, name, missing):
 def test_times_stand_in_the_names_of_all_pictures_or_of_none(tmp_path):
     named = [tmp_path / f"RGB_frame_{time}.png" for time in ("0.5000000000", "2.25")]
     assert footage.stamped(named, 10.0) == [(0.5, named[0]), (2.25, named[1])]
+    late = tmp_path / "RGB_frame_10.5000000000.png"
+    assert [time for time, _ in footage.stamped([late, *named], 10.0)] == [0.5, 2.25, 10.5]  # * has 10.5 before 2.25
     mixed = [*named, tmp_path / "other.png"]
     assert [time for time, _ in footage.stamped(mixed, 4.0)] == [0.0, 0.25, 0.5]
 

@@ -312,3 +312,17 @@ def test_a_ring_that_looks_like_itself_when_turned_is_not_called_moved_on():
     rewiring = Rewiring(localizer.health.response, 343.0)
     assert len(rewiring.twins) == 15  # seven turns and eight mirrors
     assert not any((one.order == np.roll(np.arange(8), k)).all() for one in rewiring.changes for k in range(1, 8))
+
+
+@pytest.mark.parametrize("rate", [20, 50])
+def test_more_decisions_a_second_make_no_more_evidence_about_the_channels(talk, rate):
+    moved = MICROPHONES + 0.03 * np.random.default_rng(2).standard_normal(MICROPHONES.shape)
+    said = [
+        [
+            (decision.time, notice)
+            for decision in localize(talk, np.clip(moved, 0.05, ROOM - 0.05), SteeredSettings(rate=each, lookahead=0.0))
+            for notice in decision.notices
+        ]
+        for each in (10, rate)
+    ]
+    assert said[0] == said[1] == [(pytest.approx(2.0), UNSETTLED.format(1))]

@@ -127,6 +127,18 @@ def test_a_wav_that_was_cut_short_is_refused(tmp_path):
         media.read_audio(tmp_path / "b.wav")
 
 
+@pytest.mark.parametrize("kind", ["WAV", "RIFX", "RF64", "W64", "AIFF", "AU", "CAF", "FLAC"])
+def test_a_sound_file_of_any_kind_that_was_cut_short_is_refused(tmp_path, kind):
+    """libsndfile reads what is left of most kinds as if it were all."""
+    sound = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3))
+    form, endian = ("WAV", "BIG") if kind == "RIFX" else (kind, "FILE")
+    soundfile.write(tmp_path / "a", sound, 16000, "PCM_16", endian=endian, format=form)
+    assert media.read_audio(tmp_path / "a")[0].shape == sound.shape
+    (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes()[:-6])
+    with pytest.raises(media.MediaError, match=r"b: (cut short|not a sound file)"):
+        media.read_audio(tmp_path / "b")
+
+
 def test_a_wav_from_a_stream_has_no_length_and_is_read(tmp_path):
     buffer = io.BytesIO()
     soundfile.write(buffer, np.zeros((100, 1)), 8000, "PCM_16", format="WAV")

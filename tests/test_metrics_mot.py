@@ -75,6 +75,14 @@ def test_trackeval_reads_our_folders_and_agrees(tmp_path):
     assert compared == 6
 
 
+def test_a_clock_whose_times_are_rounded_to_milliseconds_has_its_own_rate():
+    """The median step, 0.033 s, made 30.303 Hz of a film of 30 Hz."""
+    time = (np.arange(40) / 30).round(3)
+    truth = [Identified(t, np.array([1]), np.array([[1.0, 2.0, 0.0]])) for t in time.tolist()]
+    files = mot.write({"s": {"t": align(truth, truth)[0]}})
+    assert "frameRate=30\n" in files["gt/avcli-all/s/seqinfo.ini"]
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
 def test_motchallenge_there_and_back(seed):

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 
 import cv2
 import numpy as np
@@ -574,6 +575,14 @@ def test_a_map_of_a_run_and_of_its_file_alone(room):
     run_map, file_map = (cv2.imread(str(room / name)) for name in ("run.png", "file.png"))
     assert run_map.shape == file_map.shape
     assert (run_map != file_map).mean() < 0.02
+
+
+def test_what_is_learnt_goes_to_a_file(tmp_path):
+    """A pipe or /dev/stdout was read first, and avfuse waited for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    result = run("avfuse", "--learn", tmp_path / "pipe", stdin="")
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert "pipe: not a file" in result.stderr
 
 
 def test_a_learnt_file_that_is_only_read_must_exist(tmp_path):

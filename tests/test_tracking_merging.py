@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from avcli.formats.arrivals import Arrivals
 from avcli.formats.records import Detections
+from avcli.numeric import rate_of
 from avcli.tracking import track
 from avcli.tracking.live import LiveMerger
-from avcli.tracking.merging import Merger, in_turn, rate_of
+from avcli.tracking.merging import Merger, in_turn
 
 
 def seen(time, sensor="video"):

@@ -391,3 +391,11 @@ def test_nothing_to_show_still_stands(tmp_path):
             assert browser.complaints() == []
         finally:
             browser.close()
+
+
+def test_a_start_without_film_or_sound_is_wrong_usage(tmp_path):
+    (tmp_path / "t.jsonl").write_text('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1,0]}]}\n')
+    result = run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", "--start", "3")
+    assert result.returncode == 2
+    assert "--start has no effect" in result.stderr
+    assert not (tmp_path / "p.html").exists()

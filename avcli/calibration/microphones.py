@@ -424,10 +424,10 @@ def sounds(paths: Sequence[str], folder: Path | None) -> Iterator[tuple[float, n
     """
     files: list[tuple[str | Path, float | None]] = [(path, None) for path in paths]
     if not paths and folder is not None:
-        found = sorted(folder.glob("multichannel_audio_*"))
+        found = sorted((float(file.stem.rsplit("_", 1)[1]), file) for file in folder.glob("multichannel_audio_*"))
         if not found:
             raise ValueError(f"no sound in {folder}; name the files with --audio")
-        files = [(file, float(file.stem.rsplit("_", 1)[1])) for file in found]
+        files = [(file, start) for start, file in found]
     start = 0.0
     for path, stated in files:
         start = start if stated is None else stated

@@ -18,7 +18,7 @@ from avcli.commands.avcalib_pictures import (
     write_camera,
 )
 from avcli.commands.filter import GateNotMet, Session, common
-from avcli.commands.options import Size, from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import FiniteRange, Size, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
@@ -96,7 +96,9 @@ def undistort_command(
     help="CSV with the header u,v,x,y,z: pixels, and the room points in metres that are seen there.",
 )
 @from_settings(settings.BoardSettings)
-@click.option("--at", nargs=3, type=float, metavar="X Y Z", help="Room position in m of the middle of the board.")
+@click.option(
+    "--at", nargs=3, type=FiniteRange(), metavar="X Y Z", help="Room position in m of the middle of the board."
+)
 @from_settings(settings.PlaceSettings)
 @from_settings(settings.PictureSettings)
 @common()

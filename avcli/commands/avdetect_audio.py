@@ -14,7 +14,7 @@ import click
 
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.live import Skips, open_pipe
-from avcli.commands.options import Numbers, Parsed, from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import FiniteRange, Numbers, Parsed, from_settings, refuse_without_effect, settings_from
 from avcli.localization.settings import METHODS, ClosedFormSettings, CommonSettings, SteeredSettings
 from avcli.settings import settings_of
 
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 16
 """samples that are read of a file at a time."""
-_SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
+_SOUND = (b"RIFF", b"RIFX", b"RF64", b"riff", b"fLaC", b"FORM", b"caff", b".snd", b"OggS")
+"""How sound files begin: WAV, its form for large files and W64, FLAC, AIFF, CAF, AU, Ogg."""
 
 
 @click.command("avdetect-audio", cls=Filter, epilog="Example: avdetect-audio -C out/s1 audio.jsonl -o a.jsonl")
@@ -43,7 +44,7 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 )
 @click.option(
     "--start",
-    type=float,
+    type=FiniteRange(),
     default=0.0,
     show_default=True,
     metavar="S",
@@ -51,7 +52,7 @@ _SOUND = (b"RIFF", b"RF64", b"fLaC", b"FORM", b"caff")
 )
 @click.option(
     "--temperature",
-    type=click.FloatRange(min=-50, max=60),
+    type=FiniteRange(min=-50, max=60),
     metavar="C",
     help="Air temperature in °C, which sets the speed of sound.  [default: the config's speed, or 343 m/s]",
 )
@@ -94,6 +95,9 @@ def main(
             refuse_without_effect(settings_of(kind), f"with --method {method}")
     if method != "srp":
         refuse_without_effect(["live"], f"with --method {method}, which needs the whole recording")
+    heights = options["heights"] or ()
+    if list(heights) != sorted(heights):
+        session.usage("--heights {:g} {:g}: the lowest mouth comes first".format(*heights))
     session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
         sound = _Sound(session, start, live, raw, channels, gains)
@@ -116,6 +120,11 @@ def main(
         if sound.microphones.wiring:
             session.note("the channels are put right as microphone_config.channels in config.json says")
         at = "position"  # of a steady source
+        if isinstance(chosen, SteeredLocalizer) and chosen.settings.beta < 1.0:
+            beta = chosen.settings.beta
+            session.warn(
+                f"--beta {beta:g}: scores were fitted with 1 and are too high here; second talkers are mostly false"
+            )
         if isinstance(chosen, SteeredLocalizer) and chosen.compact:
             at = "direction"
             session.note("the microphones are close together: directions are told, distances are not known")
@@ -215,7 +224,11 @@ class _Sound:
             if self.raw:
                 from avcli.formats import recorder
 
-                yield from self.recording.sound(name, self.picked(name, recorder.raw_blocks(stream, self.raw, name)))
+                head = stream.read(4)
+                if head in _SOUND:
+                    self.session.fail(f"{name}: begins as a sound file, not with raw samples; leave --raw out")
+                whole = io.BufferedReader(_Again(head, stream))
+                yield from self.recording.sound(name, self.picked(name, recorder.raw_blocks(whole, self.raw, name)))
                 continue
             head = stream.read(4)
             whole = io.BufferedReader(_Again(head, stream))

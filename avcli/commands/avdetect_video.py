@@ -14,7 +14,7 @@ import click
 
 from avcli.commands import filter
 from avcli.commands.live import newest, open_pipe
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import FiniteRange, from_settings, refuse_without_effect, settings_from
 from avcli.detection.settings import Settings
 from avcli.settings import settings_of
 
@@ -41,7 +41,7 @@ PRESET = {"position": "centre", "iou": 0.7, "features": False}
 )
 @click.option(
     "--rate",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteRange(0.0, min_open=True),
     metavar="HZ",
     show_default="the video's own, else config.json's",
     help="Time steps per second of picture files, a video or a camera.",
@@ -72,8 +72,9 @@ def main(
     settings = settings_from(Settings, options)
     _refuse_without_effect(settings)
     from avcli.detection.detector import detections
-    from avcli.formats import footage, records
+    from avcli.formats import footage, media, records
 
+    media.quiet_decoders()  # OpenCV asks when it is loaded
     network = settings.detector == "net"
     session.load("cv2", *(("onnxruntime",) if network else ()))
     detector: Detector | None = None
@@ -118,6 +119,11 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
             "which --detector depth needs"
         )
 
+    if settings.windows and model is None:
+        session.warn(
+            "--windows is for networks that know people from photographs (--model): the package's own has learnt from"
+            " whole pictures, and misses most people in windows"
+        )
     empty = partial(media.read_depth, session.media_root / path) if path else None
     try:
         colour = camera.background_rgb if settings.learn_background else None

@@ -195,6 +195,8 @@ def main(
     sources = [(_sensor_name(path), path) for path in files] + list(named) or [("sensor", "-")]
     outputs = {"--explain": explain, "--learn": learn, "--map": map}
     session.check_outputs(outputs, [path for _, path in sources])
+    if learn and os.path.exists(learn) and not os.path.isfile(learn):
+        session.usage(f"--learn {learn}: not a file; it is read before it is written")
     if learn and no_learn and not os.path.exists(learn):
         session.usage(f"--learn {learn}: no such file, and --no-learn writes none")
     inputs = _Inputs(session, sources, live)

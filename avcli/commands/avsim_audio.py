@@ -77,7 +77,7 @@ def _noise(_context: click.Context, _parameter: click.Parameter, texts: tuple[st
     "x0,x1,y0,y1,z0,z1.",
 )
 @click.option(
-    "--temperature", type=float, metavar="C", help="Temperature of the air, °C, instead of the speed of sound."
+    "--temperature", type=FiniteRange(), metavar="C", help="Temperature of the air, °C, instead of the speed of sound."
 )
 @click.option(
     "--noise",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from avcli.commands.filter import Filter, Session, common
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import FiniteRange, from_settings, refuse_without_effect, settings_from
 from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, SENSORS, Drawing, Effects
 from avcli.settings import settings_of
 
@@ -53,14 +53,14 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
     help="Lens: the scenario's, the calibrated KB-8 lens of the thesis, or its virtual one (division model).",
 )
 @click.option("--camera-config", metavar="FILE", help="Lens and image size from avcalib: a twin of your own camera.")
-@click.option("--camera-height", type=click.FloatRange(0, min_open=True), metavar="M", help="Height of the camera, m.")
+@click.option("--camera-height", type=FiniteRange(0, min_open=True), metavar="M", help="Height of the camera, m.")
 @click.option(
     "--people", type=click.IntRange(0, 250), default=3, show_default=True, help="Number of people in a random scenario."
 )
 @click.option("--kind", type=click.Choice(ROOM_KINDS), help="Kind of the room of a random scenario; default: drawn.")
 @click.option("--room", metavar="WxDxH", help="Size of the room of a random scenario, m, as 6x4x2.8; default: drawn.")
 @click.option("--lens", type=click.Choice(LENSES), help="Lens of a random scenario; default: drawn.")
-@click.option("--duration", type=click.FloatRange(0), metavar="S", help="Length of the scene, s, instead of its own.")
+@click.option("--duration", type=FiniteRange(0), metavar="S", help="Length of the scene, s, instead of its own.")
 @click.option(
     "--masks", is_flag=True, help="Write video/masks/Mask_frame_<t>.png: the person of each pixel, 0 for none."
 )

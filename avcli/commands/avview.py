@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from avcli.commands.filter import Filter, Session, common
+from avcli.commands.options import FiniteRange
 
 if TYPE_CHECKING:
     import numpy as np
@@ -69,7 +70,7 @@ class Run:
 @click.option("--html", **_FILE, help="Write a page: picture, map, sound and lanes on one clock.")
 @click.option(
     "--largest-mb",
-    type=click.FloatRange(0),
+    type=FiniteRange(0),
     metavar="MB",
     default=20.0,
     show_default=True,
@@ -94,7 +95,12 @@ class Run:
     " beams. By default --html has those of all tracks of the tracker that is shown first.",
 )
 @click.option(
-    "--start", type=float, metavar="S", default=0.0, show_default=True, help="Time of the start of film and sound, s."
+    "--start",
+    type=FiniteRange(),
+    metavar="S",
+    default=0.0,
+    show_default=True,
+    help="Time at which film and sound begin.",
 )
 @click.option("--learnt", **_LYING, help="Show where people leave, from a file that avfuse --learn wrote.")
 @click.option("--scenario", metavar="NAME|FILE", help="Draw the furniture of this scenario on the map.")
@@ -139,6 +145,8 @@ def main(
         session.usage("--mp4 plays the beam at one track; give one --beam")
     if options.film and sum(map(bool, (html, mp4, rrd))) > 1:
         session.usage("a --film can be read once: give one of --html, --mp4 and --rrd")
+    if options.start and not (options.film or options.sound):
+        session.usage("--start has no effect without --film or --sound; records state their own times")
     with contextlib.ExitStack() as stack:
         watch = partial(_serve, session, stack, port) if serve else None
         shown = [_shown(session, run, options, watch, bool(html)) for run in runs]

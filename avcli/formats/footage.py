@@ -106,9 +106,9 @@ class Source:
         return self.kind in ("camera", "url", "stream")
 
     def files(self) -> list[Path]:
-        """Return the files of a picture, a folder or a pattern, in order; of other kinds none."""
+        """Return the files of a picture, a folder or a pattern, in order, by the numbers in their names; else none."""
         if self.kind in ("folder", "pattern"):
-            return [Path(one.name) for one in self.members() if one.kind == "picture"]
+            return sorted((Path(one.name) for one in self.members() if one.kind == "picture"), key=_in_numbers)
         return [Path(self.name)] if self.kind == "picture" else []
 
     def members(self) -> "list[Source]":
@@ -144,6 +144,12 @@ class Source:
 
 
 _SEEN = PICTURES | VIDEOS.keys()
+
+
+def _in_numbers(path: Path) -> list[tuple[int, str]]:
+    """Order names as people number them: frame2 before frame10, and so RGB_frame_2.0 before RGB_frame_10.0."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(int(part), part) if part.isdecimal() and part.isascii() else (-1, part) for part in parts]
 
 
 def _is(path: Path, suffixes: Container[str]) -> bool:
@@ -210,16 +216,19 @@ def _is_virtual(name: str) -> bool:
 def stamped(paths: list[Path], rate_hz: float) -> list[tuple[float, Path]]:
     """Give picture files their times, s: those that all their names end in ("RGB_frame_0.1000000000"), else k / rate.
 
+    They come in the order of time, as a shell's * does not: it has 10.0 before 2.0.
+
     Args:
-        paths: in the order of time.
+        paths: in the order of time where their names have none.
         rate_hz: pictures a second where a name has no time.
     """
     times = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
     named = all(times)
-    return [
+    timed = [
         (float(time[1]) if named and time else index / rate_hz, path)
         for index, (path, time) in enumerate(zip(paths, times, strict=True))
     ]
+    return sorted(timed, key=lambda one: one[0])
 
 
 # --- pictures in ------------------------------------------------------------------------------------------------------

@@ -522,7 +522,7 @@ def audio_blocks(path: str | os.PathLike, block_size: int = 1 << 16) -> Iterator
 
 def _refuse_short(path: str | os.PathLike, size: int, found: int, expected: int) -> None:
     """Refuse a sound file of so many bytes with fewer samples than its header states, or with none."""
-    stated = _stated_wav_bytes(path)
+    stated = _stated_bytes(path)
     if found < expected or (stated is not None and stated > size):
         raise MediaError(f"{path}: cut short: it has {found} samples, and its header states more")
     if found == 0:
@@ -571,17 +571,41 @@ def audio_part(path: str | os.PathLike, first: int, count: int) -> np.ndarray:
         return file.read(count, dtype="float32", always_2d=True)
 
 
-def _stated_wav_bytes(path: str | os.PathLike) -> int | None:
-    """Return the end of the file that a WAV's header states; libsndfile does not report a file that is cut short."""
+def _stated_bytes(path: str | os.PathLike) -> int | None:
+    """Return the end that the header of a sound file states; libsndfile does not report a file that is cut short.
+
+    None where it states none: a stream's writer, which cannot go back, states 0 or the largest length.
+    """
     with open(path, "rb") as file:
-        head = file.read(12)
-        if len(head) < 12 or head[:4] != b"RIFF" or head[8:] != b"WAVE":
+        head = file.read(28).ljust(28, b"\0")
+        kind = head[:4]
+        if kind == b"RIFF":
+            return _data_end(file, 12, "<4sI", even=True)
+        if kind == b"caff":
+            return _data_end(file, 8, ">4sQ", even=False)
+        end = {
+            b"RIFX": int.from_bytes(head[4:8], "big") + 8,
+            b"FORM": int.from_bytes(head[4:8], "big") + 8,
+            b"RF64": int.from_bytes(head[20:28], "little") + 8,  # EBU Tech 3306: of its ds64
+            b"riff": int.from_bytes(head[16:24], "little"),  # W64
+            b".snd": int.from_bytes(head[4:8], "big") + int.from_bytes(head[8:12], "big"),
+        }.get(kind, 0)
+    return end if 8 < end < (1 << 62) and (kind != b".snd" or head[8:12] != b"\xff" * 4) else None
+
+
+def _data_end(file: BinaryIO, begin: int, header: str, *, even: bool) -> int | None:
+    """Return where the chunk "data" of a sound file ends, as its header states; chunks begin at `begin`."""
+    size = struct.calcsize(header)
+    largest = (1 << 8 * (size - 4)) - 1
+    file.seek(begin)
+    while len(chunk := file.read(size)) == size:
+        kind, length = struct.unpack(header, chunk)
+        if kind == b"data":
+            unknown = length in (0, largest >> 1, largest) or length > largest - 0xFFF
+            return None if unknown else file.tell() + length
+        if length >= 1 << 62:
             return None
-        while len(chunk := file.read(8)) == 8:
-            length = struct.unpack("<I", chunk[4:])[0]
-            if chunk[:4] == b"data":  # a stream's writer, which cannot go back, states 0 or the largest length
-                return None if length in (0, 0x7FFFFFFF, 0xFFFFFFFF) or length > 0xFFFFF000 else file.tell() + length
-            file.seek(length + length % 2, os.SEEK_CUR)
+        file.seek(length + (length % 2 if even else 0), os.SEEK_CUR)
     return None
 
 

@@ -6,9 +6,11 @@ and one of 0.39 s for rooms that echo; the search over place and velocity lets t
 """
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,7 @@ from avcli.localization.noise import NoiseLaw, draw_noise_law
 from avcli.localization.places import PlaceFinder
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import SteeredResponse
-from avcli.localization.steady import SteadySources
+from avcli.localization.steady import SPACING_S, SteadySources
 from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.voice import VoiceMeter
 from avcli.localization.windows import Band, Correlated, Correlator, Window, together
@@ -121,13 +123,14 @@ class SteeredLocalizer:
         self.offsets = np.arange(-self.reach, self.reach + 1) * self.hop
         self.ahead = int(np.floor(settings.lookahead * settings.rate + 1e-9))  # decisions
         self.gate = Gate(1.0 / self.hop)
+        self.spacing = max(1, round(SPACING_S / self.hop))  # windows between those by which channels are tested
+        self.examined = -math.inf  # the last of these
         self.steady = SteadySources(self.correlator, response, self.hop)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
         self.told_unsettled = self.told_contradicted = False
         self.windows = self.silent = 0  # so far, and those of them without a voice
         self.named = {(fault.channel, fault.kind) for fault in self.health.faults}
-        self._noise: NoiseLaw | None = None
 
     @property
     def compact(self) -> bool:
@@ -155,7 +158,7 @@ class SteeredLocalizer:
     def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
         """Yield a decision for every time step of a stream without long gaps."""
         fs, rate = self.array.sample_rate, self.settings.rate
-        stream = LatestSamples(begin, len(self.array.microphones))
+        stream, self.examined = LatestSamples(begin, len(self.array.microphones)), -math.inf
         windows: dict[int, Window] = {}
         waiting = deque[Moment]()
         step, tail, skipped = time_steps(begin, 1, fs, rate, 0.0).start, 0.0, 0
@@ -203,7 +206,7 @@ class SteeredLocalizer:
                 return False
             window = self.heard(*stream.window(self._place(index), size))
             if window.correlated:
-                self.steady.take(window.correlated, self.noise)
+                self.steady.take(window.correlated, self.noise_apart)
             windows[index] = self.sounding(window)
             stream.forget(self._place(index + 1))
         return True
@@ -251,7 +254,10 @@ class SteeredLocalizer:
                 found = self.finder.decide(time, heard, self.noise(heard.count), self.memory)
                 if self.finder.outside:
                     notices.append("a source is on the edge of the room or outside it")
-            self.health.examine(now, [window for window, _ in sounding], self.noise(1).deviation)
+            if middle - self.examined >= self.spacing:
+                self.examined = middle
+                apart = around[self.reach % self.spacing :: self.spacing]
+                self.health.examine(now, [window for window in apart if window], self.noise_apart(1).deviation)
             notices += self._news() + self.steady.news()
             if self.health.unsettled and not self.told_unsettled:
                 notices.append(UNSETTLED.format(self.health.unsettled))
@@ -269,8 +275,21 @@ class SteeredLocalizer:
         return [str(fault) for fault in new]
 
     def noise(self, windows: float) -> NoiseLaw:
-        """Return what so many windows of white noise, independent in each channel, do to the response."""
-        if self._noise is None:
-            hop = round(self.hop * self.array.sample_rate)
-            self._noise = draw_noise_law(self.correlator, self.finder.response, hop, len(self.offsets), self.rng)
+        """Return what white noise, independent in each channel, does to the response of so many windows."""
         return self._noise.of(windows)
+
+    def noise_apart(self, windows: float) -> NoiseLaw:
+        """Return the same of windows that lie `SPACING_S` apart and so share little of their noise."""
+        return self._noise_apart.of(windows)
+
+    @cached_property
+    def _noise(self) -> NoiseLaw:
+        return self._drawn(self.hop, self.reach)
+
+    @cached_property
+    def _noise_apart(self) -> NoiseLaw:
+        return self._noise if self.spacing == 1 else self._drawn(self.spacing * self.hop, self.reach // self.spacing)
+
+    def _drawn(self, hop: float, reach: int) -> NoiseLaw:
+        samples = round(hop * self.array.sample_rate)
+        return draw_noise_law(self.correlator, self.finder.response, samples, 2 * reach + 1, self.rng)

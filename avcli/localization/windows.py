@@ -14,6 +14,10 @@ _ROUNDING = 3e-6
 """A channel with a root mean square below this, full scale at 1, holds what computing leaves, or the ringing of filters
 before a simulated sound arrives: no converter is so quiet."""
 
+_ROUNDED = 1e-6
+"""Where all channels have a root mean square in the band below this, the largest sample at 1, a constant or a rumble is
+all that there is, and the rest is what computing leaves: alike in all channels, it would be a source."""
+
 FAINT = 0.003
 """Power of a window over that of the loudest around a moment, up to which it is left out. Where somebody begins or
 ends, it holds what rings on in the room, or before the sound arrives; whitened it would count as much as the others."""
@@ -168,10 +172,15 @@ class Correlator:
         scale = peak.max()
         if scale == 0.0:
             return Window(None, tuple(notices))
-        tapered = (samples * (taper / scale)).astype(np.float32)
+        tapered = samples * (taper / scale)
+        if not taper[1] * taper[-2]:  # the taper of a part is narrow, and a constant would leak into the band
+            tapered -= tapered.sum(axis=1, keepdims=True) * (taper / taper.sum())
+        tapered = tapered.astype(np.float32)
         spectra = self._spectra(tapered)
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
         level = power.sum(axis=1)
+        if np.sqrt(2 * level.max()) < _ROUNDED * self.band.size:
+            return Window(None, tuple(notices))
         dead, faint = level <= 1e-6 * np.median(level), level <= 1e-6 * level.max()
         faint |= np.sqrt(2 * level) * scale < _ROUNDING * self.band.size
         believed, found = _believed(samples, peak, dead, broken)

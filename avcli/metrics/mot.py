@@ -8,6 +8,10 @@ import numpy as np
 from avcli.formats.atomic import write_bytes
 from avcli.formats.records import Identified
 from avcli.metrics.sequence import Points, Sequence
+from avcli.numeric import rate_of
+
+_STEPS = 10_000
+"""How many steps tell a clock's rate."""
 
 
 def read(text: str, rate_hz: float) -> list[Identified]:
@@ -63,7 +67,7 @@ def write(sequences: Mapping[str, Mapping[str, Sequence]]) -> dict[str, str]:
     split = "avcli-all"
     for name, trackers in sequences.items():
         time = np.unique(np.concatenate([sequence.time for sequence in trackers.values()]))
-        rate = 1 / np.median(np.diff(time)) if time.size > 1 else 10.0
+        rate = rate_of([np.diff(time[:_STEPS]).tolist()]) if time.size > 1 else 10.0
         truth = next(iter(trackers.values()))
         sides = {"gt": (truth.truth, truth.time)}
         sides |= {tracker: (sequence.track, sequence.time) for tracker, sequence in trackers.items()}

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from avcli.formats.records import Detections
+from avcli.numeric import rate_of
 
 SAME = 1e-6  # s; nearer times are one
 PATIENCE = 3  # records after a gap before the missing one is given up
 JUMP = 10.0  # s without any record, after which the clock starts anew
-ALIKE = 0.25  # share by which steps differ that are one step of a clock
 FASTEST = 1000.0  # Hz, of a clock that is estimated
 LATEST = 1e11  # s; the steps of a clock cannot be told from each other much beyond
 
@@ -234,32 +232,6 @@ class Merger:
         ready = sorted((r for r in self.records if r[0] <= now + SAME), key=lambda r: r[:3])
         self.records = [r for r in self.records if r[0] > now + SAME]
         return [(time, sensor, detections) for time, sensor, _, detections in ready]
-
-
-def rate_of(steps: Sequence[Sequence[float]]) -> float:
-    """Return the rate in Hz of the commonest step: of the step like which most others are.
-
-    Time stamps are rounded, and sensors are late by more or less. So the rate is that of the mean of these steps, and
-    the roundest number that is as near as the mean is uncertain: 30 Hz, since a clock of 30.001 Hz soon runs away.
-
-    Args:
-        steps: s between successive records, of each sensor that has some.
-
-    >>> rate_of([[0.033, 0.034, 0.033]])
-    30.0
-    """
-    every = sorted(itertools.chain.from_iterable(steps))
-
-    def alike(step: float) -> int:
-        return bisect_right(every, step * (1 + ALIKE)) - bisect_left(every, step * (1 - ALIKE))
-
-    usual = max(every, key=lambda step: (alike(step), -step))
-    each = [[step for step in own if abs(step - usual) <= ALIKE * usual] for own in steps]
-    best = max(each, key=len)  # of sensors that are nearly as fast, one
-    mean = math.fsum(best) / len(best)
-    uncertain = (max(best) - min(best)) / mean / math.sqrt(len(best)) + 1e-9  # a share
-    rounder = (round(1 / mean, digits) for digits in range(3))
-    return next((rate for rate in rounder if abs(rate * mean - 1) <= uncertain), 1 / mean)
 
 
 def in_turn(sources: Sequence[Iterator[Detections]]) -> Iterator[tuple[int, Detections | None]]:
