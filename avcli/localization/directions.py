@@ -86,15 +86,15 @@ class DirectionLaw:
             `Bearing.terms`.
         after: for the "first" and a "further" one, weights of that logit once it is known what the decisions after it
             found, as of an `uncertainty.Law`.
-        spread: weights of the logarithm of a factor on the standard deviation that the curvature of the response gives,
-            likewise.
+        spread: for "level" and "upward", weights of the logarithm of a factor on the standard deviation that the
+            curvature of the response gives, likewise.
         sharpness: logarithm of a range's likelihood over its response, in standard deviations of a GCC of noise.
     """
 
     first: Mapping[str, float]
     further: Mapping[str, float]
     after: Mapping[str, Mapping[str, float]]
-    spread: Mapping[str, float]
+    spread: Mapping[str, Mapping[str, float]]
     sharpness: float
 
     def probability(self, terms: Mapping[str, float], *, first: bool) -> float:
@@ -241,8 +241,8 @@ class Bearing:
             and frequencies, 1 where the channels agree; "narrow" and "wide", the curvatures over the deviation of
             noise; "own", the share of the coherence that is not better on a direction before it;
             "size", of the array, see RaySearch. "strongest" is the best window's response over their mean, "few" the
-            share of the delays that a place uses up, from 1 with four channels to 0 with many, and "before" what is
-            remembered.
+            share of the delays that a place uses up, from 1 with four channels to 0 with many, "mirror" 1 where mirror
+            images are heard alike, and "before" what is remembered.
         first: whether it is the decision's first.
         score: the probability that it is right, and a voice.
         course: how steadily it sounded so far.
@@ -369,6 +369,7 @@ class DirectionFinder:
             "one": 1.0,
             "strongest": min(float(max(each) / max(np.mean(each), 0.1 * noise.deviation)), 3.0),
             "few": min(3.0 / max(heard.channels - 1.0, 3.0), 1.0),
+            "mirror": float(self.mirror is not None),
         }
         return Bearing(ray, gcc, curvature, response, coherence, terms, first)
 
@@ -466,8 +467,13 @@ class DirectionFinder:
 
     def across(self, one: Bearing, noise: NoiseLaw) -> np.ndarray:
         """Return the covariance (2, 2) rad² of a direction along `tangents`."""
-        factor = np.exp(2.0 * sum(weight * one.terms[name] for name, weight in self.law.spread.items()))
-        turned = factor * noise.deviation * np.linalg.inv(one.curvature + 0.02 * noise.deviation * np.eye(2))
+        parts = [self.law.spread[along] for along in ("level", "upward")]
+        factor = np.exp([sum(weight * one.terms[name] for name, weight in part.items()) for part in parts])
+        turned = (
+            np.outer(factor, factor)
+            * noise.deviation
+            * np.linalg.inv(one.curvature + 0.02 * noise.deviation * np.eye(2))
+        )
         turned = turned + (PLACED_M / self.response.size) ** 2 * np.eye(2)
         return 0.5 * (turned + turned.T)
 

@@ -50,7 +50,12 @@ SECONDS, RIGHT = 4.5, np.radians(10.0)
 FIRST = ("one", "agreement", "coherence", "narrow", "wide", "strongest", "few", "before")
 FURTHER = ("one", "agreement", "coherence", "wide", "strongest", "few", "own", "before")
 AFTER = ("one", "score", "again")
-SPREAD = ("one", "agreement", "size", "few")
+SPREAD = {
+    "level": ("one", "agreement", "size", "few"),
+    "upward": ("one", "coherence", "size", "few", "mirror"),
+}
+UNSEEN = 1.0
+"""rad²: a larger variance by the curvature alone is of what was not observed, as the elevation by a line."""
 PARTS = 6
 """In so many parts the scenes are split; each is predicted from the others."""
 
@@ -164,14 +169,14 @@ class Witness(DirectionFinder):
         best: tuple[float, int, np.ndarray] = (np.inf, -1, np.zeros(2))
         for number, person in enumerate(self.scene.people):
             true = person.at(found.time) - self.response.centre
-            for ray in self.images(one.ray):
-                error = tangents(ray) @ (true / np.linalg.norm(true))
-                if ray @ true > 0.0 and abs(error[0]) < best[0]:
-                    best = (abs(float(error[0])), number, error)
+            ray = max(self.images(one.ray), key=lambda image: float(image @ true))
+            error = tangents(ray) @ (true / np.linalg.norm(true))
+            if ray @ true > 0.0 and abs(error[0]) < best[0]:
+                best = (abs(float(error[0])), number, error)
         right = best[0] < RIGHT and best[1] not in taken and self.scene.people[best[1]].sounds(found.time, 0.1)
         if right:
             taken.add(best[1])
-        law, self.law = self.law, replace(self.law, spread={})
+        law, self.law = self.law, replace(self.law, spread={along: {} for along in SPREAD})
         shape = self.across(one, found.noise)
         self.law = law
         after = self.after(one, found.time, later) if later else None
@@ -205,24 +210,26 @@ def logistic(found: Sequence[Row], names: Sequence[str], ridge: float = 0.5) -> 
     return dict(zip(names, np.round(minimize(loss, np.zeros(len(names))).x, 2).tolist(), strict=True))
 
 
-def width(found: Sequence[Row]) -> dict[str, float]:
-    """Return the weights of the spread: the likelihood of the level errors, Student's t, and 95 % within 1.96 sd."""
-    some = [row for row in found if row.right]
-    error, shape = np.array([row.error[0] for row in some]), np.array([row.shape[0, 0] for row in some])
-    terms = np.array([[row.terms[name] for name in SPREAD] for row in some])
+def width(found: Sequence[Row], along: str) -> dict[str, float]:
+    """Return the weights of the spread along one tangent: the likelihood of the errors, Student's t, and 95 % within
+    1.96 standard deviations."""
+    axis, names = list(SPREAD).index(along), SPREAD[along]
+    some = [row for row in found if row.right and row.shape[axis, axis] < UNSEEN]
+    error, shape = np.array([row.error[axis] for row in some]), np.array([row.shape[axis, axis] for row in some])
+    terms = np.array([[row.terms[name] for name in names] for row in some])
 
     def loss(weights: np.ndarray) -> float:
         variance = np.exp(2.0 * terms @ weights) * shape
         return float(np.mean(0.5 * np.log(variance) + 2.5 * np.log1p(error**2 / (4.0 * variance))))
 
-    one, *weights = minimize(loss, np.zeros(len(SPREAD))).x
+    one, *weights = minimize(loss, np.zeros(len(names))).x
     ratio = np.abs(error) / np.sqrt(np.exp(2.0 * terms @ [one, *weights]) * shape)
     one += float(np.log(np.quantile(ratio, 0.95) / 1.96))
-    return dict(zip(SPREAD, np.round([one, *weights], 2).tolist(), strict=True))
+    return dict(zip(names, np.round([one, *weights], 2).tolist(), strict=True))
 
 
 def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, Any]:
-    """Return how well a law holds: log losses, and how often the level error is within 1.96 standard deviations.
+    """Return how well a law holds: log losses, and how often errors are within 1.96 standard deviations.
 
     Of the scores between two tenths it says how many there are, what they say on average, and how many are right.
     """
@@ -242,15 +249,13 @@ def described(found: Sequence[Row], law: DirectionLaw) -> dict[str, Any]:
             for here in (tenth == k for k in range(10))
             if here.any()
         ]
-    factor = np.exp([2.0 * sum(weight * row.terms[name] for name, weight in law.spread.items()) for row in found])
-    sd = np.sqrt(factor * [row.shape[0, 0] for row in found])
-    right = np.array([row.right for row in found])
-    error = np.abs([row.error[0] for row in found])
-    said["within_1.96_sd"] = float(np.mean((error < 1.96 * sd)[right]))
-    said["median_error_deg"], said["median_sd_deg"] = (
-        np.degrees(np.median(error[right])),
-        np.degrees(np.median(sd[right])),
-    )
+    for axis, (along, weights) in enumerate(law.spread.items()):
+        some = [row for row in found if row.right and row.shape[axis, axis] < UNSEEN]
+        factor = np.exp([sum(weight * row.terms[name] for name, weight in weights.items()) for row in some])
+        sd, error = factor * np.sqrt([r.shape[axis, axis] for r in some]), np.abs([row.error[axis] for row in some])
+        said[f"{along}_within_1.96_sd"] = float(np.mean(error < 1.96 * sd))
+        said[f"{along}_median_error_deg"] = np.degrees(np.median(error))
+        said[f"{along}_median_sd_deg"] = np.degrees(np.median(sd))
     return {name: value if isinstance(value, list) else round(float(value), 3) for name, value in said.items()}
 
 
@@ -264,7 +269,9 @@ def fitted(found: Sequence[Row], law: DirectionLaw) -> DirectionLaw:
         terms = np.array([[after_terms(row.after)[term] for term in AFTER] for row in some if row.after])
         right = np.array([row.right for row in some])
         after[name] = dict(zip([*AFTER, "middle"], rounded(undecided(terms, right, np.ones(len(some)))), strict=True))
-    return replace(law, first=first, further=further, after=after, spread=width(found))
+    return replace(
+        law, first=first, further=further, after=after, spread={along: width(found, along) for along in SPREAD}
+    )
 
 
 def main() -> None:
