@@ -74,6 +74,9 @@ def main(
     from avcli.detection.detector import detections
     from avcli.formats import footage, media, records
 
+    session.check_outputs(
+        {"--overlay": overlay if overlay and footage.source(overlay).kind == "video" else None}, files
+    )
     media.quiet_decoders()  # OpenCV asks when it is loaded
     network = settings.detector == "net"
     session.load("cv2", *(("onnxruntime",) if network else ()))

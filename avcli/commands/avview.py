@@ -137,8 +137,10 @@ def main(
     options = Options(**values)
     if not (html or mp4 or rrd or serve):
         session.usage("nothing to do: give --html FILE, --mp4 FILE, --rrd FILE or --serve")
-    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd}, paths)
     runs = list(_runs(session, paths, options))
+    lying = [*options.truth, options.film, options.sound, options.learnt, options.scenario]
+    lying += [str(file) for run in runs for file in (*run.files, run.config_path) if file]
+    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd}, [*paths, *filter(None, lying)])
     if (serve or mp4 or rrd) and len(runs) > 1:
         session.usage("--serve, --mp4 and --rrd show one run; --html shows several")
     if mp4 and len(options.beam) > 1:
@@ -293,6 +295,10 @@ def _shown(
             recorded: Recorded | None = experiment.Recorded([(options.start, Path(options.sound))])
         else:
             recorded = experiment.recorded(run.root, recording.chunks)
+        unheard = [f"--beam {one}" for one in options.beam if one != "none"]
+        unheard += [f"--microphone {options.microphone}"] * (options.microphone != 1)
+        if recorded is None and unheard:
+            session.usage(f"{unheard[0]}: there is no sound; -C names the experiment that has it, --sound a file")
         shown.track = None if recorded is None else recorded.channel(options.microphone)
     with session.timing("beams"):
         if recorded and (listening or options.beam):
