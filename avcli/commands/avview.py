@@ -199,6 +199,7 @@ def _write_page(session: Session, path: Path, shown: list[Shown], largest_mb: fl
 def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterator[Run]:
     """Sort what the user named into runs: one for each directory, and one for all files."""
     from avcli.formats.experiment import Layout
+    from avcli.formats.records import printable
 
     config = session.config_path if session.has_config else None
     directories = [path for path in paths if path != "-" and Path(path).is_dir()]
@@ -210,12 +211,12 @@ def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterato
         if not lying:
             session.usage(f"{path}: no records lie in this directory")
         name = Path(path).resolve().name
-        yield Run(name, Path(path), [str(file) for file in lying], config or layout.config)
+        yield Run(printable(name), Path(path), [str(file) for file in lying], config or layout.config)
     named = [path for path in paths if path not in directories]
     if named or not directories:
         root = session.media_root
         name = root.resolve().name if session.has_experiment else Path(named[0]).stem if named else "stdin"
-        yield Run(name, root, [*options.truth, *named] or ["-"], config)
+        yield Run(printable(name), root, [*options.truth, *named] or ["-"], config)
 
 
 def _fused_last(path: Path) -> tuple[int, str]:
@@ -425,10 +426,11 @@ def _surround(session: Session, run: Run, options: Options, shown: Shown) -> Non
 
 def _read(session: Session, run: Run, options: Options, take: Callable[..., None]) -> None:
     """Read all records; named files come first, standard input last."""
+    from avcli.formats.records import printable
     from avcli.view.recording import TRUTH
 
     for path in sorted(run.files, key=lambda path: path == "-"):
-        source = "tracks" if path == "-" else Path(path).stem.removesuffix("_tracking")
+        source = "tracks" if path == "-" else printable(Path(path).stem.removesuffix("_tracking"))
         parse = partial(take, source, TRUTH if path in options.truth else None)
         if path == "-":
             records = session.stream_records(_Tee(session.open(path)), "<stdin>", parse)  # type: ignore[arg-type]

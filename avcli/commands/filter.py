@@ -405,7 +405,9 @@ class Session:
     def open(self, path: str) -> BinaryIO:
         """Open a file that the user named, "-" for stdin, for reading bytes."""
         if path == "-":
-            if sys.stdin is None or sys.stdin.isatty():
+            if sys.stdin is None:
+                self.usage("standard input is closed; name a FILE or pipe records in")
+            if sys.stdin.isatty():
                 usage = " ".join(click.get_current_context().get_usage().split()).replace("U", "u", 1)
                 self.usage(f"standard input is a terminal; name a FILE or pipe records in; {usage}")
             if self._stdin_used:
