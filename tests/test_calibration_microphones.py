@@ -380,6 +380,14 @@ def test_a_mouth_is_where_the_record_says_or_ahead_of_the_walker():
     assert np.allclose(path, np.stack([times + microphones.MOUTH_AHEAD_M, 0 * times + 1, 0 * times + 1.7], -1))
 
 
+def test_a_long_track_is_smoothed_as_a_short_one_is():
+    t, path = walk(130, np.random.default_rng(5))
+    level, step = microphones._smooth(t, path[:, :2])
+    wanted = microphones._lines(t, t, path[:, :2])
+    np.testing.assert_allclose(level, wanted[0], atol=1e-9)
+    np.testing.assert_allclose(step, wanted[1], atol=1e-9)
+
+
 def test_records_with_several_people_or_none_are_left_out():
     nobody = Identified(0.5, np.zeros(0, int), np.zeros((0, 3)))
     two = Identified(0.6, np.array([1, 2]), np.zeros((2, 3)))

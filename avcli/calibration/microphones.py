@@ -419,7 +419,17 @@ def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     A track errs from step to step, and errors taken for movement would make the clock look better known than it is.
     """
-    away = times[None] - times[:, None]
+    level, step = np.zeros((2, *path.shape))
+    for first in range(0, len(times), 500):  # an hour at once would be matrices of gigabytes
+        rows = slice(first, first + 500)
+        near = (times >= times[rows][0] - 9.0 * SMOOTH_S) & (times <= times[rows][-1] + 9.0 * SMOOTH_S)
+        level[rows], step[rows] = _lines(times[rows], times[near], path[near])
+    return level, step
+
+
+def _lines(at: np.ndarray, times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `_smooth` does at some times (n,) s, from a path (k, 2) m at times (k,) s."""
+    away = times[None] - at[:, None]
     weight = np.exp(-0.5 * (away / SMOOTH_S) ** 2)
     weight /= weight.sum(1, keepdims=True)
     late = (weight * away).sum(1)
