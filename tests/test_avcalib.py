@@ -227,6 +227,14 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
     assert footage.frame_rate(str(tmp_path / "a.avi")) == 10.0
     assert run("avcalib", "undistort", tmp_path / "none.avi", "-c", camera, "--to", out).returncode == 2
     assert run("avcalib", "undistort", pictures, "-c", camera, "--to", out).returncode == 2
+    film = tmp_path / "a.avi"
+    kept = film.read_bytes(), (folder / source.with_suffix(".png").name).read_bytes()
+    for action in (["undistort", film, "--to", film], ["undistort", folder, "--to", folder, "--size", "1600x900"]):
+        result = run("avcalib", *action, "-c", camera)
+        assert result.returncode in (1, 2)
+        assert "is an input; name another" in result.stderr
+    assert run("avcalib", "calibrate", film, "--details", film).returncode == 2
+    assert kept == (film.read_bytes(), (folder / source.with_suffix(".png").name).read_bytes())
     other = tmp_path / "other.png"
     cv2.imwrite(str(other), np.zeros((90, 160), np.uint8))
     result = run("avcalib", "undistort", other, source, "-c", camera, "--to", tmp_path / "some")

@@ -312,6 +312,7 @@ def test_no_background(folder):
         (["--monocular", "--position", "centre"], "--position has no effect with --monocular"),
         (["--rate", "5"], "--rate"),
         (["--overlay", "one.jpg"], "--overlay"),
+        (["--overlay", "clip.avi", "clip.avi"], "--overlay clip.avi: this file is an input"),
         (["--imgsz", "big"], "--imgsz"),
         (["--imgsz", "16x16"], "--imgsz"),
         (["--confidence", "2"], "--confidence"),

@@ -359,3 +359,13 @@ def test_all_records_follow_the_schema(tmp_path):
     assert len(found) == 6 + 2 + 6 + 1
     for each in found:
         jsonschema.validate(each, schema)
+
+
+def test_a_name_that_is_no_utf8_is_shown(tmp_path):
+    truth, tracks = tmp_path / "t.jsonl", tmp_path / "tr\udce9.jsonl"
+    for path in (truth, tracks):
+        path.write_text('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1,0]}]}\n')
+    result = run("aveval", truth, tracks, "--html", tmp_path / "e.html", "--plot", tmp_path / "e.png")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert json.loads(result.stdout.splitlines()[0])["tracker"] == "tr�"
+    assert run("aveval", truth, tracks, "--format", "table").returncode == 0

@@ -190,11 +190,14 @@ def test_an_explanation_does_not_overwrite_an_input(tmp_path):
     before = path.read_bytes()
     link = tmp_path / "link.jsonl"
     link.symlink_to(path)
-    for explain in (path, link):
-        result = run("avfuse", path, "--explain", explain)
+    config = tmp_path / "config.json"
+    config.write_text(kept := "{}")
+    for explain in (path, link, config):
+        result = run("avfuse", path, "-c", config, "--explain", explain)
         assert result.returncode == 2
         assert "is an input" in result.stderr
     assert path.read_bytes() == before
+    assert config.read_text() == kept
 
 
 def test_ground_truth_and_tracks_are_not_detections(experiment, finished_s1):

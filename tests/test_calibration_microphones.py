@@ -116,6 +116,27 @@ def test_a_voice_in_one_place_tells_nothing_and_says_so():
     assert np.median(found.fit.shape_sd) > 0.02
 
 
+def test_a_voice_that_is_elsewhere_than_said_is_refused_with_that_reason():
+    rng = np.random.default_rng(3)
+    true, (t, path) = array(rng), walk(40, rng)
+    mirrored = path * [-1, 1, 1] + [6, 0, 0]
+    sound = said(true, t, path, rng)
+    found = measured(sound, true, microphones.tracked(t, mirrored, True, 0.05))
+    assert "does not come from where the voice is said to be" in found.refusal
+    with pytest.raises(ValueError, match="nothing is heard at the times of the places"):
+        measured(sound, true, microphones.tracked(t + 1000, path, True, 0.05))
+
+
+def test_a_microphone_that_is_not_heard_does_not_agree_with_its_place():
+    rng = np.random.default_rng(4)
+    true, (t, path) = array(rng), walk(40, rng)
+    sound = said(true, t, path, rng)
+    sound.delays[:, (sound.first == 2) | (sound.second == 2)] = np.nan
+    found = measured(sound, true)
+    assert found.untold.tolist() == [False, False, True, False, False, False]
+    assert "microphone 3: the sound does not tell where it is; its position stays as it was" in found.words()
+
+
 def test_too_little_is_refused():
     rng = np.random.default_rng(3)
     true = array(rng)
@@ -357,6 +378,14 @@ def test_a_mouth_is_where_the_record_says_or_ahead_of_the_walker():
     times, path, known = microphones.mouths(walker, 1.7)
     assert not known
     assert np.allclose(path, np.stack([times + microphones.MOUTH_AHEAD_M, 0 * times + 1, 0 * times + 1.7], -1))
+
+
+def test_a_long_track_is_smoothed_as_a_short_one_is():
+    t, path = walk(130, np.random.default_rng(5))
+    level, step = microphones._smooth(t, path[:, :2])
+    wanted = microphones._lines(t, t, path[:, :2])
+    np.testing.assert_allclose(level, wanted[0], atol=1e-9)
+    np.testing.assert_allclose(step, wanted[1], atol=1e-9)
 
 
 def test_records_with_several_people_or_none_are_left_out():

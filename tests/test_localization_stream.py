@@ -81,6 +81,19 @@ def test_a_long_gap_starts_the_recording_anew_and_writes_no_silence():
     assert list(stretches([], 0)) == []
 
 
+def test_a_clock_that_is_set_back_starts_the_recording_anew_and_loses_no_sound():
+    said = []
+    recording = Recording(CONFIG.microphones, warn=lambda text, kind: said.append((text, kind)))
+    hour = 3600 * RATE
+    samples, _ = pieces(recording, (hour, 20), (hour + 20, 20), (RATE, 20), (RATE + 20, 10), (RATE, 20))
+    np.testing.assert_array_equal(samples, [*range(hour, hour + 40), *range(RATE, RATE + 30)])
+    assert said[0] == (
+        f"a.wav: time goes back from {(hour + 20) / RATE:.4f} to 1.0000 s; the recording starts anew there",
+        "set back",
+    )
+    assert said[1][1] == "repeated", "the same piece twice is no clock that was set back"
+
+
 def test_nothing_is_decided_about_what_comes_after_the_scene():
     known = Recording(CONFIG.microphones, reverberation_s=0.5)
     assert pieces(known, (0, 100), tail=0)[1] == [0.0]

@@ -266,6 +266,92 @@ def test_live_the_clock_goes_on_while_all_are_silent_and_no_further():
     assert len(live.said) == 2
 
 
+def tenths(begin, end, *sensors):
+    """Records of sensors at 10 Hz: (sensor, time), in the order in which they are sent."""
+    return [(sensor, k / 10) for k in range(10 * begin, 10 * end) for sensor in sensors]
+
+
+def merged_sensors(events, sources, *, live):
+    """Merge records (sensor, time) that come as their times go on; [(step, times in it)], sentences, merger."""
+    now, said = [0.0], []
+    names = sorted(set(sources.values()))
+    merger = LiveMerger(names, 10.0, clock=lambda: now[0]) if live else Merger(names, 10.0)
+    merger.say = said.append
+
+    def sent():
+        if not live:
+            yield from in_turn([iter([seen(t, s) for s, t in events if sources[s] == name]) for name in names])
+            return
+        before = events[0][1]
+        for sensor, time in events:
+            now[0] += 0.1 * (time != before)
+            before = time
+            yield names.index(sources[sensor]), seen(time, sensor)
+            yield None
+        for source in range(len(names)):
+            yield source, None
+
+    return [(round(t, 6), [at for at, *_ in inside]) for t, inside in merger.steps(sent())], said, merger
+
+
+@pytest.mark.parametrize("live", [False, True])
+@pytest.mark.parametrize("sources", [{"audio": "both", "video": "both"}, {"audio": "a", "video": "v"}])
+@pytest.mark.parametrize("after", [("audio", "video"), ("video",)])
+def test_a_clock_that_was_set_back_loses_no_record(live, sources, after):
+    events = tenths(7200, 7204, "audio", "video") + tenths(100, 104, *after)
+    steps, said, merger = merged_sensors(events, sources, live=live)
+    assert [t for t, _ in steps] == [k / 10 for begin in (72000, 1000) for k in range(begin, begin + 40)]
+    assert sum(len(inside) for _, inside in steps[1:]) == 78 + 40 * len(after)
+    assert "time goes back from 7203.9000 to 100.0000 s; the tracks go on from there" in said
+    assert merger.late.total() <= live, "nobody waits for the first record of all of a sensor"
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_sensor_whose_clock_alone_was_set_back_is_ignored_while_the_other_goes_on(live):
+    both = itertools.chain.from_iterable(zip(tenths(0, 10, "audio"), tenths(7204, 7214, "video"), strict=True))
+    events = [*tenths(7200, 7204, "audio", "video"), *both]
+    steps, _, merger = merged_sensors(events, {"audio": "both", "video": "both"}, live=live)
+    assert [t for t, _ in steps] == [k / 10 for k in range(72000, 72140)]
+    assert merger.late["audio"] == 100
+    assert len(merger.set_back.records[0, "audio"]) <= 21, "nothing piles up"
+
+
+def test_files_whose_clocks_were_set_back_are_read_in_turn_before_and_after():
+    times = [*range(7200, 7260), *range(60)]
+    read = [one.timestamp for _, one in in_turn([map(seen, times), map(seen, times)]) if one is not None]
+    assert sum(time < 100 for time in read[:120]) <= 4
+    tracks = track(None, *([seen(t, name) for t in times] for name in ("camera", "ring")))
+    assert np.allclose([one.timestamp for one in tracks], times)
+
+
+@pytest.mark.parametrize("lag", [0, 5, np.inf])
+def test_people_stay_who_they_were_when_a_clock_is_set_back(lag):
+    nan, times = np.full((1, 3, 3), np.nan), [*np.arange(7200, 7203, 0.1), *np.arange(60, 63, 0.1)]
+    places = [np.array([[1 + k / 20, 2.0, 0.0]]) for k in range(len(times))]
+    walk = [
+        Detections(t, "ceiling", place, nan, np.array([0.9]), "camera") for t, place in zip(times, places, strict=True)
+    ]
+    tracks = track(None, walk, lag=lag)
+    assert np.allclose([one.timestamp for one in tracks], times)
+    assert np.allclose([one.last_seen[0] for one in tracks], times)
+    assert {one.ids.tolist()[0] for one in tracks} == {0}
+    assert np.abs([one.positions[0] - place for one, place in zip(tracks[5:], places[5:], strict=True)]).max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_records_in_disorder_are_no_clock_that_was_set_back(seed):
+    order = np.random.default_rng(seed).permutation(500).tolist()
+    for times in (order, sorted(order, reverse=True)):
+        steps, _ = merged([0.0, *times], rate=1.0)
+        assert np.all(np.diff([step for step, _ in steps]) > 0)
+
+
+def test_live_one_wrong_time_is_ignored_at_the_end_too():
+    events = [("video", time) for time in [0.0, 0.1, 0.2, 9000.0, 0.3, 0.4, 0.5]]
+    steps, _, _ = merged_sensors(events, {"video": "v"}, live=True)
+    assert [t for t, _ in steps] == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+
+
 def test_live_one_wrong_time_is_ignored():
     live = Live()
     out = []

@@ -399,3 +399,17 @@ def test_a_start_without_film_or_sound_is_wrong_usage(tmp_path):
     assert result.returncode == 2
     assert "--start has no effect" in result.stderr
     assert not (tmp_path / "p.html").exists()
+    for option in (["--beam", "1"], ["--microphone", "2"]):
+        result = run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", *option)
+        assert result.returncode == 2
+        assert f"{' '.join(option)}: there is no sound" in result.stderr
+    assert run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", "--beam", "none").returncode == 0
+
+
+def test_a_film_replaces_no_file_that_is_shown(made):
+    for name in ("config.json", "tracking/video_tracking.jsonl"):
+        before = (made / "s3" / name).read_bytes()
+        result = run("avview", "s3", "--mp4", f"s3/{name}", cwd=made)
+        assert result.returncode == 2
+        assert "this file is an input" in result.stderr
+        assert (made / "s3" / name).read_bytes() == before

@@ -25,6 +25,12 @@ def page(found: Measured, channels: Sequence[Mapping[str, Any]], faults: Sequenc
     """
     if found.refusal:
         kind, verdict = "no", found.refusal
+    elif found.untold.any():
+        lost = ", ".join(str(k + 1) for k in np.flatnonzero(found.untold))
+        kind, verdict = (
+            "partly",
+            f"the sound does not tell where these microphones are: {lost}; the others are measured",
+        )
     elif found.placed:
         kind, verdict = "yes", "the positions are measured, in the room too"
     elif found.echoing.all():

@@ -40,6 +40,10 @@ ELSEWHERE_M = 0.03
 """How far a surface must be from where it was given to be worth a word, m."""
 _SURE = 16.3
 """Chi-square with three degrees of freedom that chance exceeds once in a thousand."""
+_ELSEWHERE = 3.0
+"""How many times larger the spread of held-out delays is with the found positions where the voice was elsewhere."""
+_UNTOLD = 0.95
+"""Share of what was known before above which the sound has told nothing."""
 
 
 class Heard(Protocol):
@@ -121,6 +125,11 @@ class Measured:
         return whole[np.arange(count), :, np.arange(count), :]
 
     @property
+    def untold(self) -> np.ndarray:
+        """Which microphones (m,) the sound says nothing about: they are known no better than before."""
+        return np.sqrt(np.linalg.eigvalsh(self.covariances)[:, 0]) > _UNTOLD * self.prior.sd_m
+
+    @property
     def ways(self) -> int:
         """In how many ways the array can be deformed: 3 m less the rigid motions."""
         return self.fit.positions.size - 6
@@ -133,11 +142,17 @@ class Measured:
     @property
     def hearing(self) -> np.ndarray:
         """Which channels (m,) hear most of these surfaces."""
-        return self.echoing.any() & ((self.fit.clear[:, self.echoing] > 0.0).mean(axis=1) > 0.5)
+        count = int(self.echoing.sum())
+        return (self.fit.clear[:, self.echoing] > 0.0).sum(axis=1) > 0.5 * max(count, 1)
 
     @property
     def refusal(self) -> str | None:
         """Why the recording cannot tell where the microphones are; None where it can."""
+        if self.placed and self.held_out_s > _ELSEWHERE * self.held_out_given_s:
+            return (
+                "the sound does not come from where the voice is said to be; are these places in metres, in the room of"
+                " config.json, and of this recording?"
+            )
         if self.told < ENOUGH:
             stoop = "" if self.placed else " and stoop now and then"
             return (
@@ -201,6 +216,9 @@ class Measured:
         fit, lines = self.fit, list[str]()
         for number, (shift, covariance) in enumerate(zip(self.shifts, self.covariances, strict=True), 1):
             size, sd = float(np.linalg.norm(shift)), float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+            if self.untold[number - 1]:
+                lines.append(f"microphone {number}: the sound does not tell where it is; its position stays as it was")
+                continue
             elsewhere = float(shift @ np.linalg.solve(covariance, shift)) > _SURE and size > 0.01
             say = "is not where it was measured" if elsewhere else "agrees with its measured position"
             lines.append(f"microphone {number} {say}: shift {1000 * size:.0f} mm ± {1000 * sd:.0f} mm")
@@ -273,6 +291,8 @@ def measure(
     rough = fitted(heard)
     if way is not None:
         clock = 0.0 if is_clock_known else _clock(rough.path, heard.times, way)
+        if not (np.abs(heard.times[:, None] + clock - way.times) < 0.2).any():
+            raise ValueError("nothing is heard at the times of the places")
         way_used = way
     said = again(heard.times, rough.path, rough.predicted, rough.arrivals, rough.echoes)
     free = fitted(said)
@@ -399,7 +419,17 @@ def _smooth(times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     A track errs from step to step, and errors taken for movement would make the clock look better known than it is.
     """
-    away = times[None] - times[:, None]
+    level, step = np.zeros((2, *path.shape))
+    for first in range(0, len(times), 500):  # an hour at once would be matrices of gigabytes
+        rows = slice(first, first + 500)
+        near = (times >= times[rows][0] - 9.0 * SMOOTH_S) & (times <= times[rows][-1] + 9.0 * SMOOTH_S)
+        level[rows], step[rows] = _lines(times[rows], times[near], path[near])
+    return level, step
+
+
+def _lines(at: np.ndarray, times: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `_smooth` does at some times (n,) s, from a path (k, 2) m at times (k,) s."""
+    away = times[None] - at[:, None]
     weight = np.exp(-0.5 * (away / SMOOTH_S) ** 2)
     weight /= weight.sum(1, keepdims=True)
     late = (weight * away).sum(1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -83,7 +83,7 @@ def _fit_options(rate_hz: float) -> Callable:
 @common(presets=_THESIS)
 def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any) -> None:
     """Find a camera's lens from pictures, a video or a camera that saw a printed board from many sides."""
-    _check_options(session, values)
+    _check_options(session, values, sources)
     from avcli.calibration import live
 
     fitted = settings_from(settings.FitSettings, values)
@@ -106,7 +106,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
     from avcli.calibration import live, watch
     from avcli.formats import serving
 
-    _check_options(session, values)
+    _check_options(session, values, [source])
     given = settings_from(settings.LiveSettings, values)
     fitted = settings_from(settings.FitSettings, values)
     board, camera = parse_board(session, values), check_sources(session, [source])[0]
@@ -130,7 +130,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
     _finish(session, seen, values)
 
 
-def _check_options(session: Session, values: dict[str, Any]) -> None:
+def _check_options(session: Session, values: dict[str, Any], sources: Iterable[str]) -> None:
     """Refuse, before any picture is read, what cannot be done or has no effect."""
     from avcli.calibration.choose import AUTO
     from avcli.lens import variants
@@ -144,7 +144,7 @@ def _check_options(session: Session, values: dict[str, Any]) -> None:
         session.usage(f"--lens-model {model} is unknown; known are {', '.join(variants())}, {AUTO}")
     if plot and not plot.lower().endswith((".png", ".svg", ".pdf")):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
-    session.check_outputs({f"--{name}": values[name] for name in ("html", "plot", "details")})
+    session.check_outputs({f"--{name}": values[name] for name in ("html", "plot", "details")}, sources)
 
 
 def _finish(session: Session, seen: Seen, values: dict[str, Any]) -> None:

@@ -64,6 +64,7 @@ def undistort_command(
         refuse_without_effect(["balance"], f"with --projection {given.projection}")
     if given.fov_deg is not None:
         refuse_without_effect(["balance"], "with --fov")
+    session.check_outputs({"--to": target if footage.source(target).kind == "video" else None}, names)
     camera, kinds = read_camera(session), check_sources(session, names)
     size, single = size or camera.size, len(kinds) == 1 and kinds[0].kind != "folder"
     with usage_errors(session):
@@ -205,7 +206,8 @@ def microphones_command(
             raise GateNotMet(str(error)) from None
         except ValueError as error:
             session.fail(str(error))
-    channels = channels.refined(found.fit.delays, found.fit.drifts, found.hearing)
+    if not found.refusal:
+        channels = channels.refined(found.fit.delays, found.fit.drifts, found.hearing)
     for line in [*channels.words(), *found.words()]:
         session.warn(line)
     if html:

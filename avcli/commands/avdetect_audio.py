@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import io
 import math
+import os
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -276,7 +277,7 @@ class _Sound:
             try:
                 with open(path, "rb") as stream:
                     if stream.read(4) in _SOUND:
-                        lengths.append(soundfile.info(path).frames)
+                        lengths.append(soundfile.info(os.fsencode(path)).frames)
                         continue
                     stream.seek(0)
                     found = [records.audio(records.decode(text), outside=True) for _, text in records.texts(stream)]

@@ -74,6 +74,9 @@ def main(
     from avcli.detection.detector import detections
     from avcli.formats import footage, media, records
 
+    session.check_outputs(
+        {"--overlay": overlay if overlay and footage.source(overlay).kind == "video" else None}, files
+    )
     media.quiet_decoders()  # OpenCV asks when it is loaded
     network = settings.detector == "net"
     session.load("cv2", *(("onnxruntime",) if network else ()))
@@ -305,15 +308,17 @@ def _frames(session: filter.Session, frames: Iterable[records.Frame | None]) -> 
     Says so if there are no frames, or if time goes back.
     """
     from avcli.formats import footage, media
+    from avcli.formats.bounds import LONGEST_GAP_S
 
     root, others, last = session.media_root, 0, -math.inf
     for frame in frames:
         others += frame is None
         if frame is not None:
             if frame.timestamp < last:
+                late = ", and avfuse drops what comes too late" if last - frame.timestamp <= LONGEST_GAP_S else ""
                 session.warn(
-                    f"time goes back from {last:.4f} to {frame.timestamp:.4f} s: people are found anew from there on, "
-                    "and avfuse drops what comes too late",
+                    f"time goes back from {last:.4f} to {frame.timestamp:.4f} s: people are found anew from there on"
+                    + late,
                     kind="a frame is earlier than the frame before it",
                 )
             last = frame.timestamp

@@ -137,8 +137,10 @@ def main(
     options = Options(**values)
     if not (html or mp4 or rrd or serve):
         session.usage("nothing to do: give --html FILE, --mp4 FILE, --rrd FILE or --serve")
-    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd}, paths)
     runs = list(_runs(session, paths, options))
+    lying = [*options.truth, options.film, options.sound, options.learnt, options.scenario]
+    lying += [str(file) for run in runs for file in (*run.files, run.config_path) if file]
+    session.check_outputs({"--html": html, "--mp4": mp4, "--rrd": rrd}, [*paths, *filter(None, lying)])
     if (serve or mp4 or rrd) and len(runs) > 1:
         session.usage("--serve, --mp4 and --rrd show one run; --html shows several")
     if mp4 and len(options.beam) > 1:
@@ -197,6 +199,7 @@ def _write_page(session: Session, path: Path, shown: list[Shown], largest_mb: fl
 def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterator[Run]:
     """Sort what the user named into runs: one for each directory, and one for all files."""
     from avcli.formats.experiment import Layout
+    from avcli.formats.records import printable
 
     config = session.config_path if session.has_config else None
     directories = [path for path in paths if path != "-" and Path(path).is_dir()]
@@ -208,12 +211,12 @@ def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterato
         if not lying:
             session.usage(f"{path}: no records lie in this directory")
         name = Path(path).resolve().name
-        yield Run(name, Path(path), [str(file) for file in lying], config or layout.config)
+        yield Run(printable(name), Path(path), [str(file) for file in lying], config or layout.config)
     named = [path for path in paths if path not in directories]
     if named or not directories:
         root = session.media_root
         name = root.resolve().name if session.has_experiment else Path(named[0]).stem if named else "stdin"
-        yield Run(name, root, [*options.truth, *named] or ["-"], config)
+        yield Run(printable(name), root, [*options.truth, *named] or ["-"], config)
 
 
 def _fused_last(path: Path) -> tuple[int, str]:
@@ -293,6 +296,10 @@ def _shown(
             recorded: Recorded | None = experiment.Recorded([(options.start, Path(options.sound))])
         else:
             recorded = experiment.recorded(run.root, recording.chunks)
+        unheard = [f"--beam {one}" for one in options.beam if one != "none"]
+        unheard += [f"--microphone {options.microphone}"] * (options.microphone != 1)
+        if recorded is None and unheard:
+            session.usage(f"{unheard[0]}: there is no sound; -C names the experiment that has it, --sound a file")
         shown.track = None if recorded is None else recorded.channel(options.microphone)
     with session.timing("beams"):
         if recorded and (listening or options.beam):
@@ -419,10 +426,11 @@ def _surround(session: Session, run: Run, options: Options, shown: Shown) -> Non
 
 def _read(session: Session, run: Run, options: Options, take: Callable[..., None]) -> None:
     """Read all records; named files come first, standard input last."""
+    from avcli.formats.records import printable
     from avcli.view.recording import TRUTH
 
     for path in sorted(run.files, key=lambda path: path == "-"):
-        source = "tracks" if path == "-" else Path(path).stem.removesuffix("_tracking")
+        source = "tracks" if path == "-" else printable(Path(path).stem.removesuffix("_tracking"))
         parse = partial(take, source, TRUTH if path in options.truth else None)
         if path == "-":
             records = session.stream_records(_Tee(session.open(path)), "<stdin>", parse)  # type: ignore[arg-type]

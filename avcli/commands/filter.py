@@ -265,14 +265,15 @@ class Session:
         raise click.UsageError(text, click.get_current_context(silent=True))
 
     def check_outputs(self, outputs: Mapping[str, str | None], inputs: Iterable[str] = ()) -> None:
-        """End with a usage error, before any work, where a file that is to be written is an input, or has no directory,
-        or has the name of another output.
+        """End with a usage error, before any work, where a file that is to be written is an input or config.json, or
+        has no directory, or has the name of another output.
 
         Args:
             outputs: by option, beside that of --output.
             inputs: files that are read.
         """
-        taken = {os.path.realpath(path): "this file is an input; name another one" for path in inputs}
+        configs = [str(self.config_path)] if self.has_config else []
+        taken = {os.path.realpath(path): "this file is an input; name another one" for path in (*inputs, *configs)}
         for option, path in {"": self.output_path, **outputs}.items():
             if option and path == "-":
                 self.usage(f"{option} -: only --output writes to standard output; a file of that name is ./-")
@@ -404,7 +405,9 @@ class Session:
     def open(self, path: str) -> BinaryIO:
         """Open a file that the user named, "-" for stdin, for reading bytes."""
         if path == "-":
-            if sys.stdin is None or sys.stdin.isatty():
+            if sys.stdin is None:
+                self.usage("standard input is closed; name a FILE or pipe records in")
+            if sys.stdin.isatty():
                 usage = " ".join(click.get_current_context().get_usage().split()).replace("U", "u", 1)
                 self.usage(f"standard input is a terminal; name a FILE or pipe records in; {usage}")
             if self._stdin_used:

@@ -583,7 +583,8 @@ class Sink(contextlib.ExitStack):
         """Write the new image of a picture: (height, width[, 3 or 4]) uint8 or uint16.
 
         Raises:
-            MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written.
+            MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written, or
+                would replace the file that it comes from.
         """
         self._count += 1
         if self._is_video:
@@ -602,6 +603,8 @@ class Sink(contextlib.ExitStack):
             path = self.path / f"{stem}.png"
         elif self._count > 1:
             raise MediaError(f"{self.path} is one picture; this source has several")
+        if path.exists() and os.path.exists(picture.name) and path.samefile(picture.name):
+            raise MediaError(f"{path} is an input; name another folder or file")
         try:
             content = encode_picture(image, path.suffix)
         except MediaError as error:

@@ -496,7 +496,7 @@ def _sound_file(path: str | os.PathLike) -> Iterator[tuple["soundfile.SoundFile"
             size = os.fstat(stream.fileno()).st_size
         if size == 0:
             raise MediaError(f"{path}: the file is empty")
-        with soundfile.SoundFile(path) as file:
+        with soundfile.SoundFile(os.fsencode(path)) as file:  # a name need not be UTF-8
             if file.channels > MOST_CHANNELS:
                 raise MediaError(f"{path}: sound has at most {MOST_CHANNELS} channels, and this has {file.channels}")
             yield file, size

@@ -155,6 +155,19 @@ def _is_flat(line: bytes) -> bool:
     return False
 
 
+def printable(name: str) -> str:
+    """Return the name of a file with "�" for bytes that are no UTF-8, which neither JSON nor a page can hold."""
+    return os.fsencode(name).decode("utf-8", "replace")
+
+
+def _printable(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, Mapping):
+        return {_printable(key): _printable(one) for key, one in value.items()}
+    return [_printable(one) for one in value] if isinstance(value, list | tuple) else value
+
+
 def encode(record: Mapping) -> bytes:
     """Encode a record as one line, its "timestamp" (s) as a string with ten decimals.
 
@@ -165,7 +178,11 @@ def encode(record: Mapping) -> bytes:
     """
     if "timestamp" in record:
         record = {**record, "timestamp": format_timestamp(float(record["timestamp"]))}
-    line = orjson.dumps(record, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE, default=_listed)
+    option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
+    try:
+        line = orjson.dumps(record, option=option, default=_listed)
+    except orjson.JSONEncodeError:  # the name of a file that is no UTF-8
+        line = orjson.dumps(_printable(record), option=option, default=_listed)
     if b"null" in line:  # orjson writes it in the place of what JSON cannot hold
         _refuse_non_finite(record, "")
     return line

@@ -1,5 +1,6 @@
 """Sound as it arrives: pieces of a recording on one clock, and the windows that are cut from it."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
@@ -83,6 +84,7 @@ class Recording:
         self.scene_end: int | None = None
         self.held_back = 0.0
         self._anew: int | None = None  # the place where the next block starts anew
+        self._piece = -math.inf  # the place of the latest piece
 
     def sound(self, name: str, blocks: Iterable[tuple[np.ndarray, int]]) -> Iterator[Block]:
         """Yield the blocks of a sound that goes on where the one before ended.
@@ -111,7 +113,8 @@ class Recording:
     ) -> Iterator[Block]:
         """Yield the blocks of a piece at its place: silence where samples are missing before it, and no sample twice.
 
-        Where more than LONGEST_GAP_S is missing, the recording starts anew with the piece.
+        Where more than LONGEST_GAP_S is missing, or it begins so much before the piece before it, as after a clock was
+        set back, the recording starts anew with the piece.
 
         Args:
             name, blocks: as for `sound`.
@@ -126,7 +129,12 @@ class Recording:
         if self.begin is not None and start_sample - self.next > LONGEST_GAP_S * rate:
             gap = (start_sample - self.next) / rate
             self.warn(f"{name}: {gap:.0f} s before it are missing; the recording starts anew there", "long gaps")
-            self.next, self._anew, self.scene_end = start_sample, start_sample, None
+            self._start_anew(start_sample)
+        elif self._piece - start_sample > LONGEST_GAP_S * rate:
+            times = f"from {self._piece / rate:.4f} to {start_sample / rate:.4f} s"
+            self.warn(f"{name}: time goes back {times}; the recording starts anew there", "set back")
+            self._start_anew(start_sample)
+        self._piece = start_sample
         if tail_samples is None:
             self.held_back = self.reverberation_s
         elif tail_samples and self.scene_end is None:
@@ -152,6 +160,9 @@ class Recording:
                 yield self._block(new)
         if left:
             raise ValueError(f"{name}: {left} samples fewer than its record states")
+
+    def _start_anew(self, place: int) -> None:
+        self.next, self._anew, self.scene_end = place, place, None
 
     def _block(self, samples: np.ndarray) -> Block:
         self.next += len(samples)

@@ -334,7 +334,7 @@ def _windows(read: Read) -> tuple[np.ndarray, np.ndarray, np.ndarray, _Frame]:
                 part = np.fft.rfft(samples[begin : begin + frame.size] * taper, axis=0).T[:, frame.band]
                 times.append(start + (begin + 0.5 * frame.size) / frame.rate)
                 spectra.append(correlation.whiten(part, 1.0))
-    return np.array(times), np.array(spectra), np.sqrt(power[chosen].mean(axis=0)), frame
+    return np.array(times), np.array(spectra), np.sqrt(power[chosen].sum(axis=0) / max(len(chosen), 1)), frame
 
 
 class _Listener:

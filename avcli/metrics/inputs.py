@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from avcli.formats.experiment import Layout
+from avcli.formats.records import printable
 
 _FIRST = ("audio", "video", "audio_video")
 """The thesis's trackers, which stand first in this order."""
@@ -48,9 +49,9 @@ def from_files(paths: Sequence[str], detections: Sequence[str], directory: Path 
     truth, *tracks = paths
     for path in (*(tracks if "-" in tracks else (truth, *tracks)), *detections):
         _must_exist(path)
-    names = ["stdin" if path == "-" else Path(path).stem.removesuffix("_tracking") for path in tracks]
+    names = ["stdin" if path == "-" else printable(Path(path).stem.removesuffix("_tracking")) for path in tracks]
     if len(set(names)) < len(names):
-        names = tracks
+        names = [printable(path) for path in tracks]
     if len(set(names)) < len(names):
         raise ValueError("the same TRACKS are named twice")
     named = list(zip(names, tracks, strict=True))
@@ -107,5 +108,5 @@ def _sequence_name(path: str) -> str:
     if path == "-":
         return "stdin"
     if Path(path).name == "groundtruth_sources.jsonl":
-        return Path(path).resolve().parent.name
-    return Path(path).stem
+        return printable(Path(path).resolve().parent.name)
+    return printable(Path(path).stem)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from avcli.formats.records import Detections, Identified
+from avcli.formats.records import Detections, Identified, printable
 from avcli.formats.sensors import MICROPHONES, sensor_kind
 from avcli.metrics import registry
 from avcli.metrics.detections import SensorCase
@@ -173,7 +173,8 @@ def score_sensors(
     for path, found in files:
         by_sensor: dict[str, list[Detections]] = {}
         for each in found:
-            by_sensor.setdefault(each.sensor or Path(path).stem.removesuffix("_localizations"), []).append(each)
+            name = each.sensor or printable(Path(path).stem.removesuffix("_localizations"))
+            by_sensor.setdefault(name, []).append(each)
         for sensor, own in by_sensor.items():
             name = f"{sensor} of {Path(path).name}" if sensor in names else sensor
             names.add(name)

@@ -145,8 +145,9 @@ class Fusion:
             if not isinstance(self.tracker, Smoothable):
                 raise ValueError(f"the tracker {tracker} cannot smooth; its lag must be 0")
             self.delayed = Delayed(self.tracker, lag)
-        self.origin: float | None = None
-        self.shown = -math.inf  # time of the last output since the origin
+        self._origins: list[tuple[float, float]] = []  # tracker's time in s from which on, and the time of its 0, in s
+        self._now, self._period = 0.0, 0.1  # tracker's time of the last step, and since the one before, in s
+        self.shown = -math.inf  # tracker's time of the last output
         self.numbers: dict[int, int] = {}
         self.ears: list[str] = []  # names of the microphones
         self.outside = 0
@@ -215,12 +216,17 @@ class Fusion:
         Returns:
             The tracks of the steps that are due: without lag those of this step.
         """
-        if self.origin is None:
-            self.origin = min([time, *(at for at, _, _ in records)])  # nothing is before the tracker's time 0
-        now = round(time - self.origin, 6)
+        begin = min([time, *(at for at, _, _ in records)])
+        if not self._origins:
+            self._origins.append((-math.inf, begin))  # nothing is before the tracker's time 0
+        elif time - self._origins[-1][1] < self._now:  # a clock was set back; people have not gone meanwhile
+            self._origins.append((self._now + self._period, begin - self._now - self._period))
+        origin = self._origins[-1][1]
+        now = round(time - origin, 6)
+        self._now, self._period = now, min(now - self._now, self._period) or self._period
         looks: dict[tuple[float, int], list[Detections]] = {}
         for at, name, one in records:
-            looks.setdefault((round(at - self.origin, 6), self._column(name, one.kind)), []).append(one)
+            looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
@@ -258,12 +264,16 @@ class Fusion:
             raise ValueError("the tracker cannot explain its records")
         accounts = self.tracker.accounts()
         for account in accounts:
-            account["timestamp"] += self.origin
+            account["timestamp"] = self._outside(account["timestamp"])
             for person in account["people"]:
-                person["last_seen"] = None if person["last_seen"] is None else person["last_seen"] + self.origin
+                person["last_seen"] = None if person["last_seen"] is None else self._outside(person["last_seen"])
             for entry in (*account["people"], *account["born"], *account["died"]):
                 entry["object_id"] = self.numbers.get(entry["label"])
         return accounts
+
+    def _outside(self, time: float) -> float:
+        """Return the time in s of the records at a time of the tracker, which never goes back."""
+        return time + next((origin for since, origin in reversed(self._origins) if time > since - 1e-6), 0.0)
 
     def _column(self, name: str, stated: str | None) -> int:
         """Number of a sensor by its name; a new one is added as its kind says."""
@@ -329,7 +339,7 @@ class Fusion:
         before, self.shown = self.shown, time
         if self.settings.show == "observed":
             tracks = [one for one in tracks if one.last_seen > before]
-        n, numbers, ears, origin = len(tracks), self.numbers, self.ears, self.origin or 0.0
+        n, numbers, ears = len(tracks), self.numbers, self.ears
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
         speaking = [math.nan] * n
         states = np.array([one.state for one in tracks]).reshape(n, 4)
@@ -343,7 +353,7 @@ class Fusion:
         covariances[:, 1, 0], covariances[:, 2, 2] = covariances[:, 0, 1], HEIGHT_VARIANCE
         last = [one.last_seen for one in tracks]
         return Identified(
-            timestamp=origin + time,
+            timestamp=self._outside(time),
             ids=np.array([numbers[one.label] for one in tracks], np.int64),
             positions=positions,
             speaking=np.array(speaking),
@@ -351,7 +361,7 @@ class Fusion:
             covariances=covariances,
             existence=np.array([one.existence for one in tracks]),
             observed=np.array([float(one > before) for one in last]),
-            last_seen=np.array([origin + one if math.isfinite(one) else math.nan for one in last]),
+            last_seen=np.array([self._outside(one) if math.isfinite(one) else math.nan for one in last]),
         )
 
 

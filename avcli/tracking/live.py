@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from avcli.formats.records import Detections
@@ -93,6 +93,7 @@ class LiveMerger(Merger):
             if wrong:
                 self.say(f"sensor {sensor!r}: a record with a time far ahead of the others was ignored")
                 self.records = [r for r in self.records if not (r[1:3] == (sensor, source) and r[0] > time)]
+                self.last = max((r[0] for r in self.records), default=time)
 
     def end(self, source: int) -> None:
         """Note that a source has ended."""
@@ -167,12 +168,17 @@ class LiveMerger(Merger):
     def _end(self) -> float:
         return math.inf if self.open else super()._end()
 
-    def _ignore(self, key: Key) -> None:
+    def _present(self) -> Iterable[Key]:
+        return self.streams.keys() - self.absent
+
+    def _ignore(self, key: Key, count: int = 1) -> None:
+        if not count:
+            return
         if self.clock() - self.heard.get(key, -math.inf) >= self.max_wait:
             return  # nobody waited for the first record of a sensor, or for the first after a silence
         if key[1] not in self.late:
             self.say(f"sensor {key[1]!r}: records come too late and are ignored")
-        super()._ignore(key)
+        super()._ignore(key, count)
 
     def _stream(self, time: float) -> LiveStream:
         return LiveStream(time, time, 1.0 / self.rate if self.rate else math.inf, reach=self.max_wait)

@@ -12,7 +12,7 @@ from avcli.numeric import rate_of
 
 SAME = 1e-6  # s; nearer times are one
 PATIENCE = 3  # records after a gap before the missing one is given up
-JUMP = 10.0  # s without any record, after which the clock starts anew
+JUMP = 10.0  # s without any record, or back in time, after which the clock starts anew
 FASTEST = 1000.0  # Hz, of a clock that is estimated
 LATEST = 1e11  # s; the steps of a clock cannot be told from each other much beyond
 
@@ -63,11 +63,72 @@ class Stream:
             self.complete = self.waiting.pop(0)
 
 
+class SetBack:
+    """Records of sensors whose time went back by more than JUMP, until all sensors have done so.
+
+    One such record is a wrong time. A clock that was set back goes on from there: more than PATIENCE records follow
+    each other.
+
+    Attributes:
+        records: of each such sensor, (time s, detections) in order of time.
+        others: sensors that have sent a record by the old clock since the first of these.
+    """
+
+    def __init__(self) -> None:
+        self.records: dict[Key, list[tuple[float, Detections]]] = {}
+        self.others: set[Key] = set()
+
+    def take(self, key: Key, time: float, before: float, detections: Detections) -> int | None:
+        """Take a record where it is of a clock that was set back.
+
+        Args:
+            key, time, detections: of the record.
+            before: s, the time up to which no record of the sensor is missing.
+
+        Returns:
+            How many records of the sensor were none of such a clock after all; None where this one is none, too.
+        """
+        if time >= before - JUMP:
+            if self.records:
+                self.others.add(key)
+            return None
+        self.others.discard(key)
+        known = self.records.setdefault(key, [])
+        wrong = 0
+        if known and not SAME < time - known[-1][0] <= JUMP:
+            wrong = len(known)
+            known.clear()
+        known.append((time, detections))
+        return wrong
+
+    def drop(self, key: Key) -> int:
+        """Forget the records of a sensor; returns how many."""
+        count = len(self.records.pop(key, ()))
+        if not self.records:
+            self.others.clear()
+        return count
+
+    def trim(self, seconds: float) -> Iterator[Key]:
+        """Forget what is older than some s; yields the sensor of each such record."""
+        for key, known in self.records.items():
+            while len(known) > PATIENCE + 1 and known[-1][0] - known[0][0] > seconds:
+                known.pop(0)
+                yield key
+
+    def is_over(self, key: Key, seconds: float) -> bool:
+        """Tell whether a sensor was set back, or sends nothing while another of its source sends for some s."""
+        if len(self.records.get(key, ())) > PATIENCE:
+            return True
+        beside = (known for (source, _), known in self.records.items() if source == key[0])
+        return key not in self.others and any(known[-1][0] - known[0][0] >= seconds for known in beside)
+
+
 class Merger:
     """Merges records by their time into the steps of one regular clock; the result depends on the records alone.
 
     A step closes when every sensor that is still open has passed it. A record that comes out of order or twice is put
-    in its place as long as its step is open; a later one is dropped and counted in `late`.
+    in its place as long as its step is open; a later one is dropped and counted in `late`. Where the time of all
+    sensors goes back by more than JUMP, the steps go back, too.
 
     Attributes:
         late: sensor name -> number of its records that came too late.
@@ -100,6 +161,7 @@ class Merger:
         self.first, self.last = math.inf, -math.inf
         self.origin, self.tick, self.began = 0.0, 0, False
         self.late: Counter[str] = Counter()
+        self.set_back = SetBack()
 
     def steps(self, events: Iterable[Event]) -> Iterator[Step]:
         """Yield each step as soon as it is complete.
@@ -116,6 +178,8 @@ class Merger:
                     self.push(source, detections.sensor or "sensor", detections.timestamp, detections)
             self.watch(idle=event is None)
             yield from self.closed()
+        for (_, sensor), left in self.set_back.records.items():
+            self.late[sensor] += len(left)
         for name, count in sorted(self.late.items()):
             self.say(f"sensor {name!r}: {count} records came too late and were ignored; --max-wait inf waits for all")
 
@@ -129,14 +193,21 @@ class Merger:
             raise ValueError(
                 f"sensor {sensor!r}: the time of a record must be within {LATEST:g} s of 0, not {time:g} s"
             )
-        stream = self.streams.get((source, sensor))
+        key = source, sensor
+        stream = self.streams.get(key)
+        if self.began and stream:
+            wrong = self.set_back.take(key, time, stream.complete, detections)
+            if wrong is not None:
+                self._ignore(key, wrong)
+                return
+            self._ignore(key, self.set_back.drop(key))
         if self.began and time < self._time(self.tick - 1) + SAME:
-            self._ignore((source, sensor))
+            self._ignore(key)
         else:
             self.records.append((time, sensor, source, detections))
             self.first, self.last = min(self.first, time), max(self.last, time)
         if stream is None:
-            self.streams[source, sensor] = self._stream(time)
+            self.streams[key] = self._stream(time)
         else:
             stream.take(time)
 
@@ -162,14 +233,26 @@ class Merger:
 
     def closed(self) -> Iterator[Step]:
         """Yield the steps that have become complete."""
-        horizon = self.horizon()
+        yield from self._closed(self.horizon(), self._end())
+        if not self.set_back.records:
+            return
+        gone_on = not self.open and self.set_back.others  # by the old clock, up to the end
+        if not gone_on and all(self.set_back.is_over(key, self.max_wait) for key in self._present()):
+            yield from self._closed(math.inf, Merger._end(self))
+            if self._go_back():
+                yield from self._closed(self.horizon(), self._end())
+        for key in self.set_back.trim(2 * self.max_wait):
+            self._ignore(key)
+
+    def _closed(self, horizon: float, end: float) -> Iterator[Step]:
+        """Yield the steps before two times in s: that up to which all is complete, and the end of what has come."""
         if not self.began:
             if not self.records or horizon <= self.first + SAME:
                 return
             self._begin()
         while True:
             now = self._time(self.tick)
-            if now + SAME >= horizon or now > self._end():
+            if now + SAME >= horizon or now > end:
                 return
             known = min((record[0] for record in self.records if record[0] <= horizon), default=now)
             if known - now > JUMP:
@@ -178,6 +261,28 @@ class Merger:
                 continue
             yield now, self._until(now)
             self.tick += 1
+
+    def _present(self) -> Iterable[Key]:
+        """The sensors that are waited for."""
+        return self.streams
+
+    def _go_back(self) -> bool:
+        """Begin anew with the records of the clock that was set back; tells whether there are enough of them."""
+        known = {key: records for key, records in self.set_back.records.items() if len(records) > PATIENCE}
+        if not known:
+            return False
+        begin = min(records[0][0] for records in known.values())
+        self.say(f"time goes back from {self.last:.4f} to {begin:.4f} s; the tracks go on from there")
+        for key in self.set_back.records.keys() - known.keys():
+            self._ignore(key, len(self.set_back.records[key]))
+        self.set_back, self.streams = SetBack(), {}
+        self.first, self.last, self.began = math.inf, -math.inf, False
+        for key, records in known.items():
+            for time, detections in records:
+                Merger.push(self, *key, time, detections)
+            if key[0] not in self.open:
+                del self.streams[key]
+        return True
 
     def horizon(self) -> float:
         """Return the time in s before which all steps are complete."""
@@ -199,9 +304,10 @@ class Merger:
         """Time in s after which there is no step without a further record."""
         return self.last + 1e-3
 
-    def _ignore(self, key: Key) -> None:
-        """Count a record that came too late."""
-        self.late[key[1]] += 1
+    def _ignore(self, key: Key, count: int = 1) -> None:
+        """Count records that came too late."""
+        if count:
+            self.late[key[1]] += count
 
     def _stream(self, time: float) -> Stream:
         return Stream(time, time, 1.0 / self.rate if self.rate else math.inf)
@@ -240,12 +346,18 @@ def in_turn(sources: Sequence[Iterator[Detections]]) -> Iterator[tuple[int, Dete
     Yields:
         The number of the source and its record; None at its end.
     """
-    reached = dict.fromkeys(range(len(sources)), -math.inf)
+    reached = dict.fromkeys(range(len(sources)), (0, -math.inf))  # how often its time went back, and s since then
+    back: dict[int, list[float]] = {source: [] for source in reached}  # s, records since it did so
     while reached:
         source = min(reached, key=lambda k: (reached[k], k))
         detections = next(sources[source], None)
         if detections is None:
             del reached[source]
         else:
-            reached[source] = max(reached[source], detections.timestamp)
+            (times, latest), time = reached[source], detections.timestamp
+            back[source] = [*back[source][-PATIENCE:], time] if time < latest - JUMP else []
+            if len(back[source]) > PATIENCE and back[source] == sorted(back[source]):
+                reached[source], back[source] = (times + 1, time), []
+            else:
+                reached[source] = times, max(latest, time)
         yield source, detections
