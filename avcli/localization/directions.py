@@ -40,6 +40,9 @@ PLACED_M = 0.001
 APART, NEAR_M = np.radians(25.0), 0.2
 """rad: the least angle between two talkers; and m across AWAY_M: how far apart two decisions may see one who stands."""
 
+IN_LINE = np.radians(10.0)
+"""rad: how far beside a talker, seen from above, his echoes by floor and ceiling may seem to be."""
+
 AWAY_M = 2.0
 """m: where along its ray a direction is remembered."""
 
@@ -319,7 +322,7 @@ class DirectionFinder:
             one = self.fitted(gccs, heard, self.response.rays[int(np.argmax(values))], noise, explained, number == 0)
             explained = np.maximum(explained, one.coherence)
             for ray in self.images(one.ray):
-                free &= self.response.rays @ ray < np.cos(APART)
+                free &= (self.response.rays @ ray < np.cos(APART)) & ~_echoes(ray, self.response.rays)
             if one.response < threshold:
                 break
             found.append(self.remembered(one, heard, memory))
@@ -541,6 +544,13 @@ def _mirror(microphones: np.ndarray) -> np.ndarray | None:
     across = np.cross(axes[0], [0.0, 0.0, 1.0])  # a line hears a cone alike; its mirror image on the floor is told
     length = float(np.linalg.norm(across))
     return across / length if length > 1e-6 else None
+
+
+def _echoes(ray: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,): in line with it, and steeper."""
+    across = rays[:, 0] * ray[1] - rays[:, 1] * ray[0]
+    along = rays[:, :2] @ ray[:2]
+    return (along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along) & (np.abs(rays[:, 2]) > abs(ray[2]))
 
 
 def _logistic(logit: float) -> float:
