@@ -547,7 +547,7 @@ def _mirror(microphones: np.ndarray) -> np.ndarray | None:
 
 
 def _echoes(ray: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,): in line with it, and steeper."""
+    """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,): in line with it, steeper."""
     across = rays[:, 0] * ray[1] - rays[:, 1] * ray[0]
     along = rays[:, :2] @ ray[:2]
     return (along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along) & (np.abs(rays[:, 2]) > abs(ray[2]))
