@@ -6,8 +6,9 @@ from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
 from avcli.localization import directions
 from avcli.localization.array import Array
+from avcli.localization.health import ORDERED
 from avcli.localization.settings import SteeredSettings
-from avcli.localization.steered import SteeredLocalizer
+from avcli.localization.steered import CONTRADICTED, SteeredLocalizer
 from avcli.localization.stream import Block
 
 FS = 16000
@@ -78,3 +79,73 @@ def test_noise_alone_makes_no_directions():
     localizer = SteeredLocalizer(Array(SHAPES["ring"], FS, LARGE), SteeredSettings(), np.random.default_rng(0))
     found = [one for one in localizer.localize([Block(samples)]) if len(one.scores)]
     assert len(found) <= 2
+
+
+AWAY = np.array([4.2, 3.6, 1.5])
+CIRCLE = np.array([2.5, 2.0, 1.1]) + 0.05 * np.column_stack(
+    [np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4), np.zeros(8)]
+)
+
+
+@pytest.fixture(scope="module")
+def talk():
+    """3 s of one talker, as a ring of eight microphones of 5 cm radius hears them, with noise 25 dB below."""
+    sound = voice(3.0, FS, np.random.default_rng(11))
+    samples = heard(AWAY, sound, FS, microphones=CIRCLE, reflection=0.6, order=2, room=LARGE)
+    return noisy(samples, 25, np.random.default_rng(12))
+
+
+def examined(samples, microphones=CIRCLE):
+    """Return the decisions, the faults, and whether the last second has the talker's direction alone."""
+    localizer = SteeredLocalizer(Array(microphones, FS, LARGE), SteeredSettings(), np.random.default_rng(0))
+    found = list(localizer.localize([Block(samples)]))
+    true = AWAY - microphones.mean(axis=0)
+    errors = [
+        np.angle(np.exp(1j * (np.arctan2(*ray.direction[1::-1]) - np.arctan2(*true[1::-1]))))
+        for one in found[-10:]
+        for ray in one.rays
+    ]
+    right = len(errors) >= 8 and np.degrees(np.abs(errors)).max() < 6.0
+    return found, {(fault.channel, fault.kind) for fault in found[-1].faults}, right, localizer.health
+
+
+def test_a_healthy_compact_array_is_not_blamed(talk):
+    found, faults, right, health = examined(talk)
+    assert right
+    assert not faults
+    assert not health.disputed
+    assert not any(one.notices for one in found)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (lambda x: x * np.where(np.arange(8) == 2, -1.0, 1.0), {(3, "polarity")}),
+        (lambda x: np.column_stack([np.roll(one, 16 * (c == 5)) for c, one in enumerate(x.T)]), {(6, "late")}),
+        (lambda x: np.column_stack([np.roll(one, 2 * (c == 5)) for c, one in enumerate(x.T)]), {(6, "late")}),
+        (lambda x: x[:, [0, 4, 2, 3, 1, 5, 6, 7]], {(2, "swapped"), (5, "swapped")}),
+        (
+            lambda x: np.where(np.arange(8) == 6, x.std() * np.random.default_rng(1).standard_normal(x.shape), x),
+            {(7, "unexplained")},
+        ),
+    ],
+    ids=["polarity", "1 ms late", "0.12 ms late", "exchanged", "noise"],
+)
+def test_a_fault_of_a_compact_array_is_named_and_does_no_harm(talk, spoil, expected):
+    found, faults, right, _ = examined(spoil(talk))
+    assert faults == expected
+    assert right
+    notices = [notice for one in found for notice in one.notices]
+    assert len(notices) == len(set(notices)) == len(expected)
+
+
+def test_of_a_compact_array_that_fits_two_orders_nobody_is_believed():
+    """A square with two neighbours exchanged is the mirror image of one with the other two exchanged."""
+    square = CIRCLE[::2]
+    sound = voice(3.0, FS, np.random.default_rng(11))
+    samples = noisy(heard(AWAY, sound, FS, microphones=square, order=0, room=LARGE), 25, np.random.default_rng(12))
+    found, faults, _, health = examined(samples[:, [0, 2, 1, 3]], square)
+    assert not faults
+    assert health.trust == ORDERED
+    assert not any(len(one.scores) for one in found[-10:])
+    assert [notice for one in found for notice in one.notices].count(CONTRADICTED) == 1

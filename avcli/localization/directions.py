@@ -188,6 +188,15 @@ class RaySearch:
         """Return the response at points (n, 3) m, (n,), interpolated between lags."""
         return interpolated(gcc, self.lags(points) + self.half_lags).mean(axis=0)
 
+    def answers(self, gcc: np.ndarray) -> np.ndarray:
+        """Return what each pair answers at each of the points, (pairs, points), to GCCs (pairs, lags)."""
+        return gcc.ravel().take(self.table)
+
+    def best(self, gcc: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the point (3,) m with the largest response to GCCs (pairs, lags), and that response."""
+        ray, distance, _, value = self.refined(gcc, self.rays[int(np.argmax(self.responses(gcc)))])
+        return self.centre + ray * distance, value
+
     def search(self, gcc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points (n, 3) m of the rays, the best first, and their responses (n,)."""
         value = self.responses(gcc)
@@ -272,11 +281,13 @@ class Found:
         time: s.
         bearings: in the order in which they were found.
         noise: what noise does to as many windows.
+        trust: by which the scores are multiplied, see `Health`.
     """
 
     time: float
     bearings: list[Bearing]
     noise: NoiseLaw
+    trust: float
 
 
 class DirectionFinder:
@@ -287,6 +298,7 @@ class DirectionFinder:
         response, masks: of the array.
         law: see DirectionLaw.
         voice: returns the probability that what sounds so steadily is a voice, see `uncertainty.Law.voice`.
+        trust: returns by what scores are multiplied, see `Health`.
     """
 
     outside = False  # along a ray there is always a place in the room
@@ -298,7 +310,9 @@ class DirectionFinder:
         masks: Masks,
         law: DirectionLaw,
         voice: Callable[[float], float],
+        trust: Callable[[], float],
     ):
+        self.trust = trust
         self.settings, self.response, self.masks, self.law, self.voice = settings, response, masks, law, voice
         self.mirror = _mirror(response.microphones)
         self.levels = Levels(masks.correlator.band, masks.array.sample_rate)
@@ -355,6 +369,8 @@ class DirectionFinder:
         ray, distance, curvature, response = self.response.refined(gcc, start)
         place = self.response.centre + ray * distance
         at_lag = interpolated(gcc, self.response.lags(place[None]) + self.response.half_lags)[:, 0]
+        # Of pairs that are left out there is nothing, and of the others as much more.
+        at_lag = at_lag[heard.pairs] * heard.pairs.mean()
         each = [self.response.response(one, place[None])[0] for one in gccs]
         coherence = self.masks.coherence(heard, place, np.zeros(3))
         own = float((coherence * (coherence > explained)).sum() / max(coherence.sum(), 1e-12))
@@ -406,7 +422,7 @@ class DirectionFinder:
                 for one in found
             ]
         )
-        return Found(time, found, noise)
+        return Found(time, found, noise, self.trust())
 
     def talkers_of(self, found: Found, later: Sequence[Found | None]) -> list[Talker]:
         """Return a decision's talkers, the most probable first, as those after it bear them out.
@@ -419,6 +435,7 @@ class DirectionFinder:
         if later:
             borne_out = [self.law.borne_out(self.after(one, found.time, later), first=one.first) for one in told]
             told = [replace(one, score=min(score, one.voice)) for one, score in zip(told, borne_out, strict=True)]
+        told = [replace(one, score=found.trust * one.score) for one in told]
         told = [one for one in told if one.score >= self.settings.min_score]
         talkers = [talker for one in told for talker in self.told(one, found.noise)]
         return sorted(talkers, key=lambda talker: -talker.score)

@@ -6,6 +6,10 @@ place, window after window. Where leaving channels out helps much, they are list
 the others agree, a late channel correlates with their sum at its delay, and a channel that carries another microphone's
 sound does so after the two are exchanged. A correction is believed only if the whole array, so corrected, agrees much
 better than the array without the channels.
+
+A compact array is searched over all its directions for each hypothesis, and exchanges of two channels are hypotheses,
+too: without these it agrees on some direction in any case. Its microphones are at known places, so that short delays
+are told.
 """
 
 from collections import deque
@@ -16,16 +20,18 @@ import numpy as np
 
 from avcli.localization import correlation
 from avcli.localization.array import Array
+from avcli.localization.directions import RaySearch
 from avcli.localization.faults import Fault
-from avcli.localization.rewiring import ENOUGH, MOMENTS, Moments, Remedy, Rewiring, turned_over
+from avcli.localization.rewiring import ENOUGH, MOMENTS, Moments, Remedy, Rewiring, exchanged, turned_over
 from avcli.localization.srp import SteeredResponse
 from avcli.localization.windows import Band, Correlated, Correlator
 
 LONGEST_S = 0.06
 """s: the largest delay of a channel that is looked for."""
 
-TOLD_S = 0.0005
-"""s: the least delay that is told from a microphone that hangs up to 17 cm from where the config says."""
+TOLD_S, TOLD_COMPACT_S = 0.0005, 0.00006
+"""s: the least delay that is told from a microphone that hangs up to 17 cm from where the config says, and of a compact
+array, from one that is 2 cm off."""
 
 MEMORY, RECENT = 30.0, 8
 """How many windows of sound the evidence is of, and how many are listened to again for a verdict."""
@@ -39,6 +45,13 @@ EARLIEST, AFTER, SELDOM = 4, 15, 10
 LEVELLED, UNUSUAL_DB, DEAD = 20, 12.0, 5
 """After how many windows the levels are compared, by how many dB a channel differs that is named, and for how many
 windows in which somebody is heard a channel without sound is called dead."""
+
+MARGIN, CLEAR = 0.05, 0.3
+"""The share of its log likelihood by which a hypothesis about a compact array must be better, since what is not
+modelled, such as the body of the array and a second talker, grows with it: three times as much where two channels are
+exchanged, since one 0.1 ms late looks like that, and where several are left out, 0.15 of what deaf channels would give;
+and the share that an exchange must explain alone, of which right ones in rooms that decided had mostly 0.3 or more, and
+wrong ones up to 0.27."""
 
 DOUBT, EACH = 15.0, 4.0
 """By how much the log likelihood must rise to doubt channels, and by how much more for each of them."""
@@ -68,12 +81,16 @@ FEW = 12
 """Up to how many channels two are doubted, or three and four turned over, at once; of more, one after another."""
 
 
+OUT, OVER, EXCHANGED = range(3)
+"""What a hypothesis does to its channels: it leaves them out, turns them over, or exchanges two of them."""
+
+
 class Health:
     """The state of an array's channels, and the evidence for it.
 
     Args:
         array: the microphones.
-        correlator, response: of the array; without a response levels and silence alone are watched.
+        correlator, response: of the array.
 
     Attributes:
         order: (m,) which channel of the recording is taken for each microphone.
@@ -88,8 +105,8 @@ class Health:
         silent: (m,) in how many windows up to the last each was without sound.
     """
 
-    def __init__(self, array: Array, correlator: Correlator, response: SteeredResponse | None):
-        self.array, self.correlator, self._response = array, correlator, response
+    def __init__(self, array: Array, correlator: Correlator, response: SteeredResponse | RaySearch):
+        self.array, self.correlator, self.response = array, correlator, response
         self.band: Band = correlator.band
         count = len(array.microphones)
         self.order, self.sign, self.delay = np.arange(count), np.ones(count), np.zeros(count)
@@ -101,15 +118,24 @@ class Health:
         self.size = round(self.band.size * self.band.oversampling)
         self.step = 1.0 / (array.sample_rate * self.band.oversampling)
         self.reach = min(int(LONGEST_S / self.step), self.size // 2 - 2)
-        self.hypotheses = _hypotheses(count) if response else [((), False)]
+        self.compact = compact = isinstance(response, RaySearch)
+        self.told = TOLD_COMPACT_S if compact else TOLD_S
+        self.most, self.clear = (np.inf, CLEAR) if compact else (10.0, 0.0)
+        self.row = np.zeros((count, count), np.intp)
+        self.row[correlator.first, correlator.second] = np.arange(len(correlator.first))
+        self.row = np.maximum(self.row, self.row.T)
+        self.hypotheses = _hypotheses(count, compact=compact)
         self.after = AFTER if count <= FEW else 0  # many pairs tell much at once, and cost much
         gains = np.ones((len(self.hypotheses), count))
-        for row, (subset, turned) in zip(gains, self.hypotheses, strict=True):
-            row[list(subset)] = -1.0 if turned else 0.0
+        for row, (subset, kind) in zip(gains, self.hypotheses, strict=True):
+            row[list(subset)] = (0.0, -1.0, 1.0)[kind]
         self.weights = (gains[:, correlator.first] * gains[:, correlator.second]).T.astype(np.float32)
         self.price = np.array([(DOUBT + EACH * len(subset)) * bool(subset) for subset, _ in self.hypotheses])
-        self.leaving = np.array([0 if turned else len(subset) for subset, turned in self.hypotheses])
-        self.rewiring = Rewiring(response, array.speed_of_sound) if response else None
+        self.leaving = np.array([len(subset) if kind == OUT else 0 for subset, kind in self.hypotheses])
+        kept = np.abs(self.weights).sum(axis=0)
+        exchanging = [kind == EXCHANGED for _, kind in self.hypotheses]
+        self.margins = np.maximum(MARGIN, MARGIN * np.where(exchanging, 3.0, 3.0 * (kept[0] / kept - 1.0))) * compact
+        self.rewiring = None if isinstance(response, RaySearch) else Rewiring(response, array.speed_of_sound)
         self.suspected: Remedy | None = None
         self.around: list[Correlated] = []
         self._forget()
@@ -127,17 +153,6 @@ class Health:
         self.moment = self.stale = (
             self.around
         )  # the latest moment's windows, and those from before the channels changed
-
-    @property
-    def response(self) -> SteeredResponse:
-        """The response by which the channels are tested.
-
-        Raises:
-            ValueError: there is none.
-        """
-        if self._response is None:
-            raise ValueError("the channels of this array are not tested")
-        return self._response
 
     @property
     def out(self) -> np.ndarray:
@@ -164,9 +179,14 @@ class Health:
         if self.possible is None:
             return 1.0
         ordered = bool((self.possible.order != np.arange(len(self.order))).any())
-        if ordered and self.possible.alone:
+        if self.compact or (ordered and self.possible.alone):
             return ORDERED
         return 1.0 if self.doubted.any() else CHANGED
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether scores are lower for that reason, and it is not clear at once what is to be put right."""
+        return self.trust < 1.0 and not (self.compact and self.waited == EARLIEST)
 
     @property
     def turn(self) -> np.ndarray | None:
@@ -194,29 +214,33 @@ class Health:
         self.doubts += self.doubted
         self._weigh(window)
         self.around = around
-        if self._response is None or self.suspected or any(window is one for one in self.stale):
+        if self.suspected or any(window is one for one in self.stale):
             return
         if self._rewire(around, deviation):
             return
         good = window.good & ~self.faulty
-        if good.sum() < 5 or (self.windows > self.after and self.windows % SELDOM and not self.doubted.any()):
+        seldom = self.windows > self.after and self.windows % SELDOM and not self.doubted.any()
+        if good.sum() < (4 if self.compact else 5) or seldom:
             return
         self.recent.append(window)
         best = self._compared(window.gcc, good, deviation)
         self.likelihood = (1.0 - 1.0 / MEMORY) * self.likelihood + 0.5 * best**2
-        gain = self.likelihood - self.likelihood[0] - self.price
+        gain = (1.0 - self.margins) * self.likelihood - self.likelihood[0] - self.price
+        gain[0] = 0.0
         gain[[not good[list(subset)].all() for subset, _ in self.hypotheses]] = -np.inf
         gain[self.leaving > good.sum() - min(FITTED, len(good) - 1)] = -np.inf
         chosen = int(np.argmax(gain))
-        subset, turned = self.hypotheses[chosen]
+        subset, kind = self.hypotheses[chosen]
         self.doubted[:] = False
         self.doubted[list(subset)] = True
+        if self.compact and (not chosen or kind == EXCHANGED):  # until it is named, nobody is believed
+            self.possible = exchanged(subset, len(good)) if chosen else None
         if not chosen or len(self.recent) < RECENT:
             return
         # To turn one half over is to turn the other half over.
         halves = (set(subset), set(range(len(good))) - set(subset))
         rest = [h for h, (other, _) in enumerate(self.hypotheses) if set(other) not in halves]
-        if turned and gain[chosen] > max(1.5 * gain[rest].max(), self.likelihood[0]):
+        if kind == OVER and gain[chosen] > max(1.5 * gain[rest].max(), self.likelihood[0]):
             self._apply(turned_over(subset, len(good)))
             return
         self.patience -= 1
@@ -271,41 +295,58 @@ class Health:
         """
         kept = good[self.response.first] & good[self.response.second]
         weights = self.weights * kept[:, None]
-        clipped = np.minimum(gcc, 10.0 * deviation) * kept[:, None]
-        sums = [(self._values(clipped, at).T @ weights).max(axis=0) for at in self._around(clipped, deviation)]
+        clipped = np.minimum(gcc, self.most * deviation) * kept[:, None]
+        sums = [(values.T @ weights).max(axis=0) for values in self._around(clipped, deviation)]
+        best = np.max(sums, axis=0)
+        if isinstance(self.response, RaySearch):
+            for h, (subset, kind) in enumerate(self.hypotheses):
+                if kind == EXCHANGED:
+                    best[h] = self.response.responses(self._exchanged(clipped, subset)).max() * len(kept)
         scale = np.sqrt(np.maximum(np.abs(weights).sum(axis=0), 1.0)) * deviation
-        return np.maximum(np.max(sums, axis=0), 0.0) / scale
+        return np.maximum(best, 0.0) / scale
+
+    def _exchanged(self, gcc: np.ndarray, subset: tuple[int, ...]) -> np.ndarray:
+        """Return the GCCs (pairs, lags) as they would be with two channels exchanged."""
+        order = np.arange(len(self.order))
+        order[list(subset)] = subset[::-1]
+        first, second = order[self.response.first], order[self.response.second]
+        taken = gcc[self.row[first, second]]
+        taken[first > second] = taken[first > second, ::-1]
+        return taken
 
     def _around(self, gcc: np.ndarray, deviation: float) -> list[np.ndarray]:
-        """Return the places (n, 3) m around each of those that many pairs answer, whatever the others say."""
-        response = self.response
-        starts = _apart(response.search(np.clip(gcc, 0.0, 7.0 * deviation), KEEP)[0], STARTS, 0.3)
-        return [np.clip(start + _LATTICE, response.low, response.high) for start in starts]
+        """Return what the pairs answer, (pairs, places), around each place that many answer, whatever the others say.
 
-    def _values(self, gcc: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return each pair's GCC at the lags of points (n, 3) m, (pairs, n)."""
-        lag = np.rint(self.response.lags(points)).astype(np.intp) + (self.response.rows + self.response.half_lags)
-        return gcc.ravel().take(lag)
+        Of a compact array, these are all its directions.
+        """
+        response = self.response
+        if isinstance(response, RaySearch):
+            return [response.answers(gcc)]
+        starts = _apart(response.search(np.clip(gcc, 0.0, 7.0 * deviation), KEEP)[0], STARTS, 0.3)
+        lags = [response.lags(np.clip(start + _LATTICE, response.low, response.high)) for start in starts]
+        return [gcc.ravel().take(np.rint(lag).astype(np.intp) + (response.rows + response.half_lags)) for lag in lags]
 
     def _diagnose(self, gain: np.ndarray, deviation: float) -> None:
         """Listen to the channels of the likeliest hypotheses in the recent windows, and put right what is clear."""
         gain = np.where(np.isfinite(gain), gain + self.price, 0.0)
-        kinds = np.array([-len(subset) if turned else len(subset) for subset, turned in self.hypotheses])
-        sizes = (kinds == 1, kinds == 2, kinds == 3, kinds < 0)
+        kinds = np.array([len(subset) if kind == OUT else -kind for subset, kind in self.hypotheses])
+        sizes = (kinds == 1, kinds == 2, kinds == 3, kinds == -OVER, kinds == -EXCHANGED)
+        if self.compact and self.hypotheses[int(np.argmax(gain))][1] != EXCHANGED:
+            self.possible = None
         order = [h for kind in sizes for h in np.argsort(-gain * kind)[:CANDIDATES] if gain[h] * kind[h] > 0.0]
         good = np.all([window.good for window in self.recent], axis=0) & ~self.faulty
         healthy = self._reached(turned_over((), len(good)), good, deviation)[0]
         best_out = int(np.argmax(gain * (kinds > 0)))
         remedies, deaf = list[Remedy](), None
         for h in order:
-            subset, turned = self.hypotheses[h]
+            subset, kind = self.hypotheses[h]
             alone, places = self._left(subset, good, deviation)
             # Put right, every pair of the array agrees as well as those do that agreed without these channels.
             left = good.sum() - len(subset)
-            whole = alone * good.sum() * (good.sum() - 1) / max(left * (left - 1), 1)
-            if turned:
-                over = turned_over(subset, len(good))
-                found = [replace(over, gain=self._reached(over, good, deviation)[0] - healthy)]
+            whole = alone * good.sum() * (good.sum() - 1) / max(left * (left - 1), 1) if left >= 4 else 0.0
+            if kind != OUT:
+                one = turned_over(subset, len(good)) if kind == OVER else exchanged(subset, len(good))
+                found = [replace(one, gain=self._reached(one, good, deviation)[0] - healthy)]
             else:
                 lagged, usual = self._listened(subset, places, good)
                 if deaf is None or h == best_out:
@@ -315,9 +356,13 @@ class Health:
                     for remedy in self._remedies(subset, lagged)
                 ]
             shares = [DELAYED if remedy.delay.any() else WHOLE for remedy in found]
-            remedies += [one for one, share in zip(found, shares, strict=True) if one.gain + healthy > share * whole]
+            remedies += [
+                one
+                for one, share in zip(found, shares, strict=True)
+                if one.gain + healthy > share * whole and (one.unmoved or one.gain > self.clear * (one.gain + healthy))
+            ]
         best = self._chosen([remedy for remedy in remedies if remedy.gain > 2.0 * DOUBT], good, deviation, healthy)
-        if best and (not best.delay.any() or (self.likely and best.alike(self.likely))):
+        if best and (not best.delay.any() or (self.likely and best.alike(self.likely, 0.3 * self.told))):
             self._apply(best)
         elif best:  # a delay is believed when other windows tell it again
             self.likely, self.patience = best, EARLIEST
@@ -333,7 +378,8 @@ class Health:
         remedies = [remedy for remedy in remedies if remedy.gain > RIVAL * most]
         best = min(remedies, key=lambda remedy: (np.count_nonzero(remedy.delay), remedy.changed.sum(), -remedy.gain))
         # What changes more, and the same channels too, is the same story with more to fit.
-        rivals = [one for one in remedies if not one.alike(best) and not one.changed[best.changed].all()]
+        near = 0.3 * self.told
+        rivals = [one for one in remedies if not one.alike(best, near) and not one.changed[best.changed].all()]
         for one in rivals:
             if not (one.changed & best.changed).any():
                 both = Remedy(
@@ -341,6 +387,9 @@ class Health:
                 )
                 if self._reached(both, good, deviation)[0] - healthy > 1.3 * best.gain:
                     return both
+        if self.compact:
+            self.possible = best if rivals else self.possible
+            return None if rivals else best
         if rivals and (good & ~self.held & ~best.changed).sum() >= 5:
             self.held = self.held | best.changed
         return None if rivals else best
@@ -418,7 +467,7 @@ class Health:
             offset = float(correlation.interpolate_peak(*(np.array(value) for value in (before, peak, after))))
             late = (at + offset - self.reach) * self.step
             sign[c] = 1.0 if row[at] > 0.0 else -1.0
-            delay[c] = late if abs(late) > TOLD_S else 0.0
+            delay[c] = late if abs(late) > self.told else 0.0
         found = [Remedy(same, sign, delay)]
         found = [one for one in found if one.changed.sum() == len(subset)]
         for pair in combinations(subset, 2):
@@ -432,9 +481,12 @@ class Health:
     def _best(self, gcc: np.ndarray, good: np.ndarray, deviation: float) -> tuple[float, np.ndarray]:
         """Return the largest mean GCC of some channels, in standard deviations of noise, and its place (3,) m."""
         kept = good[self.response.first] & good[self.response.second]
-        clipped = np.minimum(gcc, 10.0 * deviation) * kept[:, None]
-        start = self.response.search(clipped)[0][0]
-        place, _, value = self.response.follow(clipped[None], np.zeros(1), start, 0.0)
+        clipped = np.minimum(gcc, self.most * deviation) * kept[:, None]
+        if isinstance(self.response, RaySearch):
+            place, value = self.response.best(clipped)
+        else:
+            start = self.response.search(clipped)[0][0]
+            place, _, value = self.response.follow(clipped[None], np.zeros(1), start, 0.0)
         return float(value * len(kept) / (np.sqrt(max(kept.sum(), 1)) * deviation)), place
 
     def _apply(self, remedy: Remedy) -> None:
@@ -468,14 +520,16 @@ class Health:
         return tuple(found)
 
 
-def _hypotheses(count: int) -> list[tuple[tuple[int, ...], bool]]:
-    """Return which of so many channels each hypothesis doubts, and whether it turns them over or leaves them out."""
+def _hypotheses(count: int, *, compact: bool) -> list[tuple[tuple[int, ...], int]]:
+    """Return what each hypothesis about so many channels does to which: nothing, or one of three kinds."""
     largest_out = 3 if 7 <= count <= 8 else 2 if count <= FEW else 1
     out = [subset for size in range(1, 1 + largest_out) for subset in combinations(range(count), size)]
     largest = min(count // 2, 4 if count <= 8 else 2 if count <= FEW else 1)
     over = [subset for size in range(1, largest + 1) for subset in combinations(range(count), size)]
-    kept = [(subset, False) for subset in out if count - len(subset) >= min(FITTED, count - 1)]
-    return [((), False), *kept, *[(subset, True) for subset in over]]
+    least = FITTED if compact else min(FITTED, count - 1)
+    kept = [(subset, OUT) for subset in out if count - len(subset) >= least]
+    swapped = combinations(range(count), 2) if compact and count <= FEW else []
+    return [((), OUT), *kept, *[(subset, OVER) for subset in over], *[(subset, EXCHANGED) for subset in swapped]]
 
 
 _LEVEL = np.arange(-6, 7) * 0.025

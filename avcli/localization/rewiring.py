@@ -87,10 +87,15 @@ class Remedy:
         """Which microphones (m,) it changes."""
         return (self.order != np.arange(len(self.order))) | (self.sign < 0.0) | (self.delay != 0.0)
 
-    def alike(self, other: "Remedy") -> bool:
-        """Tell whether another remedy does the same, to within 5 cm of path."""
+    @property
+    def unmoved(self) -> bool:
+        """Whether each channel stays that of its microphone."""
+        return bool((self.order == np.arange(len(self.order))).all())
+
+    def alike(self, other: "Remedy", within: float = 0.00015) -> bool:
+        """Tell whether another remedy does the same, to within so many s of delay, 5 cm of path by default."""
         same = (self.order == other.order).all() and (self.sign == other.sign).all()
-        return bool(same and (np.abs(self.delay - other.delay) < 0.00015).all())
+        return bool(same and (np.abs(self.delay - other.delay) < within).all())
 
 
 def turned_over(subset: tuple[int, ...], count: int) -> Remedy:
@@ -98,6 +103,13 @@ def turned_over(subset: tuple[int, ...], count: int) -> Remedy:
     sign = np.ones(count)
     sign[list(subset)] = -1.0
     return Remedy(np.arange(count), sign, np.zeros(count))
+
+
+def exchanged(pair: tuple[int, ...], count: int) -> Remedy:
+    """Return the remedy that exchanges two of so many channels."""
+    order = np.arange(count)
+    order[list(pair)] = pair[::-1]
+    return Remedy(order, np.ones(count), np.zeros(count))
 
 
 @dataclass(frozen=True)
@@ -493,12 +505,7 @@ def _effort(remedy: Remedy) -> int:
 
 def _exchanges(count: int) -> list[np.ndarray]:
     """Return the orders (m,) in which two of so many channels are exchanged."""
-    orders = []
-    for one, other in combinations(range(count), 2):
-        order = np.arange(count)
-        order[[one, other]] = other, one
-        orders.append(order)
-    return orders
+    return [exchanged(pair, count).order for pair in combinations(range(count), 2)]
 
 
 def _renumbered(count: int) -> list[np.ndarray]:

@@ -107,11 +107,13 @@ class SteeredLocalizer:
             )
         self.correlator = Correlator(array, self.band, response.half_lags, settings.beta)
         self.voices = VoiceMeter(array, self.band)
-        self.health = Health(array, self.correlator, None if isinstance(response, RaySearch) else response)
+        self.health = Health(array, self.correlator, response)
         masks = Masks(array, self.correlator)
         self.finder: PlaceFinder | DirectionFinder
         if isinstance(response, RaySearch):
-            self.finder = DirectionFinder(settings, response, masks, directions.fitted_law(), self.law.voice)
+            self.finder = DirectionFinder(
+                settings, response, masks, directions.fitted_law(), self.law.voice, lambda: self.health.trust
+            )
         else:
             self.finder = PlaceFinder(array, settings, response, masks, self.health, self.law)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
@@ -262,7 +264,7 @@ class SteeredLocalizer:
             if self.health.unsettled and not self.told_unsettled:
                 notices.append(UNSETTLED.format(self.health.unsettled))
                 self.told_unsettled = True
-            if self.health.trust < 1.0 and not self.told_contradicted:
+            if self.health.contradicted and not self.told_contradicted:
                 notices.append(CONTRADICTED)
                 self.told_contradicted = True
         decision = Decision.of(time, notices=notices, faults=self.health.faults, steady=self.steady.told)
