@@ -326,7 +326,9 @@ class DirectionFinder:
         for away in heard.steady - self.response.centre:
             free &= self.response.rays @ (away / np.linalg.norm(away)) < np.cos(APART)
         begin = len(heard.steady)
-        for number in range(begin, begin + self.settings.max_speakers):
+        for number in range(begin, begin + self.settings.max_speakers + 1):
+            if len(found) == self.settings.max_speakers:
+                break
             if number or heard.above is not None:
                 gccs = self.masks.masked(heard, explained)
             values = np.where(free, self.response.responses(gccs.mean(axis=0)), -np.inf)
@@ -336,10 +338,11 @@ class DirectionFinder:
             one = self.fitted(gccs, heard, self.response.rays[int(np.argmax(values))], noise, explained, number == 0)
             explained = np.maximum(explained, one.coherence)
             for ray in self.images(one.ray):
-                free &= (self.response.rays @ ray < np.cos(APART)) & ~_echoes(ray, self.response.rays)
+                free &= (self.response.rays @ ray < np.cos(APART)) & ~self.echoes(ray, self.response.rays)
             if one.response < threshold:
                 break
-            found.append(self.remembered(one, heard, memory))
+            if not any(self.echoes(other.ray, one.ray[None])[0] for other in found):
+                found.append(self.remembered(one, heard, memory))
         return found
 
     def remembered(self, one: Bearing, heard: Heard, memory: Memory) -> Bearing:
@@ -395,6 +398,16 @@ class DirectionFinder:
     def images(self, ray: np.ndarray) -> list[np.ndarray]:
         """Return a direction, and its mirror image where that is heard alike."""
         return [ray] if self.mirror is None else [ray, _mirrored(ray, self.mirror)]
+
+    def echoes(self, ray: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,).
+
+        They are in line with it, and steeper; a level plane hardly tells which one is steeper.
+        """
+        across, along = rays[:, 0] * ray[1] - rays[:, 1] * ray[0], rays[:, :2] @ ray[:2]
+        level = self.mirror is not None and abs(self.mirror[2]) > np.cos(APART)
+        in_line: np.ndarray = (along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along)
+        return in_line if level else in_line & (np.abs(rays[:, 2]) > abs(ray[2]))
 
     def _near(self, trace: Trace, ray: np.ndarray, memory: Memory) -> bool:
         places = [self.response.centre + AWAY_M * image for image in self.images(ray)]
@@ -502,11 +515,12 @@ class DirectionFinder:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (3,) m and covariance (3, 3) m² of where in the volume a talker about a ray may be.
 
-        Directions are as likely as their covariance (2, 2) rad² has it; along each, the response tells how far the
-        talker is as far as it does, who may stand anywhere on the floor.
+        Each place in the volume is as likely as the others before anything is heard. Directions then are as likely as
+        their covariance (2, 2) rad² has it; along each, the response tells how far the talker is as far as it does.
         """
         widths, axes = np.linalg.eigh(turned)
-        offsets = (np.minimum(np.sqrt(widths), 0.4) * _STEPS) @ axes.T
+        reached = np.minimum(np.sqrt(widths), 0.4) * _STEPS
+        offsets = reached @ axes.T
         rays = _tangent(ray, offsets)
         enter, leave = self.response.stretch(rays).T
         met = leave > enter
@@ -516,9 +530,9 @@ class DirectionFinder:
         points = self.response.centre + rays[:, None] * ranges[:, :, None]
         values = self.response.response(gcc, points.reshape(-1, 3)).reshape(ranges.shape)
         values = values - values.max(axis=1, keepdims=True)
-        weight = ranges * np.exp(self.law.sharpness * values / noise.deviation)
-        likely = met * np.exp(-0.5 * (_STEPS**2).sum(axis=1))
-        weight *= (likely * (leave - enter) / weight.sum(axis=1))[:, None]
+        weight = ranges**2 * np.exp(self.law.sharpness * values / noise.deviation)
+        likely = met * np.exp(-0.5 * (reached**2 / widths).sum(axis=1))
+        weight *= (likely * (leave**3 - enter**3) / weight.sum(axis=1))[:, None]
         weight /= weight.sum()
         mean = np.einsum("rk,rkx->x", weight, points)
         away = points - mean
@@ -561,13 +575,6 @@ def _mirror(microphones: np.ndarray) -> np.ndarray | None:
     across = np.cross(axes[0], [0.0, 0.0, 1.0])  # a line hears a cone alike; its mirror image on the floor is told
     length = float(np.linalg.norm(across))
     return across / length if length > 1e-6 else None
-
-
-def _echoes(ray: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,): in line with it, steeper."""
-    across = rays[:, 0] * ray[1] - rays[:, 1] * ray[0]
-    along = rays[:, :2] @ ray[:2]
-    return (along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along) & (np.abs(rays[:, 2]) > abs(ray[2]))
 
 
 def _logistic(logit: float) -> float:
