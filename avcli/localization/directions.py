@@ -108,7 +108,7 @@ class DirectionLaw:
         """Return the logit of that probability."""
         return sum(weight * terms[name] for name, weight in (self.first if first else self.further).items())
 
-    def own(self, terms: Mapping[str, float], *, first: bool) -> float:
+    def own_evidence(self, terms: Mapping[str, float], *, first: bool) -> float:
         """Return that logit without what was remembered."""
         return self.logit({**terms, "before": 0.0}, first=first)
 
@@ -429,7 +429,8 @@ class DirectionFinder:
                     self.response.centre + AWAY_M * one.ray,
                     np.zeros(3),
                     memory.kept * one.terms["before"]
-                    + (1.0 - memory.kept) * float(np.clip(self.law.own(one.terms, first=one.first), -4.0, 2.0) + 2.4),
+                    + (1.0 - memory.kept)
+                    * float(np.clip(self.law.own_evidence(one.terms, first=one.first), -4.0, 2.0) + 2.4),
                     course=one.course,
                 )
                 for one in found
