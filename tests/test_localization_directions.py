@@ -48,6 +48,33 @@ def test_the_direction_is_found_and_the_range_is_not_claimed(shape):
         assert ((decision.positions[0] > 0.0) & (decision.positions[0] < LARGE)).all()
 
 
+@pytest.mark.parametrize("height", [0.8, 2.9])
+def test_a_line_tells_a_cone_and_no_direction_in_it(height):
+    """The bearing of somebody who stands higher or lower than a line is told with the error that this makes."""
+    microphones = np.array([[2.5 + 0.04 * k, 0.03, height] for k in range(6)])
+    mouth = np.array([4.4, 1.2, 1.5])
+    found = decisions(microphones, mouth=mouth)
+    away = mouth - microphones.mean(axis=0)
+    assert len(found) >= 6
+    for decision in found:
+        (ray,) = decision.rays
+        error = np.arctan2(*ray.direction[1::-1]) - np.arctan2(*away[1::-1])
+        assert abs(error) < 2.5 * ray.sd
+        miss, covariance = decision.positions[0] - mouth, decision.covariances[0]
+        assert miss @ np.linalg.solve(covariance, miss) < 11.3
+
+
+def test_an_upright_line_tells_no_bearing():
+    """Talkers on all sides of it are heard alike: the place is somewhere in the room, and no direction is told."""
+    found = decisions(np.array([[2.5, 2.0, 0.9 + 0.05 * k] for k in range(6)]))
+    assert len(found) >= 4
+    for decision in found:
+        assert decision.rays == ()
+        assert (np.sqrt(np.diag(decision.covariances[0])[:2]) > 0.8).all()
+        miss = decision.positions[0] - [4.2, 3.6, 1.5]
+        assert miss @ np.linalg.solve(decision.covariances[0], miss) < 11.3
+
+
 def test_records_say_that_the_range_is_unknown():
     """What is written for others has the origin, the direction and its standard deviation."""
     found = decisions(SHAPES["ring"])[0].detections()

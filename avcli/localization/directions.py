@@ -43,6 +43,12 @@ APART, NEAR_M = np.radians(25.0), 0.2
 IN_LINE = np.radians(10.0)
 """rad: how far beside a talker, seen from above, his echoes by floor and ceiling may seem to be."""
 
+HARDLY = 0.02
+"""The share of the places that may be on a side, below which nobody is told there."""
+
+ANY = 1.0
+"""rad: a larger standard deviation of a bearing tells none."""
+
 AWAY_M = 2.0
 """m: where along its ray a direction is remembered."""
 
@@ -314,7 +320,8 @@ class DirectionFinder:
     ):
         self.trust = trust
         self.settings, self.response, self.masks, self.law, self.voice = settings, response, masks, law, voice
-        self.mirror = _mirror(response.microphones)
+        self.mirror, self.line = _mirror(response.microphones), _line(response.microphones)
+        self.level = self.mirror is not None and bool(abs(self.mirror[2]) > np.cos(APART))
         self.levels = Levels(masks.correlator.band, masks.array.sample_rate)
         self.apart = max(1, round(APART_S * settings.rate))  # decisions between two levels that are compared
 
@@ -324,7 +331,7 @@ class DirectionFinder:
         explained = self.masks.explained(heard)
         gccs, free = heard.gccs, np.ones(len(self.response.rays), bool)
         for away in heard.steady - self.response.centre:
-            free &= self.response.rays @ (away / np.linalg.norm(away)) < np.cos(APART)
+            free &= self.beside(away / np.linalg.norm(away)) > APART
         begin = len(heard.steady)
         for number in range(begin, begin + self.settings.max_speakers + 1):
             if len(found) == self.settings.max_speakers:
@@ -337,8 +344,9 @@ class DirectionFinder:
                 break
             one = self.fitted(gccs, heard, self.response.rays[int(np.argmax(values))], noise, explained, number == 0)
             explained = np.maximum(explained, one.coherence)
+            free &= self.beside(one.ray) > APART
             for ray in self.images(one.ray):
-                free &= (self.response.rays @ ray < np.cos(APART)) & ~self.echoes(ray, self.response.rays)
+                free &= ~self.echoes(ray, self.response.rays)
             if one.response < threshold:
                 break
             if not any(self.echoes(other.ray, one.ray[None])[0] for other in found):
@@ -370,6 +378,8 @@ class DirectionFinder:
         """
         gcc = gccs.mean(axis=0)
         ray, distance, curvature, response = self.response.refined(gcc, start)
+        if self.line is not None:
+            ray, curvature = self.line.standing_for(ray), self.line.across(ray, curvature)
         place = self.response.centre + ray * distance
         at_lag = interpolated(gcc, self.response.lags(place[None]) + self.response.half_lags)[:, 0]
         # Of pairs that are left out there is nothing, and of the others as much more.
@@ -399,15 +409,20 @@ class DirectionFinder:
         """Return a direction, and its mirror image where that is heard alike."""
         return [ray] if self.mirror is None else [ray, _mirrored(ray, self.mirror)]
 
+    def beside(self, ray: np.ndarray) -> np.ndarray:
+        """Return how far the rays of the search are from a ray (3,) and from what is heard like it, (n,) rad."""
+        if self.line is not None:
+            return np.abs(self.line.angle(self.response.rays) - self.line.angle(ray))
+        return np.arccos(np.clip(self.response.rays @ np.transpose(self.images(ray)), -1.0, 1.0)).min(axis=1)
+
     def echoes(self, ray: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,).
 
         They are in line with it, and steeper; a level plane hardly tells which one is steeper.
         """
         across, along = rays[:, 0] * ray[1] - rays[:, 1] * ray[0], rays[:, :2] @ ray[:2]
-        level = self.mirror is not None and abs(self.mirror[2]) > np.cos(APART)
         in_line: np.ndarray = (along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along)
-        return in_line if level else in_line & (np.abs(rays[:, 2]) > abs(ray[2]))
+        return in_line if self.level else in_line & (np.abs(rays[:, 2]) > abs(ray[2]))
 
     def _near(self, trace: Trace, ray: np.ndarray, memory: Memory) -> bool:
         places = [self.response.centre + AWAY_M * image for image in self.images(ray)]
@@ -473,31 +488,41 @@ class DirectionFinder:
 
         An image above or below the talker says no more than that the height is unknown.
         """
-        if self.mirror is None:
-            return [self.talker(one, [one.ray], one.score, noise)]
-        other = _mirrored(one.ray, self.mirror)
-        reach = self.response.stretch(other[None])[0]
-        if other @ one.ray > np.cos(APART) or reach[1] < reach[0] + 0.3:
-            return [self.talker(one, [one.ray], one.score, noise)]
-        if abs(self.mirror[2]) > np.cos(APART):
-            return [self.talker(one, [one.ray, other], one.score, noise)]
-        return [self.talker(one, [ray], 0.5 * one.score, noise) for ray in (one.ray, other)]
+        turned, images = self.across(one, noise), self.images(one.ray)
+        sides = [self.places(one.gcc, *self.about(ray, turned), noise) for ray in images]
+        whole = sum(weight.sum() for _, weight in sides)
+        if whole == 0.0:  # all about the ray misses the volume, by a little
+            nearest = self.response.rays[int(np.argmin(self.beside(one.ray)))]
+            images, sides, whole = [nearest], [self.places(one.gcc, nearest[None], np.ones(1), noise)], 0.0
+        told = [(ray, *side) for ray, side in zip(images, sides, strict=True) if side[1].sum() > HARDLY * whole]
+        if len(told) > 1 and (self.level or images[0] @ images[1] > np.cos(APART)):
+            points, weights = zip(*sides, strict=True)
+            told = [(one.ray, np.concatenate(points), np.concatenate(weights))]
+        return [self.talker(one, turned, *side, one.score / len(told)) for side in told]
 
-    def talker(self, one: Bearing, rays: list[np.ndarray], score: float, noise: NoiseLaw) -> Talker:
-        """Return a talker in one of some directions, with the middle of where along them he may be."""
-        turned, ray = self.across(one, noise), rays[0]
-        means, covariances = zip(*(self.place(one.gcc, each, turned, noise) for each in rays), strict=True)
-        position = np.mean(means, axis=0)
-        covariance = np.mean(covariances, axis=0) + np.mean([np.outer(m, m) for m in means - position], axis=0)
+    def talker(
+        self, one: Bearing, turned: np.ndarray, ray: np.ndarray, points: np.ndarray, weight: np.ndarray, score: float
+    ) -> Talker:
+        """Return a talker who is at points (n, 3) m with weights (n,), about a ray with a covariance (2, 2) rad²."""
+        weight = weight / weight.sum()
+        position = weight @ points
+        away = points - position
+        covariance = np.einsum("n,nx,ny->xy", weight, away, away) + 0.05**2 * np.eye(3)
+        told: Ray | None = Ray(self.response.centre, ray, float(np.sqrt(0.5 * np.trace(turned))))
         # `tangents` are level and upward: where elevation is hardly known, the direction on the floor is told alone.
-        level = float(np.hypot(ray[0], ray[1]))
-        sideways, upward = np.sqrt(turned[0, 0]), np.sqrt(turned[1, 1])
-        if (upward > 2.0 * sideways or len(rays) > 1) and level > 0.3:
-            flat = np.array([ray[0] / level, ray[1] / level, np.nan])
-            told = Ray(self.response.centre, flat, float(sideways / level))
-        else:
-            told = Ray(self.response.centre, ray, float(np.sqrt(0.5 * (turned[0, 0] + turned[1, 1]))))
-        return Talker(position, covariance, score, told, machine=1.0 - one.voice)
+        if self.line is not None or ((self.level or turned[1, 1] > 4.0 * turned[0, 0]) and np.hypot(*ray[:2]) > 0.3):
+            told = self.bearing(points, weight)
+        return Talker(position, 0.5 * (covariance + covariance.T), score, told, machine=1.0 - one.voice)
+
+    def bearing(self, points: np.ndarray, weight: np.ndarray) -> Ray | None:
+        """Return the direction on the floor of points (n, 3) m with weights (n,); None where it may be any."""
+        away = points[:, :2] - self.response.centre[:2]
+        away = away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
+        middle = weight @ away
+        middle = middle / max(float(np.linalg.norm(middle)), 1e-9)
+        turn = np.arctan2(middle[0] * away[:, 1] - middle[1] * away[:, 0], away @ middle)
+        sd = float(np.sqrt(weight @ turn**2))
+        return Ray(self.response.centre, np.array([*middle, np.nan]), sd) if sd < ANY else None
 
     def across(self, one: Bearing, noise: NoiseLaw) -> np.ndarray:
         """Return the covariance (2, 2) rad² of a direction along `tangents`."""
@@ -511,34 +536,71 @@ class DirectionFinder:
         turned = turned + (PLACED_M / self.response.size) ** 2 * np.eye(2)
         return 0.5 * (turned + turned.T)
 
-    def place(
-        self, gcc: np.ndarray, ray: np.ndarray, turned: np.ndarray, noise: NoiseLaw
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (3,) m and covariance (3, 3) m² of where in the volume a talker about a ray may be.
+    def about(self, ray: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rays (n, 3) about one with a covariance (2, 2) rad², and how likely each is, (n,).
 
-        Each place in the volume is as likely as the others before anything is heard. Directions then are as likely as
-        their covariance (2, 2) rad² has it; along each, the response tells how far the talker is as far as it does.
+        Of a line, these are the half of its cone that is on the side of the ray, or all of it where none is told.
         """
         widths, axes = np.linalg.eigh(turned)
-        reached = np.minimum(np.sqrt(widths), 0.4) * _STEPS
-        offsets = reached @ axes.T
-        rays = _tangent(ray, offsets)
+        if self.line is not None:
+            angles = self.line.angle(ray) + np.sqrt(widths[0]) * _STEPS
+            side = 0.0 if ray @ self.line.level >= 0.0 else np.pi
+            turns = side + (_TURNS if self.mirror is not None else 2.0 * _TURNS)
+            likely = np.exp(-0.5 * _STEPS**2) * np.abs(np.sin(angles))
+            return self.line.cones(angles, turns), np.repeat(likely, len(turns))
+        reached = np.minimum(np.sqrt(widths), 0.4) * _GRID_STEPS
+        return _tangent(ray, reached @ axes.T), np.exp(-0.5 * (reached**2 / widths).sum(axis=1))
+
+    def places(
+        self, gcc: np.ndarray, rays: np.ndarray, likely: np.ndarray, noise: NoiseLaw
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return places (n, 3) m in the volume along rays that are so likely, and the weights (n,) of the places.
+
+        Each place in the volume is as likely as the others before anything is heard. Rays then are as likely as
+        is said; along each, the response tells how far the talker is as far as it does.
+        """
         enter, leave = self.response.stretch(rays).T
         met = leave > enter
-        met[len(met) // 2] = True
-        leave = np.maximum(leave, enter + 0.1)
+        enter, leave = np.where(met, enter, NEAREST_M), np.where(met, leave, 2.0 * NEAREST_M)
         ranges = enter[:, None] + _SHARES * (leave - enter)[:, None]
         points = self.response.centre + rays[:, None] * ranges[:, :, None]
         values = self.response.response(gcc, points.reshape(-1, 3)).reshape(ranges.shape)
         values = values - values.max(axis=1, keepdims=True)
         weight = ranges**2 * np.exp(self.law.sharpness * values / noise.deviation)
-        likely = met * np.exp(-0.5 * (reached**2 / widths).sum(axis=1))
-        weight *= (likely * (leave**3 - enter**3) / weight.sum(axis=1))[:, None]
-        weight /= weight.sum()
-        mean = np.einsum("rk,rkx->x", weight, points)
-        away = points - mean
-        covariance = np.einsum("rk,rkx,rky->xy", weight, away, away) + 0.05**2 * np.eye(3)
-        return mean, 0.5 * (covariance + covariance.T)
+        weight *= (met * likely * (leave**3 - enter**3) / weight.sum(axis=1))[:, None]
+        return points.reshape(-1, 3), weight.ravel()
+
+
+@dataclass(frozen=True)
+class Line:
+    """Microphones on one line: all directions at one angle to it, a cone, are heard alike.
+
+    Attributes:
+        axis: (3,) unit vector.
+        level: (3,) unit vector across it, level. The direction on that side stands for the others of its cone.
+    """
+
+    axis: np.ndarray
+    level: np.ndarray
+
+    def angle(self, rays: np.ndarray) -> np.ndarray:
+        """Return the angle in rad between rays (..., 3) and the axis."""
+        return np.arccos(np.clip(rays @ self.axis, -1.0, 1.0))
+
+    def cones(self, angles: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """Return the directions (a t, 3) at angles (a,) to the axis, turned about it by turns (t,) from `level`."""
+        across = np.cos(turns)[:, None] * self.level + np.sin(turns)[:, None] * np.cross(self.axis, self.level)
+        return (np.cos(angles)[:, None, None] * self.axis + np.sin(angles)[:, None, None] * across).reshape(-1, 3)
+
+    def standing_for(self, ray: np.ndarray) -> np.ndarray:
+        """Return the direction (3,) that stands for one's cone."""
+        return self.cones(self.angle(ray)[None], np.zeros(1))[0]
+
+    def across(self, ray: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Return a curvature (2, 2) 1/rad² as it is about the direction that stands for a ray: along the cone none."""
+        angle = self.angle(ray)
+        steeper = tangents(self.standing_for(ray)) @ (np.cos(angle) * self.level - np.sin(angle) * self.axis)
+        return float(np.linalg.eigvalsh(curvature)[-1]) * np.outer(steeper, steeper)
 
 
 def tangents(ray: np.ndarray) -> np.ndarray:
@@ -564,18 +626,28 @@ def _sphere(spacing: float) -> np.ndarray:
     return np.column_stack([level * np.cos(turn), level * np.sin(turn), height])
 
 
+def _line(microphones: np.ndarray) -> Line | None:
+    """Return the line that microphones (m, 3) m are on; None where they are not."""
+    centred = microphones - microphones.mean(axis=0)
+    _, spread, axes = np.linalg.svd(centred)
+    if spread[1] > 0.05 * spread[0]:
+        return None
+    level = np.cross(axes[0], [0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(level))
+    return Line(axes[0], level / length if length > 1e-6 else np.array([1.0, 0.0, 0.0]))
+
+
 def _mirror(microphones: np.ndarray) -> np.ndarray | None:
     """Return the unit normal (3,) of the plane in which mirror images are heard alike; None where there is none."""
     centred = microphones - microphones.mean(axis=0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
     if spread[2] > 0.05 * spread[0]:
         return None
-    if spread[1] > 0.05 * spread[0]:
+    line = _line(microphones)
+    if line is None:
         normal: np.ndarray = axes[2]
         return normal
-    across = np.cross(axes[0], [0.0, 0.0, 1.0])  # a line hears a cone alike; its mirror image on the floor is told
-    length = float(np.linalg.norm(across))
-    return across / length if length > 1e-6 else None
+    return line.level if abs(line.axis[2]) < 1.0 - 1e-6 else None
 
 
 def _logistic(logit: float) -> float:
@@ -587,8 +659,12 @@ def _mirrored(ray: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 _GRID = np.array([[x, y] for y in range(-2, 3) for x in range(-2, 3)], dtype=np.float64)
-_STEPS = np.array([[x, y] for y in np.linspace(-2.5, 2.5, 7) for x in np.linspace(-2.5, 2.5, 7)])
+_STEPS = np.linspace(-2.5, 2.5, 7)
+_GRID_STEPS = np.array([[x, y] for y in _STEPS for x in _STEPS])
 """Standard deviations, at which directions about a ray stand for the others."""
+
+_TURNS = np.pi * (np.arange(12) + 0.5) / 12 - 0.5 * np.pi
+"""rad: about a line, at which directions stand for the others of half a cone."""
 
 _SHARES = (np.arange(16) + 0.5) / 16
 """Of the way through the volume, at which ranges along a ray stand for the others."""

@@ -1,11 +1,13 @@
 """What avdetect-audio makes of faulty channels, one or two faults at a time.
 
     make setup-bench bench-faults            # faults.md and .jsonl in bench-out/: ten minutes
+    make bench-faults BENCH_FLAGS="--compact --data DIR"     # of compact arrays, see compact_faults.py: four minutes
 
 Five recordings of one talker, simulated by pyroomacoustics and not by us, with real speech (CMU ARCTIC) from
 ../shared/data or AVCLI_SHARED_DATA: eight microphones in a ring in a usual room, in a harder one, in a live and noisy
 one, a talker who walks, and six microphones. Those that decided settings (--split decide) and those that are reported
-share no room, no place and no voice. A detection is right within 0.5 m in x and y of the talker.
+share no room, no place and no voice. A detection is right within 0.5 m in x and y of the talker. DIR holds the sets of
+bench-real-audio; without it compact arrays are simulated alone.
 """
 
 import argparse
@@ -25,6 +27,7 @@ if importlib.util.find_spec("pyroomacoustics") is None:
         sys.exit("bench-faults: needs pyroomacoustics; make setup-bench installs it")
     os.execv(bench, [str(bench), *sys.argv])
 
+import compact_faults  # noqa: E402
 import numpy as np  # noqa: E402
 import soundfile  # noqa: E402
 from bench_localization import responses  # noqa: E402
@@ -124,10 +127,10 @@ def recording(case: Case, speaker: str) -> Recording:
 # --- faults -----------------------------------------------------------------------------------------------------------
 
 
-def late(samples: np.ndarray, seconds: dict[int, float]) -> np.ndarray:
+def late(samples: np.ndarray, seconds: dict[int, float], rate: float = FS) -> np.ndarray:
     """Delay channels by so many s."""
     size = 2 * len(samples)
-    frequency = np.fft.rfftfreq(size, 1.0 / FS)
+    frequency = np.fft.rfftfreq(size, 1.0 / rate)
     found = samples.copy()
     for c, delay in seconds.items():
         turned = np.fft.rfft(samples[:, c], size) * np.exp(-2j * np.pi * frequency * delay)
@@ -172,6 +175,20 @@ FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "two exchanged, one turned over": lambda x: over(exchanged(x, 2, 3), 5),
     "all moved on by one": lambda x: np.roll(x, 1, axis=1),
 }
+COMPACT: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
+    "none": lambda x, _: x,
+    "one turned over": lambda x, _: over(x, 2),
+    "one .1 ms late": lambda x, rate: late(x, {2: 0.0001}, rate),
+    "one 1 ms late": lambda x, rate: late(x, {2: 0.001}, rate),
+    "one 5 ms late": lambda x, rate: late(x, {2: 0.005}, rate),
+    "neighbours exchanged": lambda x, _: exchanged(x, 2, 3),
+    "first and third exchanged": lambda x, _: exchanged(x, 0, 2),
+    "one 20 dB quieter": lambda x, _: x * np.where(np.arange(x.shape[1]) == 2, 0.1, 1.0),
+    "one of noise": lambda x, _: noise(x, 2),
+    "one turned over, one 1 ms late": lambda x, rate: late(over(x, 2), {0: 0.001}, rate),
+    "one turned over, one of noise": lambda x, _: noise(over(x, 2), 0),
+    "two exchanged, one turned over": lambda x, _: over(exchanged(x, 2, 3), 0),
+}
 MISPLACED = {"places wrong by 2 cm": 0.02, "places wrong by 5 cm": 0.05}
 
 
@@ -213,22 +230,50 @@ def measured(case: Case, heard: Recording, fault: str) -> dict[str, object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--split", choices=list(CASES), default="report")
-    parser.add_argument("--only", nargs="+", choices=[*FAULTS, *MISPLACED], help="faults; by default all")
+    parser.add_argument("--only", nargs="+", choices=[*FAULTS, *MISPLACED, *COMPACT], help="faults; by default all")
+    parser.add_argument("--compact", action="store_true", help="compact arrays in place of distributed ones")
+    parser.add_argument("--data", type=Path, help="measured sets for --compact")
     parser.add_argument("--out", type=Path, default=Path("bench-out"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    table = of_compact if options.compact else of_distributed
+    name = "faults-compact" if options.compact else "faults"
+    with open(options.out / f"{name}.jsonl", "w") as rows:
+        lines = table(options, lambda found: rows.writelines(json.dumps(row) + "\n" for row in found))
+    (options.out / f"{name}.md").write_text("\n".join(lines) + "\n")
+
+
+def of_distributed(options: argparse.Namespace, keep: Callable[[list[dict[str, object]]], None]) -> list[str]:
+    """Return the lines of the table of distributed arrays: recall / precision."""
     cases = CASES[options.split]
     heard = [recording(case, SPEAKERS[options.split]) for case in cases]
     lines = ["| fault | " + " | ".join(case.name for case in cases) + " |", "|---|" + "---|" * len(cases)]
-    with open(options.out / "faults.jsonl", "w") as rows:
-        for fault in options.only or [*FAULTS, *MISPLACED]:
-            found = [measured(case, one, fault) for case, one in zip(cases, heard, strict=True)]
-            rows.writelines(json.dumps(row) + "\n" for row in found)
-            lines.append(
-                f"| {fault} | " + " | ".join(f"{r['recall']:.2f} / {r['precision']:.2f}" for r in found) + " |"
-            )
-            print(lines[-1], flush=True)
-    (options.out / "faults.md").write_text("\n".join(lines) + "\n")
+    for fault in options.only or [*FAULTS, *MISPLACED]:
+        found = [measured(case, one, fault) for case, one in zip(cases, heard, strict=True)]
+        keep(found)
+        lines.append(f"| {fault} | " + " | ".join(f"{r['recall']:.2f} / {r['precision']:.2f}" for r in found) + " |")
+        print(lines[-1], flush=True)
+    return lines
+
+
+def of_compact(options: argparse.Namespace, keep: Callable[[list[dict[str, object]]], None]) -> list[str]:
+    """Return the lines of the table of compact arrays: the share of the moments of speech / false reports (score)."""
+    split = {"decide": "decide", "report": "judge"}[options.split]
+    heard = list(compact_faults.recordings(split, options.data))
+    sets = list(dict.fromkeys(one.set for one in heard))
+    lines = ["| fault | " + " | ".join(sets) + " |", "|---|" + "---|" * len(sets)]
+    for fault in options.only or list(COMPACT):
+        found = [{"fault": fault} | compact_faults.measured(one, COMPACT[fault]) for one in heard]
+        keep(found)
+        cells = []
+        for name in sets:
+            here = [row for row in found if row["set"] == name]
+            false = [score for row in here for score in row["false"]]
+            said = f" ({np.mean(false):.2f})" if false else ""
+            cells.append(f"{sum(r['hit'] for r in here) / sum(r['active'] for r in here):.2f}/{len(false)}{said}")
+        lines.append(f"| {fault} | " + " | ".join(cells) + " |")
+        print(lines[-1], flush=True)
+    return lines
 
 
 if __name__ == "__main__":

@@ -71,7 +71,9 @@ class Tally:
     further: int = 0
 
 
-def heard(case: Measured, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def heard(
+    case: Measured, number: int, rng: np.random.Generator, below_db: float = NOISE_DB
+) -> tuple[np.ndarray, np.ndarray]:
     """Return what the microphones hear of a sentence, (n, m), and the times in s at which it sounds."""
     folder = Path(os.environ.get("AVCLI_SHARED_DATA", ROOT.parent / "shared" / "data")) / "speech"
     paths = sorted(folder.glob(f"*_{SPEAKERS[case.split]}_*.wav"))
@@ -82,7 +84,7 @@ def heard(case: Measured, number: int, rng: np.random.Generator) -> tuple[np.nda
     dry = resample_poly(speech, case.sample_rate // shared, rate // shared)[: int(SECONDS * case.sample_rate)]
     dry = np.concatenate([np.zeros(case.sample_rate // 4), dry])
     samples = np.stack([fftconvolve(dry, one)[: len(dry)] for one in case.responses], axis=1)
-    samples += np.sqrt(np.mean(samples**2)) * 10.0 ** (-NOISE_DB / 20.0) * rng.standard_normal(samples.shape)
+    samples += np.sqrt(np.mean(samples**2)) * 10.0 ** (-below_db / 20.0) * rng.standard_normal(samples.shape)
     size = case.sample_rate // 50
     energy = np.mean(dry[: len(dry) // size * size].reshape(-1, size) ** 2, axis=1)
     return samples, (np.flatnonzero(energy > energy.max() * 10.0**-2.5) + 0.5) / 50.0

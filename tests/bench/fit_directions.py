@@ -171,7 +171,9 @@ class Witness(DirectionFinder):
             true = person.at(found.time) - self.response.centre
             ray = max(self.images(one.ray), key=lambda image: float(image @ true))
             error = tangents(ray) @ (true / np.linalg.norm(true))
-            if ray @ true > 0.0 and abs(error[0]) < best[0]:
+            if self.line is not None:
+                error = np.array([self.line.angle(ray) - self.line.angle(true / np.linalg.norm(true)), np.nan])
+            if (self.line is not None or ray @ true > 0.0) and abs(error[0]) < best[0]:
                 best = (abs(float(error[0])), number, error)
         right = best[0] < RIGHT and best[1] not in taken and self.scene.people[best[1]].sounds(found.time, 0.1)
         if right:
@@ -297,7 +299,7 @@ def write(law: DirectionLaw, held_out: Sequence[Row], *, real: bool) -> None:
             "command": "tests/bench/fit_directions.py",
             "speech": "CMU ARCTIC aew; held out: axb" if real else "synthetic voices",
             "scenes": {split: {"seed": seed, "count": count} for split, (seed, count) in SPLITS.items()},
-            "right": "within 10 degrees in azimuth of a talker who sounds, or of the mirror image of one",
+            "right": "within 10 degrees in azimuth of a talker who sounds or his mirror image; of a line: in its angle",
             "held_out": check,
         },
     }
