@@ -60,6 +60,14 @@ def test_a_fan_is_named_once_and_is_no_talker_from_then_on():
     assert sum(len(d.notices) for d in decisions) == 1
 
 
+def test_what_hisses_where_somebody_talks_is_named_when_the_talk_is_over():
+    """A loudspeaker hisses, and so does a recording; to call it no talker while it talks would be untrue."""
+    decisions = decided(recorded(8.0, fans=(MOUTH,), speaks=[(0.2, 2.4), (2.9, 4.4)]))
+    assert any(len(d.steady) and len(d.scores) for d in decisions if d.time < 4.4)
+    (said,) = [d.time for d in decisions if d.notices]
+    assert 4.4 < said < 7.0
+
+
 def test_two_fans_are_two():
     last = decided(recorded(4.0, fans=(FAN, OTHER_FAN)))[-1]
     assert len(last.steady) == 2

@@ -6,7 +6,7 @@ is steady alone. The room's own noise comes from everywhere; but where such wind
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -155,11 +155,14 @@ class SteadySources:
             return bool(one @ other > np.cos(APART) * np.linalg.norm(one) * np.linalg.norm(other))
         return level_distance(one, other) < APART_M
 
-    def news(self) -> list[str]:
-        """Return a sentence about each source that has not been named yet."""
+    def news(self, talkers: Sequence[np.ndarray]) -> list[str]:
+        """Return a sentence about each source that has not been named yet, and is not where one of talkers (3,) m is.
+
+        A talker's recording hisses at the talker's place: that is no fan.
+        """
         said = []
         for place in self.places:
-            if not any(self._same(place, one) for one in self.named):
+            if not any(self._same(place, one) for one in [*self.named, *talkers]):
                 self.named = np.vstack([self.named, place])
                 said.append(f"a steady source, such as a fan, sounds {self._where(place)}: it is no talker")
         return said

@@ -260,7 +260,7 @@ class SteeredLocalizer:
                 self.examined = middle
                 apart = around[self.reach % self.spacing :: self.spacing]
                 self.health.examine(now, [window for window in apart if window], self.noise_apart(1).deviation)
-            notices += self._news() + self.steady.news()
+            notices += self._news() + self.steady.news([trace.position for trace in self.memory.known()])
             if self.health.unsettled and not self.told_unsettled:
                 notices.append(UNSETTLED.format(self.health.unsettled))
                 self.told_unsettled = True
