@@ -223,6 +223,7 @@ def check_command(
     """
     from avcli.calibration import calibrate, fit, place
 
+    session.check_outputs({}, [camera, *sources])
     if not sources:
         refuse_without_effect([*settings_of(settings.BoardSettings), "rate_hz", "fail_over_px"], "without SOURCE")
         avcalib_room.examine(session, camera, parts)

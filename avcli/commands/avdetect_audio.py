@@ -99,6 +99,7 @@ def main(
     heights = options["heights"] or ()
     if list(heights) != sorted(heights):
         session.usage("--heights {:g} {:g}: the lowest mouth comes first".format(*heights))
+    session.check_outputs({}, files or ("-",))
     session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
         sound = _Sound(session, start, live, raw, channels, gains)

@@ -75,7 +75,7 @@ def main(
     from avcli.formats import footage, media, records
 
     session.check_outputs(
-        {"--overlay": overlay if overlay and footage.source(overlay).kind == "video" else None}, files
+        {"--overlay": overlay if overlay and footage.source(overlay).kind == "video" else None}, files or ("-",)
     )
     media.quiet_decoders()  # OpenCV asks when it is loaded
     network = settings.detector == "net"
