@@ -253,17 +253,22 @@ class _Sound:
 
         from avcli.formats.recorder import Arrivals
 
-        arrivals = Arrivals()
+        arrivals, held = Arrivals(), list[tuple[np.ndarray, int]]()
         for samples, rate in pieces:
-            lost = round(arrivals.missing(len(samples) / rate) * rate)
+            held.append((samples, rate))
+            seconds = arrivals.missing(len(samples) / rate)
+            if seconds is None:  # the sound may have been held up alone
+                continue
+            lost = round(seconds * rate)
             if lost:
                 self.session.warn(
                     f"{name}: {lost / rate:.2f} s of sound are missing; they count as silence", kind="gaps"
                 )
-            while lost > 0:
-                yield np.zeros((min(lost, _BLOCK), samples.shape[1])), rate
-                lost -= _BLOCK
-            yield samples, rate
+            for begin in range(0, lost, _BLOCK):
+                yield np.zeros((min(lost - begin, _BLOCK), samples.shape[1])), rate
+            yield from held
+            held.clear()
+        yield from held
 
     def expected(self, files: Iterable[str]) -> int | None:
         """Return about how many blocks the files have, for a progress bar; None where a stream or a fault hides it."""
