@@ -569,6 +569,7 @@ class Sink(contextlib.ExitStack):
         self._is_video = suffix in VIDEOS
         self._is_picture = bool(suffix) and not self._is_video and not self.path.is_dir()
         self._count = 0
+        self._written: set[Path] = set()
         if self._is_picture and not single:
             raise ValueError(f"{target} is one picture; several need a folder or a video")
 
@@ -584,7 +585,7 @@ class Sink(contextlib.ExitStack):
 
         Raises:
             MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written, or
-                would replace the file that it comes from.
+                would replace the file that it comes from, or another one that was written.
         """
         self._count += 1
         if self._is_video:
@@ -601,6 +602,9 @@ class Sink(contextlib.ExitStack):
                 Path(picture.name).stem if os.path.exists(picture.name) else f"{self.prefix}_{picture.timestamp:.10f}"
             )
             path = self.path / f"{stem}.png"
+            if path in self._written:
+                raise MediaError(f"{path} was written already: {picture.name} has this name, too; use another folder for it")
+            self._written.add(path)
         elif self._count > 1:
             raise MediaError(f"{self.path} is one picture; this source has several")
         if path.exists() and os.path.exists(picture.name) and path.samefile(picture.name):
