@@ -419,6 +419,7 @@ def test_a_stream_at_an_address(folder, network):
     assert result.returncode == 0, result.stderr
     assert result.stdout.splitlines()
     assert float(json.loads(result.stdout.splitlines()[0])["timestamp"]) > 1e9
+    assert f"{address}: no more pictures come" in result.stderr
     nobody = run("avdetect-video", "-C", folder, "--model", network, "http://127.0.0.1:9/nothing")
     refused(nobody, "no stream of pictures answers")
 

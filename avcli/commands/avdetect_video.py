@@ -275,7 +275,9 @@ def _shots(
     if moving:
         pictures = footage.pictures([moving[0].name], rate)
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
-        return newest(session, stack, shots, "pictures") if moving[0].is_live else shots
+        if not moving[0].is_live:
+            return shots
+        return newest(session, stack, _saying_its_end(session, moving[0].name, shots), "pictures")
     refuse_without_effect(["rate"], "on frame records, which have their own times")
     parse = partial(_frame, session.allow_outside)
     if not live:
@@ -283,6 +285,14 @@ def _shots(
     name, pipe = open_pipe(session, files)
     frames = session.stream_records(io.BufferedReader(pipe), name, parse)
     return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
+
+
+def _saying_its_end(
+    session: filter.Session, name: str, shots: Iterable[footage.UnreadShot]
+) -> Iterator[footage.UnreadShot]:
+    """Yield what a camera sees; where it goes away, nobody would be found from then on without a word."""
+    yield from shots
+    session.warn(f"{name}: no more pictures come: the camera, or the connection to it, is gone")
 
 
 def _expected(session: filter.Session, files: tuple[str, ...], rate: float | None) -> int | None:

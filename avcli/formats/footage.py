@@ -18,6 +18,7 @@ import numpy as np
 from avcli.formats import film
 from avcli.formats.atomic import replacing, write_bytes
 from avcli.formats.camera import Camera
+from avcli.formats.live import Pace
 from avcli.formats.media import (
     MediaError,
     decode_picture,
@@ -368,13 +369,12 @@ def _open_video(source: str, *, deep: bool = False) -> "cv2.VideoCapture":
 
 def _live_pictures(address: str, rate_hz: float | None) -> Iterator[Picture]:
     """Pictures of a stream at an address, with Unix time; at most `rate_hz` a second."""
-    capture, due, number = _open_video(address), 0.0, 0
+    capture, pace, number = _open_video(address), Pace(rate_hz), 0
     try:
         while capture.grab():
             now = time.time()
-            if rate_hz and now < due:
+            if not pace.takes():
                 continue
-            due = now + 1 / rate_hz if rate_hz else 0.0
             good, image = capture.retrieve()
             if good:
                 number += 1
@@ -477,13 +477,12 @@ def camera_pictures(camera: Camera) -> Iterator[Picture]:
 
 def _stream_pictures(stream: BinaryIO, rate_hz: float | None, skip: Callable[[str], None]) -> Iterator[Picture]:
     """Pictures of a stream of JPEGs, such as "ffmpeg -f mjpeg -" and USB cameras send."""
-    number, thinned, due = 0, 0, 0.0
+    number, thinned, pace = 0, 0, Pace(rate_hz)
     for content in _jpegs(stream):
-        number, now = number + 1, time.monotonic()
-        if rate_hz and now < due:
+        number += 1
+        if not pace.takes():
             thinned += 1
             continue
-        due = now + 1 / rate_hz if rate_hz else 0.0
         image = decode_picture(content)
         if image is None:
             skip(f"<stdin>: picture {number} of the stream cannot be read")
