@@ -482,3 +482,8 @@ def test_a_named_camera_of_several_is_used(tmp_path):
     assert found["right"][0] - found["left"][0] == pytest.approx(3)
     wrong = run("avdetect-video", "-C", tmp_path, "--detector", "depth", "--sensor", "ring", tmp_path / "seen.png")
     assert (wrong.returncode, "these are microphones" in wrong.stderr) == (2, True)
+    for raw, name in (({}, "video"), ({}, "rihgt"), ({"camera_config": cameras["left"]}, "rihgt")):
+        (tmp_path / "config.json").write_text(json.dumps({**raw, "sensors": sensors}))
+        wrong = run("avdetect-video", "-C", tmp_path, "--sensor", name, tmp_path / "seen.png")
+        assert wrong.returncode == 2
+        assert "no camera of this name; it has left, right" in wrong.stderr

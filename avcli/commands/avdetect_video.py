@@ -149,12 +149,16 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
 
 
 def _camera(session: filter.Session, sensor: str) -> Camera:
-    """The camera of this name that config.json has, else its only one."""
+    """The camera of this name that config.json has, else its only one; where others have names, not for an unknown name."""
     from avcli.formats.sensors import MICROPHONES
 
-    if session.config.sensors.get(sensor) == MICROPHONES:
-        session.usage(f"--sensor {sensor}: {session.config.name} says that these are microphones")
-    return session.config.camera_of(sensor) or session.config.camera
+    config = session.config
+    if config.sensors.get(sensor) == MICROPHONES:
+        session.usage(f"--sensor {sensor}: {config.name} says that these are microphones")
+    named = [name for name, known in config.known_sensors.items() if known.get("camera_config") is not None]
+    if named and sensor not in config.sensors and (sensor != Settings().sensor or "camera_config" not in config.raw):
+        session.usage(f"--sensor {sensor}: {config.name} has no camera of this name; it has {', '.join(named)}")
+    return config.camera_of(sensor) or config.camera
 
 
 def _people(session: filter.Session, detector: Detector, shot: footage.UnreadShot) -> list[Person] | None:
