@@ -70,7 +70,7 @@ def undistort_command(
     with usage_errors(session):
         limit = camera.theta_max if extrapolate else camera.theta_trusted
         straight = undistort.straighten(camera.lens, camera.size, size, given, limit, camera.circle)
-        sink = footage.Sink(target, size, rate_hz or footage.frame_rate(names[0]) or 10.0, single=single)
+        sink = footage.Sink(target, size, footage.rate_taken(names[0], rate_hz) or 10.0, single=single)
     total = footage.count_pictures(names, rate_hz)
     pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
 

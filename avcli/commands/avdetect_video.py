@@ -81,6 +81,7 @@ def main(
     network = settings.detector == "net"
     session.load("cv2", *(("onnxruntime",) if network else ()))
     detector: Detector | None = None
+    drawing: footage.Sink | None = None
     with session.output() as write, contextlib.ExitStack() as stack:
         shots = _shots(session, stack, files, rate, settings.sensor, live=live, depth=not network)
         if files and all(Path(file).is_file() or Path(file).is_dir() for file in files):
@@ -91,7 +92,8 @@ def main(
             if detector is None:
                 with session.timing("start"):
                     detector = _detector(session, model, settings)
-                drawing = stack.enter_context(_sink(session, overlay, detector.view.size)) if overlay else None
+                if overlay:
+                    drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
             people = _people(session, detector, shot)
             if people is None:
                 continue
@@ -220,12 +222,16 @@ def _other_height(detector: Detector) -> str:
     return f"; with the camera at {best:.1f} m {shares[best]:.0%} would fit one, at the stated {stated:.1f} m {now:.0%}"
 
 
-def _sink(session: filter.Session, target: str, size: tuple[int, int]) -> footage.Sink:
+def _sink(
+    session: filter.Session, target: str, size: tuple[int, int], rate: float | None, files: tuple[str, ...]
+) -> footage.Sink:
+    """Where the drawn pictures go; a video of them plays as fast as the one that is looked at."""
     from avcli.formats import footage
 
-    rate = session.config.frame_rate_hz
+    films = [file for file in files if footage.source(file).kind == "video"]
+    rate_hz = footage.rate_taken(films[0], rate) if films else rate
     try:
-        return footage.Sink(target, size, rate, single=False, prefix="overlay", whole=False)
+        return footage.Sink(target, size, rate_hz or session.config.frame_rate_hz, single=False, prefix="overlay", whole=False)
     except ValueError as error:
         session.usage(f"--overlay: {error}")
 

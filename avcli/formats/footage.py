@@ -343,6 +343,12 @@ def frame_rate(name: str) -> float | None:
     return fps if 0 < fps < 1000 else None
 
 
+def rate_taken(name: str, rate_hz: float | None) -> float | None:
+    """Pictures per second of a source where `rate_hz` are asked for: no more than a video has; None: it is not known."""
+    known = [rate for rate in (frame_rate(name), rate_hz) if rate]
+    return min(known, default=None)
+
+
 def _length(name: str) -> tuple[float, float]:
     """Frames of a video and frames a second, as its header states them; both may be wrong."""
     import cv2
