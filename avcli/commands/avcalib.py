@@ -259,6 +259,7 @@ def target_command(
     kind = _picture_format(session, format)
     if kind != "png":
         refuse_without_effect(["dpi"], f"with {kind}")
+    session.check_outputs({"--kalibr": kalibr})
     with usage_errors(session):
         board = parse_board(session, values).board()
         page = drawing.draw(board, paper)
