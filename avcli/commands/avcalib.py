@@ -100,8 +100,8 @@ def live_command(session: Session, source: str, **values: Any) -> None:
     """Calibrate while you film: hints say where to hold the board next, and when it is enough.
 
     CAMERA is a device or its number (default: /dev/video0), a stream at an address (rtsp://…), a video, which plays at
-    its own pace, or - for JPEGs on standard input. Only the newest picture counts, and only of a board that is held still. Ctrl-C ends the filming
-    earlier.
+    its own pace, or - for JPEGs on standard input. Only the newest picture counts, and only of a board that is held
+    still. Ctrl-C ends the filming earlier.
     """
     from avcli.calibration import live, watch
     from avcli.formats import serving

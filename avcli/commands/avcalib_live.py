@@ -71,9 +71,7 @@ def _pictures(
     return iter(stack.enter_context(LiveSource(arriving, newest=True, stop=stop))), stop
 
 
-def _as_they_arrive(
-    pictures: Iterator[Picture], rate_hz: float | None, ended: threading.Event
-) -> Iterator[Picture]:
+def _as_they_arrive(pictures: Iterator[Picture], rate_hz: float | None, ended: threading.Event) -> Iterator[Picture]:
     """Yield pictures with the time at which they arrived, at most so many a second."""
     from avcli.formats.live import Pace
 

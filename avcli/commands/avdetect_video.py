@@ -151,7 +151,7 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
 
 
 def _camera(session: filter.Session, sensor: str) -> Camera:
-    """The camera of this name that config.json has, else its only one; where others have names, not for an unknown name."""
+    """The camera of this name that config.json has, else its only one; where cameras have names, of no unknown name."""
     from avcli.formats.sensors import MICROPHONES
 
     config = session.config
@@ -229,9 +229,9 @@ def _sink(
     from avcli.formats import footage
 
     films = [file for file in files if footage.source(file).kind == "video"]
-    rate_hz = footage.rate_taken(films[0], rate) if films else rate
+    rate_hz = (footage.rate_taken(films[0], rate) if films else rate) or session.config.frame_rate_hz
     try:
-        return footage.Sink(target, size, rate_hz or session.config.frame_rate_hz, single=False, prefix="overlay", whole=False)
+        return footage.Sink(target, size, rate_hz, single=False, prefix="overlay", whole=False)
     except ValueError as error:
         session.usage(f"--overlay: {error}")
 

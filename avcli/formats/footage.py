@@ -344,7 +344,7 @@ def frame_rate(name: str) -> float | None:
 
 
 def rate_taken(name: str, rate_hz: float | None) -> float | None:
-    """Pictures per second of a source where `rate_hz` are asked for: no more than a video has; None: it is not known."""
+    """Pictures per second of a source of which `rate_hz` are wanted: no more than a video has; None: not known."""
     known = [rate for rate in (frame_rate(name), rate_hz) if rate]
     return min(known, default=None)
 
@@ -608,7 +608,7 @@ class Sink(contextlib.ExitStack):
             )
             path = self.path / f"{stem}.png"
             if path in self._written:
-                raise MediaError(f"{path} was written already: {picture.name} has this name, too; use another folder for it")
+                raise MediaError(f"{path} was written already; {picture.name} needs another folder")
             self._written.add(path)
         elif self._count > 1:
             raise MediaError(f"{self.path} is one picture; this source has several")

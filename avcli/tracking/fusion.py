@@ -346,9 +346,9 @@ class Fusion:
         if name not in self._astray and now >= _MANY_OUTSIDE and now > self._inside[name]:
             self._astray.add(name)
             self.say(
-                f"sensor {name!r}: {now} of {now + self._inside[name]} detections so far are more than {self.margin:g} m "
-                "outside the room of config.json, and are ignored (--room-margin); are they in metres, and counted from "
-                "the room's corner?"
+                f"sensor {name!r}: {now} of {now + self._inside[name]} detections so far are more than {self.margin:g}"
+                " m outside the room of config.json, and are ignored (--room-margin); are they in metres, and counted"
+                " from the room's corner?"
             )
 
     def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
