@@ -87,8 +87,8 @@ class Tape:
         earlier = earlier_files(experiment, SOUND)
         if recordings := [path for path in earlier if is_recording(path)]:
             raise ValueError(
-                f"{recordings[0]}: avsim-audio did not write this sound, and would remove it; use another directory, or "
-                "move it away"
+                f"{recordings[0]}: avsim-audio did not write this sound, and would remove it; use another directory, "
+                "or move it away"
             )
         for old in earlier:
             old.unlink(missing_ok=True)
