@@ -75,6 +75,9 @@ endif
 # The matrices are small: threads inside BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 
+ifneq ($(words $(OUT)) $(words $(VENV)),1 1)
+  $(error OUT='$(OUT)' VENV='$(VENV)': each needs a path without spaces)
+endif
 ifneq ($(words $(SCENARIO)),1)
   ifneq ($(filter run run-%,$(MAKECMDGOALS)),)
     $(error make run needs SCENARIO=FILE.json, a path without spaces)

@@ -16,6 +16,8 @@ SPEED_OF_SOUND_M_S = 343.0
 
 _ALIKE = 0.25
 """Share by which steps differ that are one step of a clock."""
+_NTSC_HZ = [rate for whole in (12, 15, 24, 30, 48, 60, 120) for rate in (whole / 1.001, round(whole / 1.001, 3))]
+"""Frame rates of television, as they are and as they are written: 29.97003 and 29.97."""
 
 _WORK_WORTH_SCIPY = 3_000_000
 """Inner steps of `assign` that take as long as the import of scipy.optimize (about 0.15 s)."""
@@ -64,7 +66,8 @@ def rate_of(steps: Sequence[Sequence[float]]) -> float:
     """Return the rate in Hz of the commonest step: of the step like which most others are.
 
     Time stamps are rounded, and sensors are late by more or less. So the rate is that of the mean of these steps, and
-    the roundest number that is as near as the mean is uncertain: 30 Hz, since a clock of 30.001 Hz soon runs away.
+    the roundest number that is as near as the mean is uncertain: 30 Hz, since a clock of 30.001 Hz soon runs away. The
+    rates of television, 30 / 1.001 Hz and its kin, are as round as those with one decimal.
 
     Args:
         steps: s between successive records, of each sensor that has some.
@@ -80,10 +83,25 @@ def rate_of(steps: Sequence[Sequence[float]]) -> float:
     usual = max(every, key=lambda step: (alike(step), -step))
     each = [[step for step in own if abs(step - usual) <= _ALIKE * usual] for own in steps]
     best = max(each, key=len)  # of sensors that are nearly as fast, one
-    mean = math.fsum(best) / len(best)
-    uncertain = (max(best) - min(best)) / mean / math.sqrt(len(best)) + 1e-9  # a share
-    rounder = (round(1 / mean, digits) for digits in range(3))
-    return next((rate for rate in rounder if abs(rate * mean - 1) <= uncertain), 1 / mean)
+    mean, uncertain = _clock(best)
+    for round_ones in ([round(1 / mean)], [round(1 / mean, 1), *_NTSC_HZ], [round(1 / mean, 2)]):
+        off, rate = min((abs(rate * mean - 1), rate) for rate in round_ones)
+        if off <= uncertain:
+            return float(rate)
+    return 1 / mean
+
+
+def _clock(steps: Sequence[float]) -> tuple[float, float]:
+    """Return the mean of the steps of a clock, s, and the share by which it is uncertain."""
+    n, spread = len(steps), max(steps) - min(steps)
+    for quantum in (1e-3, 1e-4):
+        if 0.5 < spread / quantum < 1.5 and all(abs(step / quantum - round(step / quantum)) < 0.01 for step in steps):
+            # 33 and 34 ms: nothing but the rounding of the times, whose errors do not add up; three standard deviations
+            number = np.arange(n + 1) - n / 2
+            slope = float(number @ np.cumsum([0.0, *steps]) / (number @ number))
+            return slope, 3.0 * quantum / (n**1.5 * slope)
+    mean = math.fsum(steps) / n
+    return mean, spread / mean / math.sqrt(n) + 1e-9
 
 
 def assignment_solver(work: float) -> Assignment:

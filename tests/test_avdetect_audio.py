@@ -158,6 +158,13 @@ def test_a_wav_is_not_taken_for_raw_samples(tmp_path, sound):
     )
 
 
+def test_microphones_outside_the_room_are_named(tmp_path, sound):
+    listed = [{"position": p} for p in (MICROPHONES * [1, 1, -1]).tolist()]
+    write(tmp_path, sound, microphone_config={"mic_positions_m": listed})
+    said = run("avdetect-audio", "-C", tmp_path, tmp_path / WAV).stderr
+    assert "microphone 1, 2, 3, 4, 5, 6, 7, 8 is outside the room of 4.66 × 4.66 × 3 m" in said
+
+
 def test_scores_that_are_too_high_are_said(tmp_path, sound):
     write(tmp_path, sound)
     soundfile.write(tmp_path / "a.wav", sound, FS, subtype="FLOAT")

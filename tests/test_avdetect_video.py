@@ -15,7 +15,7 @@ from test_detection_network import model, rows
 
 from avcli.detection.detector import detect
 from avcli.detection.network import Letterbox
-from avcli.formats import experiment, media
+from avcli.formats import experiment, footage, media
 
 PEOPLE = [(1.2, 2.3, 0.0, 0.3, 1.75), (3.4, 2.6, 2.0, -0.3, 1.65)]
 STEP = 1e-4
@@ -336,9 +336,11 @@ def test_a_video_and_its_rate(folder, network, tmp_path):
     writer.release()
     options = ["-C", folder, "--model", network, "--overlay", tmp_path / "drawn.mp4", tmp_path / "clip.avi"]
     every = found(run("avdetect-video", *options))
+    assert footage.frame_rate(str(tmp_path / "drawn.mp4")) == 20.0
     assert [float(record["timestamp"]) for record in every] == pytest.approx(np.arange(10) / 20)
     some = found(run("avdetect-video", *options, "--rate", "10"))
     assert [float(record["timestamp"]) for record in some] == pytest.approx(np.arange(5) / 10)
+    assert footage.frame_rate(str(tmp_path / "drawn.mp4")) == 10.0
     capture = cv2.VideoCapture(str(tmp_path / "drawn.mp4"))
     assert capture.read()[1].shape == (270, 480, 3)
 
@@ -419,6 +421,7 @@ def test_a_stream_at_an_address(folder, network):
     assert result.returncode == 0, result.stderr
     assert result.stdout.splitlines()
     assert float(json.loads(result.stdout.splitlines()[0])["timestamp"]) > 1e9
+    assert f"{address}: no more pictures come" in result.stderr
     nobody = run("avdetect-video", "-C", folder, "--model", network, "http://127.0.0.1:9/nothing")
     refused(nobody, "no stream of pictures answers")
 
@@ -481,3 +484,8 @@ def test_a_named_camera_of_several_is_used(tmp_path):
     assert found["right"][0] - found["left"][0] == pytest.approx(3)
     wrong = run("avdetect-video", "-C", tmp_path, "--detector", "depth", "--sensor", "ring", tmp_path / "seen.png")
     assert (wrong.returncode, "these are microphones" in wrong.stderr) == (2, True)
+    for raw, name in (({}, "video"), ({}, "rihgt"), ({"camera_config": cameras["left"]}, "rihgt")):
+        (tmp_path / "config.json").write_text(json.dumps({**raw, "sensors": sensors}))
+        wrong = run("avdetect-video", "-C", tmp_path, "--sensor", name, tmp_path / "seen.png")
+        assert wrong.returncode == 2
+        assert "no camera of this name; it has left, right" in wrong.stderr

@@ -258,10 +258,20 @@ def test_the_thesis_listing_loads_as_it_stands(experiment):
 
 
 def test_detections_outside_the_room_are_dropped_by_margin(experiment):
-    lines = [line(k / 10, [[-0.6, 2.0]]) for k in range(10)]
+    lines = [line(k / 10, [[-0.6, 2.0]]) for k in range(9)]  # of more the program would say so
     assert not any(r["objects"] for r in fuse(lines, "-C", experiment))
     assert all(r["objects"] for r in fuse(lines, "-C", experiment, "--room-margin", "1"))
     assert all(r["objects"] for r in fuse(lines))
+
+
+def test_a_sensor_whose_detections_lie_outside_the_room_is_named(experiment):
+    """In millimetres, or with y downwards, nobody is tracked."""
+    far = [line(k / 10, [[2000.0 + k, 1000.0]]) for k in range(30)]
+    result = run("avfuse", "-C", experiment, stdin="".join(far))
+    assert result.stderr.count("outside the room of config.json") == 1
+    assert "sensor 'video': 10 of 10 detections so far" in result.stderr
+    some = [line(k / 10, [[1.0, 1.0], [1.0, 2.0], [2000.0, 1000.0]]) for k in range(30)]
+    assert "outside" not in run("avfuse", "-C", experiment, stdin="".join(some)).stderr
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", line(0.0), line(0.0, [[1, 1, None]]), line(0, [[1, 1]], None)])

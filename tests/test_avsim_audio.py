@@ -8,6 +8,7 @@ import jsonschema
 import numpy as np
 import orjson
 import pytest
+import soundfile
 from conftest import BIN, ROOT, run
 
 from avcli.acoustics.images import shoebox_rir
@@ -256,6 +257,21 @@ def test_directivities(experiment):
         (experiment / "config.json").write_text(json.dumps(config))
         _, sound, _ = simulate(experiment, still, "--rt60", "0")
         np.testing.assert_allclose(sound[3], gain * omni[3], atol=1e-4 * np.abs(omni).max())
+
+
+def test_recordings_are_not_removed(experiment):
+    """A real room's may have the names of simulated sound."""
+    folder = experiment / "audio" / "wav"
+    for depth in ("16", "24", "32", "32"):  # of its own it removes
+        simulate(experiment, truth(TIMES, walk), "--rt60", "0", "--bit-depth", depth)
+    kept = folder / "multichannel_audio_10.0000000000.wav"
+    for subtype in ("PCM_16", "FLOAT"):
+        soundfile.write(kept, np.zeros((100, 4)), 16000, subtype)
+        before = kept.read_bytes()
+        result = run("avsim-audio", "-C", experiment, stdin=truth(TIMES, walk))
+        assert (result.returncode, "did not write this sound" in result.stderr) == (1, True)
+        assert kept.read_bytes() == before
+        assert len(list(folder.iterdir())) == 2
 
 
 def test_a_talking_head_looks_where_it_walks(experiment):

@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import orjson
 import pytest
+from conftest import BIN
 from forked import run_forked
 
 from avcli.formats import atomic, footage, media, records
@@ -325,6 +326,54 @@ def test_two_outputs_of_one_name_are_refused(tmp_path):
     ended = run_forked("avfuse", "-o", same, "--explain", same, stdin=DETECTION)
     refused(ended, "same.jsonl: two outputs have the same name", status=2)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "avdetect-audio sound.wav -o sound.wav",
+        "avdetect-audio -o sound.wav <sound.wav",
+        "avdetect-video film.mp4 -o film.mp4",
+        "avsim-scene mine.json -o mine.json",
+        "avsim-scene s1 -C . -o config.json",
+        "avsim-audio in.jsonl -o in.jsonl",
+        "avsim-audio in.jsonl --speech sound.wav -o sound.wav",
+        "avfuse in.jsonl -o in.jsonl",
+        "avfuse -o in.jsonl <in.jsonl",
+        "avfuse in.jsonl -C . -o config.json",
+        "aveval in.jsonl in.jsonl -o in.jsonl",
+        "avcalib calibrate film.mp4 -o film.mp4",
+        "avcalib calibrate film.mp4 -C . -o config.json",
+        "avcalib convert mine.json --to ros -o mine.json",
+        "avcalib check mine.json -o mine.json",
+        "avcalib background film.mp4 -C . -o film.mp4",
+        "avcalib detector film.mp4 --teacher mine.json -o mine.json",
+        "avcalib pose film.mp4 -C . -o film.mp4",
+        "avcalib undistort film.mp4 -C . --to new -o config.json",
+    ],
+)
+def test_the_output_replaces_no_input(tmp_path, command):
+    """A recording cannot be made again."""
+    names = ("sound.wav", "film.mp4", "mine.json", "in.jsonl", "config.json")
+    for name in names:
+        (tmp_path / name).write_bytes(b"{}")
+    line, _, stdin = command.partition(" <")
+    with open(tmp_path / stdin if stdin else os.devnull, "rb") as stream:
+        name, *options = line.split()
+        result = subprocess.run([BIN / name, *options], stdin=stream, capture_output=True, text=True, cwd=tmp_path)
+    assert (result.returncode, "this file is an input; name another one" in result.stderr) == (2, True), result.stderr
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == dict.fromkeys(names, b"{}")
+
+
+def test_an_output_that_is_open_already_is_not_replaced(tmp_path):
+    """The shell may append to it."""
+    every = tmp_path / "every.jsonl"
+    every.write_text("old\n")
+    for name in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
+        program = f"from avcli.formats.atomic import write_bytes; write_bytes({name!r}, b'new\\n')"
+        with open(every, "ab") as stream:
+            subprocess.run([sys.executable, "-c", program], stdout=stream, check=True)
+    assert every.read_text() == "old\n" + 3 * "new\n"
 
 
 def test_a_second_output_on_standard_output_is_refused(tmp_path, monkeypatch):

@@ -174,3 +174,16 @@ def test_one_picture_file_takes_one_picture(tmp_path):
         pytest.raises(media.MediaError, match=r"cannot be written as '\.xyz'"),
     ):
         sink.write(Picture("", 0.0, picture()), picture())
+
+
+def test_pictures_of_one_name_do_not_replace_each_other(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        media.write_png(tmp_path / folder / "one.png", picture())
+    with Sink(tmp_path / "new", (64, 48), 10.0, single=False) as sink:
+        sink.write(Picture(str(tmp_path / "a" / "one.png"), 0.0, picture()), 0 * picture())
+        with pytest.raises(media.MediaError, match=r"one\.png was written already; .*b/one\.png needs another folder"):
+            sink.write(Picture(str(tmp_path / "b" / "one.png"), 1.0, picture()), picture())
+    assert not media.read_picture(tmp_path / "new" / "one.png").any()
+    with Sink(tmp_path / "new", (64, 48), 10.0, single=False) as sink:  # another run may replace them
+        sink.write(Picture(str(tmp_path / "b" / "one.png"), 0.0, picture()), picture())

@@ -15,9 +15,11 @@ import soundfile
 from conftest import BIN, run
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
+from avcli.commands import avcalib_live
 from avcli.commands.live import newest
-from avcli.formats import experiment, media
-from avcli.formats.live import LiveSource, Stoppable
+from avcli.formats import experiment, footage, media
+from avcli.formats.camera import Camera
+from avcli.formats.live import LiveSource, Pace, Stoppable
 from avcli.localization import localizer
 from avcli.localization.stream import Block
 
@@ -323,3 +325,63 @@ def test_a_signal_ends_the_reading_of_a_picture_that_hangs(folder, source):
         assert process.stdout.readline() == b"reading\n"
         process.send_signal(signal.SIGTERM)
         assert process.wait(HANG_S) == -signal.SIGTERM
+
+
+# --- the pace -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("camera_hz", "wanted_hz"), [(15, 5), (30, 10), (30, 12), (10, 10), (29.97, 30), (10, 25)])
+def test_so_many_a_second_are_taken_as_are_wanted(camera_hz, wanted_hz):
+    rng = np.random.default_rng(0)
+    times = (np.arange(int(60 * camera_hz)) + rng.uniform(0, 0.2, int(60 * camera_hz))) / camera_hz
+    clock = iter(times)
+    pace = Pace(wanted_hz, lambda: next(clock))
+    taken = sum(pace.takes() for _ in times)
+    assert taken / 60 == pytest.approx(min(camera_hz, wanted_hz), rel=0.03)
+    assert all(Pace(None).takes() for _ in range(10))
+
+
+def test_pictures_go_on_after_a_stall_and_after_a_clock_is_set_back(monkeypatch):
+    clock = iter([0.0, 0.1, 60.0, 60.01, 60.1])
+    pace = Pace(10.0, lambda: next(clock))
+    assert [pace.takes() for _ in range(5)] == [True, True, True, False, True]
+    walls = iter([1e9, 1e9 - 3600, 1e9 - 3599])
+    camera = Camera("/dev/video7", 10.0, open=lambda _: Still(3), clock=lambda: next(walls))
+    steady = iter([0.0, 1.0, 2.0])
+    monkeypatch.setattr("avcli.formats.camera.Pace", lambda rate: Pace(rate, lambda: next(steady)))
+    assert [now for now, _ in camera.pictures()] == [1e9, 1e9 - 3600, 1e9 - 3599]
+
+
+class Still:
+    """A camera, as OpenCV has it, that gives some black pictures."""
+
+    def __init__(self, count):
+        self.left = count
+
+    def isOpened(self):
+        return True
+
+    def grab(self):
+        self.left -= 1
+        return self.left >= 0
+
+    def retrieve(self):
+        return True, np.zeros((4, 6, 3), np.uint8)
+
+    def get(self, _key):
+        return 0.0
+
+    def set(self, _key, _value):
+        return False
+
+    def release(self):
+        pass
+
+
+def test_a_stream_at_an_address_is_filmed_live(monkeypatch):
+    shown = [footage.Picture(str(number), float(number), np.zeros((4, 6), np.uint8)) for number in range(50)]
+    monkeypatch.setattr(footage, "pictures", lambda *_: iter(shown))
+    with contextlib.ExitStack() as stack:
+        source = footage.source("rtsp://camera/path")
+        arriving, _ = avcalib_live._pictures(None, stack, source, {"rate_hz": 0.1})
+        assert len(list(arriving)) == 1

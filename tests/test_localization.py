@@ -157,6 +157,11 @@ def test_a_cell_bounds_the_response_of_every_place_in_it():
         assert steered.response(gcc, steered.cells[cell] + inside).max() <= bound[cell] + 0.05
 
 
+def test_a_room_in_millimetres_is_refused_and_not_searched_for_hours():
+    with pytest.raises(ValueError, match="is room_dimensions_m in metres"):
+        SteeredResponse(MICROPHONES, [0, 0, 0.8], [4660, 4660, 2.0], 60.0)
+
+
 @given(places)
 @settings(max_examples=15, deadline=None)
 def test_the_search_finds_an_ideal_source(place):

@@ -105,3 +105,8 @@ def test_help_lists_targets_and_variables_alone():
     for word in ("make setup", "make run SCENARIO=", "SEED=0", "FUSE_FLAGS", "make bench-audio", "make clean"):
         assert word.removeprefix("make ") in text
     assert "---" not in text
+
+
+def test_a_place_with_spaces_is_refused(make, tmp_path):
+    for place in ("OUT", "VENV"):
+        assert "each needs a path without spaces" in make("s1", f"{place}={tmp_path}/my place", rc=2)

@@ -2,6 +2,7 @@
 
 import io
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,8 +74,34 @@ def test_lost_samples_are_noticed_and_late_ones_are_not():
     held_up = np.where((steady > 3.0) & (steady < 3.6), 3.6, steady)  # comes at once afterwards
     assert not any(missing(held_up))
     assert not any(missing(np.minimum(steady, 1e-4)))  # a file, not in real time
-    lost = [one for one in missing(steady + 0.7 * (steady > 4.0)) if one]
-    assert lost == [pytest.approx(0.7, abs=0.03)]
+    for gap in (0.7, 3.0, 3600.0):
+        lost = [one for one in missing(steady + gap * (steady > 4.0)) if one]
+        assert lost == [pytest.approx(gap, abs=0.03)]
+
+
+def test_sound_that_a_network_held_up_is_not_taken_for_lost():
+    steady = 0.02 * np.arange(500)
+    held_up = np.where((steady > 3.0) & (steady < 6.0), 6.0, steady)
+    slowly = np.maximum(steady, np.where(steady > 3.0, 6.0 + (steady - 3.0) / 2, 0.0))  # catches up within 6 s
+    for times in (held_up, slowly):
+        found = missing(times)
+        assert not any(found)
+        assert None in found  # it was not known until all had come
+        assert found[-1] == 0.0
+
+
+def test_silence_stands_before_the_sound_that_came_after_a_gap(monkeypatch):
+    from avcli.commands.avdetect_audio import _Sound
+
+    said, times = [], iter(0.02 * np.arange(500) + 3.0 * (np.arange(500) > 100))
+    monkeypatch.setattr(recorder, "Arrivals", lambda: Arrivals(clock=lambda: next(times)))
+    session = SimpleNamespace(warn=lambda text, kind="": said.append(text))
+    sound = _Sound(session, 0.0, True, None, None, None)
+    pieces = [(np.full((20, 2), float(number + 1)), 1000) for number in range(200)]
+    whole = np.concatenate([samples for samples, _ in sound.whole("x", iter(pieces))])[:, 0]
+    assert len(whole) == 7000
+    assert np.array_equal(whole[[2019, 2020, 5019, 5020]], [101.0, 0.0, 0.0, 102.0])
+    assert said == ["x: 3.00 s of sound are missing; they count as silence"]
 
 
 def test_raw_sound_gives_what_a_file_gives(tmp_path):

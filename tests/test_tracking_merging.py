@@ -67,6 +67,17 @@ def test_a_clock_whose_rate_is_found_does_not_run_away(rate, start):
     assert np.allclose([step for step, _ in steps], times, rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("rate", [15 / 1.001, 14.985, 24 / 1.001, 23.976, 30 / 1.001, 60 / 1.001, 59.94])
+@pytest.mark.parametrize("digits", [3, 4, 6])
+def test_the_rates_of_television_are_found_in_stamps_that_are_rounded(rate, digits):
+    """59.9 was found for 59.94, and 23.98 for 23.976, and after ten seconds no record was in time."""
+    for begin in np.linspace(0.0, 1.0, 50):
+        stamps = (begin + np.arange(round(2 * rate)) / rate).round(digits)
+        assert rate_of([np.diff(stamps).tolist()]) == pytest.approx(rate, rel=2e-6)  # 29.97 and 29.97003 are as good
+        whole = (begin + np.arange(round(2 * rate)) / round(rate)).round(digits)
+        assert rate_of([np.diff(whole).tolist()]) == round(rate)
+
+
 @pytest.mark.parametrize("rate", [10, 15, 30, 60])
 def test_time_stamps_that_are_rounded_or_jitter_are_no_faster_clock(rate):
     """Where no two steps were alike, the shortest of them was taken for the usual one: 44.7 Hz for 30 Hz."""

@@ -413,3 +413,17 @@ def test_a_film_replaces_no_file_that_is_shown(made):
         assert result.returncode == 2
         assert "this file is an input" in result.stderr
         assert (made / "s3" / name).read_bytes() == before
+
+
+def test_a_camera_whose_place_is_not_known_yet_draws_nothing_and_says_so(made, tmp_path):
+    """A lens comes from avcalib calibrate, its place later from avcalib pose; cameras of "sensors" are not drawn."""
+    raw = json.loads((made / "s3" / "config.json").read_text())
+    lens = {key: value for key, value in raw["camera_config"].items() if key != "camera_position_m"}
+    several = {"sensors": {"left": {"kind": "camera", "camera_config": raw["camera_config"]}}}
+    for camera in ({"camera_config": lens}, several):
+        rest = {key: value for key, value in raw.items() if key != "camera_config"}
+        (tmp_path / "c.json").write_text(json.dumps({**rest, **camera}))
+        where = ("-C", made / "s3", "-c", tmp_path / "c.json", "--html", tmp_path / "p.html")
+        result = run("avview", *where, made / "s3/groundtruth_sources.jsonl")
+        assert result.returncode == 0, result.stderr
+        assert "nothing is drawn into the pictures" in result.stderr

@@ -9,7 +9,7 @@ from typing import Any
 
 from avcli.acoustics.recorder import Recorder
 from avcli.formats.experiment import Layout
-from avcli.formats.media import AudioWriter, refuse_sound_format
+from avcli.formats.media import AudioWriter, is_recording, refuse_sound_format
 from avcli.formats.writer import SOUND, earlier_files
 
 
@@ -63,6 +63,7 @@ class Tape:
 
     Raises:
         Linked: sound files of an earlier run are behind a symbolic link.
+        ValueError: sound files that have the names of an earlier run's are no simulated ones.
     """
 
     def __init__(
@@ -83,7 +84,13 @@ class Tape:
         refuse_sound_format(str(experiment), f".{extension}", channels, self._bit_depth)
         self._file: AudioWriter | None = None
         self._path, self._begin, self._now = "", 0, 0
-        for old in earlier_files(experiment, SOUND):
+        earlier = earlier_files(experiment, SOUND)
+        if recordings := [path for path in earlier if is_recording(path)]:
+            raise ValueError(
+                f"{recordings[0]}: avsim-audio did not write this sound, and would remove it; use another directory, "
+                "or move it away"
+            )
+        for old in earlier:
             old.unlink(missing_ok=True)
         (experiment / Layout.audio(0.0)).parent.mkdir(parents=True, exist_ok=True)
 

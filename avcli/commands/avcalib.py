@@ -99,9 +99,9 @@ def calibrate_command(session: Session, sources: tuple[str, ...], **values: Any)
 def live_command(session: Session, source: str, **values: Any) -> None:
     """Calibrate while you film: hints say where to hold the board next, and when it is enough.
 
-    CAMERA is a device or its number (default: /dev/video0), a video, which plays at its own pace, or - for JPEGs on
-    standard input. Only the newest picture counts, and only of a board that is held still. Ctrl-C ends the filming
-    earlier.
+    CAMERA is a device or its number (default: /dev/video0), a stream at an address (rtsp://…), a video, which plays at
+    its own pace, or - for JPEGs on standard input. Only the newest picture counts, and only of a board that is held
+    still. Ctrl-C ends the filming earlier.
     """
     from avcli.calibration import live, watch
     from avcli.formats import serving
@@ -223,6 +223,7 @@ def check_command(
     """
     from avcli.calibration import calibrate, fit, place
 
+    session.check_outputs({}, [camera, *sources])
     if not sources:
         refuse_without_effect([*settings_of(settings.BoardSettings), "rate_hz", "fail_over_px"], "without SOURCE")
         avcalib_room.examine(session, camera, parts)
@@ -258,6 +259,7 @@ def target_command(
     kind = _picture_format(session, format)
     if kind != "png":
         refuse_without_effect(["dpi"], f"with {kind}")
+    session.check_outputs({"--kalibr": kalibr})
     with usage_errors(session):
         board = parse_board(session, values).board()
         page = drawing.draw(board, paper)

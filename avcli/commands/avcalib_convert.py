@@ -40,6 +40,7 @@ def convert_command(
 
     from avcli.calibration import exchange
 
+    session.check_outputs({}, [source])
     with session.open(source) as stream:
         content = stream.read()
     kind, cameras = exchange.read(content, source, fisheye)

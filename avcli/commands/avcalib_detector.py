@@ -52,6 +52,7 @@ def detector_command(
         session.usage("-o/--output FILE is required: the result is a network")
     if labels and not Path(labels).is_dir():
         session.usage(f"--labels {labels}: no such folder")
+    session.check_outputs({}, [*sources, teacher])
     try:
         import onnx  # noqa: F401
         import torch  # noqa: F401

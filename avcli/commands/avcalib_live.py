@@ -61,7 +61,9 @@ def _pictures(
     elif source.kind == "stream":
         pipe = Stoppable(session.open("-"))
         stop = pipe.stop
-        arriving = _as_they_arrive(footage.pictures(["-"], stream=io.BufferedReader(pipe)), rate_hz)
+        arriving = _as_they_arrive(footage.pictures(["-"], stream=io.BufferedReader(pipe)), rate_hz, ended)
+    elif source.kind == "url":
+        arriving = _as_they_arrive(footage.pictures([source.name]), rate_hz, ended)
     elif source.kind in ("video", "file"):
         arriving = _paced(footage.pictures([source.name], rate_hz), ended)
     else:  # single pictures have no pace
@@ -69,14 +71,16 @@ def _pictures(
     return iter(stack.enter_context(LiveSource(arriving, newest=True, stop=stop))), stop
 
 
-def _as_they_arrive(pictures: Iterator[Picture], rate_hz: float | None) -> Iterator[Picture]:
+def _as_they_arrive(pictures: Iterator[Picture], rate_hz: float | None, ended: threading.Event) -> Iterator[Picture]:
     """Yield pictures with the time at which they arrived, at most so many a second."""
-    due = 0.0
+    from avcli.formats.live import Pace
+
+    pace = Pace(rate_hz)
     for picture in pictures:
-        now = time.monotonic()
-        if now >= due:
-            due = now + 1 / rate_hz if rate_hz else 0.0
-            yield replace(picture, timestamp=now)
+        if ended.is_set():
+            return
+        if pace.takes():
+            yield replace(picture, timestamp=time.monotonic())
 
 
 def _paced(pictures: Iterator[Picture], ended: threading.Event) -> Iterator[Picture]:

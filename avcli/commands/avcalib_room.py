@@ -70,7 +70,7 @@ def undistort_command(
     with usage_errors(session):
         limit = camera.theta_max if extrapolate else camera.theta_trusted
         straight = undistort.straighten(camera.lens, camera.size, size, given, limit, camera.circle)
-        sink = footage.Sink(target, size, rate_hz or footage.frame_rate(names[0]) or 10.0, single=single)
+        sink = footage.Sink(target, size, footage.rate_taken(names[0], rate_hz) or 10.0, single=single)
     total = footage.count_pictures(names, rate_hz)
     pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
 
@@ -112,6 +112,7 @@ def pose_command(
     """
     from avcli.calibration import place
 
+    session.check_outputs({}, [*sources, *filter(None, (points,))], writes_config=True)
     given, camera = settings_from(settings.PlaceSettings, values), read_camera(session)
     if bool(points) == bool(sources):
         session.usage("give either pictures of a board on the floor (with --at X Y Z), or --points FILE")
@@ -188,7 +189,7 @@ def microphones_command(
         session.usage(f"{tracks}: TRACKS are records of where the voice was; --audio takes sound")
     if tracks and places:
         session.usage("give TRACKS or --places, not both")
-    session.check_outputs({"--html": html}, [*audio, *filter(None, (tracks, places))])
+    session.check_outputs({"--html": html}, [*audio, *filter(None, (tracks, places))], writes_config=True)
     if not tracks:
         refuse_without_effect(["mouth_height_m", "track_sd_m"], "without TRACKS")
     way = _way(session, tracks, places, given)
@@ -301,6 +302,7 @@ def background_command(session: Session, sources: tuple[str, ...], depth: str | 
     if not sources and not depth:
         session.usage("give colour pictures or a film, or --depth, or both")
     check_sources(session, list(sources))
+    session.check_outputs({}, [*sources, *filter(None, (depth,))])
     found: dict[str, str] = {}
     try:
         if sources:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 16
 """samples that are read of a file at a time."""
+_SLACK_M = 0.3
+"""How far outside the stated room a microphone may be: walls are measured roughly."""
 _SOUND = (b"RIFF", b"RIFX", b"RF64", b"riff", b"fLaC", b"FORM", b"caff", b".snd", b"OggS")
 """How sound files begin: WAV, its form for large files and W64, FLAC, AIFF, CAF, AU, Ogg."""
 
@@ -99,6 +101,7 @@ def main(
     heights = options["heights"] or ()
     if list(heights) != sorted(heights):
         session.usage("--heights {:g} {:g}: the lowest mouth comes first".format(*heights))
+    session.check_outputs({}, files or ("-",))
     session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
         sound = _Sound(session, start, live, raw, channels, gains)
@@ -118,6 +121,7 @@ def main(
         chosen = localizer(sound.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
+        _say_who_is_outside(session, sound.config)
         if sound.microphones.wiring:
             session.note("the channels are put right as microphone_config.channels in config.json says")
         at = "position"  # of a steady source
@@ -142,6 +146,18 @@ def main(
             write({**named, "objects": objects, **faults, **steady})
         if isinstance(chosen, SteeredLocalizer):
             session.note_skipped("searches of windows", chosen.silent, chosen.windows, "which hold no voice")
+
+
+def _say_who_is_outside(session: Session, config: Config) -> None:
+    """Say which microphones are clearly outside the room: z counted downwards, millimetres, or another origin."""
+    positions, room = config.microphones.positions, config.room.dimensions
+    outside = [number for number, one in enumerate(positions, 1) if ((one < -_SLACK_M) | (one > room + _SLACK_M)).any()]
+    if outside:
+        sides = " × ".join(f"{side:g}" for side in room)
+        session.warn(
+            f"{config.name}: microphone {', '.join(map(str, outside))} is outside the room of {sides} m, so places are "
+            "wrong; x, y and z are counted in metres from a floor corner, z upwards"
+        )
 
 
 def _objects(decision: Decision, features: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -252,17 +268,22 @@ class _Sound:
 
         from avcli.formats.recorder import Arrivals
 
-        arrivals = Arrivals()
+        arrivals, held = Arrivals(), list[tuple[np.ndarray, int]]()
         for samples, rate in pieces:
-            lost = round(arrivals.missing(len(samples) / rate) * rate)
+            held.append((samples, rate))
+            seconds = arrivals.missing(len(samples) / rate)
+            if seconds is None:  # the sound may have been held up alone
+                continue
+            lost = round(seconds * rate)
             if lost:
                 self.session.warn(
                     f"{name}: {lost / rate:.2f} s of sound are missing; they count as silence", kind="gaps"
                 )
-            while lost > 0:
-                yield np.zeros((min(lost, _BLOCK), samples.shape[1])), rate
-                lost -= _BLOCK
-            yield samples, rate
+            for begin in range(0, lost, _BLOCK):
+                yield np.zeros((min(lost - begin, _BLOCK), samples.shape[1])), rate
+            yield from held
+            held.clear()
+        yield from held
 
     def expected(self, files: Iterable[str]) -> int | None:
         """Return about how many blocks the files have, for a progress bar; None where a stream or a fault hides it."""

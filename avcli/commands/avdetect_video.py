@@ -75,12 +75,13 @@ def main(
     from avcli.formats import footage, media, records
 
     session.check_outputs(
-        {"--overlay": overlay if overlay and footage.source(overlay).kind == "video" else None}, files
+        {"--overlay": overlay if overlay and footage.source(overlay).kind == "video" else None}, files or ("-",)
     )
     media.quiet_decoders()  # OpenCV asks when it is loaded
     network = settings.detector == "net"
     session.load("cv2", *(("onnxruntime",) if network else ()))
     detector: Detector | None = None
+    drawing: footage.Sink | None = None
     with session.output() as write, contextlib.ExitStack() as stack:
         shots = _shots(session, stack, files, rate, settings.sensor, live=live, depth=not network)
         if files and all(Path(file).is_file() or Path(file).is_dir() for file in files):
@@ -91,7 +92,8 @@ def main(
             if detector is None:
                 with session.timing("start"):
                     detector = _detector(session, model, settings)
-                drawing = stack.enter_context(_sink(session, overlay, detector.view.size)) if overlay else None
+                if overlay:
+                    drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
             people = _people(session, detector, shot)
             if people is None:
                 continue
@@ -149,12 +151,16 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
 
 
 def _camera(session: filter.Session, sensor: str) -> Camera:
-    """The camera of this name that config.json has, else its only one."""
+    """The camera of this name that config.json has, else its only one; where cameras have names, of no unknown name."""
     from avcli.formats.sensors import MICROPHONES
 
-    if session.config.sensors.get(sensor) == MICROPHONES:
-        session.usage(f"--sensor {sensor}: {session.config.name} says that these are microphones")
-    return session.config.camera_of(sensor) or session.config.camera
+    config = session.config
+    if config.sensors.get(sensor) == MICROPHONES:
+        session.usage(f"--sensor {sensor}: {config.name} says that these are microphones")
+    named = [name for name, known in config.known_sensors.items() if known.get("camera_config") is not None]
+    if named and sensor not in config.sensors and (sensor != Settings().sensor or "camera_config" not in config.raw):
+        session.usage(f"--sensor {sensor}: {config.name} has no camera of this name; it has {', '.join(named)}")
+    return config.camera_of(sensor) or config.camera
 
 
 def _people(session: filter.Session, detector: Detector, shot: footage.UnreadShot) -> list[Person] | None:
@@ -216,12 +222,16 @@ def _other_height(detector: Detector) -> str:
     return f"; with the camera at {best:.1f} m {shares[best]:.0%} would fit one, at the stated {stated:.1f} m {now:.0%}"
 
 
-def _sink(session: filter.Session, target: str, size: tuple[int, int]) -> footage.Sink:
+def _sink(
+    session: filter.Session, target: str, size: tuple[int, int], rate: float | None, files: tuple[str, ...]
+) -> footage.Sink:
+    """Where the drawn pictures go; a video of them plays as fast as the one that is looked at."""
     from avcli.formats import footage
 
-    rate = session.config.frame_rate_hz
+    films = [file for file in files if footage.source(file).kind == "video"]
+    rate_hz = (footage.rate_taken(films[0], rate) if films else rate) or session.config.frame_rate_hz
     try:
-        return footage.Sink(target, size, rate, single=False, prefix="overlay", whole=False)
+        return footage.Sink(target, size, rate_hz, single=False, prefix="overlay", whole=False)
     except ValueError as error:
         session.usage(f"--overlay: {error}")
 
@@ -275,7 +285,9 @@ def _shots(
     if moving:
         pictures = footage.pictures([moving[0].name], rate)
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
-        return newest(session, stack, shots, "pictures") if moving[0].is_live else shots
+        if not moving[0].is_live:
+            return shots
+        return newest(session, stack, _saying_its_end(session, moving[0].name, shots), "pictures")
     refuse_without_effect(["rate"], "on frame records, which have their own times")
     parse = partial(_frame, session.allow_outside)
     if not live:
@@ -283,6 +295,14 @@ def _shots(
     name, pipe = open_pipe(session, files)
     frames = session.stream_records(io.BufferedReader(pipe), name, parse)
     return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
+
+
+def _saying_its_end(
+    session: filter.Session, name: str, shots: Iterable[footage.UnreadShot]
+) -> Iterator[footage.UnreadShot]:
+    """Yield what a camera sees; where it goes away, nobody would be found from then on without a word."""
+    yield from shots
+    session.warn(f"{name}: no more pictures come: the camera, or the connection to it, is gone")
 
 
 def _expected(session: filter.Session, files: tuple[str, ...], rate: float | None) -> int | None:

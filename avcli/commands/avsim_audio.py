@@ -120,6 +120,8 @@ def main(session: Session, files: tuple[str, ...], **options: Any) -> None:
     """
     from avcli.formats.writer import only_writer
 
+    others = [path for path in (options["microphone_path"], *options["speech"]) if path]
+    session.check_outputs({"--rir": options["rir"]}, [*(files or ("-",)), *others])
     settings = _settings(session, options)
     session.load("soundfile", "avcli.acoustics.recorder", "avcli.acoustics.tape")
     trajectories = _trajectories(session, options["microphone_path"])

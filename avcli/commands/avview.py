@@ -291,6 +291,11 @@ def _shown(
             checked = experiment.of_size((camera.width_px, camera.height_px), session.warn)
             read = ((time, checked(picture)) for time, picture in shown.pictures)
             shown.pictures = read if options.film else list(read)
+        elif shown.surroundings and shown.picture_count:
+            session.warn(
+                "nothing is drawn into the pictures: config.json has no camera_config that says where the camera is "
+                '(those under "sensors" do not count here)'
+            )
     with session.timing("sound"):
         if options.sound:
             recorded: Recorded | None = experiment.Recorded([(options.start, Path(options.sound))])

@@ -264,26 +264,32 @@ class Session:
         """End with one line on stderr and exit 2."""
         raise click.UsageError(text, click.get_current_context(silent=True))
 
-    def check_outputs(self, outputs: Mapping[str, str | None], inputs: Iterable[str] = ()) -> None:
+    def check_outputs(
+        self, outputs: Mapping[str, str | None], inputs: Iterable[str] = (), *, writes_config: bool = False
+    ) -> None:
         """End with a usage error, before any work, where a file that is to be written is an input or config.json, or
         has no directory, or has the name of another output.
 
         Args:
             outputs: by option, beside that of --output.
             inputs: files that are read.
+            writes_config: whether --output gets a whole config.json, which may be the one that is read.
         """
         configs = [str(self.config_path)] if self.has_config else []
-        taken = {os.path.realpath(path): "this file is an input; name another one" for path in (*inputs, *configs)}
+        read = ["/dev/stdin" if path == "-" else path for path in inputs]  # which may be a file: command <FILE -o FILE
+        taken = {os.path.realpath(path): "this file is an input; name another one" for path in (*read, *configs)}
+        replaceable = [os.path.realpath(path) for path in configs] if writes_config else []
         for option, path in {"": self.output_path, **outputs}.items():
             if option and path == "-":
                 self.usage(f"{option} -: only --output writes to standard output; a file of that name is ./-")
             if not path or path == "-" or (os.path.exists(path) and not os.path.isfile(path)):  # a device takes several
                 continue
-            if option and os.path.realpath(path) in taken:
-                self.usage(f"{option} {path}: {taken[os.path.realpath(path)]}")
+            real = os.path.realpath(path)
+            if real in taken and (option or real not in replaceable):
+                self.usage(f"{option or '-o'} {path}: {taken[real]}")
             if option and not os.path.isdir(os.path.dirname(path) or "."):
                 self.usage(f"{option} {path}: there is no such directory")
-            taken[os.path.realpath(path)] = "two outputs have the same name"
+            taken[real] = "two outputs have the same name"
 
     def note_skipped(self, what: str, count: int, total: int, why: str, stage: str = "") -> None:
         """Say under -v how much was not computed, why, and what that saved.

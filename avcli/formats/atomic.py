@@ -12,6 +12,8 @@ from typing import BinaryIO
 
 _LONGEST_NAME = 255
 """bytes; NAME_MAX of the file systems in use."""
+_DESCRIPTOR = re.compile(r"/dev/(stdin|stdout|stderr|fd/(\d+))|/proc/self/fd/(\d+)")
+_STANDARD = {"stdin": 0, "stdout": 1, "stderr": 2}
 _TEMPORARY = re.compile(r"\..*\.(\d+)\.avcli-tmp(\.\w+)?", re.DOTALL)
 _swept: set[Path] = set()
 _in_progress: dict[Path, Path] = {}
@@ -115,10 +117,18 @@ def _is_running(process: int) -> bool:
 def writing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Yield a stream for a file that appears whole when the block ends well; a device or a pipe is written directly.
 
+    So is what is open already, as /dev/stdout: it may be a file to which the shell appends, and which holds more.
+
     Raises:
         OSError: it is a directory or not writable (at once), or the disk is full.
     """
     path = Path(path)
+    if open_already := _DESCRIPTOR.fullmatch(str(path)):
+        name, *numbers = open_already.groups()
+        number = _STANDARD[name] if name in _STANDARD else int(next(filter(None, numbers)))
+        with open(os.dup(number), "wb") as stream:
+            yield stream
+        return
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if path.is_file() and not os.access(path, os.W_OK):  # which replacing it would get round

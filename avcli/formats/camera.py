@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from avcli.formats.live import Pace
 from avcli.formats.media import MediaError, quiet_decoders
 
 _WARM_UP = 20
@@ -82,7 +83,7 @@ class Camera:
         capture = self._opened()
         if capture is None:
             raise MediaError(f"{self.name}: the camera cannot be opened (absent, busy, or no permission)")
-        size, due, count = self.size, 0.0, 0
+        size, pace, count = self.size, Pace(self.rate_hz), 0
         try:
             while not self.ended.is_set():
                 if not capture.grab():
@@ -93,7 +94,7 @@ class Camera:
                     capture, count = again, 0
                     continue
                 now = self.clock()
-                if self.rate_hz and now < due:
+                if not pace.takes():
                     continue
                 good, image = capture.retrieve()
                 if not good:
@@ -107,7 +108,6 @@ class Camera:
                 if count == _WARM_UP and self.lock_exposure:
                     self._lock_exposure(capture)
                 yield now, image[:, :, ::-1]
-                due = now + 1 / self.rate_hz if self.rate_hz else 0.0
         finally:
             self._unlock(capture)
             capture.release()

@@ -18,6 +18,7 @@ import numpy as np
 from avcli.formats import film
 from avcli.formats.atomic import replacing, write_bytes
 from avcli.formats.camera import Camera
+from avcli.formats.live import Pace
 from avcli.formats.media import (
     MediaError,
     decode_picture,
@@ -342,6 +343,12 @@ def frame_rate(name: str) -> float | None:
     return fps if 0 < fps < 1000 else None
 
 
+def rate_taken(name: str, rate_hz: float | None) -> float | None:
+    """Pictures per second of a source of which `rate_hz` are wanted: no more than a video has; None: not known."""
+    known = [rate for rate in (frame_rate(name), rate_hz) if rate]
+    return min(known, default=None)
+
+
 def _length(name: str) -> tuple[float, float]:
     """Frames of a video and frames a second, as its header states them; both may be wrong."""
     import cv2
@@ -368,13 +375,12 @@ def _open_video(source: str, *, deep: bool = False) -> "cv2.VideoCapture":
 
 def _live_pictures(address: str, rate_hz: float | None) -> Iterator[Picture]:
     """Pictures of a stream at an address, with Unix time; at most `rate_hz` a second."""
-    capture, due, number = _open_video(address), 0.0, 0
+    capture, pace, number = _open_video(address), Pace(rate_hz), 0
     try:
         while capture.grab():
             now = time.time()
-            if rate_hz and now < due:
+            if not pace.takes():
                 continue
-            due = now + 1 / rate_hz if rate_hz else 0.0
             good, image = capture.retrieve()
             if good:
                 number += 1
@@ -477,13 +483,12 @@ def camera_pictures(camera: Camera) -> Iterator[Picture]:
 
 def _stream_pictures(stream: BinaryIO, rate_hz: float | None, skip: Callable[[str], None]) -> Iterator[Picture]:
     """Pictures of a stream of JPEGs, such as "ffmpeg -f mjpeg -" and USB cameras send."""
-    number, thinned, due = 0, 0, 0.0
+    number, thinned, pace = 0, 0, Pace(rate_hz)
     for content in _jpegs(stream):
-        number, now = number + 1, time.monotonic()
-        if rate_hz and now < due:
+        number += 1
+        if not pace.takes():
             thinned += 1
             continue
-        due = now + 1 / rate_hz if rate_hz else 0.0
         image = decode_picture(content)
         if image is None:
             skip(f"<stdin>: picture {number} of the stream cannot be read")
@@ -569,6 +574,7 @@ class Sink(contextlib.ExitStack):
         self._is_video = suffix in VIDEOS
         self._is_picture = bool(suffix) and not self._is_video and not self.path.is_dir()
         self._count = 0
+        self._written: set[Path] = set()
         if self._is_picture and not single:
             raise ValueError(f"{target} is one picture; several need a folder or a video")
 
@@ -584,7 +590,7 @@ class Sink(contextlib.ExitStack):
 
         Raises:
             MediaError: it is the second one of a single picture, or of a kind of picture that cannot be written, or
-                would replace the file that it comes from.
+                would replace the file that it comes from, or another one that was written.
         """
         self._count += 1
         if self._is_video:
@@ -601,6 +607,9 @@ class Sink(contextlib.ExitStack):
                 Path(picture.name).stem if os.path.exists(picture.name) else f"{self.prefix}_{picture.timestamp:.10f}"
             )
             path = self.path / f"{stem}.png"
+            if path in self._written:
+                raise MediaError(f"{path} was written already; {picture.name} needs another folder")
+            self._written.add(path)
         elif self._count > 1:
             raise MediaError(f"{self.path} is one picture; this source has several")
         if path.exists() and os.path.exists(picture.name) and path.samefile(picture.name):

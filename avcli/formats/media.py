@@ -351,6 +351,14 @@ def refuse_sound_format(name: str, suffix: str, channels: int, bit_depth: int) -
         raise MediaError(f"{name}: FLAC has at most {FLAC_CHANNELS} channels, not {channels}; use WAV")
 
 
+def is_recording(path: str | os.PathLike) -> bool:
+    """Whether a WAV file has another header than AudioWriter's, and so was not simulated; of FLAC nobody can tell."""
+    with open(path, "rb") as file:
+        head = file.read(76)
+    ours = head[8:22] == b"WAVEfmt \x28\0\0\0\xfe\xff" and head[40:44] == bytes(4)
+    return head[:4] != b"fLaC" and not (ours and head[60:68] == b"fact\4\0\0\0" and head[72:] == b"data")
+
+
 class AudioWriter:
     """A WAV or FLAC file (by extension) that is written piece by piece and appears when it is complete.
 

@@ -110,7 +110,8 @@ def chosen(
 class Arrivals:
     """Notices by the clock on the wall that samples of a live stream are missing.
 
-    Sound that is only late comes in the end; where it arrives later than usual for STEADY_S, some is lost.
+    Sound that is only late comes in the end, and then in time again; where it arrives later than usual for STEADY_S,
+    some is lost. Until then nobody knows.
 
     Args:
         clock: gives s.
@@ -119,20 +120,32 @@ class Arrivals:
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self.clock = clock
         self.heard = 0.0
-        self.late: deque[tuple[float, float]] = deque()
+        self.known: deque[tuple[float, float]] = deque()  # s of sound heard, and by how much it was late
+        self.doubted: deque[tuple[float, float]] = deque()  # when it arrived, and by how much it was late
 
-    def missing(self, seconds: float) -> float:
-        """Take the next s of sound, which arrive now; return how many s are missing before them, mostly 0."""
+    def missing(self, seconds: float) -> float | None:
+        """Take the next s of sound, which arrive now; return how many s are missing before them and those of which it
+        was not known, mostly 0; None: it is not known yet.
+        """
         now = self.clock()
         self.heard += seconds
-        self.late.append((now, now - self.heard))
-        while self.late[0][0] < now - MEMORY_S:
-            self.late.popleft()
-        recent = [late for at, late in self.late if at >= now - STEADY_S]
-        earlier = [late for at, late in self.late if at < now - STEADY_S]
-        if not earlier or min(recent) - min(earlier) < LATE_S:
-            return 0.0
-        lost = min(recent) - min(earlier)
-        self.heard += lost
-        self.late = deque((at, late if at < now - STEADY_S else late - lost) for at, late in self.late)
-        return lost
+        late = now - self.heard
+        if self.known and late - self._usual >= LATE_S:
+            while self.doubted and self.doubted[0][1] > late + LATE_S:
+                self.doubted.popleft()  # it comes faster than time goes: it catches up
+            self.doubted.append((now, late))
+            if now - self.doubted[0][0] < STEADY_S:
+                return None
+            lost = min(late for _, late in self.doubted) - self._usual
+            self.heard += lost
+            self.doubted.clear()
+            return lost
+        self.doubted.clear()
+        self.known.append((self.heard, late))
+        while self.known[0][0] < self.heard - MEMORY_S:
+            self.known.popleft()
+        return 0.0
+
+    @property
+    def _usual(self) -> float:
+        return min(late for _, late in self.known)

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 
 from avcli.localization import correlation
 
+_MOST = 100_000_000
+"""Pairs times coarse cells; each takes some 80 bytes: eight microphones in 200 m × 200 m take 8 GB."""
+
 
 class SteeredResponse:
     """The tables of one array, room and lag scale.
@@ -22,6 +25,9 @@ class SteeredResponse:
         cell: m, the largest edge of a coarse cell.
         resolution: m, the largest edge of a finest cell.
         keep: how many cells go on to the next level.
+
+    Raises:
+        ValueError: the tables would need more memory than machines have.
     """
 
     def __init__(
@@ -45,6 +51,12 @@ class SteeredResponse:
         self.half_lags = int(np.ceil(baseline.max() * steps_per_metre)) + 2
         extent = self.high - self.low
         counts = np.maximum(np.ceil(extent / cell), 1.0).astype(int)
+        if len(first) * counts.astype(float).prod() > _MOST:
+            x, y, _ = extent
+            raise ValueError(
+                f"a room of {x:.4g} × {y:.4g} m is too large to search in cells of {cell:g} m: is room_dimensions_m "
+                "in metres?"
+            )
         self.half_cell = 0.5 * extent / counts
         axes = [self.low[k] + self.half_cell[k] * (2.0 * np.arange(counts[k]) + 1.0) for k in range(3)]
         self.cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

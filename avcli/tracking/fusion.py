@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
@@ -25,6 +26,7 @@ from avcli.tracking.trackers import TRACKERS, Explainable, Learning, Partly, Smo
 
 FLOOR, CEILING = 1e-6, 1e8  # m², of variances; a person's position is not defined to better than a millimetre
 HEIGHT_VARIANCE = 1e-4  # m², of tracks: people stand on the floor
+_MANY_OUTSIDE = 10  # detections outside the room after which the user is told, if most are there
 
 Given = Mapping[str, Mapping[str, Any]]
 """Name of a sensor, or a kind of sensors -> fields of `settings.Sensor` that the user gave; the name wins."""
@@ -96,7 +98,7 @@ class Fusion:
 
     Attributes:
         tracker: the filter.
-        outside: number of detections that were ignored because they lie outside the room.
+        outside: number of detections of each sensor that were ignored because they lie outside the room.
     """
 
     def __init__(
@@ -150,7 +152,9 @@ class Fusion:
         self.shown = -math.inf  # tracker's time of the last output
         self.numbers: dict[int, int] = {}
         self.ears: list[str] = []  # names of the microphones
-        self.outside = 0
+        self.outside: Counter[str] = Counter()
+        self._inside: Counter[str] = Counter()
+        self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
         self._notes: list[str] = []
 
@@ -203,7 +207,7 @@ class Fusion:
 
     def notes(self) -> list[str]:
         """Return sentences for a user who wants to know more."""
-        ignored = f"{self.outside} detections outside the room were ignored (--room-margin)"
+        ignored = f"{self.outside.total()} detections outside the room were ignored (--room-margin)"
         return self._notes + [ignored] * bool(self.outside)
 
     def step(self, time: float, records: Sequence[Record]) -> list[Identified]:
@@ -320,9 +324,10 @@ class Fusion:
                 if shown is not None:
                     inside |= shown.what != partial.WHOLE
                 shown = None if shown is None else shown.take(inside)
-                self.outside += int((~inside).sum())
+                self._ignore(model.name, int((~inside).sum()))
                 positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
                 told = {name: one.take(inside) for name, one in told.items()}
+            self._inside[model.name] += len(positions)
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
             self.tracker.update(at, model.name, positions, noise, scores, told)
@@ -333,6 +338,18 @@ class Fusion:
             )
         else:
             cast(Partly, self.tracker).update(at, model.name, positions, noise, scores, told, shown)
+
+    def _ignore(self, name: str, count: int) -> None:
+        """Count detections outside the room; say once of a sensor that most of its detections are there."""
+        self.outside[name] += count
+        now = self.outside[name]
+        if name not in self._astray and now >= _MANY_OUTSIDE and now > self._inside[name]:
+            self._astray.add(name)
+            self.say(
+                f"sensor {name!r}: {now} of {now + self._inside[name]} detections so far are more than {self.margin:g}"
+                " m outside the room of config.json, and are ignored (--room-margin); are they in metres, and counted"
+                " from the room's corner?"
+            )
 
     def _identified(self, time: float, tracks: Sequence[Track]) -> Identified:
         """Make the output of tracks at a time since the origin."""

@@ -50,6 +50,7 @@ class Settings:
         "With --motion cv: standard deviation, in m/s2, of an acceleration that is constant over each step.",
         unit="SIGMA",
         above=0.0,
+        most=1e6,
         only="cv",
     )
     birth: str = setting(

@@ -60,7 +60,7 @@ def _microphones(config: Config) -> dict[str, Any]:
 
 
 def _camera(config: Config) -> dict[str, Any]:
-    if "camera_config" not in config.raw:
+    if not config.states("camera_config", "camera_position_m"):
         return {}
     camera = config.camera
     return {
