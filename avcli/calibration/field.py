@@ -16,6 +16,8 @@ _EDGE = 0.995
 """Part of the lens's field in which its inverse is smooth."""
 _SINGULAR = 1e-9
 """Ratio of a matrix's lengths below which it has no inverse."""
+_RINGS = 90
+"""Angles from the axis at which a lens is tried for trust."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +29,12 @@ class Field:
         lit: (rows, columns) bool, whether light reaches the pixel.
         angle: (rows, columns) rad from the axis; NaN where the lens images nothing.
         sd_px: (rows, columns), the root of the summed variances of u and v; NaN where no light or no ray is.
-        sd_rad: (rows, columns), the same of the pixel's ray.
     """
 
     pixels: np.ndarray
     lit: np.ndarray
     angle: np.ndarray
     sd_px: np.ndarray
-    sd_rad: np.ndarray
 
     @property
     def mean_px(self) -> float:
@@ -83,11 +83,11 @@ def measured(
     pixels = grid(width, height, step or max(width / 48, 1.0))
     flat, shape = pixels.reshape(-1, 2), pixels.shape[:2]
     light, theta = lit(flat, circle), seen_angles(solution.lens, flat)
-    sd_px, sd_rad = (np.full(len(flat), np.nan) for _ in range(2))
+    sd_px = np.full(len(flat), np.nan)
     with np.errstate(invalid="ignore"):
         some = light & (theta < _EDGE * solution.lens.theta_max)
-    sd_px[some], sd_rad[some] = errors(solution, observations.pixels, solution.lens.unproject(flat[some]))
-    return Field(pixels, *(part.reshape(shape) for part in (light, theta, sd_px, sd_rad)))
+    sd_px[some] = errors(solution, observations.pixels, solution.lens.unproject(flat[some]))[0]
+    return Field(pixels, *(part.reshape(shape) for part in (light, theta, sd_px)))
 
 
 def errors(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,14 +150,13 @@ def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.n
     return at_ray + by_ray @ fit.cross_matrix(rays) @ best, by_ray
 
 
-def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float, rings: int = 90) -> float:
+def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float) -> float:
     """The largest angle from the axis up to which every ring's expected error stays below a limit.
 
     Args:
         solution: with its covariance.
         corners: (m, 2) px, where corners were seen; no ring beyond the farthest is trusted.
         limit: rad.
-        rings: how many.
 
     Returns:
         rad; 0 where nothing is known.
@@ -167,7 +166,7 @@ def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float, rin
     if not np.isfinite(seen).any():
         return 0.0
     farthest = float(np.nanmax(seen))
-    theta = np.linspace(0, 1, rings + 1)[1:] * min(farthest, _EDGE * lens.theta_max)
+    theta = np.linspace(0, 1, _RINGS + 1)[1:] * min(farthest, _EDGE * lens.theta_max)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     s, c = np.sin(theta)[:, None], np.cos(theta)[:, None]
     rays = np.stack([s * np.cos(turn), s * np.sin(turn), c + 0 * turn], -1)

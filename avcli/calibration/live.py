@@ -402,25 +402,26 @@ def edge_width(view: View) -> float:
 # --- on the picture ---------------------------------------------------------------------------------------------------
 
 _ASKED, _ARRIVED, _CORNER = (255, 150, 0), (60, 230, 90), (255, 220, 0)
+_WIDTH = 960
+"""px, of the picture."""
 
 
-def overlay(grey: np.ndarray, view: View | None, guide: Guide, width: int = 960) -> np.ndarray:
+def overlay(grey: np.ndarray, view: View | None, guide: Guide) -> np.ndarray:
     """Draw corners, coverage and the place where the board is wanted into a picture.
 
     Args:
         grey: (height, width) uint8.
         view: the board in it.
         guide: what is known so far.
-        width: px, of what is returned.
 
     Returns:
-        (height, width, 3) uint8 RGB.
+        (height, 960, 3) uint8 RGB.
     """
     import cv2
 
-    scale = width / grey.shape[1]
+    scale = _WIDTH / grey.shape[1]
     small = cv2.cvtColor(
-        cv2.resize(grey, (width, round(grey.shape[0] * scale)), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB
+        cv2.resize(grey, (_WIDTH, round(grey.shape[0] * scale)), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB
     )
     if guide.counts is not None:
         seen = (guide.counts > 0).astype(np.uint8)

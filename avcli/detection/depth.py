@@ -31,6 +31,12 @@ CAME = 0.5
 TALLEST_M = 2.3
 """m; higher points do not belong to a person."""
 
+LOW_M = 1.0
+"""m; lower things with free space above them are furniture."""
+
+LEAST_SURFACE_M2 = 0.02
+"""m²; least visible surface of a body."""
+
 CELL_M = 0.05
 SPREAD_M = 0.08
 """m; standard deviation of the smoothing of the plan view: a head."""
@@ -62,21 +68,12 @@ class DepthDetector:
         view: the camera.
         background: (h, w) m, radial depth of the empty room at the view's samples, 0: unknown. None if it was not
             recorded; then only `place` can be used.
-        min_surface: m²; least visible surface of a body.
-        min_height: m; lower things with free space above them are furniture.
         room: (2,) m, size of the room; None if it is not known.
     """
 
-    def __init__(
-        self,
-        view: View,
-        background: np.ndarray | None,
-        min_surface: float = 0.02,
-        min_height: float = 1.0,
-        room: np.ndarray | None = None,
-    ):
+    def __init__(self, view: View, background: np.ndarray | None, room: np.ndarray | None = None):
         self.heights = Heights()
-        self.view, self.min_surface, self.min_height, self.room = view, min_surface, min_height, room
+        self.view, self.room = view, room
         self.limit = None
         if background is not None:
             self._before = self._shown = np.zeros(background.shape, np.float32)
@@ -166,10 +163,10 @@ class DepthDetector:
         people = []
         for body in self._bodies(depth, mask):
             surface = body.surface.sum()
-            if surface < self.min_surface:
+            if surface < LEAST_SURFACE_M2:
                 continue
             person = self._person(body, depth, float(surface / (surface + SCORE.surface_m2)))
-            if person and not (body.points[:, 2].max() < self.min_height and self._free_above(person, depth)):
+            if person and not (body.points[:, 2].max() < LOW_M and self._free_above(person, depth)):
                 people.append(person)
         return people
 
@@ -208,7 +205,7 @@ class DepthDetector:
                 empty = np.array([near[box].mean() > 0.5 if box.any() else False for box in inside])
                 near &= depth < self.limit
             bodies = [
-                body for body in self._bodies(depth, near & inside.any(axis=0)) if body.surface.sum() > self.min_surface
+                body for body in self._bodies(depth, near & inside.any(axis=0)) if body.surface.sum() > LEAST_SURFACE_M2
             ]
         people, free = [], list(range(len(bodies)))
         for index in range(len(found)):
@@ -253,7 +250,7 @@ class DepthDetector:
 
     def _free_above(self, person: Person, depth: np.ndarray) -> bool:
         """Whether the camera sees through the space that the upper body of a standing person would fill."""
-        heights = np.array([self.min_height, self.min_height + 0.25])
+        heights = np.array([LOW_M, LOW_M + 0.25])
         body = np.column_stack([np.tile(person.position[:2], (2, 1)), heights])
         pixels = self.view.project(body)
         if not self.view.inside(pixels).all():

@@ -273,12 +273,11 @@ def _described(image: np.ndarray) -> str:
     return f"{image.dtype} {' × '.join(map(str, image.shape))}"
 
 
-def read_bytes(path: str | os.PathLike, largest: int = LARGEST_PICTURE_FILE) -> bytes:
+def read_bytes(path: str | os.PathLike) -> bytes:
     """Read a file that a record or a config names.
 
     Args:
         path: of a regular file.
-        largest: size in bytes that is not read any more.
 
     Raises:
         MediaError: it is missing, empty, too large, cannot be read, or is not a regular file.
@@ -286,11 +285,11 @@ def read_bytes(path: str | os.PathLike, largest: int = LARGEST_PICTURE_FILE) -> 
     try:
         with _open_regular(path) as stream:
             size = os.fstat(stream.fileno()).st_size
-            content = b"" if size > largest else stream.read(size)
+            content = b"" if size > LARGEST_PICTURE_FILE else stream.read(size)
     except OSError as error:
         raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    if size > largest:
-        raise MediaError(f"{path}: larger than {largest >> 20} MiB")
+    if size > LARGEST_PICTURE_FILE:
+        raise MediaError(f"{path}: larger than {LARGEST_PICTURE_FILE >> 20} MiB")
     if not content:
         raise MediaError(f"{path}: the file is empty")
     return content

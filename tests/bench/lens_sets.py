@@ -90,7 +90,7 @@ def read_case(folder: Path) -> Case:
     everything = calibrate.observe(found.board, seen.views)
     poses = fit.start_from_rays(everything, found.lens, found.solution.beside)
     poses = fit.refine_poses(everything, poses, 20, found.solution.delta_px)
-    good = robust.belonging(everything, poses).corners
+    good = robust.belonging(everything, poses)[0]
     everything = robust.polished(everything, poses, found.board, seen.views, good)
     poses = fit.refine_poses(everything, poses, 20, found.solution.delta_px)
     ids = np.concatenate([view.ids for view in seen.views])

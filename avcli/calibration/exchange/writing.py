@@ -165,11 +165,11 @@ def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nea
     return "\n".join([*lines, ""])
 
 
-def _region(camera: Camera, seen: nearest.Field, count: int = 60) -> np.ndarray:
+def _region(camera: Camera, seen: nearest.Field) -> np.ndarray:
     """The closed border (m, 2) px of the field that is known, cut at the picture's border."""
-    azimuths = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    azimuths = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     sine, top = np.sin(seen.theta * (1 - 1e-9)), np.cos(seen.theta * (1 - 1e-9))
-    rays = np.stack([sine * np.cos(azimuths), sine * np.sin(azimuths), np.full(count, top)], -1)
+    rays = np.stack([sine * np.cos(azimuths), sine * np.sin(azimuths), np.full(60, top)], -1)
     border = camera.lens.project(rays)
     border = border[np.isfinite(border).all(1)]
     border = np.clip(border, 0, np.array(camera.size) - 1)
