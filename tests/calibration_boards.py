@@ -14,6 +14,9 @@ from avcli.lens import KannalaBrandt, Lens
 
 THESIS = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
 """The thesis's real camera, 1920 × 1080."""
+HALF = KannalaBrandt(431.135, 431.35, 524.485, 276.13, -0.0269, -0.0038, 0.0016, -0.0006)
+HALF_SIZE = (960, 540)
+"""The same camera with pictures of half the size."""
 BOARD = Board(6, 8, 0.095)
 """The thesis's board."""
 FLAT = np.zeros(3)
@@ -190,6 +193,23 @@ def photograph(
     picture *= 1 - 0.5 * vignette
     picture += noise * rng.standard_normal(picture.shape, np.float32)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def photographs(
+    filmed: Filmed,
+    rng: np.random.Generator,
+    *,
+    lens: Lens = HALF,
+    size: tuple[int, int] = HALF_SIZE,
+    board: Board = BOARD,
+    blur: float = 0.8,
+    oversample: int = 1,
+) -> list[np.ndarray]:
+    """Photograph each of the boards; see `photograph`."""
+    return [
+        photograph(R, t, rng, lens=lens, size=size, board=board, blur=blur, oversample=oversample)
+        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+    ]
 
 
 def _squares(column: np.ndarray, row: np.ndarray, board: Board) -> np.ndarray:

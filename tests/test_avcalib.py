@@ -5,9 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, film, photograph
+from calibration_boards import BOARD, HALF, HALF_SIZE, film, photograph, photographs
 from conftest import run
-from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli import pose
 from avcli.calibration import corners, place
@@ -22,8 +21,8 @@ def pictures(tmp_path_factory):
     folder = tmp_path_factory.mktemp("boards")
     rng = np.random.default_rng(1)
     filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
-    for i, (R, t) in enumerate(zip(filmed.rotations, filmed.translations, strict=True)):
-        write_png(folder / f"board_{i:02d}.png", photograph(R, t, rng, lens=HALF, size=HALF_SIZE))
+    for i, picture in enumerate(photographs(filmed, rng)):
+        write_png(folder / f"board_{i:02d}.png", picture)
     return folder
 
 

@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, THESIS, exact, film, photograph
+from calibration_boards import BOARD, HALF, HALF_SIZE, THESIS, exact, film, photograph, photographs
 from conftest import BIN, run
-from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli.calibration import corners, fit, gather, live, nextview, quality, robust, watch
 from avcli.calibration.settings import FitSettings
@@ -28,10 +27,7 @@ FAST = FitSettings(board_shape="no")
 def shots():
     rng = np.random.default_rng(4)
     filmed = film(10, rng, lens=HALF, size=HALF_SIZE, tilt=0.8, distance=(0.35, 0.9))
-    return [
-        photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
+    return photographs(filmed, rng)
 
 
 def gathered(guide, pictures):

@@ -57,9 +57,8 @@ class Quality:
             tell it, without what is known of lenses; below 0 where it moves ahead.
         circle: where light reaches the picture; None: everywhere.
         counts, lit_cells: see `coverage`; and (rows, columns) bool, which of the cells light reaches.
-        theta_max_observed, theta_max_trusted, theta_max_valid, theta_max_picture: rad; the largest angle at which a
-            corner was seen, up to which the expected error of a ray stays below TRUST_LIMIT, up to which the lens is
-            one-to-one, and which the lit picture shows.
+        theta_max_observed, theta_max_trusted, theta_max_picture: rad; the largest angle at which a corner was seen, up
+            to which the expected error of a ray stays below TRUST_LIMIT, and which the lit picture shows.
         tilt: rad, spread (RMS) of the boards' normals about their mean.
         refusals: sentences that say why the lens is not observable; empty where it is.
         advice: sentences that say what to film next.
@@ -79,7 +78,6 @@ class Quality:
     lit_cells: np.ndarray
     theta_max_observed: float
     theta_max_trusted: float
-    theta_max_valid: float
     theta_max_picture: float
     tilt: float
     refusals: tuple[str, ...]
@@ -188,7 +186,6 @@ def assess(
         lit_cells=lit_cells(counts.shape, width, height, circle),
         theta_max_observed=observed,
         theta_max_trusted=field.trusted_angle(solution, observations.pixels, TRUST_LIMIT),
-        theta_max_valid=lens.theta_max,
         theta_max_picture=shown,
         tilt=tilt,
         refusals=(),

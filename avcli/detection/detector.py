@@ -18,7 +18,7 @@ from avcli.detection.fitted import FAINT
 from avcli.detection.following import FOLLOWED, Following
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
-from avcli.detection.monocular import locate_boxes
+from avcli.detection.monocular import Fitted
 from avcli.detection.network import PAD, Boxes, ModelError, Network, own_model
 from avcli.detection.settings import Settings
 from avcli.detection.stillness import COME, Stillness, after
@@ -416,7 +416,7 @@ class Detector:
             pose[:3, :3], pose[:3, 3] = self.view.rotation, self.view.origin * [1, 1, factor]
             size, circle = self.view.size, self.view.circle
             view = View(self.view.lens, pose, size, self.view.theta_max, circle=circle)
-            shares[float(pose[2, 3])] = float(locate_boxes(boxes, view).explained.mean())
+            shares[float(pose[2, 3])] = float(Fitted(boxes, view).places().explained.mean())
         return shares
 
     def _in_room(self, person: Person) -> bool:
