@@ -51,6 +51,12 @@ def apply(T_AB: np.ndarray, points: ArrayLike) -> np.ndarray:
     return np.asarray(points, float) @ T_AB[:3, :3].T + T_AB[:3, 3]
 
 
+def angle_from_axis(points: ArrayLike) -> np.ndarray:
+    """Angle between a camera's optical axis and points (..., 3) in its frame, (...) rad, from 0 to pi; NaN stays."""
+    x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
+    return np.arctan2(np.hypot(x, y), z)
+
+
 def camera_pose(position: ArrayLike, rotation_deg: ArrayLike) -> np.ndarray:
     """Build T_room_camera (4, 4) from `camera_position_m` (3,) and `camera_rotation_deg` (3,).
 

@@ -166,9 +166,12 @@ def camera(pictures, tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_report_in_pictures(pictures, tmp_path):
-    plot, page = tmp_path / "report.svg", tmp_path / "report.html"
-    result = run("avcalib", "calibrate", pictures, "--plot", plot, "--html", page)
+    plot, page, folder = tmp_path / "report.svg", tmp_path / "report.html", tmp_path / "boards"
+    shutil.copytree(pictures, folder)
+    (folder / "board_00.png").rename(folder / "board_00.png\udce9.png")  # no UTF-8
+    result = run("avcalib", "calibrate", folder, "--plot", plot, "--html", page)
     assert result.returncode == 0, result.stderr
+    assert "board_00.png\ufffd.png" in page.read_text()
     assert "expected error of the projection" in plot.read_text()
     text = page.read_text()
     assert "data:image/png;base64," in text

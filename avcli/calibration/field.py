@@ -9,6 +9,7 @@ from avcli.calibration.blocks import Blocks
 from avcli.calibration.circle import Circle
 from avcli.calibration.uncertainty import Views
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 _ANCHORS = 1000
 """Corners from which the camera's turn is taken, at most."""
@@ -46,8 +47,7 @@ class Field:
 
 def seen_angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
-    rays = lens.unproject(pixels)
-    return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    return angle_from_axis(lens.unproject(pixels))
 
 
 def grid(width: int, height: int, step: float = 40) -> np.ndarray:

@@ -315,9 +315,7 @@ class Guide:
         covered, trusted = self._covered, self.quality.trusted_part if self.quality else 0.0
         tilt = near = 0.0
         if self.solution is not None and len(self.solution.rotations) > 1:
-            normals = self.solution.rotations[:, :, 2]
-            centre = normals.sum(0) / max(float(np.linalg.norm(normals.sum(0))), 1e-12)
-            tilt = float(np.rad2deg(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2))))
+            tilt = float(np.rad2deg(quality.tilt(self.solution.rotations)))
             away = np.linalg.norm(self.solution.translations, axis=1)
             near = float(away.max() / max(float(away.min()), 1e-12))
         limit, mean = self._limit_px(width), self.mean_px

@@ -12,10 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from avcli.calibration import fit
+from avcli.calibration.field import grid
 from avcli.calibration.pupil import PUPIL, project_jacobian
 from avcli.calibration.quality import coverage
 from avcli.calibration.target import Board
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 Mask = Callable[[np.ndarray], np.ndarray]
 """Tells of pixels (n, 2) which of them light reaches: (n,) bool."""
@@ -107,14 +109,11 @@ def information(observations: fit.Observations, solution: fit.Solution, sigma_px
     return A - np.swapaxes(B, 1, 2) @ np.linalg.solve(C, B)
 
 
-def field(lens: Lens, width: int, height: int, lit: Mask, step: int = 60) -> np.ndarray:
+def field(lens: Lens, width: int, height: int, lit: Mask) -> np.ndarray:
     """Return F (m, m): trace(F covariance) is the mean variance over the lit picture, px², a turn not counted."""
-    u, v = (np.linspace(0, side - 1, max(2, round(side / step))) for side in (width, height))
-    pixels = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
-    pixels = pixels[lit(pixels)]
-    rays = lens.unproject(pixels)
-    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    rays = rays[np.isfinite(rays).all(1) & (angle < 0.99 * lens.theta_max)]
+    pixels = grid(width, height, 60).reshape(-1, 2)
+    rays = lens.unproject(pixels[lit(pixels)])
+    rays = rays[np.isfinite(rays).all(1) & (angle_from_axis(rays) < 0.99 * lens.theta_max)]
     _, by_point, by_lens = lens.project_jacobian(rays)
     turn = (-by_point @ fit.cross_matrix(rays)).reshape(-1, 3)
     J = by_lens.reshape(len(turn), -1)

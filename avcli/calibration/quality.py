@@ -166,9 +166,6 @@ def assess(
     observed = float(np.nanmax(angles)) if np.isfinite(angles).any() else 0.0
     rim = seen_angles(lens, _rim(width, height, circle))
     shown = lens.theta_max if np.isnan(rim).any() else float(rim.max())
-    normals = solution.rotations[:, :, 2]
-    centre = normals.sum(0) / max(np.linalg.norm(normals.sum(0)), 1e-12)
-    tilt = float(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2)))
     counts = coverage(observations.pixels, width, height)
     sd = np.sqrt(np.maximum(np.diag(solution.covariance), 0))
     quality = Quality(
@@ -187,7 +184,7 @@ def assess(
         theta_max_observed=observed,
         theta_max_trusted=field.trusted_angle(solution, observations.pixels, TRUST_LIMIT),
         theta_max_picture=shown,
-        tilt=tilt,
+        tilt=tilt(solution.rotations),
         refusals=(),
         advice=(),
     )
@@ -202,6 +199,13 @@ def assess(
     )
     refusals = _refusals(quality, observations, solution)
     return replace(quality, refusals=refusals, advice=_advice(quality, refusals))
+
+
+def tilt(rotations: np.ndarray) -> float:
+    """The spread (RMS) of the boards' normals about their mean, rad, of rotations (views, 3, 3) board to camera."""
+    normals = rotations[:, :, 2]
+    centre = normals.sum(0) / max(np.linalg.norm(normals.sum(0)), 1e-12)
+    return float(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2)))
 
 
 def _recedes(known: Blocks, solution: fit.Solution) -> float:

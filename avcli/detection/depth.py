@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
+from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, boxes_of, locate
 from avcli.detection.fitted import SCORE, FaintLaw
 from avcli.detection.heights import Heights
 from avcli.detection.monocular import HEIGHT_M, Fitted, Places
@@ -132,7 +132,7 @@ class DepthDetector:
         nearer = near & (depth < self._shown - CAME_M)
         self._shown = np.maximum(self._shown, np.minimum(depth, self._before))  # a sensor's flicker is not there twice
         self._before = depth
-        for left, top, right, bottom in self._sample_boxes(np.array([one.bbox_px for one in people]).reshape(-1, 4)):
+        for left, top, right, bottom in self._sample_boxes(boxes_of(people)):
             near[top:bottom, left:right] = False
         came, stayed = list[Person](), list[Person]()
         for stranger in self._standing(depth, near) if near.any() else ():

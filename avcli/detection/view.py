@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 _SD_BEYOND = 0.2
 """Standard deviation of a ray's angle beyond the trusted one, as a fraction of the angle beyond it. Lenses fitted to
@@ -71,8 +72,7 @@ class View:
             0 up to the angle that is trusted; what is farther from the axis is extrapolated.
         """
         away = (np.asarray(points, float) - self.origin) @ self.rotation
-        angle = np.arctan2(np.hypot(away[:, 0], away[:, 1]), away[:, 2])
-        return _SD_BEYOND * np.maximum(angle - self.theta_trusted, 0.0)
+        return _SD_BEYOND * np.maximum(angle_from_axis(away) - self.theta_trusted, 0.0)
 
     def inside(self, pixels: np.ndarray) -> np.ndarray:
         """Tell which pixels (n, 2) lie on the picture where light reaches it; NaN does not."""

@@ -123,7 +123,7 @@ def _rectangles(canvas: Canvas, solids: furniture.Solids) -> np.ndarray:
     """A rectangle of pixels around each solid, (n, 4)."""
     if not len(solids):
         return np.zeros((0, 4))
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    corners = furniture.CORNERS
     edges = np.array([(i, j) for i in range(8) for j in range(i) if np.sum(corners[i] != corners[j]) == 1])
     f = np.linspace(0, 1, _EDGE_SAMPLES)[:, None]
     unit = np.concatenate([corners[i] * (1 - f) + corners[j] * f for i, j in edges])

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 _ANGLES, _AZIMUTHS = 120, 96
 _FITTED = 2000
@@ -49,9 +50,9 @@ class Foreign:
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) of points (n, 3); NaN beyond `theta_max`."""
-        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
+        near = angle_from_axis(points) <= self.theta_max
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            return np.where((angle <= self.theta_max)[:, None], self.pixels(points), np.nan)
+            return np.where(near[:, None], self.pixels(points), np.nan)
 
 
 def up_to_fold(foreign: Foreign) -> Foreign:
