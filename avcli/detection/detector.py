@@ -452,11 +452,7 @@ class Detector:
 
     def _lit(self, found: Boxes) -> Boxes:
         """The boxes whose middle is where the lens lights the picture."""
-        if self.view.circle is None or not len(found):
-            return found
-        x, y, radius = self.view.circle
-        middles = found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5
-        return found.take(np.hypot(middles[:, 0] - x, middles[:, 1] - y) <= radius)
+        return found.take(self.view.lights(found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5))
 
     def _network(self, model: str | os.PathLike | None) -> Network:
         content = own_model() if model is None else read_bytes(model)

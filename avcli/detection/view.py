@@ -56,12 +56,13 @@ class View:
         """Turn pixels (n, 2) into unit rays (n, 3) in the room's frame; NaN where a pixel has none."""
         pixels = np.asarray(pixels, float)
         rays = self.lens.unproject(pixels)
-        seen = (rays[:, 2] >= self._cos_max) & self._lit(pixels)
+        seen = (rays[:, 2] >= self._cos_max) & self.lights(pixels)
         return np.where(seen[:, None], rays, np.nan) @ self.rotation.T
 
-    def _lit(self, pixels: np.ndarray) -> np.ndarray | np.bool:
+    def lights(self, pixels: np.ndarray) -> np.ndarray:
+        """Tell which pixels (n, 2) lie where light would reach a picture without borders."""
         if self.circle is None:
-            return np.True_
+            return np.ones(len(pixels), bool)
         x, y, radius = self.circle
         return np.hypot(pixels[:, 0] - x, pixels[:, 1] - y) <= radius
 
@@ -78,7 +79,7 @@ class View:
         """Tell which pixels (n, 2) lie on the picture where light reaches it; NaN does not."""
         width, height = self.size
         x, y = pixels[:, 0], pixels[:, 1]
-        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5) & self._lit(pixels)
+        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5) & self.lights(pixels)
 
     def sampled(self, picture: np.ndarray) -> np.ndarray:
         """Return the samples (h, w) of a full-size picture (height, width) that belong to `rays`."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from avcli import pose
 from avcli.scene import furniture, room_shaders, shaders
 from avcli.scene.canvas import COARSE, Canvas, bounds, clip, linear, put
 from avcli.scene.look_shaders import LATTICE
@@ -133,8 +134,8 @@ def _rectangles(canvas: Canvas, solids: furniture.Solids) -> np.ndarray:
         a, b, c = solids.centre[flat], solids.axes[flat, 0], solids.axes[flat, 1]
         rim = np.concatenate([p[:, None] * (1 - f) + q[:, None] * f for p, q in ((a, b), (b, c), (c, a))], 1)
         points[flat] = np.resize(rim.transpose(1, 0, 2), (len(unit), flat.sum(), 3)).transpose(1, 0, 2)
-    T = canvas.T_camera_room
-    rectangles = bounds(canvas.camera.lens.project_clamped(points @ T[:3, :3].T + T[:3, 3]), _MARGIN_PX)
+    inside = pose.apply(canvas.T_camera_room, points)
+    rectangles = bounds(canvas.camera.lens.project_clamped(inside), _MARGIN_PX)
     lost = ~np.isfinite(rectangles).all(1)
     rectangles[lost] = (0, 0, *canvas.size)
     return clip(rectangles, canvas.size)
