@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from localization_rooms import MICROPHONES, ROOM
+from localization_rooms import MICROPHONES, ROOM, decibels
 
 from avcli.acoustics import absorption as walls
 from avcli.acoustics import decay
@@ -12,10 +12,6 @@ from avcli.acoustics.images import NEAREST_M, DelaySpectrum, audible, image_coun
 
 SOURCE = np.array([1.73, 2.33, 1.6])
 BETA = 0.835684  # Sabine, 0.35 s
-
-
-def decibels(found, expected):
-    return 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2))
 
 
 def brute_force(room, source, microphone, reflection, rate, samples, sign, c=343.0):
