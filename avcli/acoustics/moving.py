@@ -450,6 +450,7 @@ class Cubic:
     v1: np.ndarray
 
     def position(self, times: np.ndarray) -> np.ndarray:
+        """Where it is at times (n,) s: (n, 3) m; before and after the piece it goes straight on."""
         step = self.t1 - self.t0
         u = ((np.asarray(times) - self.t0) / step)[:, None]
         inside = np.minimum(np.maximum(u, 0.0), 1.0)
@@ -457,6 +458,7 @@ class Cubic:
         return points + np.minimum(u, 0.0) * step * self.v0 + np.maximum(u - 1.0, 0.0) * step * self.v1
 
     def velocity(self, times: np.ndarray) -> np.ndarray:
+        """Its velocity at times (n,) s: (n, 3) m/s."""
         u = np.clip((np.asarray(times) - self.t0) / (self.t1 - self.t0), 0.0, 1.0)[:, None]
         once, twice = self._bends()
         return self.v0 + u * (once + u * twice)
@@ -469,6 +471,7 @@ class Cubic:
         return float(np.linalg.norm(np.diff(controls, axis=0), axis=1).sum())
 
     def speed(self, times: np.ndarray) -> np.ndarray:
+        """Its speed at times (n,) s: (n,) m/s."""
         u = np.clip((np.asarray(times) - self.t0) / (self.t1 - self.t0), 0.0, 1.0)
         once, twice = self._bends()
         v0 = self.v0

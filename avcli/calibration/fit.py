@@ -537,7 +537,7 @@ def free_parameters(lens: Lens, board_shape: bool = False, pupil: bool = False, 
 
 
 def start_from_rays(observations: Observations, lens: Lens, beside: np.ndarray | None = None) -> Solution:
-    """Poses from rays under a lens that is known or guessed, and what is known beside it (Solution.beside)."""
+    """Poses from rays under a lens that is known or guessed, and what is known beside it, (BESIDE,) of Solution."""
     parameters = np.append(lens.parameters, np.zeros(BESIDE) if beside is None else beside)
     return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(len(parameters), bool), like=lens)
 

@@ -125,7 +125,12 @@ class DepthDetector:
     def strangers(
         self, depth: np.ndarray, found: Boxes, people: list[Person]
     ) -> tuple[list[Person], list[Person], np.ndarray, np.ndarray]:
-        """Who came, the n who may have been there before, and what a FaintLaw asks of these; arguments of `missed`."""
+        """Who came, and who may have been there before; the arguments are those of `missed`.
+
+        Returns:
+            those who came; the n others; and what a FaintLaw asks of these: (n,) the network's largest score there, 0
+            where it says nothing, and (n,) bool, whether others stand of whom it says nothing.
+        """
         if self.limit is None:
             raise ValueError("whom the network has missed can be found only with the depth picture of the empty room")
         near = (depth > 0) & (depth < self.limit)

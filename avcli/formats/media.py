@@ -66,7 +66,7 @@ class Shot:
 
 
 def write_png(path: str | os.PathLike, image: np.ndarray) -> None:
-    """Write a picture (see `encode_png`) to a file, whole or not at all."""
+    """Write a picture (height, width[, channels]), see `encode_png`, to a file, whole or not at all."""
     atomic.write_bytes(path, encode_png(image))
 
 
@@ -254,7 +254,7 @@ def encode_picture(image: np.ndarray, suffix: str) -> bytes:
 
 
 def swapped(image: np.ndarray) -> np.ndarray:
-    """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
+    """Turn a picture (height, width, 3 or 4) RGB[A] into OpenCV's BGR[A], and back; a grey one stays as it is."""
     import cv2
 
     if image.ndim == 3 and image.shape[2] in (3, 4):
