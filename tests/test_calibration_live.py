@@ -15,7 +15,7 @@ from conftest import BIN, run
 
 from avcli.calibration import corners, fit, gather, live, nextview, quality, robust, watch
 from avcli.calibration.settings import FitSettings
-from avcli.formats.camera import Camera
+from avcli.formats.camera import LiveCamera
 from avcli.formats.footage import Picture
 from avcli.formats.media import MediaError
 
@@ -322,7 +322,7 @@ class FakeCapture:
 def seen_by(captures, **options):
     """What a camera gives whose captures are opened one after another, and what is said."""
     said, waiting = [], iter(captures)
-    camera = Camera("/dev/video7", say=said.append, open=lambda _: next(waiting), **options)
+    camera = LiveCamera("/dev/video7", say=said.append, open=lambda _: next(waiting), **options)
     camera.ended.wait = lambda _: camera.ended.is_set()  # no waiting in a test
     return [image for _, image in camera.pictures()], said
 

@@ -260,7 +260,7 @@ def _region_limit(lens: Projection, size: tuple[int, int] | None, region: Any) -
         return {}
     corners = np.array(region, float)
     try:
-        seen = nearest.field(lens, size)
+        seen = nearest.sampled(lens, size)
     except ValueError:
         return {}
     inside = _is_inside(seen.pixels, corners)

@@ -30,7 +30,7 @@ def _matrix_of(lens: Projection) -> list[float]:
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
 
 
-def avcli(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def avcli(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A camera_config as one line."""
     return orjson.dumps(config(camera, lens), option=orjson.OPT_APPEND_NEWLINE).decode()
 
@@ -49,7 +49,7 @@ def config(camera: Camera, lens: Lens) -> dict[str, Any]:
     return found
 
 
-def opencv(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def opencv(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A FileStorage with the names of OpenCV's calibration sample."""
     width, height = camera.size or (0, 0)
     d, fisheye = choice.values(lens), int(choice.name == "fisheye")
@@ -81,7 +81,7 @@ def opencv(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     return "\n".join([*lines, ""])
 
 
-def ros(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def ros(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """The YAML of camera_calibration_parsers."""
     width, height = camera.size or (0, 0)
     K, d = _matrix_of(lens), choice.values(lens)
@@ -104,7 +104,7 @@ def ros(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: neare
     return "\n".join([*lines, ""])
 
 
-def kalibr(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def kalibr(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A camchain of one camera."""
     width, height = camera.size or (0, 0)
     model, bend = choice.name.split("-")
@@ -124,7 +124,7 @@ def kalibr(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     return "\n".join([*lines, ""])
 
 
-def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A cameras.txt of one camera."""
     width, height = camera.size or (0, 0)
     fx, fy, cx, cy = _core_of(lens)
@@ -140,7 +140,7 @@ def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     return "\n".join([*lines, ""])
 
 
-def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A .cameramodel, whose reference frame is the room."""
     width, height = camera.size or (0, 0)
     if isinstance(lens, Splined):
@@ -165,7 +165,7 @@ def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nea
     return "\n".join([*lines, ""])
 
 
-def _region(camera: Camera, seen: nearest.Field) -> np.ndarray:
+def _region(camera: Camera, seen: nearest.Samples) -> np.ndarray:
     """The closed border (m, 2) px of the field that is known, cut at the picture's border."""
     azimuths = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     sine, top = np.sin(seen.theta * (1 - 1e-9)), np.cos(seen.theta * (1 - 1e-9))
