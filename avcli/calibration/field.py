@@ -86,29 +86,38 @@ def measured(
     sd_px = np.full(len(flat), np.nan)
     with np.errstate(invalid="ignore"):
         some = light & (theta < _EDGE * solution.lens.theta_max)
-    sd_px[some] = errors(solution, observations.pixels, solution.lens.unproject(flat[some]))[0]
+    sd_px[some] = errors_px(solution, observations.pixels, solution.lens.unproject(flat[some]))
     return Field(pixels, *(part.reshape(shape) for part in (light, theta, sd_px)))
 
 
-def errors(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Expected error where rays (n, 3) are projected, px (n,) and rad (n,): roots of summed variances.
+def errors_px(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Expected error where rays (n, 3) are projected, px (n,): the root of the summed variances of u and v.
 
     Args:
         solution: with its covariance; where that is not finite, neither are the errors.
         corners: (m, 2) px, where corners were seen.
         rays: that the lens images.
     """
-    lens = solution.lens
-    moved, by_ray = sensitivity(lens, corners, rays)
-    count = moved.shape[-1]
-    covariance = solution.covariance[:count, :count]
-    if not len(rays) or not np.isfinite(covariance).all():
-        return np.full(len(rays), np.inf), np.full(len(rays), np.inf)
+    return _errors(solution, sensitivity(solution.lens, corners, rays)[0])
+
+
+def errors_rad(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """The same of the rays themselves, rad (n,)."""
+    moved, by_ray = sensitivity(solution.lens, corners, rays)
     across = np.cross(rays, np.eye(3)[np.abs(rays).argmin(1)])
     across /= np.linalg.norm(across, axis=1)[:, None]
     plane = by_ray @ np.stack([across, np.cross(rays, across)], -1)
-    turned = _inverses(plane) @ moved
-    return _root_trace(moved, covariance), _root_trace(turned, covariance)
+    return _errors(solution, _inverses(plane) @ moved)
+
+
+def _errors(solution: fit.Solution, moved: np.ndarray) -> np.ndarray:
+    """Roots (n,) of the summed variances of what the lens's parameters move, (n, 2, parameters)."""
+    count = moved.shape[-1]
+    covariance = solution.covariance[:count, :count]
+    if not np.isfinite(covariance).all():
+        return np.full(len(moved), np.inf)
+    flat = moved.reshape(len(moved), -1)
+    return np.sqrt(np.maximum(np.einsum("na,na->n", flat, (moved @ covariance).reshape(flat.shape)), 0))
 
 
 def _inverses(matrices: np.ndarray) -> np.ndarray:
@@ -120,11 +129,6 @@ def _inverses(matrices: np.ndarray) -> np.ndarray:
     out = out.reshape(-1, 2, 2)
     out[singular] = np.linalg.pinv(matrices[singular], rcond=_SINGULAR)
     return out
-
-
-def _root_trace(by_parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    flat = by_parameters.reshape(len(by_parameters), -1)
-    return np.sqrt(np.maximum(np.einsum("na,na->n", flat, (by_parameters @ covariance).reshape(flat.shape)), 0))
 
 
 def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +174,7 @@ def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float) -> 
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     s, c = np.sin(theta)[:, None], np.cos(theta)[:, None]
     rays = np.stack([s * np.cos(turn), s * np.sin(turn), c + 0 * turn], -1)
-    sd = errors(solution, corners, rays.reshape(-1, 3))[1].reshape(rays.shape[:2])
+    sd = errors_rad(solution, corners, rays.reshape(-1, 3)).reshape(rays.shape[:2])
     ring = np.sqrt(np.mean(sd**2, axis=1))
     bad = ~(ring <= limit)
     if not bad.any():
