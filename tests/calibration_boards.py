@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import fit
 from avcli.calibration.drawing import draw, to_png
 from avcli.calibration.pupil import from_pupil
@@ -63,7 +64,7 @@ def film(
         facing = np.stack([across, np.cross(ray, across), ray], -1)
         about, roll = rng.uniform(0, 2 * np.pi, 2)
         lean = rng.uniform(0, tilt) * np.array([np.cos(about), np.sin(about), 0])
-        R = facing @ fit.rotation_from_vector(lean[None])[0] @ fit.rotation_from_vector(np.array([[0, 0, roll]]))[0]
+        R = facing @ pose.rotation_from_vector(lean[None])[0] @ pose.rotation_from_vector(np.array([[0, 0, roll]]))[0]
         t = ray * rng.uniform(*distance)
         seen = lens.project((np.concatenate([corners, rim]) if whole else corners) @ R.T + t)
         inside = ((seen > margin) & (seen < np.array(size) - 1 - margin)).all(1)
@@ -245,8 +246,8 @@ def field_error(
     for _ in range(10):
         projected, by_point, _ = found.project_jacobian(rays)
         good = np.isfinite(projected).all(1)
-        by_turn = -by_point[good] @ fit.cross_matrix(rays[good])
+        by_turn = -by_point[good] @ pose.cross_matrix(rays[good])
         turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (pixels - projected)[good].ravel(), rcond=None)[0]
-        rays = rays @ fit.rotation_from_vector(turn[None])[0].T
+        rays = rays @ pose.rotation_from_vector(turn[None])[0].T
     error = np.linalg.norm(pixels - found.project(rays), axis=1)
     return float(np.nanmean(error)), float(np.nanmax(error)) if np.isfinite(error).all() else np.inf

@@ -13,7 +13,8 @@ import pytest
 from calibration_boards import BOARD, HALF, HALF_SIZE, THESIS, exact, film, photograph, photographs
 from conftest import BIN, run
 
-from avcli.calibration import corners, fit, gather, live, nextview, quality, robust, watch
+from avcli import pose
+from avcli.calibration import corners, gather, live, nextview, quality, robust, watch
 from avcli.calibration.settings import FitSettings
 from avcli.formats.camera import LiveCamera
 from avcli.formats.footage import Picture
@@ -182,7 +183,7 @@ def test_the_words_name_the_nearer_edge():
     first = nextview.first(BOARD, lens, *SIZE)
     assert first.words.startswith("in the middle")
     assert np.ptp(first.outline[:, 1]) == pytest.approx(SIZE[1] / 2, rel=0.02)
-    R = fit.rotation_from_vector(np.array([[0.0, 0.6, 0.0]]))[0]
+    R = pose.rotation_from_vector(np.array([[0.0, 0.6, 0.0]]))[0]
     t = np.array([0.0, 0.0, 0.9])
     nearer = R @ [0.3, 0, 0] + t, R @ [-0.3, 0, 0] + t
     side = "right" if nearer[0][2] < nearer[1][2] else "left"

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import fit, uncertainty
 from avcli.calibration.blocks import Blocks
 from avcli.calibration.circle import Circle
 from avcli.calibration.uncertainty import Views
 from avcli.lens import Lens
-from avcli.pose import angle_from_axis
 
 _ANCHORS = 1000
 """Corners from which the camera's turn is taken, at most."""
@@ -47,7 +47,7 @@ class Field:
 
 def seen_angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
-    return angle_from_axis(lens.unproject(pixels))
+    return pose.angle_from_axis(lens.unproject(pixels))
 
 
 def grid(width: int, height: int, step: float = 40) -> np.ndarray:
@@ -147,11 +147,11 @@ def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.n
     anchors = anchors[np.isfinite(anchors).all(1)]
     _, by_anchor, at_anchor = lens.project_jacobian(anchors)
     good = np.isfinite(by_anchor).all((1, 2)) & np.isfinite(at_anchor).all((1, 2))
-    turn = -by_anchor[good] @ fit.cross_matrix(anchors[good])
+    turn = -by_anchor[good] @ pose.cross_matrix(anchors[good])
     count = at_anchor.shape[-1]
     best = np.linalg.lstsq(turn.reshape(-1, 3), at_anchor[good].reshape(-1, count), rcond=None)[0]
     _, by_ray, at_ray = lens.project_jacobian(rays)
-    return at_ray + by_ray @ fit.cross_matrix(rays) @ best, by_ray
+    return at_ray + by_ray @ pose.cross_matrix(rays) @ best, by_ray
 
 
 def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float) -> float:
@@ -306,7 +306,7 @@ def turned_to(one: Lens, other: Lens, corners: np.ndarray, rays: np.ndarray) -> 
     for _ in range(4):
         projected, by_point, _ = other.project_jacobian(at @ total.T)
         good = np.isfinite(projected).all(1) & np.isfinite(by_point).all((1, 2))
-        by_turn = -by_point[good] @ fit.cross_matrix((at @ total.T)[good])
+        by_turn = -by_point[good] @ pose.cross_matrix((at @ total.T)[good])
         turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (corners - projected)[good].ravel(), rcond=None)[0]
-        total = fit.rotation_from_vector(turn[None])[0] @ total
+        total = pose.rotation_from_vector(turn[None])[0] @ total
     return rays @ total.T

@@ -20,6 +20,7 @@ import cv2
 import lens_measures
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import calibrate, corners, fit, gather, opencv, robust, target, uncertainty
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.pupil import from_pupil, project_jacobian
@@ -327,7 +328,7 @@ def _variance(solved: fit.Solution, pixels: np.ndarray) -> np.ndarray:
     rays = lens.unproject(pixels)
     _, by_point, by_lens = lens.project_jacobian(rays)
     good = np.isfinite(by_point).all((1, 2)) & np.isfinite(by_lens).all((1, 2))
-    turn = (-by_point @ fit.cross_matrix(rays))[good].reshape(-1, 3)
+    turn = (-by_point @ pose.cross_matrix(rays))[good].reshape(-1, 3)
     J = by_lens[good].reshape(-1, by_lens.shape[-1])
     Q = np.linalg.qr(turn)[0]
     J = (J - Q @ (Q.T @ J)).reshape(-1, 2, by_lens.shape[-1])

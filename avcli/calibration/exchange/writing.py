@@ -150,7 +150,7 @@ def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nea
     turn = np.zeros(6)
     if camera.T_reference_camera is not None:
         T = pose.inverse(camera.T_reference_camera)
-        turn = np.concatenate([_rotation_vector(T[:3, :3]), T[:3, 3]])
+        turn = np.concatenate([pose.rotation_vector(T[:3, :3]), T[:3, 3]])
     region = _region(camera, seen)
     lines = [
         *(f"# {note}" for note in notes),
@@ -174,20 +174,3 @@ def _region(camera: Camera, seen: nearest.Samples) -> np.ndarray:
     border = border[np.isfinite(border).all(1)]
     border = np.clip(border, 0, np.array(camera.size) - 1)
     return np.concatenate([border, border[:1]]).round(2)
-
-
-def _rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) rad of a rotation matrix, by its quaternion, which is exact near half a turn as well."""
-    options = np.array([1 + np.trace(R), *(1 + 2 * R[i, i] - np.trace(R) for i in range(3))])
-    k = int(np.argmax(options))
-    odd = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if k == 0:
-        q = np.array([options[0], *odd])
-    else:
-        i = k - 1
-        q = np.array([odd[i], *(R[i, j] + R[j, i] for j in range(3))])
-        q[1 + i] = options[k]
-    q /= np.linalg.norm(q)
-    q = q if q[0] >= 0 else -q
-    sine = np.linalg.norm(q[1:])
-    return q[1:] * (2 * np.arctan2(sine, q[0]) / sine) if sine > 1e-15 else np.zeros(3)
