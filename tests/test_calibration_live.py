@@ -16,7 +16,7 @@ from conftest import BIN, run
 from avcli import pose
 from avcli.calibration import corners, gather, live, nextview, quality, robust, watch
 from avcli.calibration.settings import FitSettings
-from avcli.formats.camera import LiveCamera
+from avcli.formats.camera import Camera
 from avcli.formats.footage import Picture
 from avcli.formats.media import MediaError
 
@@ -323,7 +323,7 @@ class FakeCapture:
 def seen_by(captures, **options):
     """What a camera gives whose captures are opened one after another, and what is said."""
     said, waiting = [], iter(captures)
-    camera = LiveCamera("/dev/video7", say=said.append, open=lambda _: next(waiting), **options)
+    camera = Camera("/dev/video7", say=said.append, open=lambda _: next(waiting), **options)
     camera.ended.wait = lambda _: camera.ended.is_set()  # no waiting in a test
     return [image for _, image in camera.pictures()], said
 

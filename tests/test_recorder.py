@@ -10,7 +10,7 @@ from localization_rooms import MICROPHONES, heard, voice
 
 from avcli.formats import recorder
 from avcli.formats.media import MediaError
-from avcli.formats.recorder import LostSamples, Raw
+from avcli.formats.recorder import Arrivals, Raw
 
 
 def encoded(samples, kind):
@@ -62,7 +62,7 @@ def test_channels_are_chosen_in_order_and_levelled():
 def missing(times, piece=0.02):
     """What is missing before each piece of so many s that arrives at these times."""
     times = iter(times)
-    arrivals = LostSamples(clock=lambda: next(times))
+    arrivals = Arrivals(clock=lambda: next(times))
     return [arrivals.missing(piece) for _ in range(500)]
 
 

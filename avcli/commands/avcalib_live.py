@@ -49,14 +49,14 @@ def _pictures(
 ) -> tuple[Iterator[Picture], Callable[[], None]]:
     """Return the pictures of a source as they come, and what ends them."""
     from avcli.formats import footage
-    from avcli.formats.camera import LiveCamera
+    from avcli.formats.camera import Camera
     from avcli.formats.live import LiveSource, Stoppable
 
     rate_hz: float | None = values["rate_hz"]
     ended = threading.Event()
     stop: Callable[[], None] = ended.set
     if source.kind == "camera":
-        camera = LiveCamera(source.name, rate_hz, values["size"], True, _PATIENCE_S, session.warn, ended=ended)
+        camera = Camera(source.name, rate_hz, values["size"], True, _PATIENCE_S, session.warn, ended=ended)
         arriving = footage.camera_pictures(camera)
     elif source.kind == "stream":
         pipe = Stoppable(session.open("-"))

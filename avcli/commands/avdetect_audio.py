@@ -250,11 +250,11 @@ class _Sound:
         """Yield pieces of live sound, with silence for what the clock says is missing."""
         import numpy as np
 
-        from avcli.formats.recorder import LostSamples
+        from avcli.formats.recorder import Arrivals
 
-        clock = LostSamples()
+        arrivals = Arrivals()
         for samples, rate in pieces:
-            lost = round(clock.missing(len(samples) / rate) * rate)
+            lost = round(arrivals.missing(len(samples) / rate) * rate)
             if lost:
                 self.session.warn(
                     f"{name}: {lost / rate:.2f} s of sound are missing; they count as silence", kind="gaps"

@@ -275,14 +275,14 @@ def _shots(
     if moving:
         pictures = footage.pictures([moving[0].name], rate)
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
-        return newest(session, stack, shots) if moving[0].is_live else shots
+        return newest(session, stack, shots, "pictures") if moving[0].is_live else shots
     refuse_without_effect(["rate"], "on frame records, which have their own times")
     parse = partial(_frame, session.allow_outside)
     if not live:
         return _frames(session, session.records(files, parse))
     name, pipe = open_pipe(session, files)
     frames = session.stream_records(io.BufferedReader(pipe), name, parse)
-    return newest(session, stack, _frames(session, frames), pipe.stop)
+    return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
 
 
 def _expected(session: filter.Session, files: tuple[str, ...], rate: float | None) -> int | None:

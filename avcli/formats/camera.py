@@ -44,7 +44,7 @@ def _open(number: int) -> Capture:
 
 
 @dataclass
-class LiveCamera:
+class Camera:
     """A live camera whose newest pictures are wanted: older ones in the driver's buffer are dropped.
 
     Attributes:

@@ -17,7 +17,7 @@ import numpy as np
 
 from avcli.formats import film
 from avcli.formats.atomic import replacing, write_bytes
-from avcli.formats.camera import LiveCamera
+from avcli.formats.camera import Camera
 from avcli.formats.media import (
     MediaError,
     decode_picture,
@@ -273,7 +273,7 @@ def pictures(
             elif member.kind == "stream":
                 found = _stream_pictures(stream or sys.stdin.buffer, stream_rate_hz, skip or (lambda _: None))
             elif member.kind == "camera":
-                found = camera_pictures(LiveCamera(member.name, rate_hz, size))
+                found = camera_pictures(Camera(member.name, rate_hz, size))
             elif member.kind == "url":
                 found = _live_pictures(member.name, rate_hz)
             else:
@@ -469,7 +469,7 @@ def _jumping(capture: "cv2.VideoCapture", frames: list[int]) -> Iterator[float]:
             yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
 
 
-def camera_pictures(camera: LiveCamera) -> Iterator[Picture]:
+def camera_pictures(camera: Camera) -> Iterator[Picture]:
     """Yield the pictures of a live camera, with Unix time."""
     for now, image in camera.pictures():
         yield Picture(f"{camera.name} at {now:.2f}", now, image)

@@ -107,7 +107,7 @@ def chosen(
         yield samples, rate
 
 
-class LostSamples:
+class Arrivals:
     """Notices by the clock on the wall that samples of a live stream are missing.
 
     Sound that is only late comes in the end; where it arrives later than usual for STEADY_S, some is lost.
