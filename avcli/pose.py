@@ -1,4 +1,4 @@
-"""Rigid transforms as 4 x 4 matrices, and the one meaning of a camera's rotation angles.
+"""Rigid transforms as 4 x 4 matrices, rotation vectors, and the one meaning of a camera's rotation angles.
 
 `T_AB` maps coordinates in frame B to frame A, so that `T_AC = T_AB @ T_BC` reads off its names. The camera frame is
 OpenCV's: x right, y down, z forward.
@@ -49,6 +49,48 @@ def apply(T_AB: np.ndarray, points: ArrayLike) -> np.ndarray:
         (..., 3) m.
     """
     return np.asarray(points, float) @ T_AB[:3, :3].T + T_AB[:3, 3]
+
+
+def angle_from_axis(points: ArrayLike) -> np.ndarray:
+    """Angle between a camera's optical axis and points (..., 3) in its frame, (...) rad, from 0 to pi; NaN stays."""
+    x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
+    return np.arctan2(np.hypot(x, y), z)
+
+
+def rotation_from_vector(omega: np.ndarray) -> np.ndarray:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) rad (Rodrigues)."""
+    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
+    K = cross_matrix(omega)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = np.where(angle > 1e-8, np.sin(angle) / angle, 1.0)
+        b = np.where(angle > 1e-8, (1 - np.cos(angle)) / angle**2, 0.5)
+    return np.eye(3) + a * K + b * K @ K
+
+
+def cross_matrix(v: np.ndarray) -> np.ndarray:
+    """Matrices (n, 3, 3) that take a vector w to v × w, of vectors v (n, 3)."""
+    out = np.zeros((*v.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., k, j] = v[..., i]
+        out[..., j, k] = -v[..., i]
+    return out
+
+
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) rad of a rotation matrix, by its quaternion, which is exact near half a turn as well."""
+    options = np.array([1 + np.trace(R), *(1 + 2 * R[i, i] - np.trace(R) for i in range(3))])
+    k = int(np.argmax(options))
+    odd = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    if k == 0:
+        q = np.array([options[0], *odd])
+    else:
+        i = k - 1
+        q = np.array([odd[i], *(R[i, j] + R[j, i] for j in range(3))])
+        q[1 + i] = options[k]
+    q /= np.linalg.norm(q)
+    q = q if q[0] >= 0 else -q
+    sine = np.linalg.norm(q[1:])
+    return q[1:] * (2 * np.arctan2(sine, q[0]) / sine) if sine > 1e-15 else np.zeros(3)
 
 
 def camera_pose(position: ArrayLike, rotation_deg: ArrayLike) -> np.ndarray:

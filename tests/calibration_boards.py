@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import fit
 from avcli.calibration.drawing import draw, to_png
 from avcli.calibration.pupil import from_pupil
@@ -14,6 +15,9 @@ from avcli.lens import KannalaBrandt, Lens
 
 THESIS = KannalaBrandt(862.27, 862.70, 1049.47, 552.76, -0.0269, -0.0038, 0.0016, -0.0006)
 """The thesis's real camera, 1920 × 1080."""
+HALF = KannalaBrandt(431.135, 431.35, 524.485, 276.13, -0.0269, -0.0038, 0.0016, -0.0006)
+HALF_SIZE = (960, 540)
+"""The same camera with pictures of half the size."""
 BOARD = Board(6, 8, 0.095)
 """The thesis's board."""
 FLAT = np.zeros(3)
@@ -60,7 +64,7 @@ def film(
         facing = np.stack([across, np.cross(ray, across), ray], -1)
         about, roll = rng.uniform(0, 2 * np.pi, 2)
         lean = rng.uniform(0, tilt) * np.array([np.cos(about), np.sin(about), 0])
-        R = facing @ fit.rotation_from_vector(lean[None])[0] @ fit.rotation_from_vector(np.array([[0, 0, roll]]))[0]
+        R = facing @ pose.rotation_from_vector(lean[None])[0] @ pose.rotation_from_vector(np.array([[0, 0, roll]]))[0]
         t = ray * rng.uniform(*distance)
         seen = lens.project((np.concatenate([corners, rim]) if whole else corners) @ R.T + t)
         inside = ((seen > margin) & (seen < np.array(size) - 1 - margin)).all(1)
@@ -192,6 +196,23 @@ def photograph(
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
+def photographs(
+    filmed: Filmed,
+    rng: np.random.Generator,
+    *,
+    lens: Lens = HALF,
+    size: tuple[int, int] = HALF_SIZE,
+    board: Board = BOARD,
+    blur: float = 0.8,
+    oversample: int = 1,
+) -> list[np.ndarray]:
+    """Photograph each of the boards; see `photograph`."""
+    return [
+        photograph(R, t, rng, lens=lens, size=size, board=board, blur=blur, oversample=oversample)
+        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
+    ]
+
+
 def _squares(column: np.ndarray, row: np.ndarray, board: Board) -> np.ndarray:
     """How white each subpixel is, edges weighed by the area on either side of them."""
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -225,8 +246,8 @@ def field_error(
     for _ in range(10):
         projected, by_point, _ = found.project_jacobian(rays)
         good = np.isfinite(projected).all(1)
-        by_turn = -by_point[good] @ fit.cross_matrix(rays[good])
+        by_turn = -by_point[good] @ pose.cross_matrix(rays[good])
         turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (pixels - projected)[good].ravel(), rcond=None)[0]
-        rays = rays @ fit.rotation_from_vector(turn[None])[0].T
+        rays = rays @ pose.rotation_from_vector(turn[None])[0].T
     error = np.linalg.norm(pixels - found.project(rays), axis=1)
     return float(np.nanmean(error)), float(np.nanmax(error)) if np.isfinite(error).all() else np.inf

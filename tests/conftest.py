@@ -43,6 +43,11 @@ def shared_data() -> Path:
     return folder
 
 
+def schema(name: str) -> dict:
+    """The JSON Schema of a format that ships with the package."""
+    return json.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
+
+
 def run(
     *command, stdin: bytes | str = b"", cwd=None, env=None, largest_file: int | None = None
 ) -> subprocess.CompletedProcess:

@@ -66,6 +66,11 @@ def heard(source, sound, fs, *, microphones=MICROPHONES, reflection=0.0, order=3
     return result
 
 
+def decibels(found, expected):
+    """Power of the difference over that of what is expected, dB."""
+    return 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2))
+
+
 def noisy(samples, decibels, rng):
     """The samples with white noise in each channel, this far below their mean power."""
     level = np.sqrt(np.mean(samples**2)) * 10.0 ** (-decibels / 20.0)

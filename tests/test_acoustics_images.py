@@ -4,30 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from localization_rooms import MICROPHONES, ROOM, decibels
 
 from avcli.acoustics import absorption as walls
 from avcli.acoustics import decay
 from avcli.acoustics.images import NEAREST_M, DelaySpectrum, audible, image_count, image_microphones, shoebox_rir
 
-ROOM = np.array([4.66, 4.66, 3.0])
-MICROPHONES = np.array(
-    [
-        [0.115, 4.545, 2.493],
-        [2.401, 4.498, 2.385],
-        [4.545, 4.545, 2.484],
-        [4.498, 2.342, 2.380],
-        [4.545, 0.115, 2.489],
-        [2.395, 0.162, 2.378],
-        [0.115, 0.115, 2.489],
-        [2.386, 2.253, 2.489],
-    ]
-)
 SOURCE = np.array([1.73, 2.33, 1.6])
 BETA = 0.835684  # Sabine, 0.35 s
-
-
-def decibels(found, expected):
-    return 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2))
 
 
 def brute_force(room, source, microphone, reflection, rate, samples, sign, c=343.0):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from localization_rooms import decibels
 
 from avcli.acoustics.images import image_microphones, shoebox_rir
 from avcli.acoustics.moving import MovingSource, first_sample
@@ -62,10 +63,6 @@ def render(source, times, place, dry):
         before = time
     source.finish()
     return source
-
-
-def decibels(found, expected):
-    return 10 * np.log10(np.sum((found - expected) ** 2) / np.sum(expected**2))
 
 
 @pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])

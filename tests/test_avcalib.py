@@ -5,9 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, film, photograph
+from calibration_boards import BOARD, HALF, HALF_SIZE, film, photograph, photographs
 from conftest import run
-from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli import pose
 from avcli.calibration import corners, place
@@ -22,8 +21,8 @@ def pictures(tmp_path_factory):
     folder = tmp_path_factory.mktemp("boards")
     rng = np.random.default_rng(1)
     filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
-    for i, (R, t) in enumerate(zip(filmed.rotations, filmed.translations, strict=True)):
-        write_png(folder / f"board_{i:02d}.png", photograph(R, t, rng, lens=HALF, size=HALF_SIZE))
+    for i, picture in enumerate(photographs(filmed, rng)):
+        write_png(folder / f"board_{i:02d}.png", picture)
     return folder
 
 
@@ -167,9 +166,12 @@ def camera(pictures, tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_report_in_pictures(pictures, tmp_path):
-    plot, page = tmp_path / "report.svg", tmp_path / "report.html"
-    result = run("avcalib", "calibrate", pictures, "--plot", plot, "--html", page)
+    plot, page, folder = tmp_path / "report.svg", tmp_path / "report.html", tmp_path / "boards"
+    shutil.copytree(pictures, folder)
+    (folder / "board_00.png").rename(folder / "board_00.png\udce9.png")  # no UTF-8
+    result = run("avcalib", "calibrate", folder, "--plot", plot, "--html", page)
     assert result.returncode == 0, result.stderr
+    assert "board_00.png\ufffd.png" in page.read_text()
     assert "expected error of the projection" in plot.read_text()
     text = page.read_text()
     assert "data:image/png;base64," in text

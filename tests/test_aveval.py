@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from conftest import BIN, run
+from conftest import BIN, run, schema
 
 
 def record(t, objects):
@@ -346,11 +346,10 @@ def test_an_old_output_stays_when_the_input_is_bad(experiment, tmp_path):
 
 def test_all_records_follow_the_schema(tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
-    from importlib.resources import files
 
     from test_metrics_report import experiment
 
-    schema = json.loads(files("avcli").joinpath("formats/schemas/metrics.schema.json").read_text())
+    described = schema("metrics")
     experiment(tmp_path / "s3")
     experiment(tmp_path / "s1", people=1)
     (tmp_path / "s1" / "tracking" / "audio_tracking.jsonl").write_text("")
@@ -358,7 +357,7 @@ def test_all_records_follow_the_schema(tmp_path):
     found = records_of(run("aveval", "--experiments", "s1", "s3", *detections, cwd=tmp_path))
     assert len(found) == 6 + 2 + 6 + 1
     for each in found:
-        jsonschema.validate(each, schema)
+        jsonschema.validate(each, described)
 
 
 def test_a_name_that_is_no_utf8_is_shown(tmp_path):

@@ -9,7 +9,7 @@ import subprocess
 import jsonschema
 import numpy as np
 import pytest
-from conftest import BIN, ROOT, run
+from conftest import BIN, ROOT, run, schema
 
 from avcli.formats import records
 from avcli.formats.experiment import read_config
@@ -515,9 +515,9 @@ def test_stone_soup_is_asked_for_by_name():
 
 
 def test_an_explanation_is_as_its_schema_says(tmp_path):
-    schema = json.loads((ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json").read_text())
-    jsonschema.Draft202012Validator.check_schema(schema)
-    validator = jsonschema.Draft202012Validator(schema)
+    described = schema("explain")
+    jsonschema.Draft202012Validator.check_schema(described)
+    validator = jsonschema.Draft202012Validator(described)
     rng, lines = np.random.default_rng(4), []
     for k in range(120):  # two people, one of whom vanishes; the other is silent at times; false detections
         places = [[0.5 + 0.03 * k, 1.0]] + ([[3.0, 3.0]] if k < 30 else [])
@@ -532,7 +532,7 @@ def test_an_explanation_is_as_its_schema_says(tmp_path):
     assert len(records) == len(lines)
     for record in records:
         validator.validate(record)
-        assert set(record) == set(schema["properties"])
+        assert set(record) == set(described["properties"])
     said = {what["most_likely"] for record in records for what in record["people"]}
     assert "missed" in said
     assert any(record["born"] for record in records)

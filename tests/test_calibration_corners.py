@@ -7,15 +7,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from calibration_boards import BOARD, THESIS, exact, film, photograph
+from calibration_boards import BOARD, HALF, HALF_SIZE, THESIS, exact, film, photograph, photographs
 
 from avcli.calibration import calibrate, corners, drawing, fit, gather, robust, saddles, sharpness, shutter, target
 from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
-
-HALF = KannalaBrandt(431.135, 431.35, 524.485, 276.13, -0.0269, -0.0038, 0.0016, -0.0006)
-"""The thesis's lens on a sensor of half the pixels."""
-HALF_SIZE = (960, 540)
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +19,7 @@ def shots():
     """Three photographs of the thesis's board, with where its corners truly are."""
     rng = np.random.default_rng(0)
     filmed = film(3, rng, lens=HALF, size=HALF_SIZE)
-    pictures = [
-        photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
-    return filmed, pictures, exact(filmed, lens=HALF).pixels.reshape(3, -1, 2)
+    return filmed, photographs(filmed, rng), exact(filmed, lens=HALF).pixels.reshape(3, -1, 2)
 
 
 def error(found, true):

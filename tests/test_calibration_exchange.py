@@ -106,7 +106,7 @@ def test_every_model_goes_through_every_format(model: str, kind: str) -> None:
 def test_the_stated_distance_is_that_of_the_picture() -> None:
     """Root mean square over the pixels, not over the rays."""
     lens, limit = FISHEYE, np.deg2rad(50.0)
-    seen = nearest.field(lens, SIZE, limit)
+    seen = nearest.sampled(lens, SIZE, limit)
     assert seen.weights.sum() == pytest.approx(1)
     other = nearest.nearest(lens, BrownConrady, seen, {"k3": 0.0, "k4": 0.0})
     grid = np.stack(np.meshgrid(np.arange(0.0, 1920, 7), np.arange(0.0, 1080, 7)), -1).reshape(-1, 2)
@@ -119,7 +119,7 @@ def test_the_stated_distance_is_that_of_the_picture() -> None:
 def test_what_a_format_cannot_image_is_refused() -> None:
     behind = nearest.omni(np.array([500.0, 500.0, 959.5, 539.5]), 0.9, np.array([0.01, 0.0, 1e-3, 0.0]))
     with pytest.raises(exchange.NotConvertible, match="beyond the models"):
-        exchange._best(Camera(behind, SIZE), PERSPECTIVE, nearest.field(behind, SIZE))
+        exchange._best(Camera(behind, SIZE), PERSPECTIVE, nearest.sampled(behind, SIZE))
     assert written(behind, "mrcal").rms_px < 0.05, "mrcal's splines image rays behind the camera"
 
 

@@ -7,9 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-from calibration_boards import film, photograph
+from calibration_boards import HALF, HALF_SIZE, film, photographs
 from conftest import run
-from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli.calibration import gather, place
 from avcli.calibration.target import Board
@@ -22,11 +21,7 @@ BOARD = Board(6, 9, 0.07)
 @pytest.fixture(scope="session")
 def shots():
     rng = np.random.default_rng(11)
-    filmed = film(8, rng, lens=HALF, size=HALF_SIZE, board=BOARD)
-    return [
-        photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=BOARD)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
+    return photographs(film(8, rng, lens=HALF, size=HALF_SIZE, board=BOARD), rng, board=BOARD)
 
 
 def jpeg(picture, quality=97):

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, THESIS, exact, field_error, film, photograph
-from test_calibration_corners import HALF, HALF_SIZE
+from calibration_boards import BOARD, HALF, HALF_SIZE, THESIS, exact, field_error, film, photographs
 
 from avcli.calibration import calibrate, choose, corners, fit, gather, quality, robust
 from avcli.calibration.settings import FitSettings
@@ -32,11 +31,7 @@ SIZE = (1920, 1080)
 @pytest.fixture(scope="module")
 def shots():
     rng = np.random.default_rng(1)
-    filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
-    return [
-        photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
+    return photographs(film(8, rng, lens=HALF, size=HALF_SIZE), rng)
 
 
 def test_the_sample_in_the_docstring_runs(shots, tmp_path, monkeypatch):
@@ -160,10 +155,7 @@ def test_a_lens_behind_a_tilted_window_gets_a_prism_unless_a_model_is_asked_for(
     lens = TangentialKannalaBrandt(190.0, 190.5, 238.0, 181.0, 0.1, 0.03, 0.0, 0.0, 0.013, 0.004, -0.009, -0.03)
     rng = np.random.default_rng(2)
     filmed = film(12, rng, lens=lens, size=size)
-    pictures = [
-        photograph(R, t, rng, lens=lens, size=size, oversample=2)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
+    pictures = photographs(filmed, rng, lens=lens, size=size, oversample=2)
     found = calibrate.calibrate(pictures, board=(6, 8))
     assert type(found.lens) is TangentialKannalaBrandt
     assert {one.name for one in found.tried} <= {choose.START, *choose.NEXT}

@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from calibration_boards import film, photograph
+from calibration_boards import HALF, HALF_SIZE, film, photograph, photographs
 from conftest import run
-from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli.calibration import corners
 from avcli.calibration.target import Board
@@ -19,13 +18,8 @@ BOARD = Board(6, 8, 0.095)
 
 @pytest.fixture(scope="session")
 def shots():
-    """Eight photographs, grey, of the thesis's board."""
     rng = np.random.default_rng(7)
-    filmed = film(8, rng, lens=HALF, size=HALF_SIZE)
-    return [
-        photograph(R, t, rng, lens=HALF, size=HALF_SIZE)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
+    return photographs(film(8, rng, lens=HALF, size=HALF_SIZE), rng)
 
 
 def write(folder, pictures, extension="png"):

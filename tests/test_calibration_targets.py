@@ -7,9 +7,8 @@ import struct
 import cv2
 import numpy as np
 import pytest
-from calibration_boards import exact, field_error, film, photograph, printed
+from calibration_boards import HALF, HALF_SIZE, exact, field_error, film, photograph, photographs, printed
 from conftest import run
-from test_calibration_corners import HALF, HALF_SIZE
 
 from avcli.calibration import calibrate, circles, corners, drawing, fit, gather, markers, recognise, saddles
 from avcli.calibration.recognise import Wanted
@@ -32,10 +31,7 @@ def shots(board, count=8, **known):
     """Boards as they were filmed, and their pictures; some tests look at the first of them."""
     rng = np.random.default_rng(3)
     filmed = film(count, rng, lens=HALF, size=HALF_SIZE, board=board, **known)
-    return filmed, [
-        photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=board, blur=0.6, oversample=2)
-        for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-    ]
+    return filmed, photographs(filmed, rng, board=board, blur=0.6, oversample=2)
 
 
 @pytest.mark.parametrize("name", BOARDS)

@@ -35,7 +35,7 @@ def pull(o, solution):
     rays = THESIS.unproject(GRID[field.seen_angles(THESIS, GRID) < np.nanmax(field.seen_angles(THESIS, o.pixels))])
     moved, _ = field.sensitivity(solution.lens, o.pixels, rays)
     off = moved @ (solution.parameters[: -fit.BESIDE] - THESIS.parameters)
-    return np.sum(off**2) / np.sum(field.errors(solution, o.pixels, rays)[0] ** 2)
+    return np.sum(off**2) / np.sum(field.errors_px(solution, o.pixels, rays) ** 2)
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.2, 1.0])
@@ -279,7 +279,7 @@ def far_off(o, solution):
     grid = field.grid(*WIDE_SIZE, step=60).reshape(-1, 2)
     rays = WIDE.unproject(grid[field.seen_angles(WIDE, grid) < np.nanmax(field.seen_angles(WIDE, o.pixels))])
     off = solution.lens.project(field.turned_to(WIDE, solution.lens, o.pixels, rays)) - WIDE.project(rays)
-    return np.sqrt((off**2).sum(1).mean()), np.sqrt((field.errors(solution, o.pixels, rays)[0] ** 2).mean())
+    return np.sqrt((off**2).sum(1).mean()), np.sqrt((field.errors_px(solution, o.pixels, rays) ** 2).mean())
 
 
 def test_corners_beyond_the_robust_limit_hold_the_lens_half_as_well():

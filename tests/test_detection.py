@@ -13,7 +13,7 @@ from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre, separate
 from avcli.detection.fitted import BOX
 from avcli.detection.gate import LEARNING, Gate
-from avcli.detection.monocular import locate_boxes
+from avcli.detection.monocular import Fitted
 from avcli.detection.network import Boxes
 from avcli.detection.overlay import draw
 from avcli.detection.view import View
@@ -267,7 +267,7 @@ def test_a_box_on_the_empty_room_is_nobody_where_depth_shows_it(view, detector, 
 @pytest.mark.parametrize("radius", [0.0, 0.5, 1.0, 1.5, 2.0])
 def test_a_box_alone_places_within_fifteen_centimetres(view, background, radius):
     people = np.array([placed_at(radius, seed * np.pi / (14 if radius < 1.2 else 40), seed) for seed in range(8)])
-    found = locate_boxes(np.array([box_of(cast(view, [person]), background) for person in people]), view)
+    found = Fitted(np.array([box_of(cast(view, [person]), background) for person in people]), view).places()
     away = found.positions - people[:, :2]
     errors = np.linalg.norm(away, axis=1)
     assert np.median(errors) < 0.15
@@ -279,9 +279,9 @@ def test_a_box_alone_places_within_fifteen_centimetres(view, background, radius)
 
 def test_a_batch_says_what_each_box_says_alone(view, background):
     boxes = np.array([box_of(cast(view, [placed_at(r, r, 0)]), background) for r in (0.5, 1.5)] + [[9, 9, 470, 260]])
-    many = locate_boxes(boxes, view)
+    many = Fitted(boxes, view).places()
     for index, box in enumerate(boxes):
-        alone = locate_boxes(box[None], view)
+        alone = Fitted(box[None], view).places()
         assert np.allclose(alone.positions[0], many.positions[index], atol=2e-3)
         assert alone.explained[0] == many.explained[index]
 
@@ -290,10 +290,10 @@ def test_parts_sharpen_the_place(view, background):
     person = (3.5, 2.4, 1.0, 0.3, 1.75)
     axis = np.array([[person[0], person[1], z] for z in (0.54 * 1.75, 0.93 * 1.75, 0.0)])
     box = box_of(cast(view, [person]), background)[None]
-    found = locate_boxes(box, view, view.project(axis)[None] + 0.5)
+    found = Fitted(box, view, view.project(axis)[None] + 0.5).places()
     assert np.linalg.norm(found.positions[0] - person[:2]) < 0.05
     assert found.heights[0] == pytest.approx(1.75, abs=0.06)
-    assert np.trace(found.covariances[0]) < np.trace(locate_boxes(box, view).covariances[0])
+    assert np.trace(found.covariances[0]) < np.trace(Fitted(box, view).places().covariances[0])
 
 
 def test_legs_that_a_network_overlooks_move_nobody_far(view, background):
@@ -307,7 +307,7 @@ def test_legs_that_a_network_overlooks_move_nobody_far(view, background):
     whole = replace(BOX, short=0.0, short_spread=1e-6)
     errors = []
     for law in (BOX, whole):
-        found = locate_boxes(box, view, parts, law=law, scores=np.array([0.9]))
+        found = Fitted(box, view, parts, law=law, scores=np.array([0.9])).places()
         error = found.positions[0] - person[:2]
         errors.append((np.linalg.norm(error), error @ np.linalg.solve(found.covariances[0], error)))
     assert errors[0][0] < 0.7 * errors[1][0]
@@ -317,7 +317,7 @@ def test_legs_that_a_network_overlooks_move_nobody_far(view, background):
 @pytest.mark.parametrize("height", [0.9, 1.1, 1.3])
 def test_a_child_is_placed(view, background, height):
     person = (3.5, 2.4, 1.0, 0.3, height)
-    found = locate_boxes(box_of(cast(view, [person]), background)[None], view)
+    found = Fitted(box_of(cast(view, [person]), background)[None], view).places()
     away = found.positions[0] - person[:2]
     assert found.seen[0]
     assert away @ np.linalg.solve(found.covariances[0], away) < 9.0
@@ -332,14 +332,14 @@ def test_a_turned_box_says_more_than_an_upright_one(view, background):
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     ends = np.array([(pixels @ axes.T).min(axis=0) - 0.5, (pixels @ axes.T).max(axis=0) + 0.5])
     middle, half = axes.T @ ends.mean(axis=0), (ends[1] - ends[0]) / 2
-    found = locate_boxes(np.concatenate([middle - half, middle + half])[None], view, turns=np.array([turn]))
-    upright = locate_boxes(box_of(cast(view, [person]), background)[None], view)
+    found = Fitted(np.concatenate([middle - half, middle + half])[None], view, turns=np.array([turn])).places()
+    upright = Fitted(box_of(cast(view, [person]), background)[None], view).places()
     assert np.linalg.norm(found.positions[0] - person[:2]) < 0.1
     assert np.linalg.det(found.covariances[0]) < np.linalg.det(upright.covariances[0])
 
 
 def test_a_box_that_no_body_fills_is_placed_and_marked(view):
-    found = locate_boxes(np.array([[200.0, 100.0, 215.0, 115.0], [100.0, 10.0, 370.0, 260.0]]), view)
+    found = Fitted(np.array([[200.0, 100.0, 215.0, 115.0], [100.0, 10.0, 370.0, 260.0]]), view).places()
     assert found.seen.all()
     assert not found.explained.any()
     assert np.isnan(found.heights).all()
@@ -349,24 +349,24 @@ def test_a_box_that_no_body_fills_is_placed_and_marked(view):
 def test_a_lying_person_is_placed_within_what_is_said(view, background):
     lying = np.array([[x, 3.1 + y, z] for x in np.linspace(2.6, 4.3, 9) for y in (-0.2, 0.2) for z in (0.0, 0.25)])
     pixels = view.project(lying) + 0.5
-    found = locate_boxes(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])[None], view)
+    found = Fitted(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])[None], view).places()
     away = found.positions[0] - [3.45, 3.1]
     assert away @ np.linalg.solve(found.covariances[0], away) < 6.0
 
 
 def test_no_boxes_give_no_places(view):
-    found = locate_boxes(np.zeros((0, 4)), view)
+    found = Fitted(np.zeros((0, 4)), view).places()
     assert (found.positions.shape, found.covariances.shape, found.seen.shape) == ((0, 2), (0, 2, 2), (0,))
 
 
 def test_rays_above_the_horizon_give_no_place():
     tilted = View(KannalaBrandt(300.0, 300.0, 320.0, 240.0), camera_pose([0, 0, 2.5], [0, 0, 0]), (640, 480))
-    assert not locate_boxes(np.array([[300.0, 20.0, 340.0, 60.0]]), tilted).seen[0]
+    assert not Fitted(np.array([[300.0, 20.0, 340.0, 60.0]]), tilted).places().seen[0]
 
 
 def test_a_box_outside_the_lens_gives_no_place():
     fold = View(BrownConrady(596.43, 596.43, 960, 540, -0.2), camera_pose([0, 0, 2.5], [90, 0, 0]), (1920, 1080))
-    assert not locate_boxes(np.array([[1700.0, 500.0, 1900.0, 600.0]]), fold).seen[0]
+    assert not Fitted(np.array([[1700.0, 500.0, 1900.0, 600.0]]), fold).places().seen[0]
 
 
 @settings(max_examples=60, deadline=None)
@@ -374,7 +374,7 @@ def test_a_box_outside_the_lens_gives_no_place():
 def test_any_box_gives_a_finite_place_or_none(numbers, turn):
     box = np.array([min(numbers[0], numbers[2]), min(numbers[1], numbers[3]), max(numbers[0], numbers[2]), 0.0])
     box[3] = max(numbers[1], numbers[3])
-    found = locate_boxes(box[None], ceiling_view(4), turns=None if turn > 3 else np.array([turn]))
+    found = Fitted(box[None], ceiling_view(4), turns=None if turn > 3 else np.array([turn])).places()
     if found.seen[0]:
         assert np.isfinite(found.covariances).all()
         assert np.linalg.eigvalsh(found.covariances[0])[0] > 0

@@ -12,7 +12,7 @@ from detection_people import ceiling_view
 from avcli.detection import fitted
 from avcli.detection.body import axis_covariance
 from avcli.detection.fitted import AxisLaw, ScoreLaw
-from avcli.detection.monocular import KINDS, PART_HEIGHTS, locate_boxes, stated
+from avcli.detection.monocular import KINDS, PART_HEIGHTS, Fitted, stated
 
 sys.path.insert(0, str(ROOT / "tests" / "bench"))
 import detection_samples
@@ -108,7 +108,7 @@ def test_boxes_are_judged_by_the_covariances_that_the_detector_states():
         samples.append((np.concatenate([outline.min(axis=0), outline.max(axis=0)]), parts, view, place, 0.9))
     losses = fit_detection.box_loss(law, samples)
     boxes, parts = (np.array(column) for column in list(zip(*samples, strict=True))[:2])
-    told = [locate_boxes(boxes, view, known, law=law, scores=np.full(3, 0.9)) for known in (parts, None)]
+    told = [Fitted(boxes, view, known, law=law, scores=np.full(3, 0.9)).places() for known in (parts, None)]
     places = np.array([sample[3] for sample in samples])
     assert all(one.explained.all() for one in told)
     wanted = [fit_detection.surprise(one.positions - places, one.covariances) for one in told]

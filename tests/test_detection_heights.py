@@ -1,13 +1,11 @@
 """Heights seen before tell where somebody stands whose feet are hidden, and nothing else."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from detection_people import ceiling_view
 
 from avcli.detection.heights import FORGET_S, Heights
-from avcli.detection.monocular import KINDS, locate_boxes
+from avcli.detection.monocular import KINDS, Fitted
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +27,7 @@ def walk(view, steps, heights=None):
     heights, places = heights or Heights(), []
     for *body, time in steps:
         box, parts = shown(view, *body)
-        located = partial(locate_boxes, box, view, parts, scores=np.array([0.9]))
-        places.append(heights.place(box, time, lambda known, located=located: located(known=known)))
+        places.append(heights.place(box, time, Fitted(box, view, parts, scores=np.array([0.9])).places))
     return np.array([one.positions[0, 0] for one in places]), places
 
 
@@ -70,8 +67,8 @@ def test_a_child_is_remembered_as_a_child(view):
 def test_nobody_and_boxes_without_a_place(view):
     heights = Heights()
     nobody = np.zeros((0, 4))
-    assert not len(heights.place(nobody, 0.0, lambda known: locate_boxes(nobody, view, known=known)).positions)
+    assert not len(heights.place(nobody, 0.0, Fitted(nobody, view).places).positions)
     nowhere = np.array([[-90.0, -90.0, -80.0, -80.0]])
     for time in (0.1, 0.2):
-        heights.place(nowhere, time, lambda known: locate_boxes(nowhere, view, known=known))
+        heights.place(nowhere, time, Fitted(nowhere, view).places)
     walk(view, [(1.0, 1.75, 0.0, 0.3)], heights)

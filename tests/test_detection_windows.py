@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from avcli.detection.network import Boxes
-from avcli.detection.windows import WindowedNetwork, merged, upright, windows
+from avcli.detection.network import Boxes, suppress
+from avcli.detection.windows import OVERLAP, WITHIN, WindowedNetwork, upright, windows
 
 
 class Bright:
@@ -87,5 +87,5 @@ def test_upright_boxes_of_turned_ones():
 
 def test_a_part_of_somebody_is_the_same_person():
     boxes = np.array([[0.0, 0, 10, 30], [0, 0, 10, 12], [30, 0, 40, 30]])
-    assert merged(boxes, np.array([0.6, 0.9, 0.5])).tolist() == [1, 2]
-    assert merged(np.zeros((0, 4)), np.zeros(0)).tolist() == []
+    assert suppress(boxes, np.array([0.6, 0.9, 0.5]), OVERLAP, WITHIN).tolist() == [1, 2]
+    assert suppress(np.zeros((0, 4)), np.zeros(0), OVERLAP, WITHIN).tolist() == []

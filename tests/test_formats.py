@@ -10,7 +10,7 @@ import jsonschema
 import numpy as np
 import orjson
 import pytest
-from conftest import ROOT
+from conftest import ROOT, schema
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,10 +54,6 @@ LISTING_1 = """
     }
 }
 """
-
-
-def schema(name):
-    return orjson.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
 
 
 def config(**changes):

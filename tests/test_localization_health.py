@@ -314,15 +314,9 @@ def test_a_ring_that_looks_like_itself_when_turned_is_not_called_moved_on():
     assert not any((one.order == np.roll(np.arange(8), k)).all() for one in rewiring.changes for k in range(1, 8))
 
 
-@pytest.mark.parametrize("rate", [20, 50])
-def test_more_decisions_a_second_make_no_more_evidence_about_the_channels(talk, rate):
-    moved = MICROPHONES + 0.03 * np.random.default_rng(2).standard_normal(MICROPHONES.shape)
-    said = [
-        [
-            (decision.time, notice)
-            for decision in localize(talk, np.clip(moved, 0.05, ROOM - 0.05), SteeredSettings(rate=each, lookahead=0.0))
-            for notice in decision.notices
-        ]
-        for each in (10, rate)
-    ]
-    assert said[0] == said[1] == [(pytest.approx(2.0), UNSETTLED.format(1))]
+def test_more_decisions_a_second_make_no_more_evidence_about_the_channels(talk):
+    moved = np.clip(MICROPHONES + 0.03 * np.random.default_rng(2).standard_normal((8, 3)), 0.05, ROOM - 0.05)
+    for rate in (10, 50):
+        decisions = localize(talk[: round(2.3 * FS)], moved, SteeredSettings(rate=rate, lookahead=0.0))
+        said = [(decision.time, notice) for decision in decisions for notice in decision.notices]
+        assert said == [(pytest.approx(2.0), UNSETTLED.format(1))]

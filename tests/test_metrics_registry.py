@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import ROOT, run
+from conftest import ROOT, run, schema
 from hypothesis import given
 from hypothesis import strategies as st
 from test_metrics import sequences
@@ -80,13 +80,13 @@ def test_names_and_columns_are_unique_and_short():
 
 def test_the_schema_and_the_manuals_know_every_metric():
     """They are written by `python -m avcli.formats`."""
-    schema = json.loads((ROOT / "avcli/formats/schemas/metrics.schema.json").read_text())
+    described = schema("metrics")
     manual, keys = ((ROOT / "man" / name).read_text() for name in ("aveval.1", "avcli-formats.5"))
     assert description.with_score_list(manual) == manual
     for metric in registry.every_metric():
-        assert set(schema["properties"][metric.name]["properties"]) == {field.name for field in metric.fields}
+        assert set(described["properties"][metric.name]["properties"]) == {field.name for field in metric.fields}
         assert all(f".It Va {field.name}\n" in keys for field in metric.fields)
-    assert set(schema["properties"]["summary"]["properties"]) == {field.name for field in registry.summary_fields()}
+    assert set(described["properties"]["summary"]["properties"]) == {field.name for field in registry.summary_fields()}
 
 
 # --- a new metric -----------------------------------------------------------------------------------------------------

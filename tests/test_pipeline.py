@@ -12,7 +12,7 @@ import jsonschema
 import numpy as np
 import orjson
 import pytest
-from conftest import BIN, COMMANDS, HANG_S, ROOT, run
+from conftest import BIN, COMMANDS, HANG_S, run, schema
 from forked import write_shims
 
 THESIS_HOTA = {"audio": 0.477, "video": 0.800, "audio_video": 0.803}
@@ -21,10 +21,6 @@ THESIS_HOTA = {"audio": 0.477, "video": 0.800, "audio_video": 0.803}
 
 def lines(path):
     return [orjson.loads(line) for line in path.read_bytes().splitlines()]
-
-
-def schema(name):
-    return orjson.loads((ROOT / "avcli" / "formats" / "schemas" / f"{name}.schema.json").read_bytes())
 
 
 def camera_of(directory):

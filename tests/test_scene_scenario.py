@@ -5,14 +5,14 @@ import json
 import jsonschema
 import numpy as np
 import pytest
-from conftest import ROOT, run
+from conftest import ROOT, run, schema
 
 from avcli.scene import film, furniture, mesh, scenario, sensor, worlds
 from avcli.scene.doorways import is_inside
 from avcli.scene.people import LOOKS
 from avcli.scene.settings import LENSES, ROOM_KINDS, Effects
 
-SCHEMA = json.loads((ROOT / "avcli" / "formats" / "schemas" / "scenario.schema.json").read_bytes())
+SCHEMA = schema("scenario")
 GOOD = {"people": [{"waypoints": [{"position_m": [1.0, 1.0]}, {"position_m": [2.0, 1.0]}]}]}
 
 

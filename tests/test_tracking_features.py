@@ -7,7 +7,7 @@ from dataclasses import replace
 import jsonschema
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import schema
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_tracking_hypotheses import cluster
@@ -21,7 +21,6 @@ from avcli.tracking.hypotheses import BESIDE, EXCHANGE, TELL
 from avcli.tracking.recognition import Gallery, Left, returned
 from avcli.tracking.smoothing import Node
 
-SCHEMA = ROOT / "avcli" / "formats" / "schemas" / "explain.schema.json"
 PLAIN = Population(np.zeros(2), np.ones(2), np.full(2, 0.25), correlation_s=1.0, correlated=0.0)
 LASTING = PLAIN._replace(correlated=1.0)
 
@@ -329,7 +328,7 @@ def test_an_account_says_what_the_features_mean():
     for one in pair(1):
         fusion.step(one.timestamp, [(one.timestamp, "ceiling", one)])
     accounts = fusion.accounts()
-    validate = jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text())).validate
+    validate = jsonschema.Draft202012Validator(schema("explain")).validate
     validate(json.loads(encode(accounts[-1])))
     touching = [one for one in accounts if all(len(each.get("features", {})) == 2 for each in one["detections"])]
     assert len(touching) > 5

@@ -3,11 +3,10 @@
 The order of the walls is x0, x1, y0, y1, z0, z1: x = 0, x = length, and so on; z0 is the floor.
 """
 
-import functools
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from avcli.materials.decay import octant
 from avcli.numeric import SPEED_OF_SOUND_M_S
 
 SABINE = 0.161
@@ -109,20 +108,10 @@ def decay_rates(
         rates, (n,) 1/s, of n directions, and shares, (n,), without unit.
     """
     lost = -2 * np.log(np.abs(reflection)).reshape(3, 2).mean(axis=1)
-    weights, directions = _octant()
-    met = (lost / np.asarray(room_dimensions_m, dtype=float))[:, None, None] * directions
-    rates = speed_of_sound_m_s * met.sum(axis=0).ravel()
+    weights, directions = octant(16)
+    met = (lost / np.asarray(room_dimensions_m, dtype=float))[:, None] * directions
+    rates = speed_of_sound_m_s * met.sum(axis=0)
     return rates, weights / rates
-
-
-@functools.cache
-def _octant() -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights, (n,), and directions, (3, 16, 16), of a mean over an octant of the sphere."""
-    nodes, weights = np.polynomial.legendre.leggauss(16)
-    nodes, weights = (nodes + 1) / 2, weights / 2  # cos θ, and φ from 0 to π / 2
-    z, phi = np.meshgrid(nodes, nodes * np.pi / 2, indexing="ij")
-    level = np.sqrt(1 - z**2)
-    return np.outer(weights, weights).ravel(), np.stack([level * np.cos(phi), level * np.sin(phi), z])
 
 
 def audible_time(

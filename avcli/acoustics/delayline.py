@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from avcli.acoustics.images import NEAREST_M
-from avcli.acoustics.moving import Cubic, Heard, Part, Way, first_sample, headings
+from avcli.acoustics.moving import AHEAD, Cubic, Heard, Part, Way, first_sample, headings
 from avcli.acoustics.surroundings import Surroundings
 from avcli.numeric import fft_length
 
@@ -31,16 +31,15 @@ class DirectSource:
 
     Args:
         surroundings: the microphones.
-        heading: (3,) where the source looks until it moves.
 
     Attributes:
         bounded: whether it has been nearer than NEAREST_M to a microphone, which hears it as at that distance.
         computed, passed: 0: it needs no responses.
     """
 
-    def __init__(self, surroundings: Surroundings, heading: ArrayLike = (1.0, 0.0, 0.0)):
+    def __init__(self, surroundings: Surroundings):
         self._surroundings, self._way = surroundings, Way(surroundings.sample_rate_hz)
-        self._heading = np.asarray(heading, dtype=float)
+        self._heading = AHEAD
         self._stretches: list[_Stretch] = []  # of the path, to be heard when enough of the signal is there
         self._dry, self._begin = np.zeros(0), 0  # signal from a sample on
         self._heard = Heard(len(surroundings.microphones_m), 0)

@@ -24,6 +24,8 @@ from avcli.numeric import fft_length
 
 MOMENT_S = 0.0005
 """s between the moments at which the pace of a source is reckoned; in between it changes evenly."""
+AHEAD = np.array([1.0, 0.0, 0.0])
+"""Where a source looks until it moves."""
 
 
 class MovingSource:
@@ -37,7 +39,6 @@ class MovingSource:
         nodes: how the path is sampled.
         band: highest frequency that the signal holds, cycles a sample.
         error_db: numerical error of a response, dB.
-        heading: (3,) where the source looks until it moves.
         rng: draws the noise that continues the images, where the surroundings have it.
 
     Attributes:
@@ -51,7 +52,6 @@ class MovingSource:
         nodes: Interpolation | Switching,
         band: float = 0.5,
         error_db: float = -60.0,
-        heading: ArrayLike = (1.0, 0.0, 0.0),
         rng: np.random.Generator | None = None,
     ):
         self._surroundings, self._nodes = surroundings, nodes
@@ -74,7 +74,7 @@ class MovingSource:
         self._places: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}  # node -> position, heading, time
         self._node = 1 - nodes.half_width  # the next that is to be rendered
         self._last: float = np.inf  # the last node
-        self._heading = np.asarray(heading, dtype=float)
+        self._heading = AHEAD
 
         self._spectra: dict[int, np.ndarray] = {}  # number of a block of the signal -> what is heard of it so far
         self._pending_begin, self._pending = 0, np.zeros(0)
@@ -450,6 +450,7 @@ class Cubic:
     v1: np.ndarray
 
     def position(self, times: np.ndarray) -> np.ndarray:
+        """Where it is at times (n,) s: (n, 3) m; before and after the piece it goes straight on."""
         step = self.t1 - self.t0
         u = ((np.asarray(times) - self.t0) / step)[:, None]
         inside = np.minimum(np.maximum(u, 0.0), 1.0)
@@ -457,6 +458,7 @@ class Cubic:
         return points + np.minimum(u, 0.0) * step * self.v0 + np.maximum(u - 1.0, 0.0) * step * self.v1
 
     def velocity(self, times: np.ndarray) -> np.ndarray:
+        """Its velocity at times (n,) s: (n, 3) m/s."""
         u = np.clip((np.asarray(times) - self.t0) / (self.t1 - self.t0), 0.0, 1.0)[:, None]
         once, twice = self._bends()
         return self.v0 + u * (once + u * twice)
@@ -469,6 +471,7 @@ class Cubic:
         return float(np.linalg.norm(np.diff(controls, axis=0), axis=1).sum())
 
     def speed(self, times: np.ndarray) -> np.ndarray:
+        """Its speed at times (n,) s: (n,) m/s."""
         u = np.clip((np.asarray(times) - self.t0) / (self.t1 - self.t0), 0.0, 1.0)
         once, twice = self._bends()
         v0 = self.v0

@@ -63,7 +63,7 @@ def frame_levels(signal: np.ndarray, sample_rate_hz: float) -> np.ndarray:
 
 
 def active_level(signal: np.ndarray, sample_rate_hz: float) -> float:
-    """Return the root mean square of a signal over the frames in which it sounds; 0 for silence.
+    """Return the root mean square of a signal (n,) over the frames in which it sounds; 0 for silence.
 
     A frame sounds if it is at most 30 dB below the loudest.
     """

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.calibration.echoes import LASTING_S, LOOKS, STANDS_OUT, Echoes, Field, Surfaces
+from avcli.calibration.echoes import LASTING_S, LOOKS, STANDS_OUT, Echoes, Smoothed, Surfaces
 from avcli.numeric import TooLittle
 
 MOUTH_M, MOUTH_SD_M = 1.5, 0.2
@@ -268,7 +268,7 @@ class _Problem:
         count = len(microphones)
         self.count = count
         self.surfaces = surfaces or Surfaces(np.zeros(0, int), np.zeros(0))
-        self.field: Field | None = None
+        self.smoothed: Smoothed | None = None
         self.clear = np.zeros((count, len(self.surfaces.axis)))
         known = np.array([speed, clock, 0.0, 0.0, 0.0])
         self.mean = np.concatenate([microphones.ravel(), np.zeros(2 * count), known, self.surfaces.position])
@@ -386,8 +386,8 @@ class _Problem:
         ll = np.matmul(light.transpose(0, 2, 1), local)
         lg = np.matmul(light.transpose(0, 2, 1), whole)
         lr = np.einsum("npl,np->nl", light, rest)
-        if self.field is not None:
-            self._add_echoes(self.field, information, gradient, ll, lr, lg)
+        if self.smoothed is not None:
+            self._add_echoes(self.smoothed, information, gradient, ll, lr, lg)
         return information, gradient, ll, lr, lg, np.where(ratio < 1e6, ratio * scale, np.inf)
 
     def _echo_model(self) -> tuple[np.ndarray, ...]:
@@ -420,22 +420,22 @@ class _Problem:
     def follow(self, echoes: Echoes, scale: float) -> None:
         """Take in echoes, from smoothed correlations to sharp ones."""
         for smoothing, least in LOOKS:
-            self._look(Field(echoes, smoothing, least), scale)
-        self._look(Field(echoes, 0.0, STANDS_OUT, LASTING_S, self.echoes_scatter()), scale)
+            self._look(Smoothed(echoes, smoothing, least), scale)
+        self._look(Smoothed(echoes, 0.0, STANDS_OUT, LASTING_S, self.echoes_scatter()), scale)
 
-    def _look(self, field: Field, scale: float) -> None:
+    def _look(self, smoothed: Smoothed, scale: float) -> None:
         """Follow the surfaces that are heard where they are expected."""
-        field.trust(*self._echo_model()[:2])
-        self.field = field
+        smoothed.trust(*self._echo_model()[:2])
+        self.smoothed = smoothed
         for _ in range(5):
             self.step(scale)
 
     def echoes_scatter(self) -> float:
         """Return by how much the slopes at echoes vary more from time to time than noise does, at least 1."""
-        if self.field is None:
+        if self.smoothed is None:
             return 1.0
         delays, direct, *_ = self._echo_model()
-        rest, weight, _ = self.field.told(delays, direct)
+        rest, weight, _ = self.smoothed.told(delays, direct)
         _, inverse = np.unique(np.floor(self.times / BLOCK_S), return_inverse=True)
         pull, told = np.zeros((2, inverse.max() + 1, *rest.shape[1:]))
         np.add.at(pull, inverse, weight * rest)
@@ -445,7 +445,7 @@ class _Problem:
 
     def _add_echoes(
         self,
-        field: Field,
+        smoothed: Smoothed,
         information: np.ndarray,
         gradient: np.ndarray,
         ll: np.ndarray,
@@ -455,7 +455,7 @@ class _Problem:
         """Add what the echoes tell to the normal equations."""
         count, speed, g = self.count, self.unknown[5 * self.count], len(self.unknown)
         delays, direct, away, mean, straight, shift = self._echo_model()
-        rest, weight, self.clear = field.told(delays, direct)
+        rest, weight, self.clear = smoothed.told(delays, direct)
         n, m, s = delays.shape
         used, one, row = self.hears / max(self.hears.sum(), 1), np.arange(m), np.arange(s)
         whole = np.zeros((n, m, s, g))
@@ -541,7 +541,7 @@ class _Problem:
         size.
         """
         axis, sd = self.surfaces.axis, self.sd[self.planes].copy()
-        if self.field is not None and self.field.lasting:
+        if self.smoothed is not None and self.smoothed.lasting:
             heard = (self.clear > 0.0).any(axis=0)
             alone = np.bincount(axis[heard], minlength=3)[axis] < 2
             sd[alone] *= LOOSE

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from avcli.calibration import fit, robust
+from avcli.calibration.field import seen_angles
 from avcli.lens import Lens, Perspective, variants
 
 AUTO = "auto"
@@ -121,13 +122,11 @@ def simplest(tried: tuple[Tried, ...]) -> str:
 
 def keeps_axis(lens: Lens, other: Lens) -> bool:
     """Whether the axis of another lens that was fitted to the same pictures is nearly that of the first."""
-    x, y, z = lens.unproject(np.array([other.parameters[2:4]]))[0]
-    return bool(np.arctan2(np.hypot(x, y), z) < _TURNED)
+    return bool(seen_angles(lens, np.array([other.parameters[2:4]]))[0] < _TURNED)
 
 
 def _candidates(lens: Lens, observations: fit.Observations) -> Iterator[str]:
-    rays = lens.unproject(observations.pixels)
-    seen = float(np.nanmax(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])))
+    seen = float(np.nanmax(seen_angles(lens, observations.pixels)))
     for name in variants():
         if name != START and name not in _NO_CANDIDATES and can_be(name, seen):
             yield name

@@ -51,7 +51,10 @@ def find(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None
 
 
 def recognise(grey: np.ndarray) -> Board | None:
-    """Tell which grid of circles a picture shows; None where there is none. A symmetric one has more rows."""
+    """Tell which grid of circles a picture (height, width) uint8 shows; None where there is none.
+
+    A symmetric one has more rows.
+    """
     kinds: tuple[Kind, ...] = ("circles", "asymmetric")
     for found in _lattices(grey):
         for kind in kinds:

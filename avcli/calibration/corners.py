@@ -24,6 +24,8 @@ _PLANES = 19
 """Numbers a pixel while corners are polished. Their memory is used again: new memory would cost half the time."""
 PATCH = 12
 """px; half the side of the square around each corner that is kept for `polish`."""
+_REACH = 0.75
+"""Squares from the corner that are used, less than 1."""
 _STEEP = 1.2
 """An edge that is blurred by a Gaussian of sd 1 rises about as tanh(1.2 t)."""
 
@@ -225,10 +227,7 @@ def polish(
     pixels: np.ndarray,
     origins: np.ndarray,
     to_board: np.ndarray,
-    *,
-    reach: float = 0.75,
-    clear: float = 1.0,
-    rounds: tuple[int, ...] = (PATCH, PATCH),
+    clear: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 
@@ -242,9 +241,7 @@ def polish(
         pixels: (n, 2) px, the corners now.
         origins: (n, 2) px, the patches' middles.
         to_board: (n, 2, 5) board offset in squares as a polynomial in the pixel offset (a, b): a, b, a², ab, b².
-        reach: squares from the corner that are used, less than 1.
         clear: squares from the nearer edge that are used; less than 1 leaves out what is printed in the squares.
-        rounds: px from the corner that each Gauss-Newton step uses. Corners that have not settled take four more.
 
     Returns:
         pixels (n, 2), and the standard deviation of each corner's error along one axis, (n,) px; the corner as it was
@@ -252,18 +249,14 @@ def polish(
     """
     n = len(pixels)
     out, sd = pixels.copy(), np.full(n, np.inf)
-    room = np.empty(_PLANES * min(n, _AT_ONCE) * _powers(PATCH).shape[1], np.float32)
-    for begin in range(0, n, _AT_ONCE):
-        part: slice | np.ndarray = slice(begin, begin + _AT_ONCE)
-        out[part], sd[part] = _polish_some(
-            room, patches[part], pixels[part], origins[part], to_board[part], reach, clear, rounds, 0.01
-        )
-    slow = np.flatnonzero(~np.isfinite(sd))
-    for begin in range(0, len(slow), _AT_ONCE):
-        part = slow[begin : begin + _AT_ONCE]
-        out[part], sd[part] = _polish_some(
-            room, patches[part], pixels[part], origins[part], to_board[part], reach, clear, (PATCH,) * 5, 0.05
-        )
+    room = np.empty(_PLANES * min(n, _AT_ONCE) * _powers().shape[1], np.float32)
+    for rounds, still in ((2, 0.01), (5, 0.05)):  # corners that have not settled take more
+        left = np.flatnonzero(~np.isfinite(sd))
+        for begin in range(0, len(left), _AT_ONCE):
+            part = left[begin : begin + _AT_ONCE]
+            out[part], sd[part] = _polish_some(
+                room, patches[part], pixels[part], origins[part], to_board[part], clear, rounds, still
+            )
     return out, sd
 
 
@@ -273,9 +266,8 @@ def _polish_some(
     pixels: np.ndarray,
     origins: np.ndarray,
     to_board: np.ndarray,
-    reach: float,
     clear: float,
-    rounds: tuple[int, ...],
+    rounds: int,
     still: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     n = len(pixels)
@@ -283,29 +275,27 @@ def _polish_some(
     base, coefficients = origins - pixels, np.moveaxis(to_board, 0, 1)
     shift, blur = np.zeros((n, 2)), np.full(n, 0.8)
     slope = np.hypot(to_board[:, :, 0], to_board[:, :, 1]).T  # (2, n)
-    half = 0
-    for size in rounds:
+    powers = _powers()
+    count = powers.shape[1]
+    planes = room[: _PLANES * n * count].reshape(_PLANES, n, count)
+    at, by_a, by_b, edge, rise = planes[:10].reshape(5, 2, n, count)
+    mask, columns = planes[10], planes[11:].reshape(n, 8, count)
+    for number in range(rounds):
         # How far a pixel is from the edges, in widths of their slope, and how that follows its place: (2, n, pixels).
         width = np.maximum(blur * slope / _STEEP, 1e-12)  # 0 where the lens says nothing
         polynomials = _polynomials(coefficients, base - shift) / width[..., None]
-        powers = _powers(size)
-        count = powers.shape[1]
-        planes = room[: _PLANES * n * count].reshape(_PLANES, n, count)
-        at, by_a, by_b, edge, rise = planes[:10].reshape(5, 2, n, count)
-        mask, columns = planes[10], planes[11:].reshape(n, 8, count)
         np.matmul(polynomials.astype(np.float32).reshape(-1, 6), powers, out=planes[:6].reshape(-1, count))
-        if size != half:
-            half, middle = size, slice(PATCH - size, PATCH + size + 1)
-            (x, y), limit = np.abs(at, out=rise), reach / width[..., None].astype(np.float32)
+        if number == 0:
+            (x, y), limit = np.abs(at, out=rise), _REACH / width[..., None].astype(np.float32)
             inside = (x < limit[0]) & (y < limit[1])
-            if clear < reach:
-                limit *= clear / reach
+            if clear < _REACH:
+                limit *= clear / _REACH
                 inside &= (x < limit[0]) | (y < limit[1])
             mask[:] = inside
             used = mask.sum(1)
             # Columns: 1, a, b, saddle, its derivatives to the shift and to the blur, grey; all 0 where masked.
             np.multiply(powers[:3], mask[:, None], out=columns[:, :3])
-            grey = patches[:, middle, middle].reshape(n, -1)
+            grey = patches.reshape(n, -1)
             np.subtract(grey, grey.mean(1, dtype=np.float32, keepdims=True), out=columns[:, 7])
             columns[:, 7] *= mask
         np.tanh(at, out=edge)
@@ -365,8 +355,8 @@ def _polynomials(to_board: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _powers(half: int) -> np.ndarray:
+def _powers() -> np.ndarray:
     """The powers 1, a, b, a², ab, b² of the offsets of a patch's pixels along u and v, (6, pixels)."""
-    span = np.arange(-half, half + 1)
+    span = np.arange(-PATCH, PATCH + 1)
     b, a = (grid.ravel().astype(np.float32) for grid in np.meshgrid(span, span, indexing="ij"))
     return np.stack([np.ones_like(a), a, b, a * a, a * b, b * b])

@@ -71,7 +71,7 @@ class Echoes(Protocol):
     def part(self, rows: np.ndarray | slice) -> "Echoes": ...
 
 
-class Field:
+class Smoothed:
     """The correlations of a recording's echoes, smoothed.
 
     Args:

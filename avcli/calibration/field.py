@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import fit, uncertainty
 from avcli.calibration.blocks import Blocks
 from avcli.calibration.circle import Circle
@@ -16,6 +17,8 @@ _EDGE = 0.995
 """Part of the lens's field in which its inverse is smooth."""
 _SINGULAR = 1e-9
 """Ratio of a matrix's lengths below which it has no inverse."""
+_RINGS = 90
+"""Angles from the axis at which a lens is tried for trust."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +30,12 @@ class Field:
         lit: (rows, columns) bool, whether light reaches the pixel.
         angle: (rows, columns) rad from the axis; NaN where the lens images nothing.
         sd_px: (rows, columns), the root of the summed variances of u and v; NaN where no light or no ray is.
-        sd_rad: (rows, columns), the same of the pixel's ray.
     """
 
     pixels: np.ndarray
     lit: np.ndarray
     angle: np.ndarray
     sd_px: np.ndarray
-    sd_rad: np.ndarray
 
     @property
     def mean_px(self) -> float:
@@ -46,8 +47,7 @@ class Field:
 
 def seen_angles(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Angle from the optical axis of each pixel (n, 2), (n,) rad; NaN where the lens images nothing."""
-    rays = lens.unproject(pixels)
-    return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    return pose.angle_from_axis(lens.unproject(pixels))
 
 
 def grid(width: int, height: int, step: float = 40) -> np.ndarray:
@@ -83,32 +83,41 @@ def measured(
     pixels = grid(width, height, step or max(width / 48, 1.0))
     flat, shape = pixels.reshape(-1, 2), pixels.shape[:2]
     light, theta = lit(flat, circle), seen_angles(solution.lens, flat)
-    sd_px, sd_rad = (np.full(len(flat), np.nan) for _ in range(2))
+    sd_px = np.full(len(flat), np.nan)
     with np.errstate(invalid="ignore"):
         some = light & (theta < _EDGE * solution.lens.theta_max)
-    sd_px[some], sd_rad[some] = errors(solution, observations.pixels, solution.lens.unproject(flat[some]))
-    return Field(pixels, *(part.reshape(shape) for part in (light, theta, sd_px, sd_rad)))
+    sd_px[some] = errors_px(solution, observations.pixels, solution.lens.unproject(flat[some]))
+    return Field(pixels, *(part.reshape(shape) for part in (light, theta, sd_px)))
 
 
-def errors(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Expected error where rays (n, 3) are projected, px (n,) and rad (n,): roots of summed variances.
+def errors_px(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Expected error where rays (n, 3) are projected, px (n,): the root of the summed variances of u and v.
 
     Args:
         solution: with its covariance; where that is not finite, neither are the errors.
         corners: (m, 2) px, where corners were seen.
         rays: that the lens images.
     """
-    lens = solution.lens
-    moved, by_ray = sensitivity(lens, corners, rays)
-    count = moved.shape[-1]
-    covariance = solution.covariance[:count, :count]
-    if not len(rays) or not np.isfinite(covariance).all():
-        return np.full(len(rays), np.inf), np.full(len(rays), np.inf)
+    return _errors(solution, sensitivity(solution.lens, corners, rays)[0])
+
+
+def errors_rad(solution: fit.Solution, corners: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """The same of the rays themselves, rad (n,)."""
+    moved, by_ray = sensitivity(solution.lens, corners, rays)
     across = np.cross(rays, np.eye(3)[np.abs(rays).argmin(1)])
     across /= np.linalg.norm(across, axis=1)[:, None]
     plane = by_ray @ np.stack([across, np.cross(rays, across)], -1)
-    turned = _inverses(plane) @ moved
-    return _root_trace(moved, covariance), _root_trace(turned, covariance)
+    return _errors(solution, _inverses(plane) @ moved)
+
+
+def _errors(solution: fit.Solution, moved: np.ndarray) -> np.ndarray:
+    """Roots (n,) of the summed variances of what the lens's parameters move, (n, 2, parameters)."""
+    count = moved.shape[-1]
+    covariance = solution.covariance[:count, :count]
+    if not np.isfinite(covariance).all():
+        return np.full(len(moved), np.inf)
+    flat = moved.reshape(len(moved), -1)
+    return np.sqrt(np.maximum(np.einsum("na,na->n", flat, (moved @ covariance).reshape(flat.shape)), 0))
 
 
 def _inverses(matrices: np.ndarray) -> np.ndarray:
@@ -120,11 +129,6 @@ def _inverses(matrices: np.ndarray) -> np.ndarray:
     out = out.reshape(-1, 2, 2)
     out[singular] = np.linalg.pinv(matrices[singular], rcond=_SINGULAR)
     return out
-
-
-def _root_trace(by_parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    flat = by_parameters.reshape(len(by_parameters), -1)
-    return np.sqrt(np.maximum(np.einsum("na,na->n", flat, (by_parameters @ covariance).reshape(flat.shape)), 0))
 
 
 def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,21 +147,20 @@ def sensitivity(lens: Lens, corners: np.ndarray, rays: np.ndarray) -> tuple[np.n
     anchors = anchors[np.isfinite(anchors).all(1)]
     _, by_anchor, at_anchor = lens.project_jacobian(anchors)
     good = np.isfinite(by_anchor).all((1, 2)) & np.isfinite(at_anchor).all((1, 2))
-    turn = -by_anchor[good] @ fit.cross_matrix(anchors[good])
+    turn = -by_anchor[good] @ pose.cross_matrix(anchors[good])
     count = at_anchor.shape[-1]
     best = np.linalg.lstsq(turn.reshape(-1, 3), at_anchor[good].reshape(-1, count), rcond=None)[0]
     _, by_ray, at_ray = lens.project_jacobian(rays)
-    return at_ray + by_ray @ fit.cross_matrix(rays) @ best, by_ray
+    return at_ray + by_ray @ pose.cross_matrix(rays) @ best, by_ray
 
 
-def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float, rings: int = 90) -> float:
+def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float) -> float:
     """The largest angle from the axis up to which every ring's expected error stays below a limit.
 
     Args:
         solution: with its covariance.
         corners: (m, 2) px, where corners were seen; no ring beyond the farthest is trusted.
         limit: rad.
-        rings: how many.
 
     Returns:
         rad; 0 where nothing is known.
@@ -167,11 +170,11 @@ def trusted_angle(solution: fit.Solution, corners: np.ndarray, limit: float, rin
     if not np.isfinite(seen).any():
         return 0.0
     farthest = float(np.nanmax(seen))
-    theta = np.linspace(0, 1, rings + 1)[1:] * min(farthest, _EDGE * lens.theta_max)
+    theta = np.linspace(0, 1, _RINGS + 1)[1:] * min(farthest, _EDGE * lens.theta_max)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     s, c = np.sin(theta)[:, None], np.cos(theta)[:, None]
     rays = np.stack([s * np.cos(turn), s * np.sin(turn), c + 0 * turn], -1)
-    sd = errors(solution, corners, rays.reshape(-1, 3))[1].reshape(rays.shape[:2])
+    sd = errors_rad(solution, corners, rays.reshape(-1, 3)).reshape(rays.shape[:2])
     ring = np.sqrt(np.mean(sd**2, axis=1))
     bad = ~(ring <= limit)
     if not bad.any():
@@ -303,7 +306,7 @@ def turned_to(one: Lens, other: Lens, corners: np.ndarray, rays: np.ndarray) -> 
     for _ in range(4):
         projected, by_point, _ = other.project_jacobian(at @ total.T)
         good = np.isfinite(projected).all(1) & np.isfinite(by_point).all((1, 2))
-        by_turn = -by_point[good] @ fit.cross_matrix((at @ total.T)[good])
+        by_turn = -by_point[good] @ pose.cross_matrix((at @ total.T)[good])
         turn = np.linalg.lstsq(by_turn.reshape(-1, 3), (corners - projected)[good].ravel(), rcond=None)[0]
-        total = fit.rotation_from_vector(turn[None])[0] @ total
+        total = pose.rotation_from_vector(turn[None])[0] @ total
     return rays @ total.T

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import uncertainty
 from avcli.calibration.blocks import Blocks, damped
 from avcli.calibration.pupil import PUPIL, from_pupil, project_jacobian
@@ -248,25 +249,6 @@ def poses_from_rays(lens: Lens, observations: Observations) -> tuple[np.ndarray,
     return U @ Vt, H[:, :, 2]
 
 
-def rotation_from_vector(omega: np.ndarray) -> np.ndarray:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) rad (Rodrigues)."""
-    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
-    K = cross_matrix(omega)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        a = np.where(angle > 1e-8, np.sin(angle) / angle, 1.0)
-        b = np.where(angle > 1e-8, (1 - np.cos(angle)) / angle**2, 0.5)
-    return np.eye(3) + a * K + b * K @ K
-
-
-def cross_matrix(v: np.ndarray) -> np.ndarray:
-    """Matrices (n, 3, 3) that take a vector w to v × w, of vectors v (n, 3)."""
-    out = np.zeros((*v.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[..., k, j] = v[..., i]
-        out[..., j, k] = -v[..., i]
-    return out
-
-
 # --- one step ---------------------------------------------------------------------------------------------------------
 
 
@@ -387,7 +369,7 @@ def stepped(solution: Solution, common: np.ndarray, own: np.ndarray | None = Non
     return replace(
         solution,
         parameters=parameters,
-        rotations=rotation_from_vector(own[:, :3]) @ solution.rotations,
+        rotations=pose.rotation_from_vector(own[:, :3]) @ solution.rotations,
         translations=solution.translations + own[:, 3:],
     )
 
@@ -537,7 +519,7 @@ def free_parameters(lens: Lens, board_shape: bool = False, pupil: bool = False, 
 
 
 def start_from_rays(observations: Observations, lens: Lens, beside: np.ndarray | None = None) -> Solution:
-    """Poses from rays under a lens that is known or guessed, and what is known beside it (Solution.beside)."""
+    """Poses from rays under a lens that is known or guessed, and what is known beside it, (BESIDE,) of Solution."""
     parameters = np.append(lens.parameters, np.zeros(BESIDE) if beside is None else beside)
     return Solution(parameters, *poses_from_rays(lens, observations), free=np.zeros(len(parameters), bool), like=lens)
 

@@ -196,8 +196,7 @@ class Seen:
             dropped: (views,) how many of its corners the fit did not use.
         """
         for number, picture in enumerate(self._pictures):
-            name = picture["picture"].encode("utf-8", "replace").decode()  # a file's name may be no UTF-8
-            row = {"timestamp": picture["timestamp"], "frame_number": number, "picture": name}
+            row = {"timestamp": picture["timestamp"], "frame_number": number, "picture": picture["picture"]}
             index, why, used = picture["view"], picture["why"], False
             if index is not None:
                 view, why = self.views[index], "no fit"

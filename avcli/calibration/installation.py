@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from avcli import pose
 from avcli.formats import media
 from avcli.formats.experiment import Config, ConfigError
 from avcli.formats.footage import PICTURES
@@ -125,7 +126,7 @@ def _limits(config: Config, _folder: Path) -> tuple[str, str]:
     lens, (width, height) = _lens_of(config), _size(config)
     x, y = np.array([0.0, width - 1.0]), np.array([0.0, height - 1.0])
     rays = lens.unproject(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
-    angles = np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    angles = np.degrees(pose.angle_from_axis(rays))
     reach = float(angles.max()) if np.isfinite(angles).all() else math.degrees(lens.theta_max)
     stated = [key for key in ("theta_max_trusted_deg", "theta_max_observed_deg") if values.get(key) is not None]
     if not stated:
@@ -198,7 +199,7 @@ def _floor_seen(config: Config, size: np.ndarray) -> float:
     T = camera.T_room_camera
     inside = (floor - T[:3, 3]) @ T[:3, :3]
     pixels = camera.lens.project(inside)
-    angle = np.arctan2(np.hypot(inside[:, 0], inside[:, 1]), inside[:, 2])
+    angle = pose.angle_from_axis(inside)
     with np.errstate(invalid="ignore"):
         seen = ((pixels >= -0.5) & (pixels <= np.array([camera.width_px, camera.height_px]) - 0.5)).all(1)
     return float((seen & (angle <= camera.theta_max)).mean())

@@ -315,9 +315,7 @@ class Guide:
         covered, trusted = self._covered, self.quality.trusted_part if self.quality else 0.0
         tilt = near = 0.0
         if self.solution is not None and len(self.solution.rotations) > 1:
-            normals = self.solution.rotations[:, :, 2]
-            centre = normals.sum(0) / max(float(np.linalg.norm(normals.sum(0))), 1e-12)
-            tilt = float(np.rad2deg(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2))))
+            tilt = float(np.rad2deg(quality.tilt(self.solution.rotations)))
             away = np.linalg.norm(self.solution.translations, axis=1)
             near = float(away.max() / max(float(away.min()), 1e-12))
         limit, mean = self._limit_px(width), self.mean_px
@@ -402,25 +400,26 @@ def edge_width(view: View) -> float:
 # --- on the picture ---------------------------------------------------------------------------------------------------
 
 _ASKED, _ARRIVED, _CORNER = (255, 150, 0), (60, 230, 90), (255, 220, 0)
+_WIDTH = 960
+"""px, of the picture."""
 
 
-def overlay(grey: np.ndarray, view: View | None, guide: Guide, width: int = 960) -> np.ndarray:
+def overlay(grey: np.ndarray, view: View | None, guide: Guide) -> np.ndarray:
     """Draw corners, coverage and the place where the board is wanted into a picture.
 
     Args:
         grey: (height, width) uint8.
         view: the board in it.
         guide: what is known so far.
-        width: px, of what is returned.
 
     Returns:
-        (height, width, 3) uint8 RGB.
+        (height, 960, 3) uint8 RGB.
     """
     import cv2
 
-    scale = width / grey.shape[1]
+    scale = _WIDTH / grey.shape[1]
     small = cv2.cvtColor(
-        cv2.resize(grey, (width, round(grey.shape[0] * scale)), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB
+        cv2.resize(grey, (_WIDTH, round(grey.shape[0] * scale)), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB
     )
     if guide.counts is not None:
         seen = (guide.counts > 0).astype(np.uint8)

@@ -261,10 +261,9 @@ def known_markers(dictionary: str) -> int:
 
 def smallest_of(board: Board) -> str:
     """The smallest dictionary that begins with the same markers and has enough for a board."""
-    need = board.columns * board.rows // (1 if board.kind == "aprilgrid" else 2)
     family = board.dictionary.rpartition("_")[0]
     sizes = dict(_FAMILIES).get(family, ())
-    return next((f"{family}_{size}" for size in sizes if need <= size), board.dictionary)
+    return next((f"{family}_{size}" for size in sizes if board.markers_needed <= size), board.dictionary)
 
 
 # --- which board ------------------------------------------------------------------------------------------------------

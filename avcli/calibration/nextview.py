@@ -11,7 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import fit
+from avcli.calibration.field import grid
 from avcli.calibration.pupil import PUPIL, project_jacobian
 from avcli.calibration.quality import coverage
 from avcli.calibration.target import Board
@@ -95,7 +97,7 @@ def information(observations: fit.Observations, solution: fit.Solution, sigma_px
     bend = np.stack(
         [R[:, :, 2] * (1 - (p / h) ** 2)[:, None] for p, h in zip(o.points.T, o.half_extent, strict=True)], -1
     )
-    own = np.concatenate([-by_point @ fit.cross_matrix(turned), by_point, by_point @ bend], -1)
+    own = np.concatenate([-by_point @ pose.cross_matrix(turned), by_point, by_point @ bend], -1)
     unseen = ~(np.isfinite(own).all((1, 2)) & np.isfinite(by_lens).all((1, 2)))
     own[unseen], by_lens[unseen] = 0.0, 0.0
     own, common = own / o.sigma[:, None, None], by_lens / o.sigma[:, None, None]
@@ -107,16 +109,13 @@ def information(observations: fit.Observations, solution: fit.Solution, sigma_px
     return A - np.swapaxes(B, 1, 2) @ np.linalg.solve(C, B)
 
 
-def field(lens: Lens, width: int, height: int, lit: Mask, step: int = 60) -> np.ndarray:
+def field(lens: Lens, width: int, height: int, lit: Mask) -> np.ndarray:
     """Return F (m, m): trace(F covariance) is the mean variance over the lit picture, px², a turn not counted."""
-    u, v = (np.linspace(0, side - 1, max(2, round(side / step))) for side in (width, height))
-    pixels = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
-    pixels = pixels[lit(pixels)]
-    rays = lens.unproject(pixels)
-    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    rays = rays[np.isfinite(rays).all(1) & (angle < 0.99 * lens.theta_max)]
+    pixels = grid(width, height, 60).reshape(-1, 2)
+    rays = lens.unproject(pixels[lit(pixels)])
+    rays = rays[np.isfinite(rays).all(1) & (pose.angle_from_axis(rays) < 0.99 * lens.theta_max)]
     _, by_point, by_lens = lens.project_jacobian(rays)
-    turn = (-by_point @ fit.cross_matrix(rays)).reshape(-1, 3)
+    turn = (-by_point @ pose.cross_matrix(rays)).reshape(-1, 3)
     J = by_lens.reshape(len(turn), -1)
     J = J - turn @ np.linalg.lstsq(turn, J, rcond=None)[0]
     return J.T @ J / max(len(rays), 1)
@@ -137,8 +136,8 @@ def places(lens: Lens, board: Board, width: int, height: int, lit: Mask) -> tupl
     facing = np.stack([across, np.cross(rays, across), rays], -1)
     about = np.arange(_TURNS) * 2 * np.pi / _TURNS
     lean = np.concatenate([np.zeros((1, 3)), _TILT * np.stack([np.cos(about), np.sin(about), 0 * about], -1)])
-    upright, lying = np.eye(3), fit.rotation_from_vector(np.array([[0.0, 0.0, np.pi / 2]]))[0]
-    tilts = np.concatenate([fit.rotation_from_vector(lean) @ roll for roll in (upright, lying)])
+    upright, lying = np.eye(3), pose.rotation_from_vector(np.array([[0.0, 0.0, np.pi / 2]]))[0]
+    tilts = np.concatenate([pose.rotation_from_vector(lean) @ roll for roll in (upright, lying)])
     outer = board.printed_m / 2 + 0.5 * board.square_m  # with a part of the quiet border
     shorter = lens.unproject(np.array([[width, height]]) / 2 + min(width, height) * np.array([[-0.4, 0], [0.4, 0]]))
     angle = np.arccos(np.clip(shorter[0] @ shorter[1], -1, 1)) if np.isfinite(shorter).all() else 1.0

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import fit
 from avcli.lens import KannalaBrandt, Lens
 
@@ -52,7 +53,7 @@ def calibrate(observations: fit.Observations, width: int, height: int, start: Le
         raise OpenCVRefused(f"OpenCV {cv2.__version__} returns a lens that is not finite; use the procedure avcli")
     return fit.Solution(
         parameters,
-        fit.rotation_from_vector(np.array(turns).reshape(-1, 3)),
+        pose.rotation_from_vector(np.array(turns).reshape(-1, 3)),
         np.array(places).reshape(-1, 3),
         free=fit.free_parameters(lens),
         like=lens,

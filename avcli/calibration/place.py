@@ -9,7 +9,6 @@ from avcli import pose
 from avcli.calibration.camera import KnownCamera
 from avcli.calibration.corners import View
 from avcli.calibration.field import seen_angles
-from avcli.calibration.fit import cross_matrix, rotation_from_vector
 from avcli.calibration.pupil import from_pupil, project_jacobian
 from avcli.calibration.target import Board
 from avcli.lens import Lens
@@ -106,7 +105,7 @@ def locate(
         inner += follows @ lens_covariance @ follows.T
     change = np.zeros((6, 6))
     change[:3, :3] = -R.T
-    change[3:, :3] = -R.T @ cross_matrix(t)
+    change[3:, :3] = -R.T @ pose.cross_matrix(t)
     change[3:, 3:] = -R.T
     covariance = change @ inner @ change.T
     return Place(
@@ -186,7 +185,7 @@ def _residuals(
     turned = points @ R.T
     predicted, by_point, by_lens, _ = project_jacobian(lens, turned + t, pupil)
     residuals = pixels - predicted
-    jacobian = np.concatenate([-by_point @ cross_matrix(turned), by_point], -1)
+    jacobian = np.concatenate([-by_point @ pose.cross_matrix(turned), by_point], -1)
     unseen = ~(np.isfinite(residuals).all(1) & np.isfinite(jacobian).all((1, 2)))
     residuals[unseen], jacobian[unseen] = 1000.0, 0.0
     return residuals, jacobian, np.nan_to_num(by_lens)
@@ -208,7 +207,7 @@ def _polish(
         A = np.einsum("nia,nib,n->ab", jacobian, jacobian, weight)
         g = np.einsum("nia,ni,n->a", jacobian, residuals, weight)
         step = np.linalg.lstsq(A + damping * np.diag(np.diag(A)) + 1e-12 * np.eye(6), g, rcond=None)[0]
-        R_new, t_new = rotation_from_vector(step[None, :3])[0] @ R, t + step[3:]
+        R_new, t_new = pose.rotation_from_vector(step[None, :3])[0] @ R, t + step[3:]
         new = _residuals(lens, pupil, pixels, points, R_new, t_new)[:2]
         if robust(new[0], delta)[0] < cost:
             gain = 1 - robust(new[0], delta)[0] / cost

@@ -19,7 +19,7 @@ class Pyramid:
 
     @classmethod
     def of(cls, picture: "np.ndarray | Pyramid") -> "Pyramid":
-        """Make the pyramid of a picture, or return the one that is given."""
+        """Make the pyramid of a picture (height, width) uint8, or return the one that is given."""
         return picture if isinstance(picture, Pyramid) else cls(picture)
 
     @property

@@ -57,9 +57,8 @@ class Quality:
             tell it, without what is known of lenses; below 0 where it moves ahead.
         circle: where light reaches the picture; None: everywhere.
         counts, lit_cells: see `coverage`; and (rows, columns) bool, which of the cells light reaches.
-        theta_max_observed, theta_max_trusted, theta_max_valid, theta_max_picture: rad; the largest angle at which a
-            corner was seen, up to which the expected error of a ray stays below TRUST_LIMIT, up to which the lens is
-            one-to-one, and which the lit picture shows.
+        theta_max_observed, theta_max_trusted, theta_max_picture: rad; the largest angle at which a corner was seen, up
+            to which the expected error of a ray stays below TRUST_LIMIT, and which the lit picture shows.
         tilt: rad, spread (RMS) of the boards' normals about their mean.
         refusals: sentences that say why the lens is not observable; empty where it is.
         advice: sentences that say what to film next.
@@ -79,7 +78,6 @@ class Quality:
     lit_cells: np.ndarray
     theta_max_observed: float
     theta_max_trusted: float
-    theta_max_valid: float
     theta_max_picture: float
     tilt: float
     refusals: tuple[str, ...]
@@ -168,9 +166,6 @@ def assess(
     observed = float(np.nanmax(angles)) if np.isfinite(angles).any() else 0.0
     rim = seen_angles(lens, _rim(width, height, circle))
     shown = lens.theta_max if np.isnan(rim).any() else float(rim.max())
-    normals = solution.rotations[:, :, 2]
-    centre = normals.sum(0) / max(np.linalg.norm(normals.sum(0)), 1e-12)
-    tilt = float(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2)))
     counts = coverage(observations.pixels, width, height)
     sd = np.sqrt(np.maximum(np.diag(solution.covariance), 0))
     quality = Quality(
@@ -188,9 +183,8 @@ def assess(
         lit_cells=lit_cells(counts.shape, width, height, circle),
         theta_max_observed=observed,
         theta_max_trusted=field.trusted_angle(solution, observations.pixels, TRUST_LIMIT),
-        theta_max_valid=lens.theta_max,
         theta_max_picture=shown,
-        tilt=tilt,
+        tilt=tilt(solution.rotations),
         refusals=(),
         advice=(),
     )
@@ -205,6 +199,13 @@ def assess(
     )
     refusals = _refusals(quality, observations, solution)
     return replace(quality, refusals=refusals, advice=_advice(quality, refusals))
+
+
+def tilt(rotations: np.ndarray) -> float:
+    """The spread (RMS) of the boards' normals about their mean, rad, of rotations (views, 3, 3) board to camera."""
+    normals = rotations[:, :, 2]
+    centre = normals.sum(0) / max(np.linalg.norm(normals.sum(0)), 1e-12)
+    return float(np.sqrt(np.mean(np.arccos(np.clip(normals @ centre, -1, 1)) ** 2)))
 
 
 def _recedes(known: Blocks, solution: fit.Solution) -> float:

@@ -24,6 +24,8 @@ _LEAST_SHARE = 0.5
 _LEAST_CORNERS = 6
 _WORSE = 2.0
 """A view may be this much worse than the common one before its corners are judged by the common one."""
+FOLDS = 5
+"""Parts of the views that are held out in turn; view i is in part i mod FOLDS."""
 _SMOOTH = 4
 """Degree of the smooth field of displacements that a lens model may miss."""
 _RADIAL = 3
@@ -31,27 +33,15 @@ _RADIAL = 3
 _SIGMA_FLOOR_PX = 1e-6
 
 
-@dataclass(frozen=True)
-class Belonging:
-    """Which corners belong.
-
-    Attributes:
-        corners: (n,) bool.
-        views: (views,) bool, which views have enough of them.
-        spread_px: (views,) standard deviation of each view's residuals along one axis, in units of the corners' sigma.
-    """
-
-    corners: np.ndarray
-    views: np.ndarray
-    spread_px: np.ndarray
-
-
-def belonging(observations: Observations, solution: Solution) -> Belonging:
+def belonging(observations: Observations, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Judge each corner by its residual.
 
     Args:
         observations: the corners of all views.
         solution: with a pose for each of them.
+
+    Returns:
+        Which corners belong, (n,) bool, and which views have enough of them, (views,) bool.
     """
     o = observations
     length = np.linalg.norm(fit.residuals(o, solution), axis=1) / o.sigma
@@ -69,7 +59,7 @@ def belonging(observations: Observations, solution: Solution) -> Belonging:
     if views.sum() < min(4, o.views):  # there is no majority to judge by
         views |= spread <= np.sort(spread)[:4][-1]
         good |= views[o.view] & (count < _LEAST_SHARE * counts)[o.view]
-    return Belonging(good & views[o.view], views, spread)
+    return good & views[o.view], views
 
 
 def fit_robustly(
@@ -124,12 +114,12 @@ def refit_robustly(
     """
     for _ in range(4):
         everywhere = posed(observations, solution, good)
-        found = belonging(observations, everywhere)
-        if np.array_equal(found.corners, good):
+        belongs, views = belonging(observations, everywhere)
+        if np.array_equal(belongs, good):
             break
-        good = found.corners
+        good = belongs
         kept = observations.of_corners(good)
-        solution = fit.fit(kept, everywhere.of_views(found.views), board_shape=board_shape, roughly=True)
+        solution = fit.fit(kept, everywhere.of_views(views), board_shape=board_shape, roughly=True)
     return (solution if roughly else fit.settled(observations.of_corners(good), solution)), good
 
 
@@ -296,10 +286,10 @@ def fit_board(
     """
     learned, solution = with_board_errors(observations, solution, good)
     everywhere = posed(learned, solution, good)
-    found = belonging(learned, everywhere)
-    if not np.array_equal(found.corners, good):
-        good = found.corners
-        learned, solution = with_board_errors(observations, everywhere.of_views(found.views), good)
+    belongs, views = belonging(learned, everywhere)
+    if not np.array_equal(belongs, good):
+        good = belongs
+        learned, solution = with_board_errors(observations, everywhere.of_views(views), good)
     return learned, fit.fit(learned.of_corners(good), solution, board_shape=solution.bends), good
 
 
@@ -340,21 +330,20 @@ def foretold(
     *,
     board_shape: bool = False,
     board_errors: bool = False,
-    folds: int = 5,
 ) -> float:
     """Foretell the robust held-out error with the board's shape or errors, by one step from a fit.
 
     It costs a tenth of `held_out`; compared with that of neither, it tells where that is worth while.
 
     Args:
-        observations, solution, good, folds: as in `held_out`.
+        observations, solution, good: as in `held_out`.
         board_shape, board_errors: what to learn beside the lens.
 
     Returns:
         the root of the sum of the squared whitened residuals.
     """
     some = observations.of_corners(good)
-    part = np.flatnonzero(observations.views_of(good)) % folds
+    part = np.flatnonzero(observations.views_of(good)) % FOLDS
     free = solution.free.copy()
     free[-fit.BESIDE : -1] |= board_shape
     held = (solution.sigma_px / fit.error_prior(some)) ** 2 if board_errors else 0.0
@@ -367,7 +356,7 @@ def _crossed(known: Blocks, part: np.ndarray) -> float:
     return float(np.sqrt(max(known.crossed(part), 1e-300)))
 
 
-def missed(observations: Observations, solution: Solution, folds: int = 5) -> float:
+def missed(observations: Observations, solution: Solution) -> float:
     """Foretell what a lens that could bend anywhere would gain: the fraction by which the held-out RMS would fall.
 
     A smooth field of displacements over the picture is learnt beside the lens, and displacements away from its middle
@@ -376,12 +365,11 @@ def missed(observations: Observations, solution: Solution, folds: int = 5) -> fl
 
     Args:
         observations, solution: of the kept views.
-        folds: as in `held_out`.
 
     Returns:
         at most 1, and mostly below 0 where the model is right; NaN with too few views.
     """
-    if observations.views < 2 * folds - 2:
+    if observations.views < 2 * FOLDS - 2:
         return np.nan
     low, high = observations.pixels.min(0), observations.pixels.max(0)
     x, y = (2 * (observations.pixels - low) / np.maximum(high - low, 1e-9) - 1).T
@@ -392,7 +380,7 @@ def missed(observations: Observations, solution: Solution, folds: int = 5) -> fl
     away /= max(float(np.linalg.norm(away, axis=1).max()), 1e-9)
     radial = np.polynomial.legendre.legvander(2 * (away**2).sum(1) - 1, _RADIAL)[:, 2:]  # lower ones are in the field
     displaced = np.concatenate([displaced, away[:, :, None] * radial[:, None]], 2)
-    part = np.arange(observations.views) % folds
+    part = np.arange(observations.views) % FOLDS
     free, lens = fit.blocks(observations, solution, beside=displaced), int(solution.free.sum())
     keep = np.r_[:lens, -7:0]
     plain = free._replace(
@@ -410,7 +398,6 @@ def held_out(
     good: np.ndarray,
     *,
     board_errors: bool = False,
-    folds: int = 5,
 ) -> HeldOut:
     """Measure the error on views that took no part: the lens from the others, the pose from the view itself, robustly.
 
@@ -421,9 +408,8 @@ def held_out(
         solution: the fit to the corners in `good`.
         good: (n,) bool, the corners that belong. The others take no part in a fit, but they count in `all_px`.
         board_errors: also learn the board's errors (`with_board_errors`) from the other views.
-        folds: how many parts; view i is in part i mod folds.
     """
-    folds = min(folds, observations.views)
+    folds = min(FOLDS, observations.views)
     if folds < 2:
         return HeldOut(np.full(len(good), np.nan), good)
     if board_errors:

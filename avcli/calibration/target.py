@@ -180,6 +180,11 @@ class Board:
             return gap, min(1.0, 0.88 * self.border_bits * self.square_m / cells / gap)
         return self.square_m, 0.88 * (1 - self.ratio) / 2 if self.markers else 1.0
 
+    @property
+    def markers_needed(self) -> int:
+        """How many markers are printed on a board that has some."""
+        return self.columns * self.rows // (1 if self.kind == "aprilgrid" else 2)
+
     def aruco_dictionary(self) -> "cv2.aruco.Dictionary":
         """OpenCV's dictionary of the board's markers.
 
@@ -187,10 +192,10 @@ class Board:
             ValueError: the dictionary is unknown, or it has too few markers for the board.
         """
         dictionary = dictionary_of(self.dictionary)
-        need = self.columns * self.rows // (1 if self.kind == "aprilgrid" else 2)
-        if need > len(dictionary.bytesList):
+        there = len(dictionary.bytesList)
+        if self.markers_needed > there:
             raise ValueError(
-                f"a {self.words} needs {need} markers; the dictionary {self.dictionary} has {len(dictionary.bytesList)}"
+                f"a {self.words} needs {self.markers_needed} markers; the dictionary {self.dictionary} has {there}"
             )
         return dictionary
 

@@ -10,6 +10,7 @@ from avcli.calibration.circle import Circle
 from avcli.calibration.settings import ProjectionSettings
 from avcli.formats.footage import Picture
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 DEFAULTS = ProjectionSettings()
 _WIDEST = np.deg2rad(80.0)
@@ -110,7 +111,7 @@ def straighten(
     if circle is not None:
         sources[~circle.holds(sources)] = np.nan
         shown &= np.isfinite(sources).all(1)
-    outside = np.arctan2(np.hypot(flat[:, 0], flat[:, 1]), flat[:, 2]) > theta_max
+    outside = angle_from_axis(flat) > theta_max
     sources[outside] = np.nan
     cut = bool((shown & outside).any())
     return Straightened(sources.reshape(height, width, 2), projection, float(fov), float(focal), cut)
@@ -180,7 +181,7 @@ def _reach(lens: Lens, source_size: tuple[int, int]) -> float:
     rays = lens.unproject(_rim(source_size))
     if not np.isfinite(rays).all():
         return float(lens.theta_max)
-    return float(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]).max())
+    return float(angle_from_axis(rays).max())
 
 
 def _perspective_reach(
@@ -205,7 +206,7 @@ def _perspective_reach(
             low, high = (middle, high) if filled(middle) else (low, middle)
         inner = low
     rays = lens.unproject(_rim(source_size))
-    theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    theta = angle_from_axis(rays)
     outer = np.tan(_WIDEST)
     shown = np.isfinite(theta) & (theta < _WIDEST)
     if shown.all():

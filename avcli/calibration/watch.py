@@ -5,13 +5,14 @@ import json
 import secrets
 import threading
 from collections.abc import Iterator, Mapping
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
+from avcli.formats import serving as server
 from avcli.formats.serving import is_local, is_named, send
 
 _WAIT_S = 10.0
@@ -26,31 +27,23 @@ class Show:
     lead here, and read the camera.
 
     Attributes:
-        port: of the page.
-        url: of the page.
+        port: of the page, while it is served.
     """
 
-    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+    port: int
+
+    def __init__(self, host: str) -> None:
         self._new = threading.Condition()
         self._jpeg, self._state, self._number, self._ended = b"", b"{}", 0, False
-        self._local = is_local(host)
+        self._host, self._local = host, is_local(host)
         self._key = "" if self._local else f"{secrets.token_urlsafe(9)}/"
         self._page = resources.files(__package__).joinpath("watch.html").read_bytes()
-        show = self
 
-        class _Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                show._answer(self)
-
-            def log_message(self, *_: object) -> None:
-                pass
-
-        self._server = ThreadingHTTPServer((host, port), _Handler)
-        self._server.daemon_threads = True
-        self.port = self._server.server_address[1]
-        name = _own_address() if host in ("0.0.0.0", "") else host
-        self.url = f"http://{name}:{self.port}/{self._key}"
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        name = _own_address() if self._host in ("0.0.0.0", "") else self._host
+        return f"http://{name}:{self.port}/{self._key}"
 
     def __call__(self, picture: np.ndarray, state: Mapping[str, Any] | None = None) -> None:
         import cv2
@@ -88,8 +81,6 @@ class Show:
         with self._new:
             self._ended = True
             self._new.notify_all()
-        self._server.shutdown()
-        self._server.server_close()
 
 
 def _own_address() -> str:
@@ -105,9 +96,9 @@ def _own_address() -> str:
 @contextlib.contextmanager
 def serving(port: int, host: str = "127.0.0.1") -> Iterator[Show]:
     """Serve the page while the block lasts; OSError where the port is taken or the host is not this machine's."""
-    show = Show(port, host)
-    show._thread.start()
-    try:
-        yield show
-    finally:
-        show._end()
+    show = Show(host)
+    with server.serving(show._answer, port, host) as show.port:
+        try:
+            yield show
+        finally:
+            show._end()

@@ -182,6 +182,7 @@ def _write_details(path: str | None, seen: Seen, result: Calibration | None) -> 
 def _report(session: Session, seen: Seen, result: Calibration, plot: str | None, html: str | None) -> None:
     from avcli.calibration import page, report
     from avcli.formats.atomic import write_bytes
+    from avcli.formats.records import printable
 
     for line in report.words(result, seen):
         session.warn(line)
@@ -189,7 +190,7 @@ def _report(session: Session, seen: Seen, result: Calibration, plot: str | None,
         if plot:
             write_bytes(plot, report.picture(result, seen.sample, plot[-3:].lower()))
         if html:
-            write_bytes(html, page.page(result, seen).encode())
+            write_bytes(html, printable(page.page(result, seen)).encode())
 
 
 @main.command("check", epilog="Example: avcalib check camera.json new/ --board 6x9 --square 90")

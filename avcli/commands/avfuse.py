@@ -146,8 +146,8 @@ def _usual(field: str) -> str:
     "--learn",
     type=click.Path(dir_okay=False, writable=True),
     metavar="FILE",
-    help="Begin with what FILE says was learnt of the room and its sensors, if it exists; at the end write to it what "
-    "is known then.",
+    help="Keep what is learnt of the room and its sensors in FILE. It is read at the start, if it exists, and written "
+    "at the end.",
 )
 @click.option("--no-learn", is_flag=True, help="Learn nothing from the run: all rates stay as they were given.")
 @click.option(

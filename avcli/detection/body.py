@@ -73,6 +73,11 @@ class Person:
     turned_px: np.ndarray | None = None
 
 
+def boxes_of(people: list[Person]) -> np.ndarray:
+    """The boxes of people, (n, 4) px."""
+    return np.array([person.bbox_px for person in people]).reshape(-1, 4)
+
+
 def _standard_body() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (m, 3), outward normals (m, 3) and areas (m,) of a standing adult, averaged over all headings.
 

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, locate
+from avcli.detection.body import FLOOR_M, MID_BODY_M, Person, Surface, boxes_of, locate
 from avcli.detection.fitted import SCORE, FaintLaw
 from avcli.detection.heights import Heights
 from avcli.detection.monocular import HEIGHT_M, Fitted, Places
@@ -30,6 +30,12 @@ CAME = 0.5
 
 TALLEST_M = 2.3
 """m; higher points do not belong to a person."""
+
+LOW_M = 1.0
+"""m; lower things with free space above them are furniture."""
+
+LEAST_SURFACE_M2 = 0.02
+"""m²; least visible surface of a body."""
 
 CELL_M = 0.05
 SPREAD_M = 0.08
@@ -62,21 +68,12 @@ class DepthDetector:
         view: the camera.
         background: (h, w) m, radial depth of the empty room at the view's samples, 0: unknown. None if it was not
             recorded; then only `place` can be used.
-        min_surface: m²; least visible surface of a body.
-        min_height: m; lower things with free space above them are furniture.
         room: (2,) m, size of the room; None if it is not known.
     """
 
-    def __init__(
-        self,
-        view: View,
-        background: np.ndarray | None,
-        min_surface: float = 0.02,
-        min_height: float = 1.0,
-        room: np.ndarray | None = None,
-    ):
+    def __init__(self, view: View, background: np.ndarray | None, room: np.ndarray | None = None):
         self.heights = Heights()
-        self.view, self.min_surface, self.min_height, self.room = view, min_surface, min_height, room
+        self.view, self.room = view, room
         self.limit = None
         if background is not None:
             self._before = self._shown = np.zeros(background.shape, np.float32)
@@ -128,14 +125,19 @@ class DepthDetector:
     def strangers(
         self, depth: np.ndarray, found: Boxes, people: list[Person]
     ) -> tuple[list[Person], list[Person], np.ndarray, np.ndarray]:
-        """Who came, the n who may have been there before, and what a FaintLaw asks of these; arguments of `missed`."""
+        """Who came, and who may have been there before; the arguments are those of `missed`.
+
+        Returns:
+            those who came; the n others; and what a FaintLaw asks of these: (n,) the network's largest score there, 0
+            where it says nothing, and (n,) bool, whether others stand of whom it says nothing.
+        """
         if self.limit is None:
             raise ValueError("whom the network has missed can be found only with the depth picture of the empty room")
         near = (depth > 0) & (depth < self.limit)
         nearer = near & (depth < self._shown - CAME_M)
         self._shown = np.maximum(self._shown, np.minimum(depth, self._before))  # a sensor's flicker is not there twice
         self._before = depth
-        for left, top, right, bottom in self._sample_boxes(np.array([one.bbox_px for one in people]).reshape(-1, 4)):
+        for left, top, right, bottom in self._sample_boxes(boxes_of(people)):
             near[top:bottom, left:right] = False
         came, stayed = list[Person](), list[Person]()
         for stranger in self._standing(depth, near) if near.any() else ():
@@ -166,10 +168,10 @@ class DepthDetector:
         people = []
         for body in self._bodies(depth, mask):
             surface = body.surface.sum()
-            if surface < self.min_surface:
+            if surface < LEAST_SURFACE_M2:
                 continue
             person = self._person(body, depth, float(surface / (surface + SCORE.surface_m2)))
-            if person and not (body.points[:, 2].max() < self.min_height and self._free_above(person, depth)):
+            if person and not (body.points[:, 2].max() < LOW_M and self._free_above(person, depth)):
                 people.append(person)
         return people
 
@@ -208,7 +210,7 @@ class DepthDetector:
                 empty = np.array([near[box].mean() > 0.5 if box.any() else False for box in inside])
                 near &= depth < self.limit
             bodies = [
-                body for body in self._bodies(depth, near & inside.any(axis=0)) if body.surface.sum() > self.min_surface
+                body for body in self._bodies(depth, near & inside.any(axis=0)) if body.surface.sum() > LEAST_SURFACE_M2
             ]
         people, free = [], list(range(len(bodies)))
         for index in range(len(found)):
@@ -253,7 +255,7 @@ class DepthDetector:
 
     def _free_above(self, person: Person, depth: np.ndarray) -> bool:
         """Whether the camera sees through the space that the upper body of a standing person would fill."""
-        heights = np.array([self.min_height, self.min_height + 0.25])
+        heights = np.array([LOW_M, LOW_M + 0.25])
         body = np.column_stack([np.tile(person.position[:2], (2, 1)), heights])
         pixels = self.view.project(body)
         if not self.view.inside(pixels).all():

@@ -12,13 +12,13 @@ import numpy as np
 from avcli.detection.agreement import within
 from avcli.detection.background import Background
 from avcli.detection.bands import BandedNetwork, suited
-from avcli.detection.body import Person, beyond_trust
+from avcli.detection.body import Person, beyond_trust, boxes_of
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.fitted import FAINT
 from avcli.detection.following import FOLLOWED, Following
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
-from avcli.detection.monocular import locate_boxes
+from avcli.detection.monocular import Fitted
 from avcli.detection.network import PAD, Boxes, ModelError, Network, own_model
 from avcli.detection.settings import Settings
 from avcli.detection.stillness import COME, Stillness, after
@@ -102,7 +102,7 @@ def detections(timestamp: float, people: list[Person], sensor: str = Settings.se
         covariances=np.array([person.covariance for person in people]).reshape(-1, 3, 3),
         scores=np.array([person.score for person in people]),
         kind=CAMERA,
-        boxes_px=np.array([person.bbox_px for person in people]).reshape(-1, 4).round(2),
+        boxes_px=boxes_of(people).round(2),
         heights=np.array([np.nan if person.height is None else person.height for person in people]),
         features=feature(people),
         turned_px=np.array([_NONE if person.turned_px is None else person.turned_px for person in people])
@@ -142,10 +142,6 @@ class Tally:
     boxes: list[np.ndarray] = field(default_factory=list)
 
 
-def _boxes(people: list[Person]) -> np.ndarray:
-    return np.array([person.bbox_px for person in people]).reshape(-1, 4)
-
-
 def _apart(boxes: np.ndarray, sure: np.ndarray) -> np.ndarray:
     """Which (n,) boxes (n, 4), the best first, are people by themselves: sure (n,), or not mostly in a better box."""
     apart, shares = np.ones(len(boxes), bool), within(boxes)
@@ -158,7 +154,7 @@ def _motion(body: Person, people: list[Person], watched: Stillness) -> float:
     """What its motion tells of a body, nats; nothing where people who were found may be what moves there."""
     box, surface = body.bbox_px, body.surface
     assert surface is not None  # depth has found it
-    others = _boxes(people)
+    others = boxes_of(people)
     shared = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
     if (np.maximum(shared, 0.0).prod(axis=1) >= COVERED * (box[2:] - box[:2]).prod()).any():
         return 0.0
@@ -309,7 +305,7 @@ class Detector:
             if self._following:
                 self._following.unchanged(time)
             if watched:
-                watched.see(picture, time, _boxes(self._last))
+                watched.see(picture, time, boxes_of(self._last))
         return self._doubted(self._last, watched) if watched and doubts else self._last
 
     def _by_colour(self, depth: Picture | None) -> bool:
@@ -349,7 +345,7 @@ class Detector:
     def _doubted(self, people: list[Person], stillness: Stillness) -> list[Person]:
         """The people with the scores that their stillness leaves them."""
         scores = np.array([person.score for person in people])
-        left = after(scores, stillness.evidence(_boxes(people)))
+        left = after(scores, stillness.evidence(boxes_of(people)))
         return [
             replace(person, score=float(score))
             for person, score in zip(people, left, strict=True)
@@ -416,7 +412,7 @@ class Detector:
             pose[:3, :3], pose[:3, 3] = self.view.rotation, self.view.origin * [1, 1, factor]
             size, circle = self.view.size, self.view.circle
             view = View(self.view.lens, pose, size, self.view.theta_max, circle=circle)
-            shares[float(pose[2, 3])] = float(locate_boxes(boxes, view).explained.mean())
+            shares[float(pose[2, 3])] = float(Fitted(boxes, view).places().explained.mean())
         return shares
 
     def _in_room(self, person: Person) -> bool:
@@ -456,11 +452,7 @@ class Detector:
 
     def _lit(self, found: Boxes) -> Boxes:
         """The boxes whose middle is where the lens lights the picture."""
-        if self.view.circle is None or not len(found):
-            return found
-        x, y, radius = self.view.circle
-        middles = found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5
-        return found.take(np.hypot(middles[:, 0] - x, middles[:, 1] - y) <= radius)
+        return found.take(self.view.lights(found.boxes.reshape(-1, 2, 2).mean(axis=1) - 0.5))
 
     def _network(self, model: str | os.PathLike | None) -> Network:
         content = own_model() if model is None else read_bytes(model)

@@ -237,20 +237,6 @@ class Fitted:
         return places
 
 
-def locate_boxes(
-    boxes: np.ndarray,
-    view: View,
-    parts: np.ndarray | None = None,
-    turns: np.ndarray | None = None,
-    room: np.ndarray | None = None,
-    law: BoxLaw = BOX,
-    scores: np.ndarray | None = None,
-    known: np.ndarray | None = None,
-) -> Places:
-    """Find the positions of the people whose pictures fill boxes; the arguments are those of `Fitted` and `places`."""
-    return Fitted(boxes, view, parts, turns, room, law, scores).places(known)
-
-
 def stated(covariances: np.ndarray, away: np.ndarray, law: BoxLaw, unsure: np.ndarray | None) -> np.ndarray:
     """The covariances (n, 2, 2) m² that a law states for positions with those of the fit (n, 2, 2).
 

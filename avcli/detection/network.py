@@ -460,13 +460,14 @@ def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -
     return boxes, values[:, 0], parts
 
 
-def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
-    """Non-maximum suppression: the indices, by falling score, of boxes that no better one covers by more than `iou`.
+def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float, within: float = np.inf) -> np.ndarray:
+    """Non-maximum suppression: the indices, by falling score, of boxes that are no better one's once more.
 
     Args:
         boxes: (n, 4) [x0, y0, x1, y1].
         scores: (n,).
-        iou: from 0 to 1.
+        iou: from 0 to 1, of two boxes of one person at least: intersection over union.
+        within: or intersection over the smaller of both.
     """
     order = np.argsort(-scores, kind="stable")
     area = np.maximum(boxes[:, 2:] - boxes[:, :2], 0).prod(axis=1)
@@ -476,5 +477,7 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
         kept.append(best)
         shared = np.minimum(boxes[order, 2:], boxes[best, 2:]) - np.maximum(boxes[order, :2], boxes[best, :2])
         shared = np.maximum(shared, 0).prod(axis=1)
-        order = order[shared <= iou * np.maximum(area[order] + area[best] - shared, 1e-12)]
+        apart = shared <= iou * np.maximum(area[order] + area[best] - shared, 1e-12)
+        apart &= shared <= within * np.maximum(np.minimum(area[order], area[best]), 1e-12)
+        order = order[apart]
     return np.array(kept, dtype=int)

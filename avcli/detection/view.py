@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 _SD_BEYOND = 0.2
 """Standard deviation of a ray's angle beyond the trusted one, as a fraction of the angle beyond it. Lenses fitted to
@@ -55,12 +56,13 @@ class View:
         """Turn pixels (n, 2) into unit rays (n, 3) in the room's frame; NaN where a pixel has none."""
         pixels = np.asarray(pixels, float)
         rays = self.lens.unproject(pixels)
-        seen = (rays[:, 2] >= self._cos_max) & self._lit(pixels)
+        seen = (rays[:, 2] >= self._cos_max) & self.lights(pixels)
         return np.where(seen[:, None], rays, np.nan) @ self.rotation.T
 
-    def _lit(self, pixels: np.ndarray) -> np.ndarray | np.bool:
+    def lights(self, pixels: np.ndarray) -> np.ndarray:
+        """Tell which pixels (n, 2) lie where light would reach a picture without borders."""
         if self.circle is None:
-            return np.True_
+            return np.ones(len(pixels), bool)
         x, y, radius = self.circle
         return np.hypot(pixels[:, 0] - x, pixels[:, 1] - y) <= radius
 
@@ -71,14 +73,13 @@ class View:
             0 up to the angle that is trusted; what is farther from the axis is extrapolated.
         """
         away = (np.asarray(points, float) - self.origin) @ self.rotation
-        angle = np.arctan2(np.hypot(away[:, 0], away[:, 1]), away[:, 2])
-        return _SD_BEYOND * np.maximum(angle - self.theta_trusted, 0.0)
+        return _SD_BEYOND * np.maximum(angle_from_axis(away) - self.theta_trusted, 0.0)
 
     def inside(self, pixels: np.ndarray) -> np.ndarray:
         """Tell which pixels (n, 2) lie on the picture where light reaches it; NaN does not."""
         width, height = self.size
         x, y = pixels[:, 0], pixels[:, 1]
-        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5) & self._lit(pixels)
+        return (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5) & self.lights(pixels)
 
     def sampled(self, picture: np.ndarray) -> np.ndarray:
         """Return the samples (h, w) of a full-size picture (height, width) that belong to `rays`."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avcli.detection.network import MOST, PAD, Boxes, Network
+from avcli.detection.network import PAD, Boxes, Network, suppress
 
 SIDE = 1.0
 """Side of a window, as a part of the radius of what the lens shows."""
@@ -130,7 +130,7 @@ class WindowedNetwork:
         parts = [one.parts for one in found if one.parts is not None]
         turned = np.concatenate([one.turned for one in found if one.turned is not None])
         boxes, scores = np.concatenate([one.boxes for one in found]), np.concatenate([one.scores for one in found])
-        kept = merged(boxes, scores * self._uprightness(turned))
+        kept = suppress(boxes, scores * self._uprightness(turned), OVERLAP, WITHIN)
         kept = kept[np.argsort(-scores[kept], kind="stable")]
         known = np.concatenate(parts)[kept] if parts else None
         return Boxes(boxes[kept], scores[kept], known, turned[kept])
@@ -172,22 +172,6 @@ def upright(turned: np.ndarray) -> np.ndarray:
     down = ((sine * turned[:, 2]) ** FILLED + (cosine * turned[:, 3]) ** FILLED) ** (1 / FILLED)
     half = np.column_stack([across, down]) / 2
     return np.concatenate([turned[:, :2] - half, turned[:, :2] + half], axis=1)
-
-
-def merged(boxes: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """The indices, by falling score, of boxes (n, 4) without those that show a better one's person once more."""
-    order = np.argsort(-scores, kind="stable")
-    area = np.maximum(boxes[:, 2:] - boxes[:, :2], 0).prod(axis=1)
-    kept: list[int] = []
-    while order.size and len(kept) < MOST:
-        best, order = order[0], order[1:]
-        kept.append(int(best))
-        shared = np.minimum(boxes[order, 2:], boxes[best, 2:]) - np.maximum(boxes[order, :2], boxes[best, :2])
-        shared = np.maximum(shared, 0).prod(axis=1)
-        same = shared > OVERLAP * np.maximum(area[order] + area[best] - shared, 1e-12)
-        same |= shared > WITHIN * np.maximum(np.minimum(area[order], area[best]), 1e-12)
-        order = order[~same]
-    return np.array(kept, dtype=int)
 
 
 def _touches(box: np.ndarray, regions: np.ndarray) -> bool:

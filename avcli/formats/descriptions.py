@@ -246,24 +246,24 @@ _EXPLAINED_ID = (OrNull(_COUNT), "identity in the tracks; null: not in the track
 _LABEL = (_COUNT, "the tracker's own name for a person")
 
 
-def _written(**keys: tuple[Kind, str]) -> Object:
+def always(**keys: tuple[Kind, str]) -> Object:
     """Describe an object that always has all of these keys."""
     return Object({name: Key(kind, text, required=True) for name, (kind, text) in keys.items()})
 
 
-_BIRTH = _written(
+_BIRTH = always(
     label=_LABEL,
     detection=(_COUNT, "number of the detection that started the track"),
     existence=(PROBABILITY, "probability that it is a person"),
     object_id=_EXPLAINED_ID,
 )
-_DEATH = _written(
+_DEATH = always(
     label=_LABEL,
     existence=(PROBABILITY, "probability that it still is a person"),
     because=(Text(), "the reason"),
     object_id=_EXPLAINED_ID,
 )
-_EXPLAINED_PERSON = _written(
+_EXPLAINED_PERSON = always(
     label=_LABEL,
     most_likely=(
         Either((_COUNT, Choice(("missed", "absent")))),
@@ -274,7 +274,7 @@ _EXPLAINED_PERSON = _written(
     last_seen=(OrNull(bounds.TIME), "when a sensor detected the person last before this record, s"),
     object_id=_EXPLAINED_ID,
 )
-ERRORS = _written(
+ERRORS = always(
     noise_factor=(Number(above=0, most=1e6), "the covariances of its detections are multiplied by this"),
     floor_factor=(Number(above=0, most=1e6), "and so is the square of what is added to them"),
     detections=(
@@ -285,14 +285,14 @@ ERRORS = _written(
     bias_sd=(Numbers(3, bounds.DISTANCE), "standard deviations of these, m"),
     lasting_sd=(bounds.DISTANCE, "standard deviation of the error that does not average away, m"),
 )
-FALSE_PLACE = _written(
+FALSE_PLACE = always(
     position=(Numbers(2, bounds.COORDINATE), "where, m"),
     variance=(Number(above=0, most=1e12), "variance of its detections along each axis, m²"),
     hits=(Number(above=0, most=1e12), "records with a false detection there, with the prior's worth"),
     misses=(Number(above=0, most=1e12), "records without one"),
     log_odds=(Number(-100, most=100), "log odds that nobody is there"),
 )
-_EXPLAINED_DETECTION = _written(
+_EXPLAINED_DETECTION = always(
     position=(Numbers(2), "position without the sensor's bias, m"),
     unclaimed=(PROBABILITY, "probability that no known person caused it"),
     person_if_unclaimed=(PROBABILITY, "probability of a new person if no known person caused it"),
@@ -312,11 +312,11 @@ _EXPLAINED_DETECTION = Object(
         ),
     }
 )
-_HYPOTHESIS = _written(
+_HYPOTHESIS = always(
     weight=(PROBABILITY, "probability of the joint hypothesis"),
     detections=(ListOf(OrNull(_COUNT)), "one for each label; null: missed or absent"),
 )
-_CLUSTER = _written(
+_CLUSTER = always(
     labels=(ListOf(_COUNT, 1), "the people"),
     count=(Integer(least=1), "number of joint hypotheses"),
     best=(ListOf(_HYPOTHESIS, 1, 5), "the most probable joint hypotheses"),
@@ -324,7 +324,7 @@ _CLUSTER = _written(
 EXPLAIN = Format(
     "explain",
     "How the tracker used one record of one sensor (avfuse --explain)",
-    _written(
+    always(
         timestamp=(
             Written({"type": "string", "pattern": r"^-?\d+\.\d{10}$"}, "a number of seconds with ten decimals"),
             "time of the sensor's record, s",

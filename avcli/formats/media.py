@@ -66,7 +66,7 @@ class Shot:
 
 
 def write_png(path: str | os.PathLike, image: np.ndarray) -> None:
-    """Write a picture (see `encode_png`) to a file, whole or not at all."""
+    """Write a picture (height, width[, channels]), see `encode_png`, to a file, whole or not at all."""
     atomic.write_bytes(path, encode_png(image))
 
 
@@ -254,7 +254,7 @@ def encode_picture(image: np.ndarray, suffix: str) -> bytes:
 
 
 def swapped(image: np.ndarray) -> np.ndarray:
-    """Turn red, green, blue into OpenCV's blue, green, red, and back; grey stays grey."""
+    """Turn a picture (height, width, 3 or 4) RGB[A] into OpenCV's BGR[A], and back; a grey one stays as it is."""
     import cv2
 
     if image.ndim == 3 and image.shape[2] in (3, 4):
@@ -273,12 +273,11 @@ def _described(image: np.ndarray) -> str:
     return f"{image.dtype} {' × '.join(map(str, image.shape))}"
 
 
-def read_bytes(path: str | os.PathLike, largest: int = LARGEST_PICTURE_FILE) -> bytes:
+def read_bytes(path: str | os.PathLike) -> bytes:
     """Read a file that a record or a config names.
 
     Args:
         path: of a regular file.
-        largest: size in bytes that is not read any more.
 
     Raises:
         MediaError: it is missing, empty, too large, cannot be read, or is not a regular file.
@@ -286,11 +285,11 @@ def read_bytes(path: str | os.PathLike, largest: int = LARGEST_PICTURE_FILE) -> 
     try:
         with _open_regular(path) as stream:
             size = os.fstat(stream.fileno()).st_size
-            content = b"" if size > largest else stream.read(size)
+            content = b"" if size > LARGEST_PICTURE_FILE else stream.read(size)
     except OSError as error:
         raise MediaError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    if size > largest:
-        raise MediaError(f"{path}: larger than {largest >> 20} MiB")
+    if size > LARGEST_PICTURE_FILE:
+        raise MediaError(f"{path}: larger than {LARGEST_PICTURE_FILE >> 20} MiB")
     if not content:
         raise MediaError(f"{path}: the file is empty")
     return content

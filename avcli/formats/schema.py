@@ -84,14 +84,14 @@ def _beginning(value: Any, left: list[int]) -> Any:
     return value
 
 
-def refuse_depth(value: Any, most: int = DEEPEST) -> None:
-    """Refuse a decoded JSON value whose lists and objects lie more than `most` deep inside one another.
+def refuse_depth(value: Any) -> None:
+    """Refuse a decoded JSON value whose lists and objects lie more than DEEPEST deep inside one another.
 
     Raises:
         Invalid: it is deeper.
     """
     level = [value]
-    for _ in range(most):
+    for _ in range(DEEPEST):
         inner: list[Any] = []
         for item in level:
             if isinstance(item, dict):
@@ -101,7 +101,7 @@ def refuse_depth(value: Any, most: int = DEEPEST) -> None:
         level = [item for item in inner if isinstance(item, dict | list)]
         if not level:
             return
-    raise Invalid(f"has lists or objects more than {most} deep inside one another")
+    raise Invalid(f"has lists or objects more than {DEEPEST} deep inside one another")
 
 
 class Kind(Protocol):

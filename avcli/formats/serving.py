@@ -1,7 +1,39 @@
-"""What the pages that this machine serves have in common: who may read them, and how they answer."""
+"""What the pages that this machine serves have in common: the server, who may read them, and how they answer."""
 
+import contextlib
 import ipaddress
-from http.server import BaseHTTPRequestHandler
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+
+@contextlib.contextmanager
+def serving(answer: Callable[[BaseHTTPRequestHandler], None], port: int, host: str = "127.0.0.1") -> Iterator[int]:
+    """Serve pages while the block lasts; yields the port.
+
+    Args:
+        answer: answers one request, in a thread of its own.
+        port: 0: any that is free.
+        host: of this machine.
+
+    Raises:
+        OSError: the port is taken, or the host is not this machine's.
+    """
+
+    class _Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            answer(self)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer((host, port), _Handler) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield server.server_address[1]
+        finally:
+            server.shutdown()
 
 
 def is_local(host: str) -> bool:

@@ -42,6 +42,11 @@ class Across(NamedTuple):
     s: np.ndarray
     seen: np.ndarray
 
+    @property
+    def direction(self) -> tuple[np.ndarray, np.ndarray]:
+        """The unit vector e = (x, y) / r, 0 on the axis."""
+        return np.where(self.r > 0, self.x / self.r, 0.0), np.where(self.r > 0, self.y / self.r, 0.0)
+
 
 # --- what all lenses share --------------------------------------------------------------------------------------------
 
@@ -148,7 +153,7 @@ class Lens(ABC):
         across = self._across(x, y, z)
         with np.errstate(invalid="ignore", divide="ignore"):
             m, slope = self._radius(across.s)
-            ex, ey = (np.where(across.r > 0, part / across.r, 0.0) for part in (across.x, across.y))
+            ex, ey = across.direction
             factor, rows_x, rows_y = self._by_point(across, z, ex, ey, m, slope)
             by_k = self._by_coefficients(across.s)
             mx, my = across.x * factor, across.y * factor

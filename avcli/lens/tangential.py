@@ -12,7 +12,6 @@ those of COLMAP's THIN_PRISM_FISHEYE.
 """
 
 import math
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,9 +36,10 @@ class Tangential(Lens):
     p1: float = 0.0
     p2: float = 0.0
 
-    @abstractmethod
     def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Unit rays (n, 3) of undistorted points."""
+        """Unit rays (n, 3) of undistorted points (qx, qy) of length s, which is the slope unless a model says else."""
+        length = np.sqrt(1 + s * s)
+        return np.stack([qx / length, qy / length, 1 / length], -1)
 
     @property
     def tangential_terms(self) -> tuple[float, float, float, float]:
@@ -50,7 +50,7 @@ class Tangential(Lens):
             return super().project(points)
         across = self._across(*columns(points, 3))
         with np.errstate(invalid="ignore", divide="ignore"):
-            ex, ey = (np.where(across.r > 0, part / across.r, 0.0) for part in (across.x, across.y))
+            ex, ey = across.direction
             m, s = self._radius(across.s)[0], across.s
             tx, ty = self._tangent(s * ex, s * ey)
             scale_x, scale_y = self.scale_px
@@ -63,7 +63,7 @@ class Tangential(Lens):
         across = self._across(x, y, z)
         s = across.s
         with np.errstate(invalid="ignore", divide="ignore"):
-            ex, ey = (np.where(across.r > 0, part / across.r, 0.0) for part in (across.x, across.y))
+            ex, ey = across.direction
             _, rows_x, rows_y = self._by_point(across, z, ex, ey, s, np.ones_like(s))
             qx, qy = s * ex, s * ey
             tx, ty = self._tangent(qx, qy)
@@ -232,11 +232,6 @@ def _least_of_waves(values: np.ndarray) -> np.ndarray:
     return least
 
 
-def _of_slope(qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
-    length = np.sqrt(1 + s * s)
-    return np.stack([qx / length, qy / length, 1 / length], -1)
-
-
 @dataclass(frozen=True)
 class TangentialKannalaBrandt(Tangential, KannalaBrandt):
     """`KannalaBrandt` with tangential terms of the equidistant point q = theta e, and a thin prism.
@@ -276,9 +271,6 @@ class TangentialBrownConrady(Tangential, BrownConrady):
     @property
     def radial(self) -> Lens:
         return BrownConrady(self.fx, self.fy, self.cx, self.cy, *self.radial_terms)
-
-    def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
-        return _of_slope(qx, qy, s)
 
 
 @dataclass(frozen=True)
@@ -348,6 +340,3 @@ class Rational(Tangential, _RadialRational):
     @property
     def radial(self) -> Lens:
         return replace(self, p1=0.0, p2=0.0)
-
-    def _ray_of(self, qx: np.ndarray, qy: np.ndarray, s: np.ndarray) -> np.ndarray:
-        return _of_slope(qx, qy, s)

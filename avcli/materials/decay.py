@@ -5,6 +5,7 @@ room of volume V in which objects have the equivalent absorption area A, they ta
 each metre, as they do in a diffuse field (H. Kuttruff, Room Acoustics, 2009, chapter 5).
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ def energy_decay(
         times_s: (n,) s since the sound was made.
     """
     way = speed_of_sound_m_s * np.asarray(times_s, dtype=float)
-    energy = np.exp(-2 * loss * way)[:, None] * _directions()[0]
+    energy = np.exp(-2 * loss * way)[:, None] * octant(DIRECTIONS)[0]
     for axis in _survival(room_dimensions_m, absorption, way):
         energy *= axis.left
     return energy.sum(axis=1)
@@ -68,7 +69,7 @@ def scattered_energy(
         return np.zeros(len(times))
     grid = np.linspace(0.0, max(times.max(), 0.01), STEPS)
     kept, lost = 1 - np.clip(absorption, LEAST_ABSORBED, 1 - LEAST_ABSORBED), unmirrored(absorption, scatters)
-    weights, directions = _directions()
+    weights, directions = octant(DIRECTIONS)
     of_axes = _survival(room, lost, speed_of_sound_m_s * grid)
     first = np.empty((3, STEPS))
     for i, (walls, scattered) in enumerate(zip(lost.reshape(3, 2), (kept * scatters).reshape(3, 2), strict=True)):
@@ -113,8 +114,8 @@ class _Axis(NamedTuple):
 def _survival(room_dimensions_m: ArrayLike, absorption: ArrayLike, way: np.ndarray) -> list[_Axis]:
     """Return what the walls leave of sound in each of the directions on ways (n,) m, axis by axis."""
     reflected = 1 - np.clip(absorption, LEAST_ABSORBED, 1 - LEAST_ABSORBED).reshape(3, 2)
-    found = []
-    for walls, along, length in zip(reflected, _directions()[1], np.asarray(room_dimensions_m, float), strict=True):
+    found, (_, directions) = [], octant(DIRECTIONS)
+    for walls, along, length in zip(reflected, directions, np.asarray(room_dimensions_m, float), strict=True):
         met = np.outer(way, along / length)
         whole = np.floor(met)
         odd = whole % 2
@@ -125,10 +126,11 @@ def _survival(room_dimensions_m: ArrayLike, absorption: ArrayLike, way: np.ndarr
     return found
 
 
-def _directions() -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights, (k,), and parts along the axes, (3, k), of directions that stand for all."""
-    nodes, weights = np.polynomial.legendre.leggauss(DIRECTIONS)
-    nodes, weights = (nodes + 1) / 2, weights / 2  # an octant: cos θ, and φ from 0 to π / 2
+@functools.cache
+def octant(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions that stand for all: weights (count²,), and parts along the axes (3, count²), of an octant."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = (nodes + 1) / 2, weights / 2  # cos θ, and φ from 0 to π / 2
     z, phi = (grid.ravel() for grid in np.meshgrid(nodes, nodes * np.pi / 2, indexing="ij"))
     level = np.sqrt(1 - z**2)
     return np.outer(weights, weights).ravel(), np.stack([level * np.cos(phi), level * np.sin(phi), z])

@@ -196,5 +196,5 @@ def clip(rectangles: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def linear(srgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB fractions (IEC 61966-2-1)."""
+    """Linear light of sRGB fractions, of any shape (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

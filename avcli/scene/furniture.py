@@ -18,6 +18,8 @@ _PLAIN = ("paint", "wood", "plastic", "metal", "cloth", "card")  # which have th
 MATERIALS = (*_PLAIN, *(name for name in materials.table() if name not in _PLAIN))
 """The names of all materials, in the order of the numbers that Solids have."""
 _LUMINOUS = (MATERIALS.index("window"), MATERIALS.index("lamp"))
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+"""Of a box, in its half sides, (8, 3)."""
 _LARGEST_MESH = 200_000
 _GREY, _WOOD = (0.62, 0.63, 0.62), (0.72, 0.53, 0.34)
 _LENGTH = bounds.LENGTH

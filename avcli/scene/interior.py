@@ -85,7 +85,7 @@ class Interior:
         floor = np.concatenate([grid, np.zeros((9, 1))], 1)
         seen = [_luma(arriving_light(floor, middles, us, vs, lights, self._windows_from) + 0.58 * ambient)]
         brightness = float(np.exp(np.log(np.maximum(seen, 1e-4)).mean()))
-        albedo = _mean_albedo(self._room, self.looks, floor_share=0.5)
+        albedo = _mean_albedo(self._room, self.looks)
         level = 1.3 * brightness * (float(_luma(albedo)) / _PLAIN_FLOOR) ** 0.8
         return float(np.clip(level, 1e-3, 1e3) ** -_ADAPTS)
 
@@ -189,12 +189,18 @@ def _fill(row: np.ndarray, material: materials.Material, colour: tuple[float, fl
     row[2] = [*look.size_m, look.contrast, look.gloss]
 
 
-def _mean_albedo(room: Room, looks: np.ndarray, floor_share: float) -> np.ndarray:
-    """The mean colour of the surfaces, (3,) linear, of which the floor has a share and the walls the rest."""
-    plain = np.array([[0.065, 0.075, 0.10]] * 4 + [[0.40, 0.375, 0.345], [0.72] * 3])
-    stated = np.array(room.surfaces.stated if room.surfaces is not None else [False] * 6)
-    own = np.where(stated[:, None], looks[:6, 0, :3], plain)
-    return floor_share * own[4] + (1 - floor_share) * own[:4].mean(0)
+_PLAIN_ALBEDO = np.array([[0.065, 0.075, 0.10]] * 4 + [[0.40, 0.375, 0.345]])
+"""Colours of the walls and the floor of a plain room, linear."""
+
+
+def _mean_albedo(room: Room, looks: np.ndarray) -> np.ndarray:
+    """The mean colour of the walls and the floor, (3,) linear, half of which is the floor."""
+    stated = np.array(room.surfaces.stated if room.surfaces is not None else [False] * 6)[:5]
+    return _half_floor(np.where(stated[:, None], looks[:5, 0, :3], _PLAIN_ALBEDO))
+
+
+def _half_floor(albedo: np.ndarray) -> np.ndarray:
+    return 0.5 * albedo[4] + 0.5 * albedo[:4].mean(0)
 
 
 def _bounced(room: Room, looks: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -203,15 +209,10 @@ def _bounced(room: Room, looks: np.ndarray, strength: np.ndarray) -> np.ndarray:
     `strength` is that of all lamps, (3,), 1 in a plain room.
     """
     floor_area = max(room.dimensions[0] * room.dimensions[1] / 21.7, 0.2)  # of the laboratory
-    albedo = _mean_albedo(room, looks, floor_share=0.5)
-    plain = _mean_albedo_of_plain()
+    albedo, plain = _mean_albedo(room, looks), _half_floor(_PLAIN_ALBEDO)
     tone = (0.4 + 0.6 * albedo / plain) / (0.4 + 0.6 * _luma(albedo / plain))
     level = (0.5 + 0.5 * np.clip(_luma(albedo) / _luma(plain), 0.3, 2.2)) * (0.03 + 0.97 * strength / floor_area**0.7)
     return np.clip(level * tone, 0.02, 50.0)
-
-
-def _mean_albedo_of_plain() -> np.ndarray:
-    return 0.5 * np.array([0.40, 0.375, 0.345]) + 0.5 * np.array([0.065, 0.075, 0.10])
 
 
 def _luma(colour: np.ndarray) -> np.ndarray:

@@ -35,6 +35,22 @@ class Spot:
     table: int = -1
 
 
+@dataclass(frozen=True)
+class FloorPose:
+    """A place on the floor and the way that it faces: x ahead, y to the left."""
+
+    x: float
+    y: float
+    turn_deg: float
+
+    def at(self, dx: float, dy: float) -> tuple[float, float]:
+        """The place in the room of a point of this frame, m."""
+        turn = np.deg2rad(self.turn_deg)
+        return float(self.x + np.cos(turn) * dx - np.sin(turn) * dy), float(
+            self.y + np.sin(turn) * dx + np.cos(turn) * dy
+        )
+
+
 @dataclass
 class Layout:
     """A room that is being furnished.
@@ -64,7 +80,9 @@ class Layout:
         """Whether something of some probability happens."""
         return bool(self.generator.random() < probability)
 
-    def put(self, kind: str, at: "Frame", dx: float, dy: float, turn: float = 0.0, z: float = 0.0, **keys: Any) -> None:
+    def put(
+        self, kind: str, at: FloorPose, dx: float, dy: float, turn: float = 0.0, z: float = 0.0, **keys: Any
+    ) -> None:
         """Add a piece at a place of a frame."""
         x, y = at.at(dx, dy)
         place = [round(x, 3), round(y, 3)] + ([] if kind in ("table", "chair") else [round(z, 3)])
@@ -73,12 +91,12 @@ class Layout:
             item["rotation_deg"] = round((at.turn_deg + turn) % 360, 1)
         self.pieces.append(item)
 
-    def spot(self, at: "Frame", dx: float, dy: float, turn: float, poses: tuple[str, ...], table: int = -1) -> Spot:
+    def spot(self, at: FloorPose, dx: float, dy: float, turn: float, poses: tuple[str, ...], table: int = -1) -> Spot:
         """A place for somebody at a place of a frame."""
         x, y = at.at(dx, dy)
         return Spot((round(x, 2), round(y, 2)), round((at.turn_deg + turn) % 360, 1), poses, table)
 
-    def free(self, half: tuple[float, float], room: float = 0.0, *, square: bool = True) -> "Frame | None":
+    def free(self, half: tuple[float, float], room: float = 0.0, *, square: bool = True) -> FloorPose | None:
         """Find a free rectangle of half sizes along its own axes, `room` m from the walls; None: there is none."""
         g = self.generator
         for _ in range(_TRIES):
@@ -90,10 +108,10 @@ class Layout:
                 continue
             x, y = (float(v) for v in g.uniform(low, high))
             if self._claim(x, y, a, b):
-                return Frame(x, y, turn if square else float(g.uniform(0, 360)))
+                return FloorPose(x, y, turn if square else float(g.uniform(0, 360)))
         return None
 
-    def at_wall(self, deep: float, wide: float) -> "Frame | None":
+    def at_wall(self, deep: float, wide: float) -> FloorPose | None:
         """Find a free place at a wall for something so deep (its own x) and wide, that faces into the room."""
         g = self.generator
         for _ in range(_TRIES):
@@ -105,7 +123,7 @@ class Layout:
             x, y = ((off, along), (along, off), (self.size[0] - off, along), (along, self.size[1] - off))[wall]
             a, b = (deep / 2, wide / 2) if wall % 2 == 0 else (wide / 2, deep / 2)
             if self._claim(x, y, a, b):
-                return Frame(x, y, 90.0 * wall)
+                return FloorPose(x, y, 90.0 * wall)
         return None
 
     def _claim(self, x: float, y: float, a: float, b: float) -> bool:
@@ -113,22 +131,6 @@ class Layout:
             return False
         self.taken.append((x, y, a + 0.02, b + 0.02))
         return True
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A place on the floor and the way that it faces: x ahead, y to the left."""
-
-    x: float
-    y: float
-    turn_deg: float
-
-    def at(self, dx: float, dy: float) -> tuple[float, float]:
-        """The place in the room of a point of this frame, m."""
-        turn = np.deg2rad(self.turn_deg)
-        return float(self.x + np.cos(turn) * dx - np.sin(turn) * dy), float(
-            self.y + np.sin(turn) * dx + np.cos(turn) * dy
-        )
 
 
 def furnish(
@@ -170,7 +172,7 @@ def furnish(
 # --- groups of furniture ----------------------------------------------------------------------------------------------
 
 
-def _desk(layout: Layout, at: Frame) -> None:
+def _desk(layout: Layout, at: FloorPose) -> None:
     """A desk with chair, screen and what lies about; the frame is that of the desk, its user sits at -x."""
     g, deep, wide = layout.generator, 0.75, float(layout.generator.choice([1.2, 1.4, 1.6]))
     wood, table = layout.one_of(_WOODS), layout.tables
@@ -202,7 +204,7 @@ def _desk(layout: Layout, at: Frame) -> None:
         layout.put("coat", at, -deep / 2 - 0.43, 0.0, 0.0, 1.0, color=layout.one_of(_CLOTHS))
 
 
-def _dinner(layout: Layout, at: Frame, long: float, deep: float, poses: tuple[str, ...], *, ends: bool) -> None:
+def _dinner(layout: Layout, at: FloorPose, long: float, deep: float, poses: tuple[str, ...], *, ends: bool) -> None:
     """A table, its length along the frame's y, with chairs on both sides, and something on it."""
     g, table = layout.generator, layout.tables
     layout.tables += 1
@@ -283,7 +285,7 @@ def _office(layout: Layout, people: int) -> None:
         at = layout.free((0.95, 0.85), 0.08)
         if at is None:
             break
-        _desk(layout, Frame(*at.at(0.45, 0.0), at.turn_deg))
+        _desk(layout, FloorPose(*at.at(0.45, 0.0), at.turn_deg))
     _at_walls(
         layout,
         {
@@ -307,7 +309,7 @@ def _meeting(layout: Layout, people: int) -> None:
         half = (deep / 2 + 0.65, long / 2 + 0.65)
         if not layout.seats:
             a, b = half if turn == 0 else half[::-1]
-            at: Frame | None = Frame(x / 2, y / 2, turn)
+            at: FloorPose | None = FloorPose(x / 2, y / 2, turn)
             layout.taken.append((x / 2, y / 2, a, b))
         else:
             at = layout.free(half, 0.3)
@@ -375,7 +377,7 @@ def _workshop(layout: Layout, people: int) -> None:
         at = layout.at_wall(1.5, 1.9) if layout.chance(0.6) else layout.free((0.85, 0.95), 0.3)
         if at is None:
             continue
-        bench, table = Frame(*at.at(-0.38, 0.0), at.turn_deg), layout.tables
+        bench, table = FloorPose(*at.at(-0.38, 0.0), at.turn_deg), layout.tables
         layout.tables += 1
         layout.put("table", bench, 0, 0, 90.0, size_m=[1.7, 0.72, 0.9], color=layout.one_of(_WOODS))
         for dy in (-0.45, 0.4):
@@ -405,7 +407,7 @@ def _living(layout: Layout, people: int) -> None:
     g = layout.generator
     at = layout.at_wall(3.4, 2.4)
     if at is not None:
-        sofa, table = Frame(*at.at(-1.2, 0.0), at.turn_deg), layout.tables
+        sofa, table = FloorPose(*at.at(-1.2, 0.0), at.turn_deg), layout.tables
         layout.tables += 1
         cloth = layout.one_of(_CLOTHS)
         rug = [round(float(v), 2) for v in g.uniform([1.6, 2.0], [2.2, 2.6])]

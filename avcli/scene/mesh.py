@@ -73,9 +73,8 @@ def bodies_triangles(bodies: Bodies, index: int, segments: int = 32) -> tuple[np
 
 def solids_triangles(solids: furniture.Solids, segments: int = 64) -> tuple[np.ndarray, np.ndarray]:
     """Triangles (n, 3, 3) in m of furniture, and the index of the solid that each belongs to, (n,)."""
-    corner = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    cube = corner[np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])]
+    cube = furniture.CORNERS[np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])]
     turn = np.arange(segments + 1) * 2 * np.pi / segments
     rim = np.stack([np.cos(turn), np.sin(turn)], -1)
     low, high = (np.insert(rim, 2, z, axis=1) for z in (-1.0, 1.0))

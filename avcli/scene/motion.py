@@ -88,7 +88,7 @@ class Motion:
         return sole, headings, swing, ahead
 
     def standing_feet(self, t: np.ndarray, half_width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """As `feet`, of a person who stands or rolls: the feet are below the body, side by side."""
+        """As `feet` at times (n,) s, of a person who stands or rolls: the feet are below the body, side by side."""
         heading = self.heading(t)
         side = np.array([-1.0, 1.0])  # right, left
         place = self.position(t)[:, None] + half_width * side[:, None] * _left(heading)[:, None]
@@ -169,7 +169,7 @@ class _Walk:
         self.bounds = np.concatenate([[0.0], self.step * (np.arange(1, count + 1) - 0.5), [total]])
 
     def feet(self, t: np.ndarray, half_width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """As `Motion.feet`, at times within the walk."""
+        """As `Motion.feet`, at times (n,) s within the walk."""
         s = np.interp(t, self.times, self.lengths)
         j = np.clip(np.searchsorted(self.bounds, s, "right"), 1, len(self.bounds) - 1)
         through = (s - self.bounds[j - 1]) / (self.bounds[j] - self.bounds[j - 1])

@@ -7,8 +7,6 @@ import numpy as np
 from avcli.scene import furniture
 from avcli.scene.scenario import Scenario
 
-_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-
 
 def plan(scenario: Scenario) -> list[dict[str, Any]]:
     """Draw the furniture of a scenario from above; meshes are left out.
@@ -24,7 +22,8 @@ def plan(scenario: Scenario) -> list[dict[str, Any]]:
         if piece["kind"] == "mesh":
             continue
         solids = furniture.build(piece, None)
-        corners = np.einsum("kc,ncj->nkj", _SIGNS, solids.half[:, :, None] * solids.axes) + solids.centre[:, None]
+        sides = solids.half[:, :, None] * solids.axes
+        corners = np.einsum("kc,ncj->nkj", furniture.CORNERS, sides) + solids.centre[:, None]
         hull = cv2.convexHull(corners[..., :2].reshape(-1, 1, 2).astype(np.float32))[:, 0]
         drawn.append({"name": piece["kind"].replace("_", " "), "outline": hull.round(3).astype(float).tolist()})
     return drawn

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avcli import pose
 from avcli.scene.canvas import Canvas, bounds, clip, linear
 from avcli.scene.people import Bodies
 
@@ -212,9 +213,8 @@ class Outlines:
         turn = np.arange(16) * np.pi / 8
         ring = reach * np.stack([np.cos(turn), np.sin(turn)], -1)
         floor = np.concatenate([middle[:, :, None] + ring, np.zeros((*middle.shape[:2], 16, 1))], -1)
-        T = self.canvas.T_camera_room
-        pixels = self.canvas.camera.lens.project_clamped(floor @ T[:3, :3].T + T[:3, 3])
-        return bounds(pixels, _SHADOW_MARGIN_PX)
+        inside = pose.apply(self.canvas.T_camera_room, floor)
+        return bounds(self.canvas.camera.lens.project_clamped(inside), _SHADOW_MARGIN_PX)
 
     def _outline(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Around each cone in the picture: a rectangle (n, p, 4) and a parallelogram along its axis (n, p, 6).

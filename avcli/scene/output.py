@@ -171,11 +171,11 @@ class _FrameWriter:
                 self.write(path, known[1])
 
     def bits(self, depth: np.ndarray) -> np.ndarray:
-        """A depth picture in the bits that are written; 0 where it is too far for them."""
+        """A depth picture (height, width) uint16 in the bits that are written; 0 where it is too far for them."""
         return np.where(depth < 256, depth, 0).astype(np.uint8) if self.narrow else depth
 
     def encoded(self, name: str, picture: np.ndarray, kind: str) -> list[bytes | memoryview]:
-        """The parts of a picture's file, the next of this name; raw pixels are not copied."""
+        """The parts of the file of a picture (height, width[, 3]), the next of this name; raw pixels are not copied."""
         picture = self.bits(picture) if picture.dtype == np.uint16 else picture
         if kind == "png":
             return [self.encoders[name].encode(picture)]

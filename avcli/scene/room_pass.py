@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from avcli import pose
 from avcli.scene import furniture, room_shaders, shaders
 from avcli.scene.canvas import COARSE, Canvas, bounds, clip, linear, put
 from avcli.scene.look_shaders import LATTICE
@@ -123,7 +124,7 @@ def _rectangles(canvas: Canvas, solids: furniture.Solids) -> np.ndarray:
     """A rectangle of pixels around each solid, (n, 4)."""
     if not len(solids):
         return np.zeros((0, 4))
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    corners = furniture.CORNERS
     edges = np.array([(i, j) for i in range(8) for j in range(i) if np.sum(corners[i] != corners[j]) == 1])
     f = np.linspace(0, 1, _EDGE_SAMPLES)[:, None]
     unit = np.concatenate([corners[i] * (1 - f) + corners[j] * f for i, j in edges])
@@ -133,8 +134,8 @@ def _rectangles(canvas: Canvas, solids: furniture.Solids) -> np.ndarray:
         a, b, c = solids.centre[flat], solids.axes[flat, 0], solids.axes[flat, 1]
         rim = np.concatenate([p[:, None] * (1 - f) + q[:, None] * f for p, q in ((a, b), (b, c), (c, a))], 1)
         points[flat] = np.resize(rim.transpose(1, 0, 2), (len(unit), flat.sum(), 3)).transpose(1, 0, 2)
-    T = canvas.T_camera_room
-    rectangles = bounds(canvas.camera.lens.project_clamped(points @ T[:3, :3].T + T[:3, 3]), _MARGIN_PX)
+    inside = pose.apply(canvas.T_camera_room, points)
+    rectangles = bounds(canvas.camera.lens.project_clamped(inside), _MARGIN_PX)
     lost = ~np.isfinite(rectangles).all(1)
     rectangles[lost] = (0, 0, *canvas.size)
     return clip(rectangles, canvas.size)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from avcli import pose
 from avcli.formats.experiment import Camera
 from avcli.formats.schema import Invalid
 from avcli.scene import people as bodies
@@ -24,7 +25,7 @@ def odd(camera: Camera) -> list[str]:
     """
     x, y = np.linspace(0, camera.width_px - 1, _GRID), np.linspace(0, camera.height_px - 1, _GRID)
     rays = camera.lens.unproject(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
-    angle = np.rad2deg(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    angle = np.rad2deg(pose.angle_from_axis(rays))
     seen = np.isfinite(angle).mean()
     if seen < _LEAST_SEEN:
         end = np.rad2deg(camera.lens.theta_max)

@@ -11,6 +11,7 @@ import numpy as np
 
 from avcli.formats.experiment import Camera, Config, ConfigError
 from avcli.formats.sensors import CAMERA
+from avcli.pose import angle_from_axis
 
 if TYPE_CHECKING:
     from avcli.tracking.model import Corners
@@ -88,7 +89,7 @@ def of_camera(camera: Camera, area: Corners) -> Coverage:
         inside = (u > -0.5) & (u < camera.width_px - 0.5) & (v > -0.5) & (v < camera.height_px - 0.5)
         if camera.circle is not None:
             inside &= np.hypot(u - camera.circle[0], v - camera.circle[1]) <= camera.circle[2]
-    inside &= np.arctan2(np.hypot(seen[..., 0], seen[..., 1]), seen[..., 2]) <= camera.theta_max
+    inside &= angle_from_axis(seen) <= camera.theta_max
     share = (inside.mean(-1) - NOTHING) / (ENOUGH - NOTHING)
     return Coverage(low, step, np.minimum(np.maximum(share, LEAST), 1.0))
 

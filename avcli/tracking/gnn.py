@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,13 +36,8 @@ class GNN:
         S. Blackman and R. Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 6.
     """
 
-    def __init__(self, population: Population, sensors: Iterable[Sensor] = ()) -> None:
-        """Begin without tracks.
-
-        Args:
-            population: of which motion and speed are used.
-            sensors: those that may report (others: `add`).
-        """
+    def __init__(self, population: Population) -> None:
+        """Begin without tracks; of the population, motion and speed are used."""
         self.population = population
         self.sensors: list[Sensor] = []
         self.column: dict[str, int] = {}
@@ -50,8 +45,6 @@ class GNN:
         self.mean, self.cov, self.mode = np.zeros((0, m, 4)), np.zeros((0, m, 4, 4)), np.zeros((0, m))
         self.lives: list[Life] = []
         self.time, self.next_label = -math.inf, 0
-        for one in sensors:
-            self.add(one)
 
     def add(self, sensor: Sensor) -> None:
         """Let another sensor report from now on."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,12 +36,8 @@ class JPDA:
         Y. Bar-Shalom and X. R. Li, Multitarget-Multisensor Tracking: Principles and Techniques, 1995, section 6.2.
     """
 
-    def __init__(self, population: Population, sensors: Iterable[Sensor] = ()) -> None:
-        """Begin without tracks.
-
-        Args:
-            population: of which area and speed are used.
-            sensors: those that may report (others: `add`).
+    def __init__(self, population: Population) -> None:
+        """Begin without tracks; of the population, area and speed are used.
 
         Raises:
             ValueError: Stone Soup is not installed.
@@ -58,8 +54,6 @@ class JPDA:
         self.column: dict[str, int] = {}
         self.lives: list[Life] = []
         self.next_label, self.time = 0, 0.0
-        for one in sensors:
-            self.add(one)
 
     def add(self, sensor: Sensor) -> None:
         """Let another sensor report from now on."""

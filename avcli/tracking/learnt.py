@@ -9,8 +9,8 @@ from typing import Any
 import orjson
 
 from avcli.formats import atomic, bounds
-from avcli.formats.descriptions import ERRORS, FALSE_PLACE, Format
-from avcli.formats.schema import Invalid, Key, Kind, ListOf, MapOf, Number, Numbers, Object, OrNull
+from avcli.formats.descriptions import ERRORS, FALSE_PLACE, Format, always
+from avcli.formats.schema import Invalid, Key, ListOf, MapOf, Number, Numbers, OrNull
 from avcli.tracking.rates import AGAIN, PRIOR_AGAIN
 
 _MOST = 1e12
@@ -18,22 +18,18 @@ _AMOUNT, _DIVISOR, _SIGNED = Number(0, most=_MOST), Number(1e-6, most=_MOST), Nu
 _LOG_ODDS = Number(-10, most=10)
 
 
-def _required(**keys: tuple[Kind, str]) -> Object:
-    return Object({name: Key(kind, text, required=True) for name, (kind, text) in keys.items()})
-
-
-_MAP = _required(
+_MAP = always(
     happened=(ListOf(ListOf(_SIGNED)), "how often it happened in each cell of a grid over the room, along x, then y"),
     expected=(ListOf(ListOf(_AMOUNT)), "how often it was expected there before anything was learnt"),
 )
-_SENSOR = _required(
+_SENSOR = always(
     typical=(OrNull(_LOG_ODDS), "log odds of the scores of people"),
     clutter_sum=(_AMOUNT, "false detections"),
     clutter_count=(_DIVISOR, "records in which they were counted"),
     hit_sum=(_AMOUNT, "people who were detected"),
     hit_count=(_DIVISOR, "people who could be detected"),
     hiding=(
-        _required(
+        always(
             events=(_DIVISOR, "how often a person was hidden and came back"),
             in_sight=(_DIVISOR, "time that people could be detected, s"),
             hidden=(_DIVISOR, "time that they could not, s"),
@@ -41,7 +37,7 @@ _SENSOR = _required(
         "how the sensor loses people",
     ),
     blindness=(
-        _required(
+        always(
             returned=(_DIVISOR, "how often the sensor lost everybody and found somebody again"),
             emptied=(_AMOUNT, "how often it found nobody again"),
         ),
@@ -58,7 +54,7 @@ _SENSOR.keys = {
 LEARNT = Format(
     "learnt",
     "What the tracker has learnt of a room and its sensors (avfuse --learn)",
-    _required(
+    always(
         area=(Numbers(4, bounds.COORDINATE), "the room: least x, least y, largest x, largest y, m"),
         entries=(_MAP, "people who came"),
         exits=(_MAP, "people who left"),

@@ -94,8 +94,8 @@ class Settings:
     )
     max_wait: float = setting(
         1.0,
-        "Do not wait for a sensor that lags more than S seconds of data behind another one of its stream or, with "
-        "--live, is quiet for so long; inf: wait.",
+        "Leave a sensor behind if it lags by more than S seconds of data behind another one of its stream. With "
+        "--live, also if it is quiet for so long. inf: wait for all.",
         unit="S",
         least=0.0,
         most=math.inf,

@@ -8,14 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
 from avcli.formats.media import MediaError
-from avcli.formats.serving import is_named, send
+from avcli.formats.serving import is_named, send, serving
 from avcli.view import sound
 from avcli.view.errors import Errors
 from avcli.view.experiment import Recorded
@@ -197,27 +197,33 @@ class Live:
 
     def answer(self, handler: BaseHTTPRequestHandler) -> None:
         """Answer one request; it must name this machine, so that no page from the network can read the run."""
+        with contextlib.suppress(OSError):
+            try:
+                self._reply(handler)
+            except (MediaError, KeyError, ValueError):
+                handler.send_error(404)
+
+    def _reply(self, handler: BaseHTTPRequestHandler) -> None:
         asked = urlsplit(handler.path)
         what = asked.path.strip("/")
-        with contextlib.suppress(OSError):
-            if not is_named(handler):
-                handler.send_error(403)
-            elif what == "":
-                send(handler, "text/html; charset=utf-8", self._page())
-            elif what == "events":
-                first = parse_qs(asked.query).get("from", [""])[0]
-                send(handler, "text/event-stream", None)
-                for part in self._events(int(first) if first.isdecimal() else 0):
-                    handler.wfile.write(part)
-                    handler.wfile.flush()
-            elif what == "sound" and self._heard is not None:
-                query = {key: values[-1] for key, values in parse_qs(asked.query).items()}
-                content, rate = self._heard.part(query.get("of"), float(query["from"]), float(query["to"]))
-                send(handler, "application/octet-stream", content, rate)
-            elif (number := what.removeprefix("picture/")).isdecimal() and int(number) < len(self._reads):
-                send(handler, "image/jpeg", self._jpeg(int(number)))
-            else:
-                handler.send_error(404)
+        if not is_named(handler):
+            handler.send_error(403)
+        elif what == "":
+            send(handler, "text/html; charset=utf-8", self._page())
+        elif what == "events":
+            first = parse_qs(asked.query).get("from", [""])[0]
+            send(handler, "text/event-stream", None)
+            for part in self._events(int(first) if first.isdecimal() else 0):
+                handler.wfile.write(part)
+                handler.wfile.flush()
+        elif what == "sound" and self._heard is not None:
+            query = {key: values[-1] for key, values in parse_qs(asked.query).items()}
+            content, rate = self._heard.part(query.get("of"), float(query["from"]), float(query["to"]))
+            send(handler, "application/octet-stream", content, rate)
+        elif (number := what.removeprefix("picture/")).isdecimal() and int(number) < len(self._reads):
+            send(handler, "image/jpeg", self._jpeg(int(number)))
+        else:
+            handler.send_error(404)
 
     @contextlib.contextmanager
     def serving(self, port: int) -> Iterator[None]:
@@ -226,25 +232,9 @@ class Live:
         Raises:
             OSError: the port is taken.
         """
-        live = self
-
-        class _Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                try:
-                    live.answer(self)
-                except (MediaError, KeyError, ValueError):
-                    self.send_error(404)
-
-            def log_message(self, *_: object) -> None:
-                pass
-
-        with ThreadingHTTPServer(("127.0.0.1", port), _Handler) as server:
-            server.daemon_threads = True
-            self.url = f"http://127.0.0.1:{server.server_address[1]}/"
-            thread = threading.Thread(target=server.serve_forever, daemon=True)
-            thread.start()
+        with serving(self.answer, port) as there:
+            self.url = f"http://127.0.0.1:{there}/"
             try:
                 yield
             finally:
                 self.end()
-                server.shutdown()

@@ -15,22 +15,10 @@ import numpy as np
 
 from avcli import pose
 from avcli.formats.experiment import lens_from_config
+from avcli.scene.scenario import CAMERAS
 
 COLUMNS, ROWS, SQUARE = 7, 10, 0.095
 MIDDLE = np.array([2.33, 2.33, 0.02])
-THESIS = {
-    "lens_model": "kannala_brandt",
-    "fx_px": 862.27,
-    "fy_px": 862.70,
-    "cx_px": 1049.47,
-    "cy_px": 552.76,
-    "k1": -0.0269,
-    "k2": -0.0038,
-    "k3": 0.0016,
-    "k4": -0.0006,
-    "image_width_px": 1920,
-    "image_height_px": 1080,
-}
 
 
 def board():
@@ -85,7 +73,7 @@ def _about(axis, angle):
 
 def main(folder, views="20", camera=None):
     """Write one scenario a view."""
-    known = json.loads(Path(camera).read_text()) if camera else THESIS
+    known = json.loads(Path(camera).read_text()) if camera else CAMERAS["real"]
     size = known["image_width_px"], known["image_height_px"]
     lens = lens_from_config(known, width_px=size[0], height_px=size[1])
     rng = np.random.default_rng(0)

@@ -36,22 +36,12 @@ from avcli.acoustics.surroundings import Surroundings
 from avcli.acoustics.trajectory import Trajectory
 from avcli.formats import media
 from avcli.formats.records import Identified
+from avcli.scene.scenario import LABORATORY
 
 Result = TypeVar("Result")
 
 ROOM, RT60, RATE, C = np.array([4.66, 4.66, 3.0]), 0.35, 44100, 343.0
-MICROPHONES = np.array(
-    [
-        [0.115, 4.545, 2.493],
-        [2.401, 4.498, 2.385],
-        [4.545, 4.545, 2.484],
-        [4.498, 2.342, 2.380],
-        [4.545, 0.115, 2.489],
-        [2.395, 0.162, 2.378],
-        [0.115, 0.115, 2.489],
-        [2.386, 2.253, 2.489],
-    ]
-)
+MICROPHONES = np.array(LABORATORY["microphone_config"]["mic_positions_m"])
 PLACES = [0.43, 1.73, 3.0]
 """m, x of the places whose responses are compared; y = 2.33, z = 1.6."""
 SAMPLES = round(RT60 * RATE)

@@ -25,7 +25,7 @@ from figures import figure, hand_over
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film, photograph
+from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film, photograph, photographs
 
 from avcli.calibration import calibrate, corners, fit, gather, opencv, quality, robust, target
 from avcli.calibration.corners import View
@@ -225,10 +225,7 @@ def speed_rows(quick: bool) -> Iterator[Row]:
         rng = np.random.default_rng(100)
         lens, size = _enlarged(THESIS, times), (round(SIZE[0] * times), round(SIZE[1] * times))
         filmed = film(count, rng, lens=lens, size=size)
-        pictures = [
-            photograph(R, t, rng, lens=lens, size=size, blur=0.8 * times)
-            for R, t in zip(filmed.rotations, filmed.translations, strict=True)
-        ]
+        pictures = photographs(filmed, rng, lens=lens, size=size, blur=0.8 * times)
         both = [(_our_time(pictures), _opencv_time(pictures)) for _ in range(_IN_TURN)]
         ours, theirs = (_least(list(rows)) for rows in zip(*both, strict=True))
         ours["over"] = (ours["search_s"] + ours["fit_s"]) / (theirs["search_s"] + theirs["fit_s"])

@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from calibration_boards import BOARD, THESIS, field_error, film
 
+from avcli import pose
 from avcli.calibration import field, fit, live
 from avcli.calibration.corners import PATCH, View
 from avcli.lens import KannalaBrandt, Lens
@@ -57,7 +58,7 @@ def following(lens: Lens) -> Person:
         R, t = (one[0] for one in fit.poses_from_rays(lens, shown))
         far = float(np.linalg.norm(t))
         for attempt in range(200):
-            missed = fit.rotation_from_vector(rng.normal(0, np.deg2rad(6), (1, 3)))[0] @ R
+            missed = pose.rotation_from_vector(rng.normal(0, np.deg2rad(6), (1, 3)))[0] @ R
             there = t * np.exp(rng.normal(0, 0.08)) + rng.normal(0, 0.03 * far, 3)
             there += np.array([0, 0, 0.01 * attempt * far])  # who sees it cut off steps back
             if is_visible(lens, missed, there):

@@ -35,7 +35,7 @@ from avcli.detection.bands import suited
 from avcli.detection.body import Person
 from avcli.detection.detector import Detector
 from avcli.detection.following import FOLLOWED
-from avcli.detection.monocular import locate_boxes
+from avcli.detection.monocular import Fitted
 from avcli.detection.network import Boxes, Network, own_model
 from avcli.detection.settings import Settings
 from avcli.detection.stillness import Stillness
@@ -108,7 +108,7 @@ def placed(labels: list[tuple[tuple[int, int], np.ndarray]], heights: list[float
     for height in heights:
         explained = []
         for size, boxes in labels:
-            found = locate_boxes(boxes, fisheye(size, height))
+            found = Fitted(boxes, fisheye(size, height)).places()
             explained += found.explained.tolist()
             seen += int(found.seen.sum())
         tried += len(explained)
@@ -216,7 +216,7 @@ def tight(labels: np.ndarray) -> np.ndarray:
 
 def off(people: list[Person], labels: np.ndarray, view: View) -> list[tuple[float, float]]:
     """How far each person whom one label shows is from the label's position: m, and squared, by the covariance."""
-    true = locate_boxes(tight(labels), view)
+    true = Fitted(tight(labels), view).places()
     boxes = np.array([person.bbox_px for person in people]).reshape(-1, 4)
     out = []
     for person, row in zip(people, overlaps(boxes, labels), strict=True):

@@ -22,7 +22,7 @@ from bench_real_video import HEIGHT_M, camera, fisheye, labelled, shots_of, tigh
 from scipy.optimize import linear_sum_assignment
 
 from avcli.detection.detector import Detector, detections
-from avcli.detection.monocular import locate_boxes
+from avcli.detection.monocular import Fitted
 from avcli.detection.settings import Settings
 from avcli.formats.experiment import Config
 from avcli.formats.media import read_rgb
@@ -61,7 +61,7 @@ def write(folder: Path, pictures: list[tuple[float, Path]]) -> None:
     """Make the case of one film: the time, s, and the file of each picture."""
     size = read_rgb(pictures[0][1]).shape[1::-1]
     view, links = fisheye(size, HEIGHT_M), Links()
-    places = [locate_boxes(tight(labelled(path) * np.tile(size, 2)), view) for _, path in pictures]
+    places = [Fitted(tight(labelled(path) * np.tile(size, 2)), view).places() for _, path in pictures]
     below = [one.positions[one.seen] for one in places]
     half = min(float(np.abs(np.concatenate(below)).max(initial=2.0)) + 0.5, MOST)
     middle = {"camera_position_m": [half, half, HEIGHT_M]}

@@ -32,7 +32,7 @@ from avcli import __version__
 from avcli.detection import fitted
 from avcli.detection.body import axis_covariance
 from avcli.detection.fitted import AXIS, BOX, FAINT, SCORE, AxisLaw, BoxLaw, FaintLaw, ScoreLaw
-from avcli.detection.monocular import locate_boxes, stated
+from avcli.detection.monocular import Fitted, stated
 
 FEW = 10
 """The score is not fitted to fewer wrong detections than this."""
@@ -76,7 +76,8 @@ def placed(law: BoxLaw, samples: list[BoxSample]) -> "Placed":
     laws = [dataclasses.replace(law, spread=spread, floor_m=0.0, across=1.0, sure=1.0, unsure=0.0) for spread in (1, 2)]
     for view, scene in itertools.groupby(samples, key=lambda sample: sample[2]):
         boxes, parts, places, scores = (np.array(column) for k, column in enumerate(zip(*scene, strict=True)) if k != 2)
-        both = [[locate_boxes(boxes, view, known, law=bare, scores=scores) for bare in laws] for known in (parts, None)]
+        fits = [[Fitted(boxes, view, known, law=bare, scores=scores) for bare in laws] for known in (parts, None)]
+        both = [[one.places() for one in some] for some in fits]
         positions = np.stack([one.positions for one, _ in both], axis=1)
         failed = ~np.stack([one.explained for one, _ in both], axis=1)[..., None]
         errors.append(np.where(failed, 1e3, positions - places[:, None]))

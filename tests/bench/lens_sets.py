@@ -20,6 +20,7 @@ import cv2
 import lens_measures
 import numpy as np
 
+from avcli import pose
 from avcli.calibration import calibrate, corners, fit, gather, opencv, robust, target, uncertainty
 from avcli.calibration.calibrate import Calibration
 from avcli.calibration.pupil import from_pupil, project_jacobian
@@ -90,7 +91,7 @@ def read_case(folder: Path) -> Case:
     everything = calibrate.observe(found.board, seen.views)
     poses = fit.start_from_rays(everything, found.lens, found.solution.beside)
     poses = fit.refine_poses(everything, poses, 20, found.solution.delta_px)
-    good = robust.belonging(everything, poses).corners
+    good = robust.belonging(everything, poses)[0]
     everything = robust.polished(everything, poses, found.board, seen.views, good)
     poses = fit.refine_poses(everything, poses, 20, found.solution.delta_px)
     ids = np.concatenate([view.ids for view in seen.views])
@@ -327,7 +328,7 @@ def _variance(solved: fit.Solution, pixels: np.ndarray) -> np.ndarray:
     rays = lens.unproject(pixels)
     _, by_point, by_lens = lens.project_jacobian(rays)
     good = np.isfinite(by_point).all((1, 2)) & np.isfinite(by_lens).all((1, 2))
-    turn = (-by_point @ fit.cross_matrix(rays))[good].reshape(-1, 3)
+    turn = (-by_point @ pose.cross_matrix(rays))[good].reshape(-1, 3)
     J = by_lens[good].reshape(-1, by_lens.shape[-1])
     Q = np.linalg.qr(turn)[0]
     J = (J - Q @ (Q.T @ J)).reshape(-1, 2, by_lens.shape[-1])

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from avcli.detection.body import Person
-from avcli.detection.monocular import locate_boxes
+from avcli.detection.monocular import Fitted
 from avcli.detection.view import View
 from avcli.formats.media import read_rgb
 from avcli.lens import KannalaBrandt
@@ -73,12 +73,12 @@ def camera(frames: list[Frame]) -> View:
     lens = KannalaBrandt(focal, focal, middle, middle, 0.0, 0.0, 0.0, 0.0)
     views = [View(lens, camera_pose([0, 0, height], [90, 0, 0]), (SIZE, SIZE), np.deg2rad(92)) for height in HEIGHTS_M]
     some = np.array([box for _, _, boxes in frames[::4] for box in boxes])
-    return max(views, key=lambda view: locate_boxes(some, view).explained.sum())
+    return max(views, key=lambda view: Fitted(some, view).places().explained.sum())
 
 
 def people(boxes: np.ndarray, view: View) -> list[Person | None]:
     """Place people by their boxes (n, 4); None where no body fits."""
-    fits = locate_boxes(boxes, view)
+    fits = Fitted(boxes, view).places()
     columns = zip(fits.explained, fits.positions, fits.heights.tolist(), boxes, strict=True)
     return [
         Person(np.array([*place, 0.9]), np.eye(3), 1.0, box, height, "monocular") if explained else None

@@ -45,7 +45,7 @@ class Format:
     text: str
     sign: str
     read: Callable[[str, str, bool | None], list[Camera]]
-    write: Callable[[Camera, Choice, Any, list[str], nearest.Field, bool], str]
+    write: Callable[[Camera, Choice, Any, list[str], nearest.Samples, bool], str]
     choices: tuple[Choice, ...]
     endings: tuple[str, ...] = ()
     has_pose: bool = False
@@ -161,7 +161,7 @@ def write(camera: Camera, kind: str, *, xml: bool = False, model: str | None = N
     if camera.size is None:
         raise ValueError("the size of the camera's pictures is not known")
     form = FORMATS[kind] if model is None else _only(FORMATS[kind], model)
-    seen = nearest.field(camera.lens, camera.size, camera.theta_max)
+    seen = nearest.sampled(camera.lens, camera.size, camera.theta_max)
     choice, lens, rms, largest = _best(camera, form, seen)
     lost = (*camera.lost, *(("its pose",) if camera.T_reference_camera is not None and not form.has_pose else ()))
     found = Written("", {}, choice.name, rms, largest, seen.theta, lost)
@@ -196,7 +196,7 @@ def _only(form: Format, model: str) -> Format:
     return replace(form, choices=chosen, spline=form.spline and wanted == "SPLINED")
 
 
-def _best(camera: Camera, form: "Format", seen: nearest.Field) -> tuple[Choice, Projection, float, float]:
+def _best(camera: Camera, form: "Format", seen: nearest.Samples) -> tuple[Choice, Projection, float, float]:
     for choice in sorted(form.choices, key=lambda choice: choice.model != camera.model):
         exact = choice.same(camera.lens)
         if exact is not None:

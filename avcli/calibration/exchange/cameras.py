@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from avcli.calibration.exchange.nearest import Field, Fitted, Projection, Splined, nearest
+from avcli.calibration.exchange.nearest import Fitted, Projection, Samples, Splined, nearest
 from avcli.lens import LENSES, OFF_CENTRE, TANGENTIAL, Lens, name_of
 
 KNOWN = ("theta_max_observed_deg", "theta_max_trusted_deg", "theta_max_valid_deg", "image_circle_px")
@@ -112,7 +112,7 @@ class Choice(NamedTuple):
             return None
         return self.lens(core, [rest.get(name, 0.0) for name in self.names])
 
-    def nearest(self, source: Projection, seen: Field) -> Fitted:
+    def nearest(self, source: Projection, seen: Samples) -> Fitted:
         """The lens of this model that comes nearest to another (see `nearest`)."""
         turned = not isinstance(source, Lens) or any(getattr(source, name, 0.0) for name in OFF_CENTRE)
         kind = self.kind(turned)

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from avcli.lens import Lens
+from avcli.pose import angle_from_axis
 
 _ANGLES, _AZIMUTHS = 120, 96
 _FITTED = 2000
@@ -49,9 +50,9 @@ class Foreign:
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) of points (n, 3); NaN beyond `theta_max`."""
-        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
+        near = angle_from_axis(points) <= self.theta_max
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            return np.where((angle <= self.theta_max)[:, None], self.pixels(points), np.nan)
+            return np.where(near[:, None], self.pixels(points), np.nan)
 
 
 def up_to_fold(foreign: Foreign) -> Foreign:
@@ -70,7 +71,7 @@ def up_to_fold(foreign: Foreign) -> Foreign:
 # --- rays -------------------------------------------------------------------------------------------------------------
 
 
-class Field(NamedTuple):
+class Samples(NamedTuple):
     """Rays over the known part of a picture.
 
     rays (n, 3), the pixels (n, 2) where a lens puts them, weights (n,) that sum to 1 and are proportional to the area
@@ -84,7 +85,7 @@ class Field(NamedTuple):
     theta: float
 
 
-def field(source: Projection, size: tuple[int, int], theta_max: float = np.inf) -> Field:
+def sampled(source: Projection, size: tuple[int, int], theta_max: float = np.inf) -> Samples:
     """Sample what a lens images.
 
     Args:
@@ -118,7 +119,7 @@ def field(source: Projection, size: tuple[int, int], theta_max: float = np.inf) 
     if not area.any():
         raise ValueError("the lens images hardly a pixel of the picture; check its numbers and the picture's size")
     flat = angles.ravel()[inside]
-    return Field(rays[inside], pixels[inside], area[inside] / area.sum(), flat, float(flat.max()))
+    return Samples(rays[inside], pixels[inside], area[inside] / area.sum(), flat, float(flat.max()))
 
 
 def _rays(angles: np.ndarray, azimuths: np.ndarray) -> np.ndarray:
@@ -137,13 +138,13 @@ class Fitted(NamedTuple):
     max_px: float
 
 
-def nearest(source: Projection, kind: type[Lens], seen: Field, held: Mapping[str, float]) -> Fitted:
+def nearest(source: Projection, kind: type[Lens], seen: Samples, held: Mapping[str, float]) -> Fitted:
     """Fit a lens of another model to a lens (weighted least squares over the field, Levenberg-Marquardt).
 
     Args:
         source: the lens.
         kind: a model of avcli.lens.
-        seen: where to compare, from `field`.
+        seen: where to compare, from `sampled`.
         held: coefficients that keep these values.
 
     Returns:
@@ -163,7 +164,7 @@ def nearest(source: Projection, kind: type[Lens], seen: Field, held: Mapping[str
     return Fitted(lens, *distance(lens, seen))
 
 
-def distance(lens: Projection, seen: Field) -> tuple[float, float]:
+def distance(lens: Projection, seen: Samples) -> tuple[float, float]:
     """Root mean square and largest distance, px, of a lens's pixels from those of `seen`; infinite if one lacks."""
     apart = np.linalg.norm(lens.project(seen.rays) - seen.pixels, axis=1)
     if not np.isfinite(apart).all():
@@ -171,7 +172,7 @@ def distance(lens: Projection, seen: Field) -> tuple[float, float]:
     return float(np.sqrt((seen.weights * apart**2).sum())), float(apart.max())
 
 
-def _refined(lens: Lens, seen: Field, rows: np.ndarray, free: np.ndarray) -> Lens:
+def _refined(lens: Lens, seen: Samples, rows: np.ndarray, free: np.ndarray) -> Lens:
     rays, pixels, weights = seen.rays[rows], seen.pixels[rows], seen.weights[rows] / seen.weights[rows].sum()
 
     def linear(lens: Lens) -> tuple[float, np.ndarray, np.ndarray]:
@@ -340,12 +341,12 @@ _MOST_ROWS = 150
 """of knots, with 30 in each: a view five times as high as it is wide."""
 
 
-def splined(source: Projection, seen: Field, across: int = 30) -> tuple[Splined, float, float]:
+def splined(source: Projection, seen: Samples, across: int = 30) -> tuple[Splined, float, float]:
     """mrcal's splined model of a lens, by linear least squares, and its distance from it (`distance`).
 
     Args:
         source: the lens.
-        seen: where it is known, from `field`.
+        seen: where it is known, from `sampled`.
         across: knots along x.
 
     Raises:

@@ -13,7 +13,6 @@ from avcli import pose
 from avcli.calibration.exchange import nearest
 from avcli.calibration.exchange.cameras import COLMAP, KALIBR, KNOWN, OPENCV, ROS, Camera, Choice
 from avcli.calibration.exchange.nearest import Projection, Splined
-from avcli.calibration.fit import rotation_from_vector
 from avcli.formats import experiment, yaml
 from avcli.lens import LENSES
 
@@ -247,7 +246,7 @@ def mrcal(text: str, name: str, fisheye: bool | None) -> list[Camera]:
     place = None
     if turn is not None and np.any(_numbers(turn, 6)):
         place = pose.inverse(
-            pose.transform(rotation_from_vector(_numbers(turn, 6)[None, :3])[0], _numbers(turn, 6)[3:])
+            pose.transform(pose.rotation_from_vector(_numbers(turn, 6)[None, :3])[0], _numbers(turn, 6)[3:])
         )
     limits = _region_limit(lens, size, values.get("valid_intrinsics_region"))
     lost = ("mrcal's observations",) if "optimization_inputs" in values else ()
@@ -260,7 +259,7 @@ def _region_limit(lens: Projection, size: tuple[int, int] | None, region: Any) -
         return {}
     corners = np.array(region, float)
     try:
-        seen = nearest.field(lens, size)
+        seen = nearest.sampled(lens, size)
     except ValueError:
         return {}
     inside = _is_inside(seen.pixels, corners)

@@ -30,7 +30,7 @@ def _matrix_of(lens: Projection) -> list[float]:
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
 
 
-def avcli(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def avcli(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A camera_config as one line."""
     return orjson.dumps(config(camera, lens), option=orjson.OPT_APPEND_NEWLINE).decode()
 
@@ -49,7 +49,7 @@ def config(camera: Camera, lens: Lens) -> dict[str, Any]:
     return found
 
 
-def opencv(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def opencv(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A FileStorage with the names of OpenCV's calibration sample."""
     width, height = camera.size or (0, 0)
     d, fisheye = choice.values(lens), int(choice.name == "fisheye")
@@ -81,7 +81,7 @@ def opencv(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     return "\n".join([*lines, ""])
 
 
-def ros(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def ros(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """The YAML of camera_calibration_parsers."""
     width, height = camera.size or (0, 0)
     K, d = _matrix_of(lens), choice.values(lens)
@@ -104,7 +104,7 @@ def ros(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: neare
     return "\n".join([*lines, ""])
 
 
-def kalibr(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def kalibr(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A camchain of one camera."""
     width, height = camera.size or (0, 0)
     model, bend = choice.name.split("-")
@@ -124,7 +124,7 @@ def kalibr(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     return "\n".join([*lines, ""])
 
 
-def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A cameras.txt of one camera."""
     width, height = camera.size or (0, 0)
     fx, fy, cx, cy = _core_of(lens)
@@ -140,7 +140,7 @@ def colmap(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: ne
     return "\n".join([*lines, ""])
 
 
-def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Field, xml: bool) -> str:
+def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nearest.Samples, xml: bool) -> str:
     """A .cameramodel, whose reference frame is the room."""
     width, height = camera.size or (0, 0)
     if isinstance(lens, Splined):
@@ -150,7 +150,7 @@ def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nea
     turn = np.zeros(6)
     if camera.T_reference_camera is not None:
         T = pose.inverse(camera.T_reference_camera)
-        turn = np.concatenate([_rotation_vector(T[:3, :3]), T[:3, 3]])
+        turn = np.concatenate([pose.rotation_vector(T[:3, :3]), T[:3, 3]])
     region = _region(camera, seen)
     lines = [
         *(f"# {note}" for note in notes),
@@ -165,29 +165,12 @@ def mrcal(camera: Camera, choice: Choice, lens: Any, notes: list[str], seen: nea
     return "\n".join([*lines, ""])
 
 
-def _region(camera: Camera, seen: nearest.Field, count: int = 60) -> np.ndarray:
+def _region(camera: Camera, seen: nearest.Samples) -> np.ndarray:
     """The closed border (m, 2) px of the field that is known, cut at the picture's border."""
-    azimuths = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    azimuths = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     sine, top = np.sin(seen.theta * (1 - 1e-9)), np.cos(seen.theta * (1 - 1e-9))
-    rays = np.stack([sine * np.cos(azimuths), sine * np.sin(azimuths), np.full(count, top)], -1)
+    rays = np.stack([sine * np.cos(azimuths), sine * np.sin(azimuths), np.full(60, top)], -1)
     border = camera.lens.project(rays)
     border = border[np.isfinite(border).all(1)]
     border = np.clip(border, 0, np.array(camera.size) - 1)
     return np.concatenate([border, border[:1]]).round(2)
-
-
-def _rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) rad of a rotation matrix, by its quaternion, which is exact near half a turn as well."""
-    options = np.array([1 + np.trace(R), *(1 + 2 * R[i, i] - np.trace(R) for i in range(3))])
-    k = int(np.argmax(options))
-    odd = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if k == 0:
-        q = np.array([options[0], *odd])
-    else:
-        i = k - 1
-        q = np.array([odd[i], *(R[i, j] + R[j, i] for j in range(3))])
-        q[1 + i] = options[k]
-    q /= np.linalg.norm(q)
-    q = q if q[0] >= 0 else -q
-    sine = np.linalg.norm(q[1:])
-    return q[1:] * (2 * np.arctan2(sine, q[0]) / sine) if sine > 1e-15 else np.zeros(3)

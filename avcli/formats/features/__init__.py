@@ -36,7 +36,7 @@ class Feature:
     sds: np.ndarray
 
     def take(self, rows: np.ndarray | list[int]) -> "Feature":
-        """Return the feature of some of the detections, by their numbers or by a mask."""
+        """Return the feature of some of the detections, by their numbers or by a mask (n,) bool."""
         return Feature(self.kind, self.vectors[rows], self.sds[rows])
 
 
