@@ -19,9 +19,7 @@ PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
 LOG_PRUNE = math.log(PRUNE)
 BUDGET = 3  # partial associations kept while searching, for each hypothesis that is kept in the end
 LARGE = 50  # labels of a cluster, beyond which it keeps fewer hypotheses in proportion, so that time is bounded
-# Chosen on people who pour through a corner and who fill a small room (`corner`, `cmc2` and `cmc3` of walks.py): with
-# UNLIKELY from 0.001 to 0.1 HOTA in the corner is 93.4 to 94.1, where 90.3 without.
-MANY, UNLIKELY = 6, 0.005  # labels that compete, beyond which clusters that hardly do are not joined; probability of it
+MANY = 6  # labels that compete, beyond which clusters that do so with a probability below PRUNE are not joined
 ROUNDS, SETTLED, MOST_LIKELY = 20, 1e-3, 1e9  # of belief propagation: at most so many; change; ratio of likelihoods
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
@@ -143,7 +141,7 @@ def apart(members: list[Cluster], options: Options, count: int) -> list[tuple[li
     if len(members) < 2 or sum([len(cluster.labels) for cluster in members]) <= MANY:
         return [(members, options)]
     claims = _claims(members, options, count)
-    keeps = ((claims >= UNLIKELY) | (claims >= claims.max(0))).tolist()
+    keeps = ((claims >= PRUNE) | (claims >= claims.max(0))).tolist()
     kept = {
         row: [one for one in options[row] if one[1] == MISSED or keep[detection_of(one[1])]]
         for cluster, keep in zip(members, keeps, strict=True)

@@ -196,26 +196,6 @@ def conversation(path: str, pause: float = 0.4) -> Callable[[Path], list[Walk]]:
     return read
 
 
-def caviar(path: str, pixels: np.ndarray, floor: np.ndarray, rate: float = 25.0) -> Callable[[Path], list[Walk]]:
-    """Boxes of pixels in CVML, on the floor by four points of it, (4, 2) pixels and m; one of ten frames is kept."""
-    sides = []
-    for (u, v), (x, y) in zip(pixels, floor, strict=True):
-        sides += [[u, v, 1, 0, 0, 0, -x * u, -x * v, -x], [0, 0, 0, u, v, 1, -y * u, -y * v, -y]]
-    homography = np.linalg.svd(np.array(sides, float))[2][-1].reshape(3, 3)
-
-    def read(root: Path) -> list[Walk]:
-        rows = []
-        for number, frame in re.findall(r'<frame number="(\d+)">(.*?)</frame>', (root / path).read_text(), re.DOTALL):
-            boxes = r'<object id="(\d+)">\s*<orientation>[^<]*</orientation>\s*<box h="(\d+)" w="\d+" xc="(\d+)" yc="(\d+)"'
-            for person, height, x, y in re.findall(boxes, frame):
-                rows.append([int(person), int(number) / rate, int(x), int(y) + int(height) / 2])
-        found = np.array(rows)
-        found[:, 2:] = on_floor(homography, found[:, 2:])
-        return [(t[::10], xy[::10]) for t, xy in of_rows(found)]
-
-    return read
-
-
 # --- the sets ---------------------------------------------------------------------------------------------------------
 
 
@@ -255,20 +235,16 @@ QUEUE = ("Single file, Palestine: Subaih et al. 2020; Forschungszentrum Jülich,
 JUELICH = ("Experiments of Forschungszentrum Jülich, in PedPy: Schrödter et al.", "MIT (PedPy)")
 PAMELA = ("PAMELA: Zhang et al., University College London", "not stated")
 COCKTAIL = ("CocktailParty: Zen, Lepri, Ricci, Lanz, Space speaks, MPVA 2010", "research, with credit")
-CAVIAR = ("CAVIAR, shop corridor in Lisbon: Fisher et al., EC project IST 2001 37540", "with credit")
 
 _UCY, _SDD = "datasets/UCY/", "datasets/SDD/{}/video{}/annotations.txt"
-_CMC = "Multi-view-3D-multi-object-tracking-dataset/release/amilan-motchallenge-devkit-CLEARMOT/GT_{}_WORLD_CENTROID.txt"
+_CMC = (
+    "Multi-view-3D-multi-object-tracking-dataset/release/amilan-motchallenge-devkit-CLEARMOT/GT_{}_WORLD_CENTROID.txt"
+)
 _SINGLE = "SingleFileMovementAnalysis/notebooks/demo_data/"
 _OVAL = _SINGLE + "genderFemale_germany_paetzke2023/traj/00_raw/setupLeft/croma_female_{}_1.txt"
 _QUEUE = _SINGLE + "genderMixedAlternating_palestine_subaih2019/traj/00_raw/UX_20_1.txt"
 _CITR, _PEDPY = "datasets/CITR/data/trajectories/{}/p*.csv", "PedPy/notebooks/demo-data/"
 _MOT, _RAW = "frame person - - - - - x y", "person frame x y"
-# Points of the floor in CAVIAR's shop corridor, as that project gives them: pixels, and m.
-_LISBON = (
-    np.array([[91, 163], [241, 163], [98, 266], [322, 265]]),
-    np.array([[0, 9.75], [2.9, 9.75], [0, -1.1], [2.9, -1.1]]),
-)
 
 DATASETS = {
     "hotel": Dataset(
@@ -310,7 +286,9 @@ DATASETS = {
             ("car", "vci_back/back_interaction_01", 10.5, 14),
         )
     },
-    "unicorr": Dataset(columns(_PEDPY + "uni-directional/traj_UNI_CORR_500_01.txt", 25.0, 1.0, _RAW), 4, 60, *JUELICH, decides=True),
+    "unicorr": Dataset(
+        columns(_PEDPY + "uni-directional/traj_UNI_CORR_500_01.txt", 25.0, 1.0, _RAW), 4, 60, *JUELICH, decides=True
+    ),
     "corner": Dataset(
         columns("PedPy/tests/reference_tests/data/corner/traj.txt", 16.0, 1.0, _RAW), 4, 40, *JUELICH, decides=True
     ),
@@ -323,7 +301,6 @@ DATASETS = {
     ),
     "bottleneck": Dataset(columns(_PEDPY + "bottleneck/040_c_56_h-.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH),
     "queue": Dataset(columns(_QUEUE, 25.0, 1.0, _RAW), 5, 120, *QUEUE),
-    "caviar-corridor": Dataset(caviar("MultiplePedestrianTracking/data/cols2gt.xml", *_LISBON), 0, 45, *CAVIAR),
     **{
         f"sdd-{scene}{video}": Dataset(boxes(_SDD.format(scene, video)), 2, 60, *SDD)
         for scene, video in (
