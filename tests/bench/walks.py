@@ -2,7 +2,7 @@
 
 OpenTraj (https://github.com/crowdbotp/OpenTraj, Amirian et al., ACCV 2020) gathers public sets of tracks. Other sets
 are read from checkouts of their own repositories, in folders of that repository's name inside OpenTraj's, as in
-OpenTraj/PAMELA_dataset. None of them is part of avcli. Sets with `decides` may decide about avcli's settings; the
+OpenTraj/PedPy. None of them is part of avcli. Sets with `decides` may decide about avcli's settings; the
 others judge it, and nobody looks at their results while something is decided.
 
 A track is interpolated to 10 Hz by monotone cubics (PCHIP), cut where nobody looked for 1.5 s, and cut where the
@@ -77,8 +77,10 @@ def columns(
         files = sorted(root.glob(path))
         if not files:
             raise FileNotFoundError(2, "no such file", str(root / path))
-        table = {".csv": {"delimiter": ",", "skiprows": 1}}
-        rows = [np.loadtxt(file, usecols=place, **table.get(file.suffix, {})) for file in files]
+        named = files[0].suffix == ".csv"
+        rows = [
+            np.loadtxt(file, usecols=place, delimiter="," if named else None, skiprows=int(named)) for file in files
+        ]
         return of_rows(np.vstack(rows) * [1, 1 / rate, scale, scale])
 
     return read
@@ -233,7 +235,6 @@ CMC = ("CMC: Ong, Vo, Vo, Kim, Nordholm, A Bayesian filter for multi-view 3D tra
 CROMA = ("Single file, Germany: Paetzke et al. 2023; Forschungszentrum Jülich, doi 10.34735/ped.2021.5", "CC BY 4.0")
 QUEUE = ("Single file, Palestine: Subaih et al. 2020; Forschungszentrum Jülich, doi 10.34735/ped.2018.5", "CC BY 4.0")
 JUELICH = ("Experiments of Forschungszentrum Jülich, in PedPy: Schrödter et al.", "MIT (PedPy)")
-PAMELA = ("PAMELA: Zhang et al., University College London", "not stated")
 COCKTAIL = ("CocktailParty: Zen, Lepri, Ricci, Lanz, Space speaks, MPVA 2010", "research, with credit")
 
 _UCY, _SDD = "datasets/UCY/", "datasets/SDD/{}/video{}/annotations.txt"
@@ -292,10 +293,6 @@ DATASETS = {
     "corner": Dataset(
         columns("PedPy/tests/reference_tests/data/corner/traj.txt", 16.0, 1.0, _RAW), 4, 40, *JUELICH, decides=True
     ),
-    **{
-        f"pamela{run}": Dataset(columns(f"PAMELA_dataset/S{run}/run1/traj.txt", 12.5, 1.0, _RAW), 0, 26, *PAMELA)
-        for run in (1, 2, 3, 4)
-    },
     "cocktail": Dataset(
         conversation("group-assignment-datasets/data/octave/CocktailParty/features.mat"), 60, 120, *COCKTAIL
     ),
