@@ -296,7 +296,9 @@ DATASETS = {
     "cocktail": Dataset(
         conversation("group-assignment-datasets/data/octave/CocktailParty/features.mat"), 60, 120, *COCKTAIL
     ),
-    "bottleneck": Dataset(columns(_PEDPY + "bottleneck/040_c_56_h-.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH),
+    "bottleneck": Dataset(
+        columns(_PEDPY + "bottleneck/040_c_56_h-.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH, decides=True
+    ),
     "queue": Dataset(columns(_QUEUE, 25.0, 1.0, _RAW), 5, 120, *QUEUE),
     **{
         f"sdd-{scene}{video}": Dataset(boxes(_SDD.format(scene, video)), 2, 60, *SDD)
