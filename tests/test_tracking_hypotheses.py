@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from avcli.formats.experiment import Config
 from avcli.formats.sensors import MICROPHONES
-from avcli.tracking import coverage, gaussian
+from avcli.tracking import association, coverage, gaussian
 from avcli.tracking.blindness import Blindness
 from avcli.tracking.densities import Densities
 from avcli.tracking.glmb import GLMB
@@ -82,6 +82,56 @@ def test_parts_keep_every_marginal(seed):
     for part in parts:
         for k, at in enumerate(part):
             assert whole.only(part).marginals(k, exist)[0] == pytest.approx(whole.marginals(at, exist)[0])
+
+
+def crowd(count, beside):
+    """Each of so many people in a line, with a detection each, and the options of each row.
+
+    beside: log weight of the detection of a neighbour, where the own one has ln 40 and none ln 0.1.
+    """
+    clusters, options = [Cluster([k], [(k,)], [0.0]) for k in range(count)], {}
+    for k in range(count):
+        near = [(beside, j) for j in (k - 1, k + 1) if 0 <= j < count]
+        options[k] = sorted([(math.log(40), k), *near, (math.log(0.1), association.MISSED)], reverse=True)
+    return clusters, options
+
+
+def test_in_a_crowd_whose_people_are_told_apart_each_is_a_group_of_its_own():
+    clusters, options = crowd(12, math.log(0.04))
+    assert len(association.competing(clusters, options)) == 1
+    parts = association.apart(clusters, options, 12)
+    assert sorted(one.labels for some, _ in parts for one in some) == [[k] for k in range(12)]
+    assert all(len(some) == 1 for some, _ in parts)
+    unclaimed = [1.0] * 12
+    groups = [association.associate(some, kept, unclaimed, 40) for some, kept in parts]
+    assert all(group.hypotheses[0].pairs == ((group.labels[0], group.labels[0]),) for group in groups)
+    assert max(unclaimed) < 0.01
+
+
+@pytest.mark.parametrize(("count", "beside"), [(association.MANY, 0.04), (12, 30.0)])
+def test_few_people_and_those_who_are_not_told_apart_stay_together(count, beside):
+    clusters, options = crowd(count, math.log(beside))
+    assert [len(some) for some, _ in association.apart(clusters, options, count)] == [count]
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_claims_are_near_those_of_all_joint_associations(seed):
+    rng = np.random.default_rng(seed)
+    clusters = [cluster({(0,): 0.7, (1,): 0.3}), cluster({(2, 3): 0.6, (2, 4): 0.4})]
+    options = {row: [(0.0, association.MISSED), *((rng.normal(0, 2), j) for j in range(3))] for row in range(5)}
+    priors = [
+        (math.log(p * q), (*a, *b))
+        for a, p in {(0,): 0.7, (1,): 0.3}.items()
+        for b, q in {(2, 3): 0.6, (2, 4): 0.4}.items()
+    ]
+    exact, whole = np.zeros((2, 3)), 0.0
+    for weight, pairs, _ in association.ranked(priors, options, 10**6, math.inf):
+        whole += math.exp(weight)
+        for at, (_, j) in enumerate(pairs):
+            if j >= 0:
+                exact[min(at, 1), j] += math.exp(weight)
+    assert abs(association._claims(clusters, options, 3) - exact / whole).max() < 0.1
 
 
 def test_densities_that_are_alike_become_one_with_the_moments_of_both():

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import itemgetter, or_
 
+import numpy as np
+
 from avcli.tracking.hypotheses import ABSENT, Cluster, Joint
 from avcli.tracking.scan import Scan
 
@@ -17,6 +19,8 @@ PRUNE = 1e-3  # weight of a joint hypothesis relative to the best
 LOG_PRUNE = math.log(PRUNE)
 BUDGET = 3  # partial associations kept while searching, for each hypothesis that is kept in the end
 LARGE = 50  # labels of a cluster, beyond which it keeps fewer hypotheses in proportion, so that time is bounded
+MANY = 6  # labels that compete, beyond which clusters that do so with a probability below PRUNE are not joined
+ROUNDS, SETTLED, MOST_LIKELY = 20, 1e-3, 1e9  # of belief propagation: at most so many; change; ratio of likelihoods
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
@@ -117,6 +121,68 @@ def competing(clusters: Iterable[Cluster], options: Options) -> list[list[Cluste
         wants.update(dict.fromkeys(wanted, number))
         groups[number] = members
     return list(groups.values())
+
+
+def apart(members: list[Cluster], options: Options, count: int) -> list[tuple[list[Cluster], Options]]:
+    """Split clusters that compete for detections into those that do so with a probability that counts.
+
+    In a crowd each may have caused the detection of the next one, and all are one group. Its joint hypotheses are as
+    many as the products of all clusters' ones; the few that can be kept leave out most of what is likely, and extra
+    people stay who share the detections of others. A cluster that is hardly the one that caused a detection loses it.
+
+    Args:
+        members: clusters, of which `competing` says that they compete.
+        options: what each row may have caused.
+        count: detections of the record.
+
+    Returns:
+        The clusters in lists, together those that compete, and what their rows may have caused.
+    """
+    if len(members) < 2 or sum([len(cluster.labels) for cluster in members]) <= MANY:
+        return [(members, options)]
+    claims = _claims(members, options, count)
+    keeps = ((claims >= PRUNE) | (claims >= claims.max(0))).tolist()
+    kept = {
+        row: [one for one in options[row] if one[1] == MISSED or keep[detection_of(one[1])]]
+        for cluster, keep in zip(members, keeps, strict=True)
+        for row in {row for joint in cluster.hypotheses for row in joint if row >= 0}
+    }
+    return [(some, kept) for some in competing(members, kept)]
+
+
+def _claims(members: Sequence[Cluster], options: Options, count: int) -> np.ndarray:
+    """Return the probabilities (clusters, J) that each cluster has caused each detection, by belief propagation.
+
+    Labels count as independent of each other before the record.
+
+    Source:
+        J. L. Williams and R. A. Lau, "Approximate evaluation of marginal association probabilities with belief
+        propagation", IEEE TAES 50(4), 2014.
+    """
+    owners, ratios = [], []
+    for number, cluster in enumerate(members):
+        for rows in zip(*cluster.hypotheses, strict=True):
+            ratio, missed = [0.0] * count, 0.0
+            for row, share in zip(rows, cluster.shares, strict=True):
+                for gain, option in options[row] if row >= 0 else ((0.0, MISSED),):
+                    if option == MISSED:
+                        missed += share * math.exp(gain)
+                    else:
+                        ratio[detection_of(option)] += share * math.exp(min(gain, 300.0))
+            owners.append(number)
+            ratios.append([min(one / max(missed, 1e-300), MOST_LIKELY) for one in ratio])
+    psi = np.array(ratios)  # of having caused a detection to being missed
+    free = np.ones_like(psi)  # to a label from a detection: that no other one has it
+    for _ in range(ROUNDS):
+        told = psi * free
+        wants = psi / (1 + told.sum(1, keepdims=True) - told)
+        before, free = free, 1 / (1 + wants.sum(0) - wants)
+        if abs(free - before).max() < SETTLED:
+            break
+    told = psi * free
+    claims = np.zeros((len(members), count))
+    np.add.at(claims, owners, told / (1 + told.sum(1, keepdims=True)))
+    return claims
 
 
 def _last(joined: list[int], number: int) -> int:

@@ -451,8 +451,11 @@ class GLMB:
         self.near += sum([len(scan.likelihoods[row]) for row in self.labelled_rows])
         unclaimed = [1.0] * len(scan.z)
         most = self.settings.hypotheses
-        competing = association.competing(self.clusters, options)
-        groups = [association.associate(members, options, unclaimed, most) for members in competing]
+        groups = [
+            association.associate(some, kept, unclaimed, most)
+            for members in association.competing(self.clusters, options)
+            for some, kept in association.apart(members, options, len(scan.z))
+        ]
         return groups, [min(max(u, 0.0), 1.0) for u in unclaimed]
 
     def _widen(self, scan: Scan) -> None:

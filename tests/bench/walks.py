@@ -1,8 +1,9 @@
-"""Tracks of real people as scenes of the bench: from a checkout of OpenTraj, or from ready cases.
+"""Tracks of real people as scenes of the bench: from a checkout of OpenTraj and others, or from ready cases.
 
-OpenTraj (https://github.com/crowdbotp/OpenTraj, Amirian et al., ACCV 2020) gathers public sets of tracks. None of them
-is part of avcli. Sets with `decides` may decide about avcli's settings; the others judge it, and nobody looks at their
-results while something is decided.
+OpenTraj (https://github.com/crowdbotp/OpenTraj, Amirian et al., ACCV 2020) gathers public sets of tracks. Other sets
+are read from checkouts of their own repositories, in folders of that repository's name inside OpenTraj's, as in
+OpenTraj/PedPy. None of them is part of avcli. Sets with `decides` may decide about avcli's settings; the
+others judge it, and nobody looks at their results while something is decided.
 
 A track is interpolated to 10 Hz by monotone cubics (PCHIP), cut where nobody looked for 1.5 s, and cut where the
 person leaves the area: who comes back is somebody else. Where one ends and, within these 1.5 s, another one begins
@@ -25,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.io import loadmat
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -65,9 +67,23 @@ def obsmat(path: str, rate: float) -> Callable[[Path], list[Walk]]:
 def columns(
     path: str, rate: float, scale: float = 1.0, order: str = "frame person x y"
 ) -> Callable[[Path], list[Walk]]:
-    """Rows of frame, person, x, y in some order; `scale` m."""
+    """Rows of frame, person, x, y in some order, with - for what is not read; `scale` m. Several files: a pattern.
+
+    Of a .csv the first line names the columns.
+    """
     place = [order.split().index(name) for name in ("person", "frame", "x", "y")]
-    return lambda root: of_rows(np.loadtxt(root / path, usecols=place) * [1, 1 / rate, scale, scale])
+
+    def read(root: Path) -> list[Walk]:
+        files = sorted(root.glob(path))
+        if not files:
+            raise FileNotFoundError(2, "no such file", str(root / path))
+        named = files[0].suffix == ".csv"
+        rows = [
+            np.loadtxt(file, usecols=place, delimiter="," if named else None, skiprows=int(named)) for file in files
+        ]
+        return of_rows(np.vstack(rows) * [1, 1 / rate, scale, scale])
+
+    return read
 
 
 def splines(path: str, homography: str | None, rate: float = 25.0) -> Callable[[Path], list[Walk]]:
@@ -165,6 +181,23 @@ def wildtrack(path: str, rate: float = 10.0) -> Callable[[Path], list[Walk]]:
     return read
 
 
+def conversation(path: str, pause: float = 0.4) -> Callable[[Path], list[Walk]]:
+    """Frames of "person x y angle" in cm, about 15 a second, by a tracker; means over `pause` s, since they jitter."""
+
+    def read(root: Path) -> list[Walk]:
+        found = loadmat(root / path)
+        times = (found["timestamp"][0] - found["timestamp"][0, 0]) * 1e-6
+        frames = zip(times, found["features"][0], strict=True)
+        rows = np.vstack([np.insert(people[:, :3], 1, t, axis=1) for t, people in frames if len(people)])
+        slots = np.round(rows[:, 1] / pause)
+        keys, which = np.unique(np.column_stack([rows[:, 0], slots]), axis=0, return_inverse=True)
+        count = np.bincount(which)
+        mean = [np.bincount(which, rows[:, k]) / count for k in (1, 2, 3)]
+        return of_rows(np.column_stack([keys[:, 0], mean[0], mean[1] / 100, mean[2] / 100]))
+
+    return read
+
+
 # --- the sets ---------------------------------------------------------------------------------------------------------
 
 
@@ -197,8 +230,22 @@ GRAND_CENTRAL = ("Grand Central: Zhou, Wang, Tang, CVPR 2011; Yi, Li, Wang, CVPR
 EDINBURGH = ("Edinburgh Informatics Forum: Majecka, University of Edinburgh 2009", "not stated")
 WILDTRACK = ("WildTrack: Chavdarova et al., CVPR 2018", "not stated")
 HERMES = ("HERMES: Holl, Seyfried; Forschungszentrum Jülich", "not stated")
+CITR = ("CITR: Yang, Li, Redmill, Özgüner, Top-view trajectories, IV 2019", "not stated")
+CMC = ("CMC: Ong, Vo, Vo, Kim, Nordholm, A Bayesian filter for multi-view 3D tracking, TPAMI 2022", "not stated")
+CROMA = ("Single file, Germany: Paetzke et al. 2023; Forschungszentrum Jülich, doi 10.34735/ped.2021.5", "CC BY 4.0")
+QUEUE = ("Single file, Palestine: Subaih et al. 2020; Forschungszentrum Jülich, doi 10.34735/ped.2018.5", "CC BY 4.0")
+JUELICH = ("Experiments of Forschungszentrum Jülich, in PedPy: Schrödter et al.", "MIT (PedPy)")
+COCKTAIL = ("CocktailParty: Zen, Lepri, Ricci, Lanz, Space speaks, MPVA 2010", "research, with credit")
 
 _UCY, _SDD = "datasets/UCY/", "datasets/SDD/{}/video{}/annotations.txt"
+_CMC = (
+    "Multi-view-3D-multi-object-tracking-dataset/release/amilan-motchallenge-devkit-CLEARMOT/GT_{}_WORLD_CENTROID.txt"
+)
+_SINGLE = "SingleFileMovementAnalysis/notebooks/demo_data/"
+_OVAL = _SINGLE + "genderFemale_germany_paetzke2023/traj/00_raw/setupLeft/croma_female_{}_1.txt"
+_QUEUE = _SINGLE + "genderMixedAlternating_palestine_subaih2019/traj/00_raw/UX_20_1.txt"
+_CITR, _PEDPY = "datasets/CITR/data/trajectories/{}/p*.csv", "PedPy/notebooks/demo-data/"
+_MOT, _RAW = "frame person - - - - - x y", "person frame x y"
 
 DATASETS = {
     "hotel": Dataset(
@@ -224,6 +271,35 @@ DATASETS = {
     "corridor2d": Dataset(
         columns("datasets/HERMES/Corridor-2D/bo-360-075-075.txt", 16.0, 0.01, "person frame x y"), 5, 60, *HERMES
     ),
+    **{
+        f"cmc{number}": Dataset(columns(_CMC.format(name), 4.0, 1.0, _MOT), 0, 65, *CMC, decides=True)
+        for number, name in ((1, "J_1_1"), (2, "J_5_2"), (3, "J_6_1"))
+    },
+    **{
+        f"oval{people}": Dataset(columns(_OVAL.format(people), 25.0, 1.0, _RAW), 5, 110, *CROMA, decides=True)
+        for people in ("04", "08", "16")
+    },
+    **{
+        f"citr-{name}": Dataset(columns(_CITR.format(run), 29.97), begin, seconds, *CITR, decides=True)
+        for name, run, begin, seconds in (
+            ("two-ways", "p2p_bi/bidirection_no_vehicle_3v7_03", 4, 9),
+            ("one-way", "p2p_uni/unidirection_no_vehicle_01", 1.2, 9.5),
+            ("car", "vci_back/back_interaction_01", 10.5, 14),
+        )
+    },
+    "unicorr": Dataset(
+        columns(_PEDPY + "uni-directional/traj_UNI_CORR_500_01.txt", 25.0, 1.0, _RAW), 4, 60, *JUELICH, decides=True
+    ),
+    "corner": Dataset(
+        columns("PedPy/tests/reference_tests/data/corner/traj.txt", 16.0, 1.0, _RAW), 4, 40, *JUELICH, decides=True
+    ),
+    "cocktail": Dataset(
+        conversation("group-assignment-datasets/data/octave/CocktailParty/features.mat"), 60, 120, *COCKTAIL
+    ),
+    "bottleneck": Dataset(
+        columns(_PEDPY + "bottleneck/040_c_56_h-.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH, decides=True
+    ),
+    "queue": Dataset(columns(_QUEUE, 25.0, 1.0, _RAW), 5, 120, *QUEUE),
     **{
         f"sdd-{scene}{video}": Dataset(boxes(_SDD.format(scene, video)), 2, 60, *SDD)
         for scene, video in (
