@@ -101,7 +101,7 @@ def measured(one: Recording, spoil: Callable[[np.ndarray, float], np.ndarray]) -
     false: list[float] = []
     said: list[str] = []
     for decision in localizer.localize([Block(spoil(one.samples, one.array.sample_rate))]):
-        found = [bool(ray) and real.azimuth_error(ray.direction, true) < real.RIGHT_DEG for ray in decision.rays]
+        found = [ray is not None and real.azimuth_error(ray.direction, true) < real.RIGHT_DEG for ray in decision.rays]
         speaks = bool(np.abs(one.times - decision.time).min() < 0.03)
         active, hit, right = active + speaks, hit + (speaks and any(found)), right + sum(found)
         false += [float(score) for score, is_he in zip(decision.scores, found, strict=True) if not is_he]
