@@ -609,3 +609,39 @@ def test_an_account_says_what_is_believed_of_leaving(room):
     for one in accounts:
         assert 0 < one["hide_rate"] < math.inf
         assert 0 <= one["blind"] <= 1
+
+
+# --- a room that is full from the beginning ---------------------------------------------------------------------------
+
+
+def tracked(records, area):
+    """Return how many people are reported after each record of a camera, detections (n, 2) m, ten a second."""
+    tracker = GLMB(Settings(), Population(area=((0.0, 0.0), area)), [sensor("ceiling")])
+    counts = []
+    for k, z in enumerate(records):
+        tracker.update(k / 10, "ceiling", z, np.tile(0.0064 * np.eye(2), (len(z), 1, 1)))
+        counts.append(sum(one.existence > 0.5 for one in tracker.tracks(k / 10)))
+    return counts
+
+
+@pytest.mark.parametrize("spacing", [0.4, 0.5, 0.8])
+def test_a_room_full_of_people_is_told_from_clutter_by_the_second_record(spacing):
+    """People are where they were; before, it took seconds until 100 who sit close together were more than clutter."""
+    rng = np.random.default_rng(1)
+    seats = 1.0 + spacing * np.stack(np.meshgrid(np.arange(10), np.arange(10)), -1).reshape(-1, 2)
+    area = tuple(seats.max(axis=0) + 1.0)
+    records = [(seats + rng.normal(0.0, 0.08, seats.shape))[rng.random(len(seats)) < 0.9] for _ in range(3)]
+    assert all(70 <= count <= 105 for count in tracked(records, area)[1:])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_clutter_does_not_fill_a_room(seed):
+    rng = np.random.default_rng(seed)
+    records = [rng.uniform(0.0, 6.0, (60, 2)) for _ in range(4)]
+    assert max(tracked(records, (6.0, 6.0))) <= 8
+
+
+def test_one_person_who_is_detected_often_does_not_fill_a_room():
+    rng = np.random.default_rng(2)
+    records = [rng.normal(3.0, 0.1, (20, 2)) for _ in range(4)]
+    assert max(tracked(records, (6.0, 6.0))) <= 4

@@ -17,6 +17,11 @@ from avcli.tracking.settings import Sensor
 
 BORN = -2  # in the place of a detection in a hypothesis's pairs: the row is that of a person who was just born
 TENTATIVE = 1e-4  # least expected number of people in a tentative density
+SHARES, RECURRING = (
+    (0.0, *np.linspace(0.1, 0.9, 9).tolist(), 0.98),
+    5.0,
+)  # of tentative people; least log likelihood ratio
+ALONE, FULL = 0.75, 10  # share and number of tentative people, farther than a body from others, of a room that is full
 LEAST_HIDDEN = 0.06  # least probability that a camera misses somebody from the beginning: 1 of 23 in random worlds
 
 
@@ -184,6 +189,55 @@ def other_detections(
     np.multiply.at(beside, one, 1 - claimed * np.exp(-apart / (body + spread[one])))
     np.add.at(again, one, scan.again / math.pi * np.exp(-apart / width) / width * claimed)
     return beside.tolist(), again.tolist()
+
+
+def recurring(
+    scan: Scan,
+    unclaimed: Sequence[float],
+    people: Densities,
+    tentative: Sequence[int],
+    known: Sequence[int],
+    body: float,
+) -> tuple[np.ndarray, float]:
+    """Tell a full room from clutter after a surprise: people are detected again where they were, clutter is elsewhere.
+
+    The detections of nobody known are a Poisson process: false ones anywhere, and people about a share of the tentative
+    ones. The likeliest share is taken, where it is much likelier than none.
+
+    Args:
+        scan: the record after the surprise.
+        unclaimed: J probabilities that no known person caused the detection.
+        people: all densities.
+        tentative: T rows of tentative people.
+        known: rows of known people.
+        body: m, see `Population.body`.
+
+    Returns:
+        The probabilities (T,) that they exist, 0 where the detections do not tell; and the false detections then.
+    """
+    there, whole = np.zeros(len(tentative)), math.fsum(unclaimed)
+    seen = [k for k, i in enumerate(tentative) if people.seen[i, scan.column] > NEVER]
+    rows = [tentative[k] for k in seen]
+    places = people.centres(rows)
+    new = np.logical_and.reduce(squared_distance(places, people.centres(known)) >= body**2, axis=1)
+    near, alone = squared_distance(places, places) < body**2, new.copy()
+    for i in range(len(rows)):  # of those within a body of each other, the first counts
+        alone[i] &= not (near[i, :i] & alone[:i]).any()
+    if alone.sum() < max(ALONE * new.sum(), FULL):
+        return there, whole
+    hit = np.where(alone, [scan.p_hit[i] for i in rows], 0.0)
+    weight, local = np.array(unclaimed), np.array(scan.local)
+    about, expected = hit @ scan.gain[rows], float(hit.sum())
+    usual = (np.array(scan.clutter) - local) / scan.expected_clutter
+    best, share, false = -math.inf, 0.0, whole
+    for one in SHARES:
+        others = max(whole - one * expected, scan.sensor.clutter)
+        density = np.maximum(others * usual + local + one * about, 1e-300)
+        likely = float(weight @ np.log(density)) - others - one * expected - RECURRING * (one > 0.0)
+        if likely > best:
+            best, share, false = likely, one, others
+    there[seen] = share * alone
+    return there, false
 
 
 def weighed(

@@ -38,6 +38,7 @@ from avcli.tracking.births import (
     newcomers,
     other_detections,
     overlooked,
+    recurring,
     weighed,
 )
 from avcli.tracking.coverage import watched
@@ -261,15 +262,26 @@ class GLMB:
         self.errors.learn(now, scan, groups, self.people)
         if settings.learn and shown is None and self.scales[scan.column].due():
             self._widen(scan)
+        more, there = 1.0, np.zeros(0)
+        if rates.before and shown is None:
+            there, false_ones = recurring(
+                scan, unclaimed, self.people, tentative, self.likely_rows, self.population.body
+            )
+        if there.any():
+            rates.take_back()
+            more = false_ones / scan.expected_clutter
+            from_tentative *= np.maximum(there / [max(scan.existence[i], 1e-12) for i in tentative], 1.0)[:, None]
+            birth = (np.add.reduce(from_tentative, 0) + from_undetected).tolist()
+            background = [c * more + b for c, b in zip(scan.clutter, birth, strict=True)]
         real = [b / whole for b, whole in zip(birth, background, strict=True)]
         others = other_detections if shown is None else partial.other_detections
         room, twice = others(scan, unclaimed, real, self.population.body)
         birth = [b * left for b, left in zip(birth, room, strict=True)]
         if shown is None:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
-        existence, false, again = weighed(scan, unclaimed, birth, twice)
+        existence, false, again = weighed(scan, unclaimed, birth, twice, more)
         if settings.learn:
-            if rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+            if not there.any() and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)

@@ -37,6 +37,7 @@ class Rates:
         self.typical: float | None = None  # log odds of the scores of people
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_HITS * sensor.detection, PRIOR_HITS
+        self.before: tuple[float, float] | None = None  # what was known of clutter, if the last record was a surprise
         self.again, self.again_sum, self.again_count = AGAIN, PRIOR_AGAIN * AGAIN, PRIOR_AGAIN
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
@@ -46,6 +47,7 @@ class Rates:
         """Learn from one record: false detections, people detected, detectable people missed, people found again."""
         surprises = clutter > self.clutter + SURPRISE * math.sqrt(self.clutter + 1)  # what was learnt cannot be right
         keep = REVISED if surprises else KEEP
+        self.before = (self.clutter_sum, self.clutter_count) if surprises else None
         self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self.again_sum, self.again_count = self.again_sum * KEEP + again, self.again_count * KEEP + hits
@@ -61,6 +63,12 @@ class Rates:
         """
         usual = due + self.clutter
         return unclaimed > usual + SURPRISE * math.sqrt(usual + 1)
+
+    def take_back(self) -> None:
+        """Forget what the last record taught of clutter: it was people."""
+        if self.before:
+            self.clutter_sum, self.clutter_count = self.before
+            self._estimate()
 
     def clutter_with(self, more: float) -> float:
         """Return the false detections to expect in a record, if a further one has so many."""
