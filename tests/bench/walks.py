@@ -299,9 +299,7 @@ DATASETS = {
     "bottleneck": Dataset(
         columns(_PEDPY + "bottleneck/040_c_56_h-.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH, decides=True
     ),
-    "bicorr": Dataset(
-        columns(_PEDPY + "bi-directional/bi_corr_400_b_03.txt", 25.0, 0.01, _RAW), 25, 30, *JUELICH
-    ),
+    "bicorr": Dataset(columns(_PEDPY + "bi-directional/bi_corr_400_b_03.txt", 25.0, 0.01, _RAW), 25, 30, *JUELICH),
     "queue": Dataset(columns(_QUEUE, 25.0, 1.0, _RAW), 5, 120, *QUEUE),
     **{
         f"sdd-{scene}{video}": Dataset(boxes(_SDD.format(scene, video)), 2, 60, *SDD)
