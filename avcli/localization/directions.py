@@ -22,7 +22,7 @@ from avcli.localization.modulation import APART_S, Course, Levels
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
 from avcli.localization.srp import interpolated
-from avcli.localization.uncertainty import After, after_terms, flattened
+from avcli.localization.uncertainty import After, after_terms, flattened, logistic
 from avcli.localization.windows import Heard
 
 TIMED_M = 0.005
@@ -108,7 +108,7 @@ class DirectionLaw:
 
     def probability(self, terms: Mapping[str, float], *, first: bool) -> float:
         """Return the probability that a direction is right by what was heard until then."""
-        return _logistic(self.logit(terms, first=first))
+        return logistic(self.logit(terms, first=first))
 
     def logit(self, terms: Mapping[str, float], *, first: bool) -> float:
         """Return the logit of that probability."""
@@ -122,7 +122,7 @@ class DirectionLaw:
         """Return that probability as it is known by what the decisions after it found."""
         weights, terms = self.after["first" if first else "further"], after_terms(after)
         logit = sum(weight * terms[name] for name, weight in weights.items() if name in terms)
-        return _logistic(float(flattened(logit, weights["middle"])))
+        return logistic(float(flattened(logit, weights["middle"])))
 
 
 @cache
@@ -648,10 +648,6 @@ def _mirror(microphones: np.ndarray) -> np.ndarray | None:
         normal: np.ndarray = axes[2]
         return normal
     return line.level if abs(line.axis[2]) < 1.0 - 1e-6 else None
-
-
-def _logistic(logit: float) -> float:
-    return 1.0 / (1.0 + float(np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 def _mirrored(ray: np.ndarray, normal: np.ndarray) -> np.ndarray:

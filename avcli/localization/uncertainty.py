@@ -193,10 +193,10 @@ class Law:
         """
         voice = self.voice(features.steady)
         if edge:
-            return voice * BEYOND_NEAR * _logistic(self.evidence(features))
+            return voice * BEYOND_NEAR * logistic(self.evidence(features))
         weights = self.score["first" if features.first else "further"]
         values = terms(features, weights, self.evidence(features))
-        chance = _logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
+        chance = logistic(sum(weight * term for weight, term in zip(weights.values(), values, strict=True)))
         return voice * near(features) * chance
 
     def borne_out(self, after: After, features: Features, *, edge: bool = False) -> float:
@@ -205,11 +205,11 @@ class Law:
         logit = flattened(
             sum(weight * terms[name] for name, weight in weights.items() if name in terms), weights["middle"]
         )
-        return min(_logistic(logit), self.voice(features.steady) * (BEYOND_NEAR if edge else 1.0))
+        return min(logistic(logit), self.voice(features.steady) * (BEYOND_NEAR if edge else 1.0))
 
     def voice(self, steady: float) -> float:
         """Return the probability that what sounds so steadily, see Features, is no machine."""
-        return 1.0 - _logistic(self.machine["one"] + self.machine["steady"] * steady)
+        return 1.0 - logistic(self.machine["one"] + self.machine["steady"] * steady)
 
     def remembered(self, features: Features, kept: float) -> float:
         """Return how lasting a peak is: a mean over the decisions of its evidence, each from -4 to 2, plus 2.4.
@@ -263,7 +263,7 @@ class Law:
         """
         law = self.closed_form_refined if refined else self.closed_form
         term = closed_form_terms(spread, valid, events)
-        return _logistic(law.one + law.spread * term[1] + law.valid * term[2] + law.events * term[3])
+        return logistic(law.one + law.spread * term[1] + law.valid * term[2] + law.events * term[3])
 
 
 @functools.cache
@@ -408,5 +408,6 @@ def _log(value: float) -> float:
     return float(np.log(max(value, 1e-3)))
 
 
-def _logistic(value: float) -> float:
+def logistic(value: float) -> float:
+    """Return the probability of log odds, which are held within 30."""
     return float(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))))
