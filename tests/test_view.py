@@ -416,10 +416,12 @@ def test_a_film_replaces_no_file_that_is_shown(made):
 
 
 def test_a_camera_whose_place_is_not_known_yet_draws_nothing_and_says_so(made, tmp_path):
-    """A lens comes from avcalib calibrate, its place later from avcalib pose; cameras of "sensors" are not drawn."""
+    """A lens comes from avcalib calibrate, its place later from avcalib pose; of several cameras none is guessed."""
     raw = json.loads((made / "s3" / "config.json").read_text())
     lens = {key: value for key, value in raw["camera_config"].items() if key != "camera_position_m"}
-    several = {"sensors": {"left": {"kind": "camera", "camera_config": raw["camera_config"]}}}
+    several = {
+        "sensors": {name: {"kind": "camera", "camera_config": raw["camera_config"]} for name in ("left", "right")}
+    }
     for camera in ({"camera_config": lens}, several):
         rest = {key: value for key, value in raw.items() if key != "camera_config"}
         (tmp_path / "c.json").write_text(json.dumps({**rest, **camera}))
@@ -427,3 +429,25 @@ def test_a_camera_whose_place_is_not_known_yet_draws_nothing_and_says_so(made, t
         result = run("avview", *where, made / "s3/groundtruth_sources.jsonl")
         assert result.returncode == 0, result.stderr
         assert "nothing is drawn into the pictures" in result.stderr
+
+
+def test_the_named_camera_draws_into_its_pictures(made, tmp_path):
+    """People are where the camera of --sensor sees them; it was the main camera's lens for any film."""
+    raw = json.loads((made / "s3" / "config.json").read_text())
+    moved = {**raw["camera_config"], "camera_position_m": [1.0, 1.5, 2.5]}
+    named = {"left": {"kind": "camera", "camera_config": moved}}
+    rest = {key: value for key, value in raw.items() if key != "camera_config"}
+    for content, options, position in (
+        ({**raw, "sensors": named}, ["--sensor", "left"], [1.0, 1.5, 2.5]),
+        ({**raw, "sensors": named}, [], raw["camera_config"]["camera_position_m"]),
+        ({**rest, "sensors": named}, [], [1.0, 1.5, 2.5]),
+    ):
+        (tmp_path / "c.json").write_text(json.dumps(content))
+        where = ("-C", made / "s3", "-c", tmp_path / "c.json", "--html", tmp_path / "p.html")
+        result = run("avview", *where, *options, made / "s3/groundtruth_sources.jsonl")
+        assert result.returncode == 0, result.stderr
+        page = (tmp_path / "p.html").read_text()
+        assert f'"position":{json.dumps(position, separators=(",", ":"))}' in page
+    wrong = run("avview", *where, "--sensor", "rihgt", made / "s3/groundtruth_sources.jsonl")
+    assert wrong.returncode == 2
+    assert "no camera of this name" in wrong.stderr

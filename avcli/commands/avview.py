@@ -51,6 +51,7 @@ class Options:
     microphone: int
     beam: tuple[str, ...]
     start: float
+    sensor: str | None
     learnt: str | None
     scenario: str | None
 
@@ -101,6 +102,11 @@ class Run:
     default=0.0,
     show_default=True,
     help="Time at which film and sound begin.",
+)
+@click.option(
+    "--sensor",
+    metavar="NAME",
+    help="The camera that took the pictures, where config.json has several; by default the main one, or the only one.",
 )
 @click.option("--learnt", **_LYING, help="Show where people leave, from a file that avfuse --learn wrote.")
 @click.option("--scenario", metavar="NAME|FILE", help="Draw the furniture of this scenario on the map.")
@@ -159,7 +165,7 @@ def main(
 
             with session.timing("film"):
                 heard = shown[0].beams[0].track if options.beam and shown[0].beams else shown[0].track
-                film.save(Path(mp4), shown[0], heard, _camera(session, runs[0]), session.warn)
+                film.save(Path(mp4), shown[0], heard, _camera(session, runs[0], options), session.warn)
         if rrd:
             from avcli.view import rerun
 
@@ -236,12 +242,13 @@ def _config(session: Session, run: Run) -> Config | None:
         return None
 
 
-def _camera(session: Session, run: Run) -> Camera | None:
-    """The camera where its place is known."""
+def _camera(session: Session, run: Run, options: Options) -> Camera | None:
+    """The camera that took the pictures, where its place is known."""
     config = _config(session, run)
-    if config is None or not config.states("camera_config", "camera_position_m"):
-        return None
-    return config.camera
+    camera = None if config is None else config.placed_camera(options.sensor)
+    if config is not None and camera is None and options.sensor is not None:
+        session.usage(f"--sensor {options.sensor}: {config.name} has no camera of this name whose place it says")
+    return camera
 
 
 def _shown(
@@ -287,14 +294,14 @@ def _shown(
         else:
             found = experiment.frames(run.root, recording.frames)
             shown.pictures, shown.picture_count = found, len(found)
-        if shown.surroundings and (camera := _camera(session, run)):
+        if shown.surroundings and (camera := _camera(session, run, options)):
             checked = experiment.of_size((camera.width_px, camera.height_px), session.warn)
             read = ((time, checked(picture)) for time, picture in shown.pictures)
             shown.pictures = read if options.film else list(read)
         elif shown.surroundings and shown.picture_count:
             session.warn(
                 "nothing is drawn into the pictures: config.json has no camera_config that says where the camera is "
-                '(those under "sensors" do not count here)'
+                'or several under "sensors", of which --sensor names one'
             )
     with session.timing("sound"):
         if options.sound:
@@ -426,7 +433,9 @@ def _surround(session: Session, run: Run, options: Options, shown: Shown) -> Non
     shown.recording.sensors = config.sensors
     shown.rate_hz = config.frame_rate_hz
     learnt = _learnt(session, options)
-    shown.surroundings = surroundings(config, _furniture(session, options.scenario), learnt, session.warn)
+    shown.surroundings = surroundings(
+        config, _furniture(session, options.scenario), learnt, options.sensor, session.warn
+    )
 
 
 def _read(session: Session, run: Run, options: Options, take: Callable[..., None]) -> None:

@@ -454,6 +454,15 @@ class Config:
         values = self.known_sensors.get(sensor, {}).get("camera_config")
         return None if values is None else self._camera(values, "sensors", sensor, "camera_config")
 
+    def placed_camera(self, sensor: str | None = None) -> Camera | None:
+        """Return the camera of a sensor, by default the main one or the only one, where the file says its place."""
+        if sensor is None and self.states("camera_config", "camera_position_m"):
+            return self.camera
+        cameras = {name: known.get("camera_config") or {} for name, known in self.known_sensors.items()}
+        placed = [name for name, camera in cameras.items() if camera.get("camera_position_m") is not None]
+        wanted = [name for name in placed if sensor in (None, name)]
+        return self.camera_of(wanted[0]) if len(wanted) == 1 else None
+
     @functools.cached_property
     def room(self) -> Room:
         """The room: its size, its reverberation and its speed of sound."""

@@ -1,6 +1,7 @@
 """What stands around the people: the room, its doors, the microphones, and the camera with its exact lens."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import pi
 from typing import Any
 
@@ -19,6 +20,7 @@ def surroundings(
     config: Config,
     furniture: Sequence[Mapping[str, Any]] = (),
     learnt: Mapping[str, Any] | None = None,
+    sensor: str | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Describe room, microphones and camera for a page, as far as the config states them.
@@ -27,13 +29,14 @@ def surroundings(
         config: of the experiment.
         furniture: of each piece its "name" and its "outline", corners [x, y] in m.
         learnt: what avfuse has learnt of the room, as its file has it.
+        sensor: whose camera took the pictures, see `Config.placed_camera`.
         say: is called with a sentence if something is missing or invalid.
 
     Returns:
         JSON's types, metres and pixels.
     """
     known: dict[str, Any] = {"furniture": list(furniture)}
-    for read in (_room, _microphones, _camera):
+    for read in (_room, _microphones, partial(_camera, sensor=sensor)):
         try:
             known |= read(config)
         except ConfigError as error:
@@ -59,10 +62,10 @@ def _microphones(config: Config) -> dict[str, Any]:
     return {"microphones": config.microphones.positions.round(3).tolist()}
 
 
-def _camera(config: Config) -> dict[str, Any]:
-    if not config.states("camera_config", "camera_position_m"):
+def _camera(config: Config, sensor: str | None) -> dict[str, Any]:
+    camera = config.placed_camera(sensor)
+    if camera is None:
         return {}
-    camera = config.camera
     return {
         "camera": {
             "position": camera.T_room_camera[:3, 3].round(4).tolist(),
