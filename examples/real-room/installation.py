@@ -16,6 +16,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "calibrate"))
 import board_scenes
 
+from avcli.scene.scenario import CAMERAS
+
 SIZE = [5.6, 4.6, 2.9]
 PLACE, ROTATION = [2.86, 2.21, 2.72], [89.2, 0.7, 2.0]
 FLOOR_BOARD = (2.6, 2.5, 30.0)
@@ -36,7 +38,7 @@ def person(number, look, points, speech):
 
 def scene(name, seconds, people=(), furniture=()):
     """A scenario in the room under the true camera."""
-    camera = {**board_scenes.THESIS, "camera_position_m": PLACE, "camera_rotation_deg": ROTATION, "frame_rate_hz": 10}
+    camera = {**CAMERAS["real"], "camera_position_m": PLACE, "camera_rotation_deg": ROTATION, "frame_rate_hz": 10}
     return {
         "name": name,
         "duration_s": seconds,
