@@ -41,7 +41,7 @@ from avcli.scene.scenario import LABORATORY
 Result = TypeVar("Result")
 
 ROOM, RT60, RATE, C = np.array([4.66, 4.66, 3.0]), 0.35, 44100, 343.0
-MICROPHONES = np.array(LABORATORY["microphone_config"]["mic_positions_m"])
+MICROPHONES = np.array([one["position"] for one in LABORATORY["microphone_config"]["mic_positions_m"]])
 PLACES = [0.43, 1.73, 3.0]
 """m, x of the places whose responses are compared; y = 2.33, z = 1.6."""
 SAMPLES = round(RT60 * RATE)
