@@ -232,8 +232,14 @@ WILDTRACK = ("WildTrack: Chavdarova et al., CVPR 2018", "not stated")
 HERMES = ("HERMES: Holl, Seyfried; Forschungszentrum Jülich", "not stated")
 CITR = ("CITR: Yang, Li, Redmill, Özgüner, Top-view trajectories, IV 2019", "not stated")
 CMC = ("CMC: Ong, Vo, Vo, Kim, Nordholm, A Bayesian filter for multi-view 3D tracking, TPAMI 2022", "not stated")
-CROMA = ("Single file, Germany: Paetzke et al. 2023; Forschungszentrum Jülich, doi 10.34735/ped.2021.5", "CC BY 4.0")
-QUEUE = ("Single file, Palestine: Subaih et al. 2020; Forschungszentrum Jülich, doi 10.34735/ped.2018.5", "CC BY 4.0")
+CROMA = (
+    "Single file, Germany: Paetzke et al. 2023; Forschungszentrum Jülich, doi 10.34735/ped.2021.5",
+    "see its archive",
+)
+QUEUE = (
+    "Single file, Palestine: Subaih et al. 2020; Forschungszentrum Jülich, doi 10.34735/ped.2018.5",
+    "see its archive",
+)
 JUELICH = ("Experiments of Forschungszentrum Jülich, in PedPy: Schrödter et al.", "MIT (PedPy)")
 COCKTAIL = ("CocktailParty: Zen, Lepri, Ricci, Lanz, Space speaks, MPVA 2010", "research, with credit")
 
