@@ -491,7 +491,7 @@ class DirectionFinder:
         turned, images = self.across(one, noise), self.images(one.ray)
         sides = [self.places(one.gcc, *self.about(ray, turned), noise) for ray in images]
         whole = sum(weight.sum() for _, weight in sides)
-        if whole == 0.0:  # all about the ray misses the volume, by a little
+        if whole == 0.0:  # the ray and all those about it miss the volume
             nearest = self.response.rays[int(np.argmin(self.beside(one.ray)))]
             images, sides, whole = [nearest], [self.places(one.gcc, nearest[None], np.ones(1), noise)], 0.0
         told = [(ray, *side) for ray, side in zip(images, sides, strict=True) if side[1].sum() > HARDLY * whole]
