@@ -9,6 +9,7 @@ import numpy as np
 from avcli.localization import uncertainty
 from avcli.localization.array import Array, Talker
 from avcli.localization.health import Health
+from avcli.localization.line import believed
 from avcli.localization.masks import Masks
 from avcli.localization.memory import UNKNOWN, Memory, Trace, level_distance
 from avcli.localization.modulation import APART_S, Course
@@ -257,6 +258,8 @@ class PlaceFinder:
             heard: the windows around the moment.
             noise: what noise does to as many windows.
         """
+        if self.response.flat:
+            judged = [one if one.features.first else replace(one, score=believed(one.score)) for one in judged]
         return [
             Talker(
                 one.peak.position,

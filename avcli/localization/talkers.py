@@ -145,7 +145,9 @@ class TalkerSearch:
         for places in taken:
             gccs = self.response.notch(gccs, places, NOTCH_M)
         peaks = taken[len(heard.steady) :]
-        return self.response.notch_echoes(gccs, peaks[0], self.array.room, ECHO_NOTCH_M) if peaks else gccs
+        if not peaks or self.response.flat:  # where echoes stand is not known beside a line
+            return gccs
+        return self.response.notch_echoes(gccs, peaks[0], self.array.room, ECHO_NOTCH_M)
 
     def fitted(
         self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray

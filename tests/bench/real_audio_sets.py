@@ -13,6 +13,9 @@ import numpy as np
 import soundfile
 from scipy.io import loadmat
 
+LINE = "5 on a line of 2 m"
+"""What a line of microphones is called."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -100,29 +103,36 @@ def variable_lab(folder: Path) -> Iterator[Measured]:
 def vilnius(folder: Path) -> Iterator[Measured]:
     """Read 25 places of a microphone in a grid 50 cm apart, two loudspeakers 1 to 3 m from them (VilniusTech).
 
-    Eight of the places at a time are an array; the delays agree with the stated places to 0.01 ms.
+    Eight of the places at a time are an array, and each five of a row or a column a line; the delays agree with the
+    stated places to 0.01 ms.
     """
     grid = np.array([(3.68 - 0.5 * (k % 5), 3.0 + 0.5 * (k // 5), 1.2) for k in range(25)])
-    choices = {"decide": [0, 4, 20, 24, 7, 11, 13, 17], "judge": [2, 10, 14, 22, 1, 8, 16, 23]}
+    choices = [
+        ("8 in a grid of 2 m", "decide", np.array([0, 4, 20, 24, 7, 11, 13, 17])),
+        ("8 in a grid of 2 m", "judge", np.array([2, 10, 14, 22, 1, 8, 16, 23])),
+        *((f"{LINE}, row", "judge", 5 * k + np.arange(5)) for k in range(5)),
+        *((f"{LINE}, column", "judge", k + 5 * np.arange(5)) for k in range(5)),
+    ]
     sources = np.array([(3.36, 2.0, 1.5), (2.0, 2.0, 1.5)])
-    for number, source in enumerate(sources, start=1):
-        heard = []
-        for place in range(1, 26):
-            samples, rate = soundfile.read(folder / f"Source{number}" / f"S{number}R{place}.Wav", always_2d=True)
-            heard.append(samples[:, 0])
-        length = min(len(one) for one in heard)
-        responses = np.array([one[:length] for one in heard])
-        for split, chosen in choices.items():
-            yield Measured(
-                "8 in a grid of 2 m",
-                f"loudspeaker {number}, places {split}",
-                split,
-                np.array([5.36, 5.85, 2.86]),
-                grid[chosen],
-                source,
-                responses[chosen],
-                rate,
-            )
+    heard = []
+    for number in (1, 2):
+        paths = [folder / f"Source{number}" / f"S{number}R{place}.Wav" for place in range(1, 26)]
+        read = [soundfile.read(path, always_2d=True) for path in paths]
+        length = min(len(samples) for samples, _ in read)
+        heard.append((np.array([samples[:length, 0] for samples, _ in read]), read[0][1]))
+    for some in (choices[:2], choices[2:]):
+        for number, (source, (responses, rate)) in enumerate(zip(sources, heard, strict=True), start=1):
+            for name, split, chosen in some:
+                yield Measured(
+                    name,
+                    f"loudspeaker {number}, places {split}",
+                    split,
+                    np.array([5.36, 5.85, 2.86]),
+                    grid[chosen],
+                    source,
+                    responses[chosen],
+                    rate,
+                )
 
 
 SETS = (
