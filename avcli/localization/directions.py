@@ -19,6 +19,7 @@ from avcli.localization.array import Array, Ray, Talker
 from avcli.localization.line import HARDLY, line_of, tangents
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.mirror import mirrored
 from avcli.localization.modulation import APART_S, Course, Levels
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
@@ -405,7 +406,7 @@ class DirectionFinder:
 
     def images(self, ray: np.ndarray) -> list[np.ndarray]:
         """Return a direction, and its mirror image where that is heard alike."""
-        return [ray] if self.mirror is None else [ray, _mirrored(ray, self.mirror)]
+        return [ray] if self.mirror is None else [ray, mirrored(ray, self.mirror)]
 
     def beside(self, ray: np.ndarray) -> np.ndarray:
         """Return how far the rays of the search are from a ray (3,) and from what is heard like it, (n,) rad."""
@@ -595,10 +596,6 @@ def _mirror(microphones: np.ndarray) -> np.ndarray | None:
         normal: np.ndarray = axes[2]
         return normal
     return line.level if abs(line.axis[2]) < 1.0 - 1e-6 else None
-
-
-def _mirrored(ray: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    return ray - 2.0 * (ray @ normal) * normal
 
 
 _GRID = np.array([[x, y] for y in range(-2, 3) for x in range(-2, 3)], dtype=np.float64)

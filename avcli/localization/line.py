@@ -144,19 +144,20 @@ class HalfPlane:
         outside = ((places - np.clip(places, self.low, self.high)) ** 2).sum(axis=-1)
         return places, np.exp(-0.5 * (outside - outside.min()) / BEYOND_M**2)
 
-    def middles(self, points: np.ndarray) -> np.ndarray:
+    def in_room(self, points: np.ndarray) -> np.ndarray:
         """Return the mean place (n, 3) m of the room that may be heard at each of points (n, 3) m."""
         each = [self.places(point[None]) for point in points]
         return np.array([weights[0] @ places[0] / weights.sum() for places, weights in each]).reshape(-1, 3)
+
+    def fold(self, point: np.ndarray) -> np.ndarray:
+        """Return the point (3,) m that stands for all that are heard like one of the half-plane: itself."""
+        return point
 
     def told(
         self, talkers: Sequence[Talker], features: Mapping[str, Feature]
     ) -> tuple[list[Talker], dict[str, Feature]]:
         """Return talkers in the half-plane, and their features, as they are told in the room: see `sides`."""
-        each = [self.sides(talker) for talker in talkers]
-        rows = [k for k, sides in enumerate(each) for _ in sides]
-        told = {name: feature.take(rows) for name, feature in features.items()}
-        return [one for sides in each for one in sides], told
+        return repeated([self.sides(talker) for talker in talkers], features)
 
     def sides(self, talker: Talker) -> list[Talker]:
         """Return a talker in the half-plane as one in the room, or as two where both sides of the line may be."""
@@ -172,6 +173,14 @@ class HalfPlane:
         if weights[np.abs(aside) < 0.5 * APART_M].sum() > HARDLY:
             sides = [np.ones_like(weights, bool)]
         return [_told(talker, places[side], weights[side]) for side in sides if weights[side].sum() > HARDLY]
+
+
+def repeated(
+    sides: Sequence[Sequence[Talker]], features: Mapping[str, Feature]
+) -> tuple[list[Talker], dict[str, Feature]]:
+    """Return each talker's sides, one after another, and features with a row for each of them."""
+    rows = [k for k, some in enumerate(sides) for _ in some]
+    return [one for some in sides for one in some], {name: each.take(rows) for name, each in features.items()}
 
 
 def _told(talker: Talker, places: np.ndarray, weights: np.ndarray) -> Talker:

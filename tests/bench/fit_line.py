@@ -158,9 +158,9 @@ def rows(heard: Iterator[Scene]) -> list[Row]:
     found: list[Row] = []
     for scene in heard:
         localizer = SteeredLocalizer(scene.array, SteeredSettings(), np.random.default_rng(0))
-        if localizer.beside is None or not isinstance(localizer.finder, PlaceFinder):
+        if not isinstance(localizer.half, HalfPlane) or not isinstance(localizer.finder, PlaceFinder):
             continue
-        witness = Witness(localizer.finder, localizer.beside, scene)
+        witness = Witness(localizer.finder, localizer.half, scene)
         localizer.finder = witness
         for _ in localizer.localize([Block(scene.samples)]):
             pass
