@@ -20,6 +20,7 @@ from avcli.localization.array import Array, Decision, time_steps
 from avcli.localization.directions import DirectionFinder, RaySearch
 from avcli.localization.events import Gate
 from avcli.localization.health import Health
+from avcli.localization.hum import Hum
 from avcli.localization.line import HalfPlane
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory
@@ -136,6 +137,7 @@ class SteeredLocalizer:
         self.gate = Gate(1.0 / self.hop)
         self.spacing = max(1, round(SPACING_S / self.hop))  # windows between those by which channels are tested
         self.examined = -math.inf  # the last of these
+        self.hum = Hum(self.band, array.sample_rate, self.hop)
         in_room = self.half.in_room if self.half else None
         self.steady = SteadySources(self.correlator, response, self.hop, in_room)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
@@ -220,6 +222,8 @@ class SteeredLocalizer:
                 return False
             window = self.heard(*stream.window(self._place(index), size))
             if window.correlated:
+                if window.correlated.part > 0.99:
+                    self.hum.take(window.correlated.whole)
                 self.steady.take(window.correlated, self.noise_apart)
             windows[index] = self.sounding(window)
             stream.forget(self._place(index + 1))
@@ -231,7 +235,7 @@ class SteeredLocalizer:
 
     def heard(self, samples: np.ndarray, taper: np.ndarray) -> Window:
         """Return what a window of samples (m, size) under a taper (size,) holds, its channels put right."""
-        return self.correlator.correlate(samples, taper, self.health.order, self.health.turn)
+        return self.correlator.correlate(samples, taper, self.health.order, self.health.turn, self.hum.bins)
 
     def sounding(self, window: Window) -> Window:
         """Return the window, empty where it holds no more than the room's noise or a mere tone."""
@@ -272,7 +276,9 @@ class SteeredLocalizer:
                 self.examined = middle
                 apart = around[self.reach % self.spacing :: self.spacing]
                 self.health.examine(now, [window for window in apart if window], self.noise_apart(1).deviation)
-            notices += self._news() + self.steady.news([trace.position for trace in self.memory.known()])
+            notices += (
+                self.hum.news() + self._news() + self.steady.news([trace.position for trace in self.memory.known()])
+            )
             if self.health.unsettled and not self.told_unsettled:
                 notices.append(UNSETTLED.format(self.health.unsettled))
                 self.told_unsettled = True

@@ -85,6 +85,7 @@ class Correlated:
         energy: mean square of the median channel, times the band's bins.
         occupancy: share of the bins within 40 dB of the strongest.
         power: (bins,) median over the channels of the squared spectra.
+        whole: (bins,) the same of all channels, with the steady tones that are left out of everything else.
     """
 
     gcc: np.ndarray
@@ -96,6 +97,7 @@ class Correlated:
     energy: float
     occupancy: float
     power: np.ndarray
+    whole: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,7 @@ class Correlator:
         taper: np.ndarray,
         order: np.ndarray | None = None,
         turn: np.ndarray | None = None,
+        tones: np.ndarray | None = None,
     ) -> Window:
         """Correlate one window of samples (m, size) under a taper (size,).
 
@@ -163,6 +166,7 @@ class Correlator:
             samples, taper: of the window.
             order: (m,) which channel is each microphone's; None: each its own.
             turn: (m, bins) by which the spectra of the microphones are multiplied.
+            tones: (bins,) bool, which hold steady tones and are left out.
         """
         peak = np.maximum(samples.max(axis=1), -samples.min(axis=1))
         broken, notices = np.zeros(len(samples), bool), list[str]()
@@ -178,6 +182,9 @@ class Correlator:
         tapered = tapered.astype(np.float32)
         spectra = self._spectra(tapered)
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
+        whole = np.median(power, axis=0) * float(scale) ** 2
+        if tones is not None:
+            spectra, power = np.where(tones, 0.0, spectra), np.where(tones, 0.0, power)
         level = power.sum(axis=1)
         if np.sqrt(2 * level.max()) < _ROUNDED * self.band.size:
             return Window(None, tuple(notices))
@@ -207,6 +214,7 @@ class Correlator:
             energy=float(np.median(level[~dead])) * float(scale) ** 2 if alive else 0.0,
             occupancy=occupancy(usual),
             power=usual * float(scale) ** 2,
+            whole=whole,
         )
         return Window(correlated, (*notices, *found, *twins))
 

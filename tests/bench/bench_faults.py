@@ -143,6 +143,14 @@ def over(samples: np.ndarray, *channels: int) -> np.ndarray:
     return samples * np.where(np.isin(np.arange(samples.shape[1]), channels), -1.0, 1.0)
 
 
+def hum(samples: np.ndarray, level_db: float) -> np.ndarray:
+    """Add 50 Hz and seven harmonics, alike in all channels, that are so much louder than the sound."""
+    times = np.arange(len(samples)) / FS
+    tones = np.sum([np.sin(2.0 * np.pi * 50.0 * k * times + k) / k for k in range(1, 9)], axis=0)
+    level = np.sqrt(np.mean(samples**2)) * 10.0 ** (level_db / 20.0)
+    return np.asarray(samples + level * (tones / tones.std())[:, None])
+
+
 def exchanged(samples: np.ndarray, one: int, other: int) -> np.ndarray:
     """Exchange two channels."""
     order = np.arange(samples.shape[1])
@@ -174,6 +182,9 @@ FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "one turned over, one 2 ms late": lambda x: late(over(x, 2), {5: 0.002}),
     "two exchanged, one turned over": lambda x: over(exchanged(x, 2, 3), 5),
     "all moved on by one": lambda x: np.roll(x, 1, axis=1),
+    "a hum 10 dB below the voice": lambda x: hum(x, -10.0),
+    "a hum as loud as the voice": lambda x: hum(x, 0.0),
+    "a hum 20 dB above it": lambda x: hum(x, 20.0),
 }
 COMPACT: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "none": lambda x, _: x,
