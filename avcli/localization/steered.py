@@ -34,6 +34,9 @@ from avcli.localization.stream import Block, LatestSamples, stretches
 from avcli.localization.voice import VoiceMeter
 from avcli.localization.windows import Band, Correlated, Correlator, Window, together
 
+WHOLE = 0.99
+"""The part of a window that the stream must hold for the window to count as whole."""
+
 UNSETTLED = (
     "channel {} or others are left out most of the time: they are noisy, or their microphones are not where config.json"
     " says; avcalib microphones can tell"
@@ -222,7 +225,7 @@ class SteeredLocalizer:
                 return False
             window = self.heard(*stream.window(self._place(index), size))
             if window.correlated:
-                if window.correlated.part > 0.99:
+                if window.correlated.part > WHOLE:
                     self.hum.take(window.correlated.whole)
                 self.steady.take(window.correlated, self.noise_apart)
             windows[index] = self.sounding(window)
@@ -242,7 +245,9 @@ class SteeredLocalizer:
         self.windows += 1
         heard = self.gate(window.correlated.energy if window.correlated else 0.0)
         if heard and window.correlated and window.correlated.occupancy >= self.settings.occupancy:
-            return window
+            # The taper of a part of a window spreads steady tones over all bins.
+            if self.hum.bins is None or window.correlated.part > WHOLE:
+                return window
         self.silent += 1
         return Window(None, window.notices)
 
