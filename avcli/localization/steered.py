@@ -243,11 +243,12 @@ class SteeredLocalizer:
     def sounding(self, window: Window) -> Window:
         """Return the window, empty where it holds no more than the room's noise or a mere tone."""
         self.windows += 1
-        heard = self.gate(window.correlated.energy if window.correlated else 0.0)
-        if heard and window.correlated and window.correlated.occupancy >= self.settings.occupancy:
-            # The taper of a part of a window spreads steady tones over all bins.
-            if self.hum.bins is None or window.correlated.part > WHOLE:
-                return window
+        now = window.correlated
+        heard = self.gate(now.energy if now else 0.0)
+        # The taper of a part of a window spreads steady tones over all bins.
+        told = now is not None and (self.hum.bins is None or now.part > WHOLE)
+        if heard and told and now and now.occupancy >= self.settings.occupancy:
+            return window
         self.silent += 1
         return Window(None, window.notices)
 
