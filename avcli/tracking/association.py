@@ -275,16 +275,27 @@ def ranked(
     if len(priors[0][1]) == 1:
         return _ranked_alone(priors, options, span, most)
     beam: list[tuple[float, int, Chain, int]] = []
-    greedy: Association = (-math.inf, (), 0)
+    feasible: Association = (-math.inf, (), 0)
+    prices: list[dict[int, float]] = []
     for number, (weight, hypothesis) in enumerate(priors):
-        bound = weight + math.fsum(options[row][0][0] for row in hypothesis if row >= 0)
+        asked, taken = _auction(hypothesis, options)
+        bound = weight + math.fsum(asked.values())
+        for row in hypothesis:
+            if row >= 0:
+                bound += max([gain - asked.get(detection_of(j), 0.0) for gain, j in options[row]]) if asked else options[row][0][0]
+        prices.append(asked)
         beam.append((bound, number, (), 0))
-        if bound > greedy[0]:
-            greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
-    floor = greedy[0] - span - 1e-9
+        value = weight + math.fsum([g for g, _ in taken])
+        if value > feasible[0]:
+            bits = 0
+            for _, (_, j) in taken:
+                bits |= _bit(j)
+            feasible = (value, tuple([p for _, p in taken]), bits)
+    floor = feasible[0] - span - 1e-9
+    beam = [one for one in beam if one[0] >= floor]
     widest = floor - max(beam, key=FIRST)[0]
     for depth in range(len(priors[0][1])):
-        steps = _steps(priors, depth, options, widest)
+        steps = _steps(priors, depth, options, widest, prices)
         beam = [
             (bound + loss, number, (chain, pair), used | bit)
             for bound, number, chain, used in beam
@@ -294,10 +305,53 @@ def ranked(
         if len(beam) > budget:
             beam.sort(key=FIRST, reverse=True)
             del beam[budget:]
+    done = []
+    for weight, number, chain, used in beam:
+        asked = prices[number]
+        if asked:
+            weight -= math.fsum([p for j, p in asked.items() if not used >> j & 1])
+        done.append((weight, number, chain, used))
+    beam = done
     beam.sort(key=FIRST, reverse=True)
-    # all that the budget kept may have ended in conflicts
-    least = beam[0][0] - span if beam else math.inf
-    return [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least] or [greedy]
+    least = max(beam[0][0] if beam else -math.inf, feasible[0]) - span
+    out = [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least]
+    if not out or out[0][0] < feasible[0] - 1e-9:
+        out = [feasible, *out[:(most or 10**9) - 1]]
+    return out
+
+
+EPS = 0.02
+
+
+def _auction(hypothesis: Joint, options: Options):
+    wanted = [detection_of(options[row][0][1]) for row in hypothesis if row >= 0]
+    wanted = [j for j in wanted if j >= 0]
+    if len(set(wanted)) == len(wanted):
+        return {}, [(options[row][0][0], (row, options[row][0][1])) if row >= 0 else (0.0, (row, MISSED)) for row in hypothesis]
+    prices: dict[int, float] = {}
+    owner: dict[int, int] = {}
+    got = {}
+    left = [row for row in hypothesis if row >= 0][::-1]
+    while left:
+        row = left.pop()
+        best = second = -math.inf
+        at = None
+        for gain, option in options[row]:
+            j = detection_of(option)
+            worth = gain - prices.get(j, 0.0)
+            if worth > best:
+                best, second, at = worth, best, (gain, option)
+            elif worth > second:
+                second = worth
+        got[row] = at
+        j = detection_of(at[1])
+        if j < 0:
+            continue
+        prices[j] = prices.get(j, 0.0) + best - second + EPS
+        if j in owner:
+            left.append(owner[j])
+        owner[j] = row
+    return prices, [(got[row][0], (row, got[row][1])) if row >= 0 else (0.0, (row, MISSED)) for row in hypothesis]
 
 
 def _in_order(chain: Chain) -> tuple[Pair, ...]:
@@ -324,35 +378,24 @@ def _ranked_alone(
 
 
 def _steps(
-    priors: Sequence[tuple[float, Joint]], depth: int, options: Options, widest: float
+    priors: Sequence[tuple[float, Joint]], depth: int, options: Options, widest: float, prices
 ) -> list[list[tuple[float, Pair, int]]]:
     """For each prior: what its label number `depth` may do, and what each choice loses to the best one, to `widest`."""
-    moves: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}
+    moves: dict = {}
     steps = []
-    for _, hypothesis in priors:
+    for number, (_, hypothesis) in enumerate(priors):
         row = hypothesis[depth]
-        if row not in moves:
-            best = options[row][0][0]
-            moves[row] = [(gain - best, (row, j), _bit(j)) for gain, j in options[row] if gain - best >= widest]
-        steps.append(moves[row])
+        if row < 0:
+            steps.append([(0.0, (ABSENT, MISSED), 0)])
+            continue
+        asked = prices[number]
+        key = (row, tuple(asked.get(detection_of(j), 0.0) for _, j in options[row]))
+        if key not in moves:
+            worth = [(g - p, j) for (g, j), p in zip(options[row], key[1])]
+            best = max(worth)[0]
+            moves[key] = [(gain - best, (row, j), _bit(j)) for gain, j in worth if gain - best >= widest]
+        steps.append(moves[key])
     return steps
-
-
-def _greedy(weight: float, hypothesis: Joint, options: Options) -> Association:
-    """One feasible association: each person in turn takes the best detection that is left."""
-    pairs, used = [], 0
-    for row in hypothesis:
-        j, bit = MISSED, 0
-        if row >= 0:
-            for option in options[row]:
-                gain, j = option
-                bit = _bit(j)
-                if not used & bit:
-                    break
-            weight += gain
-            used |= bit
-        pairs.append((row, j))
-    return weight, tuple(pairs), used
 
 
 def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
