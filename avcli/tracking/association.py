@@ -21,6 +21,7 @@ BUDGET = 3  # partial associations kept while searching, for each hypothesis tha
 LARGE = 50  # labels of a cluster, beyond which it keeps fewer hypotheses in proportion, so that time is bounded
 MANY = 6  # labels that compete, beyond which clusters that do so with a probability below PRUNE are not joined
 ROUNDS, SETTLED, MOST_LIKELY = 20, 1e-3, 1e9  # of belief propagation: at most so many; change; ratio of likelihoods
+BID = 0.02  # nats by which a bid for a detection exceeds what it is worth, so that bidding ends
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
@@ -253,10 +254,12 @@ def ranked(
 ) -> list[Association]:
     """Find the likeliest joint associations of several prior hypotheses, each detection used at most once.
 
-    A branch and bound over people, breadth first: a partial association is dropped when even its best completion (each
-    remaining person takes the best detection, used or not) falls `span` nats below a feasible association. While no
-    layer holds more than `budget` of them the list is exact down to exp(-span) of the best; beyond, the layer keeps
-    those with the best bound (a beam, so the time is bounded).
+    A branch and bound over people, breadth first: a partial association is dropped when even its best completion falls
+    `span` nats below a feasible association. In that completion each remaining person takes the best detection, used or
+    not, and pays its price: where many want the same detections, prices make the bound nearly exact, see `_auction`.
+    While no layer holds more than `budget` partial associations the list is exact down to exp(-span) of the best;
+    beyond, the layer keeps those with the best bound (a beam, so the time is bounded), and the best association of each
+    prior is still known to within BID for each person.
 
     Args:
         priors: log weight and hypothesis, a tuple of one row per label (ABSENT: no such person).
@@ -275,27 +278,27 @@ def ranked(
     if len(priors[0][1]) == 1:
         return _ranked_alone(priors, options, span, most)
     beam: list[tuple[float, int, Chain, int]] = []
-    feasible: Association = (-math.inf, (), 0)
-    prices: list[dict[int, float]] = []
+    asked: list[Mapping[int, float]] = []
+    likely: Association = (-math.inf, (), 0)
     for number, (weight, hypothesis) in enumerate(priors):
-        asked, taken = _auction(hypothesis, options)
-        bound = weight + math.fsum(asked.values())
-        for row in hypothesis:
-            if row >= 0:
-                bound += max([gain - asked.get(detection_of(j), 0.0) for gain, j in options[row]]) if asked else options[row][0][0]
-        prices.append(asked)
+        taken = {row: options[row][0] for row in hypothesis if row >= 0}
+        bound = weight + math.fsum(map(FIRST, taken.values()))
+        prices: dict[int, float] = {}
+        if bound > likely[0] or len(taken) > MANY:
+            used, clash = _used(taken)
+            if clash:
+                bound = weight + _auction(taken, options, prices)
+                used, _ = _used(taken)
+            if bound > likely[0]:
+                weight += math.fsum(map(FIRST, taken.values()))
+                pairs = [(row, taken[row][1] if row >= 0 else MISSED) for row in hypothesis]
+                likely = max(likely, (weight, tuple(pairs), used), key=FIRST)
         beam.append((bound, number, (), 0))
-        value = weight + math.fsum([g for g, _ in taken])
-        if value > feasible[0]:
-            bits = 0
-            for _, (_, j) in taken:
-                bits |= _bit(j)
-            feasible = (value, tuple([p for _, p in taken]), bits)
-    floor = feasible[0] - span - 1e-9
-    beam = [one for one in beam if one[0] >= floor]
+        asked.append(prices)
+    floor = likely[0] - span - 1e-9
     widest = floor - max(beam, key=FIRST)[0]
     for depth in range(len(priors[0][1])):
-        steps = _steps(priors, depth, options, widest, prices)
+        steps = _steps(priors, asked, depth, options, widest)
         beam = [
             (bound + loss, number, (chain, pair), used | bit)
             for bound, number, chain, used in beam
@@ -305,53 +308,16 @@ def ranked(
         if len(beam) > budget:
             beam.sort(key=FIRST, reverse=True)
             del beam[budget:]
-    done = []
-    for weight, number, chain, used in beam:
-        asked = prices[number]
-        if asked:
-            weight -= math.fsum([p for j, p in asked.items() if not used >> j & 1])
-        done.append((weight, number, chain, used))
-    beam = done
+    beam = [(bound - _unpaid(asked[number], used), number, chain, used) for bound, number, chain, used in beam]
     beam.sort(key=FIRST, reverse=True)
-    least = max(beam[0][0] if beam else -math.inf, feasible[0]) - span
-    out = [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least]
-    if not out or out[0][0] < feasible[0] - 1e-9:
-        out = [feasible, *out[:(most or 10**9) - 1]]
-    return out
+    if not beam or beam[0][0] < likely[0] - 1e-9:  # the budget left it out
+        return [likely, *_down_to(floor, beam, most and most - 1)]
+    return _down_to(beam[0][0] - span, beam, most)
 
 
-EPS = 0.02
-
-
-def _auction(hypothesis: Joint, options: Options):
-    wanted = [detection_of(options[row][0][1]) for row in hypothesis if row >= 0]
-    wanted = [j for j in wanted if j >= 0]
-    if len(set(wanted)) == len(wanted):
-        return {}, [(options[row][0][0], (row, options[row][0][1])) if row >= 0 else (0.0, (row, MISSED)) for row in hypothesis]
-    prices: dict[int, float] = {}
-    owner: dict[int, int] = {}
-    got = {}
-    left = [row for row in hypothesis if row >= 0][::-1]
-    while left:
-        row = left.pop()
-        best = second = -math.inf
-        at = None
-        for gain, option in options[row]:
-            j = detection_of(option)
-            worth = gain - prices.get(j, 0.0)
-            if worth > best:
-                best, second, at = worth, best, (gain, option)
-            elif worth > second:
-                second = worth
-        got[row] = at
-        j = detection_of(at[1])
-        if j < 0:
-            continue
-        prices[j] = prices.get(j, 0.0) + best - second + EPS
-        if j in owner:
-            left.append(owner[j])
-        owner[j] = row
-    return prices, [(got[row][0], (row, got[row][1])) if row >= 0 else (0.0, (row, MISSED)) for row in hypothesis]
+def _down_to(least: float, beam: Sequence[tuple[float, int, Chain, int]], most: int | None) -> list[Association]:
+    """Return the first associations of a sorted beam, down to a log weight."""
+    return [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least]
 
 
 def _in_order(chain: Chain) -> tuple[Pair, ...]:
@@ -378,24 +344,80 @@ def _ranked_alone(
 
 
 def _steps(
-    priors: Sequence[tuple[float, Joint]], depth: int, options: Options, widest: float, prices
+    priors: Sequence[tuple[float, Joint]],
+    asked: Sequence[Mapping[int, float]],
+    depth: int,
+    options: Options,
+    widest: float,
 ) -> list[list[tuple[float, Pair, int]]]:
     """For each prior: what its label number `depth` may do, and what each choice loses to the best one, to `widest`."""
-    moves: dict = {}
+    free: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}  # moves without prices
     steps = []
-    for number, (_, hypothesis) in enumerate(priors):
+    for (_, hypothesis), prices in zip(priors, asked, strict=True):
         row = hypothesis[depth]
-        if row < 0:
-            steps.append([(0.0, (ABSENT, MISSED), 0)])
-            continue
-        asked = prices[number]
-        key = (row, tuple(asked.get(detection_of(j), 0.0) for _, j in options[row]))
-        if key not in moves:
-            worth = [(g - p, j) for (g, j), p in zip(options[row], key[1])]
+        moves = None if prices and row >= 0 else free.get(row)
+        if moves is None:
+            worth = [(gain - prices.get(detection_of(j), 0.0), j) for gain, j in options[row]]
             best = max(worth)[0]
-            moves[key] = [(gain - best, (row, j), _bit(j)) for gain, j in worth if gain - best >= widest]
-        steps.append(moves[key])
+            moves = [(gain - best, (row, j), _bit(j)) for gain, j in worth if gain - best >= widest]
+            if not prices:
+                free[row] = moves
+        steps.append(moves)
     return steps
+
+
+def _used(taken: Mapping[int, Option]) -> tuple[int, bool]:
+    """Return the bit set of detections that people take, and whether two take the same one."""
+    used = 0
+    clash = False
+    for _, option in taken.values():
+        bit = _bit(option)
+        clash = clash or bool(used & bit)
+        used |= bit
+    return used, clash
+
+
+def _auction(taken: dict[int, Option], options: Options, prices: dict[int, float]) -> float:
+    """Let people bid for detections until each has the one that is worth most at its price.
+
+    Args:
+        taken: row -> what the person takes, written here; the sum of the log weights is the largest possible one to
+            within BID for each person.
+        options: what each may have caused.
+        prices: detection -> price in nats, written here.
+
+    Returns:
+        A log weight that no association exceeds.
+
+    Source:
+        D. P. Bertsekas, "The auction algorithm: a distributed relaxation method for the assignment problem", Annals of
+        Operations Research 14, 1988.
+    """
+    owner: dict[int, int] = {}
+    bidding = list(taken)
+    while bidding:
+        row = bidding.pop()
+        best, second, choice = -math.inf, -math.inf, (0.0, MISSED)
+        for gain, option in options[row]:
+            worth = gain - prices.get(detection_of(option), 0.0)
+            if worth > best:
+                best, second, choice = worth, best, (gain, option)
+            elif worth > second:
+                second = worth
+        taken[row] = choice
+        j = detection_of(choice[1])
+        if j >= 0:
+            prices[j] = prices.get(j, 0.0) + best - second + BID
+            if j in owner:
+                bidding.append(owner[j])
+            owner[j] = row
+    net = [max([gain - prices.get(detection_of(option), 0.0) for gain, option in options[row]]) for row in taken]
+    return math.fsum([*net, *prices.values()])
+
+
+def _unpaid(prices: Mapping[int, float], used: int) -> float:
+    """Return what the detections cost that an association does not use."""
+    return math.fsum([price for j, price in prices.items() if not used >> j & 1]) if prices else 0.0
 
 
 def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
