@@ -25,6 +25,7 @@ BID = 0.02  # nats by which a bid for a detection exceeds what it is worth, so t
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
+NOTHING = (0.0, MISSED)  # the only option of a person who does not exist
 
 Option = tuple[float, int]  # log weight, detection, MISSED, or STRAY less a detection
 Options = Mapping[int, Sequence[Option]]  # by row, best first
@@ -281,18 +282,18 @@ def ranked(
     asked: list[Mapping[int, float]] = []
     likely: Association = (-math.inf, (), 0)
     for number, (weight, hypothesis) in enumerate(priors):
-        taken = {row: options[row][0] for row in hypothesis if row >= 0}
-        bound = weight + math.fsum(map(FIRST, taken.values()))
+        taken = [options[row][0] if row >= 0 else NOTHING for row in hypothesis]
+        bound = weight + math.fsum(map(FIRST, taken))
         prices: dict[int, float] = {}
         if bound > likely[0] or len(taken) > MANY:
             used, clash = _used(taken)
             if clash:
-                bound = weight + _auction(taken, options, prices)
+                bound = weight + _auction(taken, hypothesis, options, prices)
                 used, _ = _used(taken)
             if bound > likely[0]:
-                weight += math.fsum(map(FIRST, taken.values()))
-                pairs = [(row, taken[row][1] if row >= 0 else MISSED) for row in hypothesis]
-                likely = max(likely, (weight, tuple(pairs), used), key=FIRST)
+                weight += math.fsum(map(FIRST, taken))
+                pairs = tuple([(row, option) for row, (_, option) in zip(hypothesis, taken, strict=True)])
+                likely = max(likely, (weight, pairs, used), key=FIRST)
         beam.append((bound, number, (), 0))
         asked.append(prices)
     floor = likely[0] - span - 1e-9
@@ -357,7 +358,7 @@ def _steps(
         row = hypothesis[depth]
         moves = None if prices and row >= 0 else free.get(row)
         if moves is None:
-            worth = [(gain - prices.get(detection_of(j), 0.0), j) for gain, j in options[row]]
+            worth = [(_worth(one, prices), one[1]) for one in options[row]]
             best = max(worth)[0]
             moves = [(gain - best, (row, j), _bit(j)) for gain, j in worth if gain - best >= widest]
             if not prices:
@@ -366,24 +367,24 @@ def _steps(
     return steps
 
 
-def _used(taken: Mapping[int, Option]) -> tuple[int, bool]:
-    """Return the bit set of detections that people take, and whether two take the same one."""
-    used = 0
-    clash = False
-    for _, option in taken.values():
+def _used(taken: Iterable[Option]) -> tuple[int, bool]:
+    """Return the bit set of the detections that people take, and whether two take the same one."""
+    used, clash = 0, False
+    for _, option in taken:
         bit = _bit(option)
         clash = clash or bool(used & bit)
         used |= bit
     return used, clash
 
 
-def _auction(taken: dict[int, Option], options: Options, prices: dict[int, float]) -> float:
+def _auction(taken: list[Option], hypothesis: Joint, options: Options, prices: dict[int, float]) -> float:
     """Let people bid for detections until each has the one that is worth most at its price.
 
     Args:
-        taken: row -> what the person takes, written here; the sum of the log weights is the largest possible one to
-            within BID for each person.
-        options: what each may have caused.
+        taken: what each person takes, written here: a feasible association, whose log weight is the largest possible
+            one to within BID for each person.
+        hypothesis: a row per person.
+        options: what each row may have caused.
         prices: detection -> price in nats, written here.
 
     Returns:
@@ -394,25 +395,31 @@ def _auction(taken: dict[int, Option], options: Options, prices: dict[int, float
         Operations Research 14, 1988.
     """
     owner: dict[int, int] = {}
-    bidding = list(taken)
+    bidding = [person for person, row in enumerate(hypothesis) if row >= 0]
+    everybody = list(bidding)
     while bidding:
-        row = bidding.pop()
-        best, second, choice = -math.inf, -math.inf, (0.0, MISSED)
-        for gain, option in options[row]:
-            worth = gain - prices.get(detection_of(option), 0.0)
+        person = bidding.pop()
+        best, second, choice = -math.inf, -math.inf, NOTHING
+        for one in options[hypothesis[person]]:
+            worth = _worth(one, prices)
             if worth > best:
-                best, second, choice = worth, best, (gain, option)
+                best, second, choice = worth, best, one
             elif worth > second:
                 second = worth
-        taken[row] = choice
+        taken[person] = choice
         j = detection_of(choice[1])
         if j >= 0:
             prices[j] = prices.get(j, 0.0) + best - second + BID
             if j in owner:
                 bidding.append(owner[j])
-            owner[j] = row
-    net = [max([gain - prices.get(detection_of(option), 0.0) for gain, option in options[row]]) for row in taken]
+            owner[j] = person
+    net = [max([_worth(one, prices) for one in options[hypothesis[person]]]) for person in everybody]
     return math.fsum([*net, *prices.values()])
+
+
+def _worth(option: Option, prices: Mapping[int, float]) -> float:
+    """Return the log weight of an option less what its detection costs."""
+    return option[0] - prices.get(detection_of(option[1]), 0.0)
 
 
 def _unpaid(prices: Mapping[int, float], used: int) -> float:
