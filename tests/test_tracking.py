@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
 from avcli.formats.records import Detections
 from avcli.formats.sensors import MICROPHONES
-from avcli.tracking import gaussian
+from avcli.tracking import association, gaussian
 from avcli.tracking.association import ranked
 from avcli.tracking.fusion import Fusion, noise_of
 from avcli.tracking.glmb import GLMB
@@ -270,6 +271,24 @@ def test_ranked_associations_are_those_of_brute_force(seed):
     few = ranked(priors, options, 1, 7.0)
     assert few
     assert few[0][0] <= expected[0][0] + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_in_a_pressed_crowd_the_best_association_is_found_with_a_small_budget(seed):
+    """Without prices the search kept what most people wanted most, and ended 10 nats and more below the best."""
+    rng = np.random.default_rng(seed)
+    places = 0.3 * np.stack(np.meshgrid(np.arange(8), np.arange(8)), -1).reshape(-1, 2)
+    z = (places + rng.normal(0, 0.12, places.shape))[rng.random(len(places)) < 0.9]
+    gains = 5 - np.square(places[:, None] - z).sum(2) / (2 * 0.15**2)
+    options = {
+        row: sorted([(-2.3, -1), *((one, j) for j, one in enumerate(some) if one > -4)], reverse=True)
+        for row, some in enumerate(gains.tolist())
+    }
+    cost = np.hstack([np.where(gains > -4, -gains, 1e3), np.full((64, 64), 2.3)])
+    best = -cost[linear_sum_assignment(cost)].sum()
+    found = ranked([(0.0, tuple(range(64))), (-1.0, tuple(range(64)))], options, 100, 7.0, 30)
+    assert best - 64 * association.BID < found[0][0] < best + 1e-9
+    assert all(len({j for _, j in pairs if j >= 0}) == used.bit_count() for _, pairs, used in found)
 
 
 # --- the filter -------------------------------------------------------------------------------------------------------

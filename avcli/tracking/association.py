@@ -21,9 +21,11 @@ BUDGET = 3  # partial associations kept while searching, for each hypothesis tha
 LARGE = 50  # labels of a cluster, beyond which it keeps fewer hypotheses in proportion, so that time is bounded
 MANY = 6  # labels that compete, beyond which clusters that do so with a probability below PRUNE are not joined
 ROUNDS, SETTLED, MOST_LIKELY = 20, 1e-3, 1e9  # of belief propagation: at most so many; change; ratio of likelihoods
+BID = 0.02  # nats by which a bid for a detection exceeds what it is worth, so that bidding ends
 SURE = 0.9  # existence of a person by whom the detection probability is learnt
 
 FIRST = itemgetter(0)
+NOTHING = (0.0, MISSED)  # the only option of a person who does not exist
 
 Option = tuple[float, int]  # log weight, detection, MISSED, or STRAY less a detection
 Options = Mapping[int, Sequence[Option]]  # by row, best first
@@ -253,10 +255,12 @@ def ranked(
 ) -> list[Association]:
     """Find the likeliest joint associations of several prior hypotheses, each detection used at most once.
 
-    A branch and bound over people, breadth first: a partial association is dropped when even its best completion (each
-    remaining person takes the best detection, used or not) falls `span` nats below a feasible association. While no
-    layer holds more than `budget` of them the list is exact down to exp(-span) of the best; beyond, the layer keeps
-    those with the best bound (a beam, so the time is bounded).
+    A branch and bound over people, breadth first: a partial association is dropped when even its best completion falls
+    `span` nats below a feasible association. In that completion each remaining person takes the best detection, used or
+    not, and pays its price: where many want the same detections, prices make the bound nearly exact, see `_auction`.
+    While no layer holds more than `budget` partial associations the list is exact down to exp(-span) of the best;
+    beyond, the layer keeps those with the best bound (a beam, so the time is bounded), and the best association of each
+    prior is still known to within BID for each person.
 
     Args:
         priors: log weight and hypothesis, a tuple of one row per label (ABSENT: no such person).
@@ -275,16 +279,27 @@ def ranked(
     if len(priors[0][1]) == 1:
         return _ranked_alone(priors, options, span, most)
     beam: list[tuple[float, int, Chain, int]] = []
-    greedy: Association = (-math.inf, (), 0)
+    asked: list[Mapping[int, float]] = []
+    likely: Association = (-math.inf, (), 0)
     for number, (weight, hypothesis) in enumerate(priors):
-        bound = weight + math.fsum(options[row][0][0] for row in hypothesis if row >= 0)
+        taken = [options[row][0] if row >= 0 else NOTHING for row in hypothesis]
+        bound = weight + math.fsum(map(FIRST, taken))
+        prices: dict[int, float] = {}
+        if bound > likely[0] or len(taken) > MANY:
+            used, clash = _used(taken)
+            if clash:
+                bound = weight + _auction(taken, hypothesis, options, prices)
+                used, _ = _used(taken)
+            if bound > likely[0]:
+                weight += math.fsum(map(FIRST, taken))
+                pairs = tuple([(row, option) for row, (_, option) in zip(hypothesis, taken, strict=True)])
+                likely = max(likely, (weight, pairs, used), key=FIRST)
         beam.append((bound, number, (), 0))
-        if bound > greedy[0]:
-            greedy = max(greedy, _greedy(weight, hypothesis, options), key=FIRST)
-    floor = greedy[0] - span - 1e-9
+        asked.append(prices)
+    floor = likely[0] - span - 1e-9
     widest = floor - max(beam, key=FIRST)[0]
     for depth in range(len(priors[0][1])):
-        steps = _steps(priors, depth, options, widest)
+        steps = _steps(priors, asked, depth, options, widest)
         beam = [
             (bound + loss, number, (chain, pair), used | bit)
             for bound, number, chain, used in beam
@@ -294,10 +309,16 @@ def ranked(
         if len(beam) > budget:
             beam.sort(key=FIRST, reverse=True)
             del beam[budget:]
+    beam = [(bound - _unpaid(asked[number], used), number, chain, used) for bound, number, chain, used in beam]
     beam.sort(key=FIRST, reverse=True)
-    # all that the budget kept may have ended in conflicts
-    least = beam[0][0] - span if beam else math.inf
-    return [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least] or [greedy]
+    if not beam or beam[0][0] < likely[0] - 1e-9:  # the budget left it out
+        return [likely, *_down_to(floor, beam, most and most - 1)]
+    return _down_to(beam[0][0] - span, beam, most)
+
+
+def _down_to(least: float, beam: Sequence[tuple[float, int, Chain, int]], most: int | None) -> list[Association]:
+    """Return the first associations of a sorted beam, down to a log weight."""
+    return [(weight, _in_order(chain), used) for weight, _, chain, used in beam[:most] if weight >= least]
 
 
 def _in_order(chain: Chain) -> tuple[Pair, ...]:
@@ -324,35 +345,86 @@ def _ranked_alone(
 
 
 def _steps(
-    priors: Sequence[tuple[float, Joint]], depth: int, options: Options, widest: float
+    priors: Sequence[tuple[float, Joint]],
+    asked: Sequence[Mapping[int, float]],
+    depth: int,
+    options: Options,
+    widest: float,
 ) -> list[list[tuple[float, Pair, int]]]:
     """For each prior: what its label number `depth` may do, and what each choice loses to the best one, to `widest`."""
-    moves: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}
+    free: dict[int, list[tuple[float, Pair, int]]] = {ABSENT: [(0.0, (ABSENT, MISSED), 0)]}  # moves without prices
     steps = []
-    for _, hypothesis in priors:
+    for (_, hypothesis), prices in zip(priors, asked, strict=True):
         row = hypothesis[depth]
-        if row not in moves:
-            best = options[row][0][0]
-            moves[row] = [(gain - best, (row, j), _bit(j)) for gain, j in options[row] if gain - best >= widest]
-        steps.append(moves[row])
+        moves = None if prices and row >= 0 else free.get(row)
+        if moves is None:
+            worth = [(_worth(one, prices), one[1]) for one in options[row]]
+            best = max(worth)[0]
+            moves = [(gain - best, (row, j), _bit(j)) for gain, j in worth if gain - best >= widest]
+            if not prices:
+                free[row] = moves
+        steps.append(moves)
     return steps
 
 
-def _greedy(weight: float, hypothesis: Joint, options: Options) -> Association:
-    """One feasible association: each person in turn takes the best detection that is left."""
-    pairs, used = [], 0
-    for row in hypothesis:
-        j, bit = MISSED, 0
-        if row >= 0:
-            for option in options[row]:
-                gain, j = option
-                bit = _bit(j)
-                if not used & bit:
-                    break
-            weight += gain
-            used |= bit
-        pairs.append((row, j))
-    return weight, tuple(pairs), used
+def _used(taken: Iterable[Option]) -> tuple[int, bool]:
+    """Return the bit set of the detections that people take, and whether two take the same one."""
+    used, clash = 0, False
+    for _, option in taken:
+        bit = _bit(option)
+        clash = clash or bool(used & bit)
+        used |= bit
+    return used, clash
+
+
+def _auction(taken: list[Option], hypothesis: Joint, options: Options, prices: dict[int, float]) -> float:
+    """Let people bid for detections until each has the one that is worth most at its price.
+
+    Args:
+        taken: what each person takes, written here: a feasible association, whose log weight is the largest possible
+            one to within BID for each person.
+        hypothesis: a row per person.
+        options: what each row may have caused.
+        prices: detection -> price in nats, written here.
+
+    Returns:
+        A log weight that no association exceeds.
+
+    Source:
+        D. P. Bertsekas, "The auction algorithm: a distributed relaxation method for the assignment problem", Annals of
+        Operations Research 14, 1988.
+    """
+    owner: dict[int, int] = {}
+    bidding = [person for person, row in enumerate(hypothesis) if row >= 0]
+    everybody = list(bidding)
+    while bidding:
+        person = bidding.pop()
+        best, second, choice = -math.inf, -math.inf, NOTHING
+        for one in options[hypothesis[person]]:
+            worth = _worth(one, prices)
+            if worth > best:
+                best, second, choice = worth, best, one
+            elif worth > second:
+                second = worth
+        taken[person] = choice
+        j = detection_of(choice[1])
+        if j >= 0:
+            prices[j] = prices.get(j, 0.0) + best - second + BID
+            if j in owner:
+                bidding.append(owner[j])
+            owner[j] = person
+    net = [max([_worth(one, prices) for one in options[hypothesis[person]]]) for person in everybody]
+    return math.fsum([*net, *prices.values()])
+
+
+def _worth(option: Option, prices: Mapping[int, float]) -> float:
+    """Return the log weight of an option less what its detection costs."""
+    return option[0] - prices.get(detection_of(option[1]), 0.0)
+
+
+def _unpaid(prices: Mapping[int, float], used: int) -> float:
+    """Return what the detections cost that an association does not use."""
+    return math.fsum([price for j, price in prices.items() if not used >> j & 1]) if prices else 0.0
 
 
 def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:

@@ -21,7 +21,7 @@ SHARES, RECURRING = (
     (0.0, *np.linspace(0.1, 0.9, 9).tolist(), 0.98),
     5.0,
 )  # of tentative people; least log likelihood ratio
-ALONE, FULL = 0.75, 10  # share and number of tentative people, farther than a body from others, of a room that is full
+ALONE, FULL = 0.6, 10  # share and number of tentative people, farther than a body from others, of a room that is full
 LEAST_HIDDEN = 0.06  # least probability that a camera misses somebody from the beginning: 1 of 23 in random worlds
 
 
@@ -199,13 +199,13 @@ def recurring(
     known: Sequence[int],
     body: float,
 ) -> tuple[np.ndarray, float]:
-    """Tell a full room from clutter after a surprise: people are detected again where they were, clutter is elsewhere.
+    """Tell a full room from much clutter: people are detected again where they were, clutter is elsewhere.
 
     The detections of nobody known are a Poisson process: false ones anywhere, and people about a share of the tentative
     ones. The likeliest share is taken, where it is much likelier than none.
 
     Args:
-        scan: the record after the surprise.
+        scan: the record.
         unclaimed: J probabilities that no known person caused the detection.
         people: all densities.
         tentative: T rows of tentative people.

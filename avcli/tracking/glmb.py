@@ -263,7 +263,7 @@ class GLMB:
         if settings.learn and shown is None and self.scales[scan.column].due():
             self._widen(scan)
         more, there = 1.0, np.zeros(0)
-        if rates.before and shown is None:
+        if shown is None and rates.doubtful():
             there, false_ones = recurring(
                 scan, unclaimed, self.people, tentative, self.likely_rows, self.population.body
             )

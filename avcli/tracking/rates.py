@@ -18,6 +18,7 @@ KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record;
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
 AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
 MOST_AGAIN = 0.2  # of these, as far as it is believed: more would hide people in a crowd (12 people 0.25 m apart)
+OFTEN = 0.15  # of these, from which a sensor finds people again and again
 
 
 class Rates:
@@ -42,6 +43,7 @@ class Rates:
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
         self.proven = False
+        self._stated = sensor.clutter
 
     def learn(self, clutter: float, hits: float, misses: float, again: float) -> None:
         """Learn from one record: false detections, people detected, detectable people missed, people found again."""
@@ -63,6 +65,14 @@ class Rates:
         """
         usual = due + self.clutter
         return unclaimed > usual + SURPRISE * math.sqrt(usual + 1)
+
+    def doubtful(self) -> bool:
+        """Return whether what is learnt of clutter may be people: it was a surprise, or is far more than is stated.
+
+        Not where the sensor finds people again and again in one record: those come again in the same places, too.
+        """
+        much = self.clutter > self._stated + SURPRISE * math.sqrt(self._stated + 1)
+        return self.before is not None or (much and self.again < OFTEN)
 
     def take_back(self) -> None:
         """Forget what the last record taught of clutter: it was people."""

@@ -241,6 +241,8 @@ QUEUE = (
     "see its archive",
 )
 JUELICH = ("Experiments of Forschungszentrum Jülich, in PedPy: Schrödter et al.", "MIT (PedPy)")
+LYON = ("Festival of Lights, Lyon: MADRAS, 2022, doi 10.5281/zenodo.10694866", "MIT (madras-data-app)")
+CROSSING = ("Experiment of Forschungszentrum Jülich, in JPSreport", "LGPL (JPSreport)")
 COCKTAIL = ("CocktailParty: Zen, Lepri, Ricci, Lanz, Space speaks, MPVA 2010", "research, with credit")
 
 _UCY, _SDD = "datasets/UCY/", "datasets/SDD/{}/video{}/annotations.txt"
@@ -306,6 +308,17 @@ DATASETS = {
         columns(_PEDPY + "bottleneck/040_c_56_h-.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH, decides=True
     ),
     "bicorr": Dataset(columns(_PEDPY + "bi-directional/bi_corr_400_b_03.txt", 25.0, 0.01, _RAW), 25, 30, *JUELICH),
+    "pressed": Dataset(
+        columns("PedPy/tests/unit_tests/io/test-data/030_c_56_h0.txt", 25.0, 1.0, _RAW), 0, 60, *JUELICH
+    ),
+    "doorway": Dataset(
+        columns("PedPy/tests/reference_tests/data/bottleneck/traj.txt", 16.0, 1.0, _RAW), 10, 15, *JUELICH
+    ),
+    "packed": Dataset(columns(_PEDPY + "uni-directional/uo-180-180-070.txt", 16.0, 0.01, _RAW), 30, 30, *JUELICH),
+    "crossing90": Dataset(
+        columns("jpsreport/demos/crossing/traj_crossing_90_c_6_v5.txt", 25.0, 1.0, _RAW), 30, 19, *CROSSING
+    ),
+    "lyon": Dataset(columns("madras-data-app/data/trajectories/Topview_2D.txt", 30.0, 1.0, _RAW), 60, 30, *LYON),
     "queue": Dataset(columns(_QUEUE, 25.0, 1.0, _RAW), 5, 120, *QUEUE),
     **{
         f"sdd-{scene}{video}": Dataset(boxes(_SDD.format(scene, video)), 2, 60, *SDD)
