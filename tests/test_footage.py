@@ -187,3 +187,36 @@ def test_pictures_of_one_name_do_not_replace_each_other(tmp_path):
     assert not media.read_picture(tmp_path / "new" / "one.png").any()
     with Sink(tmp_path / "new", (64, 48), 10.0, single=False) as sink:  # another run may replace them
         sink.write(Picture(str(tmp_path / "b" / "one.png"), 0.0, picture()), picture())
+
+
+def film_of(path, count=20):
+    """A film of noise, MJPG at 10 Hz, each picture of another brightness."""
+    chance = np.random.default_rng(0)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (160, 120))
+    for number in range(count):
+        writer.write((chance.integers(0, 40, (120, 160, 3)) + 10 * number).astype(np.uint8))
+    writer.release()
+    return path.read_bytes()
+
+
+def test_a_film_goes_on_behind_damaged_pictures_and_says_so(tmp_path):
+    path, said = tmp_path / "film.avi", []
+    whole = film_of(path)
+    middle = len(whole) // 2
+    path.write_bytes(whole[:middle] + bytes(range(256)) * 64 + whole[middle + 16384 :])
+    brightness = [one.image.mean() for one in footage.pictures([str(path)], say=said.append)]
+    assert len(brightness) >= 15
+    assert brightness[-1] == pytest.approx(20 + 10 * 19, abs=3)
+    assert len(said) == 1
+    assert said[0].startswith(f"{path}: damaged pictures are left out: ")
+
+
+def test_a_film_that_is_cut_short_is_said_to_be(tmp_path):
+    path, said = tmp_path / "film.avi", []
+    whole = film_of(path, 40)
+    assert len(list(footage.pictures([str(path)], say=said.append))) == 40
+    assert said == []
+    path.write_bytes(whole[: len(whole) // 2])
+    assert 15 < len(list(footage.pictures([str(path)], say=said.append))) < 25
+    assert len(said) == 1
+    assert said[0].startswith(f"{path}: its header states 4.0 s, but it ends after ")

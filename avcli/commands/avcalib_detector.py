@@ -153,7 +153,7 @@ def _pictures(session: Session, sources: tuple[str, ...], most: int) -> Iterator
         session.fail(f"the film has {count} pictures; {FEWEST} or more are needed")
     taken = min(most, count)
     wanted = {k * count // taken for k in range(taken)}
-    for number, picture in enumerate(footage.pictures(list(sources))):
+    for number, picture in enumerate(footage.pictures(list(sources), say=session.warn)):
         if number in wanted:
             yield picture.name, picture.image[..., :3]
 

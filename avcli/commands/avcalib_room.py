@@ -72,7 +72,7 @@ def undistort_command(
         straight = undistort.straighten(camera.lens, camera.size, size, given, limit, camera.circle)
         sink = footage.Sink(target, size, footage.rate_taken(names[0], rate_hz) or 10.0, single=single)
     total = footage.count_pictures(names, rate_hz)
-    pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
+    pictures = session.progress(footage.pictures(names, rate_hz, say=session.warn), total, "straightening")
 
     def skip(words: str) -> None:
         session.warn(f"left out: {words}")
@@ -306,12 +306,12 @@ def background_command(session: Session, sources: tuple[str, ...], depth: str | 
     found: dict[str, str] = {}
     try:
         if sources:
-            colour = (picture.image[..., :3] for picture in footage.pictures(list(sources)))
+            colour = (picture.image[..., :3] for picture in footage.pictures(list(sources), say=session.warn))
             room = background.still_colour(colour, pictures)
             found["background_rgb"] = Layout.background_rgb
             _write_picture(session, Layout.background_rgb, room)
         if depth:
-            shown = background.still_depth(footage.depths(depth), pictures)
+            shown = background.still_depth(footage.depths(depth, session.warn), pictures)
             found["background_depth"] = Layout.background_depth
             holes = float((shown == 0).mean())
             if holes > 0.5:

@@ -280,10 +280,10 @@ def _shots(
     if still:
         return _picture_shots(session, still, rate, sensor, depth=depth)
     if moving and depth:
-        pictures = footage.depth_pictures(moving[0].name, rate)
+        pictures = footage.depth_pictures(moving[0].name, rate, session.warn)
         return (footage.UnreadShot(picture.timestamp, None, picture.image.view) for picture in pictures)
     if moving:
-        pictures = footage.pictures([moving[0].name], rate)
+        pictures = footage.pictures([moving[0].name], rate, say=session.warn)
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
         if not moving[0].is_live:
             return shots
