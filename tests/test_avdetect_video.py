@@ -327,6 +327,15 @@ def test_wrong_usage(made, options, word):
 # --- other sources and drawings ---------------------------------------------------------------------------------------
 
 
+def test_colour_alone_is_not_compared_with_the_empty_rooms_depth(folder, network):
+    config = json.loads((folder / "config.json").read_text())
+    config["camera_config"]["camera_rotation_deg"] = [-90, 0, 0]
+    (folder / "config.json").write_text(json.dumps(config))
+    up = run("avdetect-video", "-C", folder, "--model", network, folder / "video/rgb")
+    assert "3 boxes have no place: none of their rays reaches the floor" in up.stderr
+    assert "is camera_rotation_deg right?" in up.stderr
+
+
 def test_a_video_and_its_rate(folder, network, tmp_path):
     import cv2
 

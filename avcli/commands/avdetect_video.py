@@ -91,7 +91,7 @@ def main(
         for shot in session.progress(shots, _expected(session, files, rate)):
             if detector is None:
                 with session.timing("start"):
-                    detector = _detector(session, model, settings)
+                    detector = _detector(session, model, settings, depth=shot.depth is not None)
                 if overlay:
                     drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
             people = _people(session, detector, shot)
@@ -112,7 +112,7 @@ def _refuse_without_effect(settings: Settings) -> None:
         refuse_without_effect(["position"], "with --monocular")
 
 
-def _detector(session: filter.Session, model: str | None, settings: Settings) -> Detector:
+def _detector(session: filter.Session, model: str | None, settings: Settings, *, depth: bool) -> Detector:
     from avcli.detection.detector import Detector
     from avcli.formats import media
 
@@ -129,7 +129,8 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
             "--windows is for networks that know people from photographs (--model): the package's own has learnt from"
             " whole pictures, and misses most people in windows"
         )
-    empty = partial(media.read_depth, session.media_root / path) if path else None
+    compared = depth or settings.detector == "depth"  # colour alone cannot be compared with the empty room's depth
+    empty = partial(media.read_depth, session.media_root / path) if path and compared else None
     try:
         colour = camera.background_rgb if settings.learn_background else None
         detector = Detector(
@@ -197,7 +198,10 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
             + _other_height(detector)
         )
     if tally.nowhere:
-        session.warn(f"{tally.nowhere} boxes have no place: none of their rays reaches the floor or a body on it")
+        session.warn(
+            f"{tally.nowhere} boxes have no place: none of their rays reaches the floor or a body on it"
+            + ("; is camera_rotation_deg right?" if tally.nowhere > tally.by_box else "")
+        )
     if tally.still:
         session.warn(
             f"{tally.still} boxes showed only the room as it was learnt (--learn-background), and are left out"
