@@ -336,6 +336,16 @@ def test_colour_alone_is_not_compared_with_the_empty_rooms_depth(folder, network
     assert "is camera_rotation_deg right?" in up.stderr
 
 
+@pytest.mark.parametrize(("step", "where"), [(10 * STEP, "m below the floor"), (STEP / 10, "m below the camera")])
+def test_depth_that_cannot_be_of_the_room_is_doubted(folder, step, where):
+    config = json.loads((folder / "config.json").read_text())
+    config["camera_config"]["depth_step_m"] = step
+    (folder / "config.json").write_text(json.dumps(config))
+    doubted = run(*DEPTH, "-C", folder, folder / "frames.jsonl")
+    assert where in doubted.stderr
+    assert "depth_step_m" in doubted.stderr
+
+
 def test_a_video_and_its_rate(folder, network, tmp_path):
     import cv2
 

@@ -301,7 +301,7 @@ def background_command(session: Session, sources: tuple[str, ...], depth: str | 
 
     if not sources and not depth:
         session.usage("give colour pictures or a film, or --depth, or both")
-    check_sources(session, list(sources))
+    check_sources(session, [*sources, *filter(None, (depth,))])
     session.check_outputs({}, [*sources, *filter(None, (depth,))])
     found: dict[str, str] = {}
     try:

@@ -94,7 +94,10 @@ def main(
                     detector = _detector(session, model, settings, depth=shot.depth is not None)
                 if overlay:
                     drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
+            doubted = detector.shown_m is not None
             people = _people(session, detector, shot)
+            if not doubted:
+                _doubt_depth(session, detector)
             if people is None:
                 continue
             write(records.as_record(detections(shot.timestamp, people, settings.sensor)))
@@ -149,6 +152,17 @@ def _detector(session: filter.Session, model: str | None, settings: Settings, *,
     if network and network.head.kind == "end2end":
         refuse_without_effect(["iou"], "with this model: it removes overlapping boxes itself")
     return detector
+
+
+def _doubt_depth(session: filter.Session, detector: Detector) -> None:
+    """Say so if the first depth shows no room: half of it lies far below the floor, or just below the camera."""
+    shown, height = detector.shown_m, float(detector.view.origin[2])
+    if shown is not None and not -0.5 < shown < 0.8 * height:
+        where = f"{-shown:.1f} m below the floor" if shown < 0 else f"less than {height - shown:.2g} m below the camera"
+        session.warn(
+            f"half of what depth shows lies {where}, so nobody can be found there: are depth_step_m, depth_kind and "
+            f"the camera's place right in {session.config.name}?"
+        )
 
 
 def _camera(session: filter.Session, sensor: str) -> Camera:
