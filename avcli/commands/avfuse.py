@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
-from avcli.commands.filter import Failure, Filter, Session, common
+from avcli.commands.filter import Failure, Filter, Killed, Session, common, unbroken
 from avcli.commands.options import from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
@@ -212,12 +212,13 @@ def main(
         if learn:
             _recall(session, fusion, learn)
         events = itertools.chain(first, inputs.rest(merger))
-        for step in merger.steps(session.progress(events, session.lines(path for _, path in sources))):
-            with session.timing("tracking"):
-                ready = fusion.step(*step)
-            for tracks in ready:
-                write(as_record(tracks))
-            account(fusion)
+        with _kept(learn if live and not no_learn else None, fusion):
+            for step in merger.steps(session.progress(events, session.lines(path for _, path in sources))):
+                with session.timing("tracking"), unbroken():
+                    ready = fusion.step(*step)
+                for tracks in ready:
+                    write(as_record(tracks))
+                account(fusion)
         for tracks in fusion.finish():
             write(as_record(tracks))
         if inputs.broken:
@@ -260,6 +261,19 @@ def _recall(session: Session, fusion: Fusion, path: str) -> None:
             fusion.restore(read_learnt(path))
         except ValueError as error:
             session.fail(f"--learn {path}: {error}")
+
+
+@contextlib.contextmanager
+def _kept(path: str | None, fusion: Fusion) -> Iterator[None]:
+    """Write what was learnt to a file where a signal ends the block, as a live run mostly ends; None: write nothing."""
+    try:
+        yield
+    except Killed:
+        if path:
+            from avcli.tracking.learnt import write_learnt
+
+            write_learnt(path, fusion.state())
+        raise
 
 
 @contextlib.contextmanager
