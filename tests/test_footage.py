@@ -189,6 +189,13 @@ def test_pictures_of_one_name_do_not_replace_each_other(tmp_path):
         sink.write(Picture(str(tmp_path / "b" / "one.png"), 0.0, picture()), picture())
 
 
+def test_what_a_folder_holds_in_the_order_of_numbers(tmp_path):
+    for name in ("img10.png", "img2.png", "img1.png"):
+        media.write_png(tmp_path / name, picture())
+    names = [str(tmp_path / f"img{k}.png") for k in (1, 2, 10)]
+    assert footage.in_numbers([str(tmp_path), "film.mp4"]) == [*names, "film.mp4"]
+
+
 def film_of(path, count=20):
     """A film of noise, MJPG at 10 Hz, each picture of another brightness."""
     chance = np.random.default_rng(0)

@@ -146,14 +146,15 @@ def _pictures(session: Session, sources: tuple[str, ...], most: int) -> Iterator
         live = [one.name for one in footage.sources(sources) if one.is_live]
     except FileNotFoundError as error:
         session.usage(f"{error.filename}: {error.strerror}")
-    count = None if live else footage.count_pictures(list(sources))
+    names = footage.in_numbers(sources)
+    count = None if live else footage.count_pictures(names)
     if count is None:
         session.usage(f"{(live or sources)[0]}: record a film first; it is read from its beginning to its end")
     if count < FEWEST:
         session.fail(f"the film has {count} pictures; {FEWEST} or more are needed")
     taken = min(most, count)
     wanted = {k * count // taken for k in range(taken)}
-    for number, picture in enumerate(footage.pictures(list(sources), say=session.warn)):
+    for number, picture in enumerate(footage.pictures(names, say=session.warn)):
         if number in wanted:
             yield picture.name, picture.image[..., :3]
 

@@ -71,6 +71,7 @@ def undistort_command(
         limit = camera.theta_max if extrapolate else camera.theta_trusted
         straight = undistort.straighten(camera.lens, camera.size, size, given, limit, camera.circle)
         sink = footage.Sink(target, size, footage.rate_taken(names[0], rate_hz) or 10.0, single=single)
+    names = footage.in_numbers(names)  # a film of them plays in order
     total = footage.count_pictures(names, rate_hz)
     pictures = session.progress(footage.pictures(names, rate_hz, say=session.warn), total, "straightening")
 

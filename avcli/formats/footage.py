@@ -157,6 +157,15 @@ def _in_numbers(path: Path) -> list[tuple[int, str]]:
     return [(int(part), part) if part.isdecimal() and part.isascii() else (-1, part) for part in parts]
 
 
+def in_numbers(names: Iterable[str]) -> list[str]:
+    """Name what folders hold one by one, in the order of the numbers in its names; other sources stay as they are."""
+    opened: list[str] = []
+    for one in map(source, names):
+        members = one.members() if one.kind == "folder" else []
+        opened += sorted((member.name for member in members), key=lambda name: _in_numbers(Path(name))) or [one.name]
+    return opened
+
+
 def _is(path: Path, suffixes: Container[str]) -> bool:
     return path.suffix.lower() in suffixes
 
