@@ -173,6 +173,12 @@ def test_a_source_that_keeps_the_others_waiting_is_named(experiment):
         assert process.wait() == 0
 
 
+def test_times_in_milliseconds_are_asked_about(experiment):
+    result = run("avfuse", "-C", experiment, stdin="".join(line(100.0 * k) for k in range(5)))
+    said = "no sensor has a record for more than 10 s; the tracks go on with the next record; are the times in seconds?"
+    assert said in result.stderr
+
+
 @pytest.mark.parametrize("far", [600.0, 3000.0, 1e11])
 def test_one_wrong_time_does_not_make_thousands_of_records(experiment, far):
     lines = walk(steps=41)

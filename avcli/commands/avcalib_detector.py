@@ -45,7 +45,7 @@ def detector_command(
 
     The teacher says where people are in the film, and the small network learns it: use a film with people, and minutes
     without. Part of the film is held back, to calibrate the scores and to compare. The result goes to -o, for
-    avdetect-video --model; nothing is written (exit 3) if the network that began agrees with the teacher as well.
+    avdetect-video --model; nothing is written (exit 3) if the network knew as much before it learnt.
     """
     settings = settings_from(TeachingSettings, values)
     if session.output_path == "-":

@@ -294,7 +294,7 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
 def background_command(session: Session, sources: tuple[str, ...], depth: str | None, pictures: int) -> None:
     """Record what a room looks like without people, in colour and depth, from a film in which nobody stays in place.
 
-    The pictures are written into the experiment directory, and the camera_config keys that name them to the output.
+    The pictures are written into the experiment directory. The output is the part of config.json that names them.
     """
     from avcli.detection import background
     from avcli.formats import footage, media

@@ -109,7 +109,9 @@ def _usual(field: str) -> str:
     type=click.Choice(list(TRACKERS)),
     default=next(iter(TRACKERS)),
     show_default=True,
-    help="Association by " + "; ".join(f"{name}: {one.text}" for name, one in TRACKERS.items()) + ".",
+    help="How detections are assigned to people. "
+    + "; ".join(f"{name}: {one.text}" for name, one in TRACKERS.items())
+    + ".",
 )
 @click.option(
     "--lag",

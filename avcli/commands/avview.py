@@ -92,8 +92,9 @@ class Run:
     "--beam",
     multiple=True,
     metavar="ID",
-    help="Listen at this track with all microphones: --mp4 plays it, --html has it to choose. May be repeated; none: no"
-    " beams. By default --html has those of all tracks of the tracker that is shown first.",
+    help="Listen to the place of this track with all microphones. --mp4 plays that sound; --html offers it beside the "
+    "others. May be repeated; the word none: no such sound. By default --html has that of each track of the tracker "
+    "that is shown first.",
 )
 @click.option(
     "--start",

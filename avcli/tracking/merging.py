@@ -159,7 +159,7 @@ class Merger:
         self.records: list[tuple[float, str, int, Detections]] = []
         self.lagging: set[str] = set()
         self.first, self.last = math.inf, -math.inf
-        self.origin, self.tick, self.began = 0.0, 0, False
+        self.origin, self.tick, self.begin, self.began = 0.0, 0, 0, False
         self.late: Counter[str] = Counter()
         self.set_back = SetBack()
 
@@ -256,7 +256,10 @@ class Merger:
                 return
             known = min((record[0] for record in self.records if record[0] <= horizon), default=now)
             if known - now > JUMP:
-                self.say(f"no sensor has a record for more than {JUMP:g} s; the tracks go on with the next record")
+                unit = "; are the times in seconds?" if self.tick <= self.begin + 1 else ""
+                self.say(
+                    f"no sensor has a record for more than {JUMP:g} s; the tracks go on with the next record{unit}"
+                )
                 self._begin()
                 continue
             yield now, self._until(now)
@@ -317,7 +320,7 @@ class Merger:
         times = sorted(record[0] for record in self.records)
         on_grid = [t for t in times if abs(t * rate - round(t * rate)) < 1e-3 * rate]
         self.origin = 0.0 if on_grid else times[0]
-        self.tick = math.ceil((times[0] - self.origin) * rate - 1e-3 * rate)
+        self.tick = self.begin = math.ceil((times[0] - self.origin) * rate - 1e-3 * rate)
         self.began = True
         for stream in self.streams.values():
             stream.step = min(stream.step, 1.0 / rate)
