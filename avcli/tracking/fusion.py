@@ -396,7 +396,8 @@ def _with_heights(config: Config, given: Given) -> Given:
 def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, area: Corners) -> np.ndarray:
     """Return measurement noise as the filter needs it, (J, 2, 2) m², positive definite.
 
-    A variance of 0 means that the coordinate was not observed, see `model.unobserved`.
+    A variance of 0 means that the coordinate was not observed, see `model.unobserved`; who writes 0 for both of a
+    position knows no covariance.
 
     Args:
         covariances: (J, 2, 2) m², NaN where not given.
@@ -407,7 +408,7 @@ def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, 
     noise = []
     for (xx, xy), (yx, yy) in covariances.tolist():
         xx, yy, cross = xx + floor * floor * (xx > 0), yy + floor * floor * (yy > 0), (xy + yx) / 2
-        if math.isnan(xx + yy + cross):
+        if math.isnan(xx + yy + cross) or xx == yy == 0:
             xx, yy, cross = sigma[0] ** 2, sigma[1] ** 2, 0.0
         if not (xx and yy):
             cross = 0.0
