@@ -364,6 +364,12 @@ def test_a_video_and_its_rate(folder, network, tmp_path):
     assert capture.read()[1].shape == (270, 480, 3)
 
 
+def test_an_overlay_that_cannot_be_written_is_named(made, tmp_path):
+    (tmp_path / "drawn").write_text("a file")
+    result = run(*DEPTH, "-C", made, "--overlay", tmp_path / "drawn", "-o", tmp_path / "v.jsonl", made / "frames.jsonl")
+    refused(result, f"{tmp_path / 'drawn'}: File exists", code=74)
+
+
 def test_an_overlay_of_pictures(made, tmp_path):
     target = tmp_path / "drawn"
     run(*DEPTH, "-C", made, "--overlay", target, made / "frames.jsonl")

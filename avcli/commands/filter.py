@@ -534,7 +534,9 @@ class Session:
         except OSError as error:
             if error.errno == errno.EPIPE:
                 raise
-            raise InputOutputError(f"{self.output_path}: {error.strerror or error}") from None
+            own = error.filename is None or atomic.is_temporary(error.filename)
+            path = self.output_path if own else error.filename
+            raise InputOutputError(f"{path}: {error.strerror or error}") from None
 
 
 # --- the options that all share ---------------------------------------------------------------------------------------
