@@ -409,6 +409,15 @@ def test_options_of_a_kind_reach_all_its_sensors_and_those_of_a_name_win():
     assert fuse(lines, "--sigma", "camera=0.5") == wide
     assert fuse(lines, "--sigma", "camera=0.1", "--sigma", "video=0.5") == wide
     assert fuse(lines, "--sigma", "microphones=0.5") == fuse(lines)
+    records = [json.loads(one) for one in lines]
+    for each in (each for record in records for each in record["objects"]):
+        each["covariance"] = [[0.01, 0], [0, 0.01]]
+    stated = "".join(json.dumps(record) + "\n" for record in records)
+    for name in ("camera", "video"):
+        result = run("avfuse", "--sigma", f"{name}=0.5", stdin=stated)
+        assert result.stderr == (
+            f"avfuse: --sigma {name} has no effect: all of its detections state a covariance, which counts\n"
+        )
     result = run("avfuse", "--sigma", "vidoe=0.5", stdin="".join(lines))
     assert result.stderr == "avfuse: sensor 'vidoe' has options but sent no record\n"
 

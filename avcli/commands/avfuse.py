@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from avcli.commands.filter import Failure, Filter, Killed, Session, common, unbroken
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import from_settings, refuse_without_effect, settings_from, was_given
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
 
@@ -236,6 +236,10 @@ def main(
         write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
+    for name in sorted(name for name, fields in given.items() if "sigma" in fields and was_given("sigma")):
+        stated = [fusion.stated.get(one.name) for one in fusion.tracker.sensors if name in (one.name, one.kind)]
+        if True in stated and False not in stated:
+            session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
     for note in fusion.notes():
         session.note(note)
     if isinstance(fusion.tracker, GLMB):

@@ -99,6 +99,7 @@ class Fusion:
     Attributes:
         tracker: the filter.
         outside: number of detections of each sensor that were ignored because they lie outside the room.
+        stated: whether all detections of each sensor stated a covariance.
     """
 
     def __init__(
@@ -153,6 +154,7 @@ class Fusion:
         self.numbers: dict[int, int] = {}
         self.ears: list[str] = []  # names of the microphones
         self.outside: Counter[str] = Counter()
+        self.stated: dict[str, bool] = {}
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
@@ -328,6 +330,9 @@ class Fusion:
                 positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
                 told = {name: one.take(inside) for name, one in told.items()}
             self._inside[model.name] += len(positions)
+        if len(covariances):
+            all_stated = bool((covariances.max(axis=(1, 2)) > 0).all())
+            self.stated[model.name] = self.stated.get(model.name, True) and all_stated
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
             self.tracker.update(at, model.name, positions, noise, scores, told)
