@@ -155,13 +155,19 @@ def _detector(session: filter.Session, model: str | None, settings: Settings, *,
 
 
 def _doubt_depth(session: filter.Session, detector: Detector) -> None:
-    """Say so if the first depth shows no room: half of it lies far below the floor, or just below the camera."""
-    shown, height = detector.shown_m, float(detector.view.origin[2])
-    if shown is not None and not -0.5 < shown < 0.8 * height:
-        where = f"{-shown:.1f} m below the floor" if shown < 0 else f"less than {height - shown:.2g} m below the camera"
+    """Say so if the first depth shows no room: half lies far below the floor, or nearly all just below the camera."""
+    if detector.shown_m is None:
+        return
+    (half, tenth), height = detector.shown_m, float(detector.view.origin[2])
+    where = ""
+    if half < -0.5:
+        where = f"half of what depth shows lies {-half:.1f} m below the floor"
+    elif tenth > 0.8 * height:
+        where = f"nearly all that depth shows lies less than {height - tenth:.2g} m below the camera"
+    if where:
         session.warn(
-            f"half of what depth shows lies {where}, so nobody can be found there: are depth_step_m, depth_kind and "
-            f"the camera's place right in {session.config.name}?"
+            f"{where}, so nobody can be found there: are depth_step_m, depth_kind and the camera's place right in "
+            f"{session.config.name}?"
         )
 
 

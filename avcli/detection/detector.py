@@ -207,7 +207,7 @@ class Detector:
         sight: what looks at the pictures: the network, or its windows or bands; None for the depth detector, and before
             the first picture.
         tally: what became of the network's boxes so far.
-        shown_m: median height above the floor, m, of what the first depth picture shows; None before it.
+        shown_m: heights above the floor, m, below which the half and a tenth lie of what the first depth picture shows.
 
     Raises:
         MediaError: `model` cannot be read.
@@ -250,7 +250,7 @@ class Detector:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
         self._stillness = Stillness() if self.settings.stillness else None
-        self.shown_m: float | None = None
+        self.shown_m: tuple[float, float] | None = None
         self._strangers = False  # bodies stand before the empty room of whom the network is not sure
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
@@ -483,7 +483,8 @@ class Detector:
     def _measured(self, depth: np.ndarray) -> np.ndarray:
         metres = self._metres(depth)
         if self.shown_m is None and (seen := metres > 0).any():
-            self.shown_m = float(self.view.origin[2] + np.median(metres[seen] * self.view.rays[seen][:, 2]))
+            heights = self.view.origin[2] + metres[seen] * self.view.rays[seen][:, 2]
+            self.shown_m = float(np.median(heights)), float(np.quantile(heights, 0.1))
         return metres
 
     def _read(self, picture: Picture | None, kind: str) -> np.ndarray:
