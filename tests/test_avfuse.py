@@ -173,6 +173,16 @@ def test_a_source_that_keeps_the_others_waiting_is_named(experiment):
         assert process.wait() == 0
 
 
+def test_clocks_that_have_no_time_in_common_are_asked_about(tmp_path):
+    for name, begin in (("a", 0.0), ("b", 1.7e9), ("c", 1.7e9 + 1)):
+        (tmp_path / f"{name}.jsonl").write_text("".join(line(begin + k / 10, sensor=name) for k in range(21)))
+    said = "sensor 'a': its records, from 0.0 to 2.0 s, have no time in common with those of another sensor"
+    result = run("avfuse", *(tmp_path / f"{name}.jsonl" for name in "abc"))
+    assert (result.returncode, result.stderr.count("no time in common")) == (0, 1)
+    assert said in result.stderr
+    assert "no time in common" not in run("avfuse", tmp_path / "a.jsonl").stderr
+
+
 def test_times_in_milliseconds_are_asked_about(experiment):
     result = run("avfuse", "-C", experiment, stdin="".join(line(100.0 * k) for k in range(5)))
     said = "no sensor has a record for more than 10 s; the tracks go on with the next record; are the times in seconds?"

@@ -234,17 +234,28 @@ def main(
         from avcli.tracking.picture import picture
 
         write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
-    for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
-        session.warn(f"sensor {name!r} has options but sent no record")
-    for name in sorted(name for name, fields in given.items() if "sigma" in fields and was_given("sigma")):
-        stated = [fusion.stated.get(one.name) for one in fusion.tracker.sensors if name in (one.name, one.kind)]
-        if True in stated and False not in stated:
-            session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
+    _doubt(session, fusion, given)
     for note in fusion.notes():
         session.note(note)
     if isinstance(fusion.tracker, GLMB):
         pairs, near = fusion.tracker.pairs, fusion.tracker.near
         session.note_skipped("pairs of person and detection", pairs - near, pairs, "which are far from each other")
+
+
+def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]]) -> None:
+    """Say which sensors and options cannot be as they were meant."""
+    for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
+        session.warn(f"sensor {name!r} has options but sent no record")
+    for name in fusion.alone():
+        first, last = fusion.spans[name]
+        session.warn(
+            f"sensor {name!r}: its records, from {first:.1f} to {last:.1f} s, have no time in common with those of "
+            "another sensor: do the clocks agree?"
+        )
+    for name in sorted(name for name, fields in given.items() if "sigma" in fields and was_given("sigma")):
+        stated = [fusion.stated.get(one.name) for one in fusion.tracker.sensors if name in (one.name, one.kind)]
+        if True in stated and False not in stated:
+            session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
 
 
 def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> None:

@@ -100,6 +100,7 @@ class Fusion:
         tracker: the filter.
         outside: number of detections of each sensor that were ignored because they lie outside the room.
         stated: whether all detections of each sensor stated a covariance.
+        spans: s, times of the first and the last record of each sensor.
     """
 
     def __init__(
@@ -155,6 +156,7 @@ class Fusion:
         self.ears: list[str] = []  # names of the microphones
         self.outside: Counter[str] = Counter()
         self.stated: dict[str, bool] = {}
+        self.spans: dict[str, tuple[float, float]] = {}
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
@@ -232,6 +234,8 @@ class Fusion:
         self._now, self._period = now, min(now - self._now, self._period) or self._period
         looks: dict[tuple[float, int], list[Detections]] = {}
         for at, name, one in records:
+            first, last = self.spans.get(name, (at, at))
+            self.spans[name] = min(first, at), max(last, at)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
@@ -243,6 +247,16 @@ class Fusion:
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
         return [self._identified(now, self.tracker.tracks(now))]
+
+    def alone(self) -> list[str]:
+        """Return the sensors of several whose records have no time in common with those of any other."""
+        spans = self.spans.items()
+        together = {
+            name
+            for name, (a, b) in spans
+            if any(a <= last and first <= b for one, (first, last) in spans if one != name)
+        }
+        return sorted(self.spans.keys() - together) if len(self.spans) > 1 else []
 
     def finish(self) -> list[Identified]:
         """Return the tracks of the steps that are left at the end."""
