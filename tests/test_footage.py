@@ -77,6 +77,13 @@ def test_times_stand_in_the_names_of_all_pictures_or_of_none(tmp_path):
     assert [time for time, _ in footage.stamped(mixed, 4.0)] == [0.0, 0.25, 0.5]
 
 
+def test_what_a_shell_names_is_taken_in_the_order_of_numbers_and_anything_else_as_named(tmp_path):
+    shell = sorted((tmp_path / f"{folder}/img{k}.png" for folder in "ab" for k in (1, 2, 10)), key=str)
+    taken = [f"{path.parent.name}{path.stem}" for _, path in footage.stamped(shell, 10.0)]
+    assert taken == ["aimg1", "aimg2", "aimg10", "bimg1", "bimg2", "bimg10"]
+    assert [path for _, path in footage.stamped(shell[::-1], 10.0)] == shell[::-1]
+
+
 def test_shots_decoded_ahead_are_the_same_and_read_once():
     read = []
 

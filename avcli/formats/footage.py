@@ -230,12 +230,15 @@ def _is_virtual(name: str) -> bool:
 def stamped(paths: list[Path], rate_hz: float) -> list[tuple[float, Path]]:
     """Give picture files their times, s: those that all their names end in ("RGB_frame_0.1000000000"), else k / rate.
 
-    They come in the order of time, as a shell's * does not: it has 10.0 before 2.0.
+    They come in the order of time, as a shell's * does not: it has 10.0 before 2.0, and img10 before img2.
 
     Args:
-        paths: in the order of time where their names have none.
+        paths: in the order of time where their names have none; those in the order of letters are a shell's, and are
+            taken in the order of the numbers in their names.
         rate_hz: pictures a second where a name has no time.
     """
+    if paths == sorted(paths, key=str):
+        paths = sorted(paths, key=lambda path: (str(path.parent), _in_numbers(path)))
     times = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
     named = all(times)
     timed = [
