@@ -158,6 +158,16 @@ def test_a_wav_is_not_taken_for_raw_samples(tmp_path, sound):
     )
 
 
+def test_pieces_of_a_recording_are_taken_in_the_order_of_their_numbers(tmp_path, sound):
+    write(tmp_path, sound)
+    pieces = np.array_split(sound, 12)
+    for number, piece in enumerate(pieces):
+        soundfile.write(tmp_path / f"p{number}.wav", piece, FS, subtype="FLOAT")
+    shell = sorted((tmp_path / f"p{number}.wav" for number in range(12)), key=str)
+    whole = run("avdetect-audio", "-C", tmp_path, tmp_path / WAV)
+    assert run("avdetect-audio", "-C", tmp_path, *shell).stdout == whole.stdout
+
+
 def test_microphones_outside_the_room_are_named(tmp_path, sound):
     listed = [{"position": p} for p in (MICROPHONES * [1, 1, -1]).tolist()]
     write(tmp_path, sound, microphone_config={"mic_positions_m": listed})

@@ -106,11 +106,13 @@ def main(
     session.check_outputs({}, files or ("-",))
     session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
+        from avcli.formats.numbered import as_numbered
+
         sound = _Sound(session, start, live, raw, channels, gains)
         if live:
             blocks = _arriving(sound, stack, *open_pipe(session, files))
         else:
-            blocks = sound.blocks([(path, session.open(path)) for path in files or ("-",)])
+            blocks = sound.blocks([(path, session.open(path)) for path in as_numbered(files or ("-",))])
         with session.timing("read"):
             first = next(blocks, None)
         if first is None:

@@ -30,6 +30,7 @@ from avcli.formats.media import (
     refuse_full_disk,
     swapped,
 )
+from avcli.formats.numbered import as_numbered, by_number
 
 if TYPE_CHECKING:
     import cv2
@@ -113,7 +114,7 @@ class Source:
     def files(self) -> list[Path]:
         """Return the files of a picture, a folder or a pattern, in order, by the numbers in their names; else none."""
         if self.kind in ("folder", "pattern"):
-            return sorted((Path(one.name) for one in self.members() if one.kind == "picture"), key=_in_numbers)
+            return sorted((Path(one.name) for one in self.members() if one.kind == "picture"), key=by_number)
         return [Path(self.name)] if self.kind == "picture" else []
 
     def members(self) -> "list[Source]":
@@ -151,18 +152,12 @@ class Source:
 _SEEN = PICTURES | VIDEOS.keys()
 
 
-def _in_numbers(path: Path) -> list[tuple[int, str]]:
-    """Order names as people number them: frame2 before frame10, and so RGB_frame_2.0 before RGB_frame_10.0."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), part) if part.isdecimal() and part.isascii() else (-1, part) for part in parts]
-
-
 def in_numbers(names: Iterable[str]) -> list[str]:
-    """Name what folders hold one by one, in the order of the numbers in its names; other sources stay as they are."""
+    """Name what folders and a shell's * hold one by one, in the order of the numbers in the names; else as they are."""
     opened: list[str] = []
-    for one in map(source, names):
+    for one in map(source, as_numbered(list(names))):
         members = one.members() if one.kind == "folder" else []
-        opened += sorted((member.name for member in members), key=lambda name: _in_numbers(Path(name))) or [one.name]
+        opened += sorted((member.name for member in members), key=by_number) or [one.name]
     return opened
 
 
@@ -237,8 +232,7 @@ def stamped(paths: list[Path], rate_hz: float) -> list[tuple[float, Path]]:
             taken in the order of the numbers in their names.
         rate_hz: pictures a second where a name has no time.
     """
-    if paths == sorted(paths, key=str):
-        paths = sorted(paths, key=lambda path: (str(path.parent), _in_numbers(path)))
+    paths = [Path(path) for path in as_numbered([str(path) for path in paths])]
     times = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
     named = all(times)
     timed = [
