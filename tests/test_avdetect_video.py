@@ -346,6 +346,20 @@ def test_depth_that_cannot_be_of_the_room_is_doubted(folder, step, where):
     assert "depth_step_m" in doubted.stderr
 
 
+def test_pictures_that_are_missing_by_their_numbers_are_said(folder, network, tmp_path):
+    (tmp_path / "film").mkdir()
+    picture = next((folder / "video/rgb").iterdir())
+    for number in (*range(8), *range(9, 12)):
+        shutil.copy(picture, tmp_path / f"film/img{number}.png")
+    result = run("avdetect-video", "-C", folder, "--model", network, tmp_path / "film")
+    assert len(result.stdout.splitlines()) == 11
+    assert (
+        f"1 pictures are missing by the numbers in the names, the first after {tmp_path}/film/img7.png" in result.stderr
+    )
+    shutil.copy(picture, tmp_path / "film/img8.png")
+    assert "missing" not in run("avdetect-video", "-C", folder, "--model", network, tmp_path / "film").stderr
+
+
 def test_a_video_and_its_rate(folder, network, tmp_path):
     import cv2
 

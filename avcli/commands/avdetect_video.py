@@ -379,6 +379,7 @@ def _picture_shots(
     """Pictures in the order given; the empty room's depth picture, which lies beside the frames, is left out."""
     from avcli.formats import media
     from avcli.formats.footage import UnreadShot, stamped
+    from avcli.formats.numbered import missing
 
     background = _camera(session, sensor).background_depth
     empty = (session.media_root / background).resolve() if background else None
@@ -390,7 +391,15 @@ def _picture_shots(
         paths += inside
     if not depth and media.is_depth(paths[0]):
         session.warn(f"{paths[0]} looks like a depth picture (16 bits, one channel); use --detector depth for those")
-    for timestamp, path in stamped(paths, rate or session.config.frame_rate_hz):
+    rate = rate or session.config.frame_rate_hz
+    timed = stamped(paths, rate)
+    counted = all(time == number / rate for number, (time, _) in enumerate(timed))  # the names have no times
+    if counted and (gaps := missing([path for _, path in timed])):
+        session.warn(
+            f"{gaps[0]} pictures are missing by the numbers in the names, the first after {gaps[1]}: what follows "
+            "counts as the next time step"
+        )
+    for timestamp, path in timed:
         if depth:
             yield UnreadShot(timestamp, None, partial(media.read_depth, path))
         else:
