@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from avcli.calibration.bundle import Way
     from avcli.localization.survey import Listening
 
+_WALL_M = 0.3
+"""How far outside the stated room a camera may be: walls are measured roughly."""
+
 
 @click.command("undistort", epilog="Example: avcalib undistort film.mp4 -c camera.json --to straight.mp4")
 @click.argument("sources", nargs=-1, metavar="SOURCE...")
@@ -133,11 +136,25 @@ def pose_command(
         session.warn(line)
     if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):
         raise GateNotMet(wrong)
+    _doubt_place(session, best.camera_config()["camera_position_m"])
     if session.output_path == "-":
         write_camera(session, best.camera_config())
         return
     with session.output() as write:
         write({**camera.values, **best.camera_config()})
+
+
+def _doubt_place(session: Session, position: list[float]) -> None:
+    """Say so if a camera is outside the room that config.json states: points in centimetres, or from another corner."""
+    if not session.config.states("room_config", "room_dimensions_m"):
+        return
+    room = session.config.room.dimensions
+    if any(not -_WALL_M <= place <= side + _WALL_M for place, side in zip(position, room, strict=True)):
+        sides = " × ".join(f"{side:g}" for side in room)
+        session.warn(
+            f"that is outside the room of {sides} m in {session.config.name}: are the points in metres, counted from a "
+            "floor corner, z upwards?"
+        )
 
 
 @click.command("microphones", epilog="Example: avcalib microphones -C lab smooth.jsonl")
