@@ -183,6 +183,15 @@ def test_clocks_that_have_no_time_in_common_are_asked_about(tmp_path):
     assert "no time in common" not in run("avfuse", tmp_path / "a.jsonl").stderr
 
 
+def test_two_files_of_one_sensor_at_the_same_times_are_asked_about(tmp_path):
+    for name, begin in (("left", 0.0), ("right", 0.03), ("later", 5.0)):
+        (tmp_path / f"{name}.jsonl").write_text("".join(line(begin + k / 10) for k in range(21)))
+    left, right, later = (tmp_path / f"{name}.jsonl" for name in ("left", "right", "later"))
+    said = f"{left} and {right} have records of it at the same times"
+    assert run("avfuse", left, right).stderr.count(said) == 1
+    assert "at the same times" not in run("avfuse", left, later).stderr
+
+
 def test_times_in_milliseconds_are_asked_about(experiment):
     result = run("avfuse", "-C", experiment, stdin="".join(line(100.0 * k) for k in range(5)))
     said = "no sensor has a record for more than 10 s; the tracks go on with the next record; are the times in seconds?"

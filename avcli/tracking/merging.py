@@ -162,6 +162,8 @@ class Merger:
         self.origin, self.tick, self.begin, self.began = 0.0, 0, 0, False
         self.late: Counter[str] = Counter()
         self.set_back = SetBack()
+        self.since: dict[str, dict[int, float]] = {}  # sensor -> number of each of its sources, s of its first record
+        self.shared: set[str] = set()  # sensors of several sources of which that was said
 
     def steps(self, events: Iterable[Event]) -> Iterator[Step]:
         """Yield each step as soon as it is complete.
@@ -194,6 +196,10 @@ class Merger:
                 f"sensor {sensor!r}: the time of a record must be within {LATEST:g} s of 0, not {time:g} s"
             )
         key = source, sensor
+        since = self.since.setdefault(sensor, {})
+        since.setdefault(source, time)
+        if len(since) > 1 and sensor not in self.shared:
+            self._say_if_shared(key, time)
         stream = self.streams.get(key)
         if self.began and stream:
             wrong = self.set_back.take(key, time, stream.complete, detections)
@@ -210,6 +216,20 @@ class Merger:
             self.streams[key] = self._stream(time)
         else:
             stream.take(time)
+
+    def _say_if_shared(self, key: Key, time: float) -> None:
+        """Say so if another source has records of the same sensor at the time: what both find would count twice."""
+        source, sensor = key
+        for other, first in self.since[sensor].items():
+            stream = self.streams.get((other, sensor))
+            if other != source and stream and first <= time and stream.latest >= self.since[sensor][source]:
+                self.shared.add(sensor)
+                names = " and ".join(self.sources[k] for k in sorted((source, other)))
+                self.say(
+                    f"sensor {sensor!r}: {names} have records of it at the same times; if these are two sensors, "
+                    "each needs a name of its own (--sensor of avdetect-video)"
+                )
+                return
 
     def end(self, source: int) -> None:
         """Note that a source has ended."""
