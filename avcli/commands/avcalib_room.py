@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import avcli.calibration.settings as settings
+from avcli.commands.arrays import doubt_microphones
 from avcli.commands.avcalib_pictures import (
     check_sources,
     config_file,
@@ -210,6 +211,7 @@ def microphones_command(
     session.check_outputs({"--html": html}, [*audio, *filter(None, (tracks, places))], writes_config=True)
     if not tracks:
         refuse_without_effect(["mouth_height_m", "track_sd_m"], "without TRACKS")
+    doubt_microphones(session, session.config)
     way = _way(session, tracks, places, given)
     with session.timing("listen"):
         listening = _listening(session, audio, given)
@@ -273,11 +275,17 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
     import numpy as np
 
     from avcli.calibration import microphones
-    from avcli.localization.survey import Listening
+    from avcli.localization.survey import WINDOW_S, Listening
     from avcli.numeric import TooLittle
 
     config, speed = session.config, _speed_of_sound(session, given)[0]
     known, size = config.microphones, config.room.dimensions
+    widest, most = float(np.linalg.norm(known.positions[:, None] - known.positions, axis=2).max()), WINDOW_S * speed / 2
+    if widest > most:
+        session.fail(
+            f"microphones of {config.name} are {widest:.1f} m apart, but sound is compared up to {most:.1f} m; are the "
+            "positions in metres?"
+        )
 
     def read() -> Iterator[tuple[float, np.ndarray, int]]:
         for start, samples, rate in microphones.sounds(audio, None if audio else session.experiment / "audio" / "wav"):
