@@ -28,7 +28,7 @@
 #:                    anything (STRESS_FLAGS="--seconds 3600")
 #: make thesis        S1 to S4 as the thesis built its chain, beside ours, each part exchanged by itself (THESIS_FLAGS="--seeds 5")
 #: make study         the thesis's hypotheses with intervals, and one factor of the scene at a time (STUDY_FLAGS="--seeds 20")
-#: make fit-localization fit-scores fit-directions fit-voice fit-detection fit-looks fit-tracking fit-existence fit-pupil
+#: make fit-localization fit-scores fit-directions fit-line fit-voice fit-detection fit-looks fit-tracking fit-existence fit-pupil
 #:                    the coefficients of the stages, fitted again (minutes each; fit-voice needs recordings:
 #:                    FIT_FLAGS="--speech DIR"; fit-pupil folders of pictures of boards: FIT_FLAGS="DIR/*";
 #:                    fit-existence walks and films: FIT_FLAGS="--walks OPENTRAJ --films CASES")
@@ -65,7 +65,7 @@ SCENARIO_FILE := $(wildcard $(SCENARIO))
 SCENARIOS := s1 s2 s3 s4
 BENCHES := scene sensor audio decay localization scores faults steady detection tracking metrics calibration guidance microphones live pipe \
            rooms worlds long real-video real-audio beam datasets
-FITS := localization scores directions voice detection looks tracking existence pupil
+FITS := localization scores directions line voice detection looks tracking existence pupil
 
 # The stages that do not wait for each other run at once, unless make -j1; what measures time runs alone.
 ifeq ($(filter bench% fit-% stress thesis study,$(MAKECMDGOALS)),)

@@ -336,7 +336,7 @@ def test_samples_that_are_no_numbers_are_named_and_survived(tmp_path, sound, fou
     ("positions", "method", "reason"),
     [
         (MICROPHONES[:3], "srp", "3 microphones"),
-        (np.outer(np.arange(1, 9) / 2, [1, 0.5, 0.1]), "srp", "one line"),
+        (np.outer(np.arange(1, 9) / 2, [1, 0.5, 0.1]), "3d-ssl", "one line"),
         (MICROPHONES * [1, 1, 0] + [0, 0, 2.4], "3d-ssl", "plane"),
     ],
 )

@@ -265,15 +265,15 @@ def test_a_tone_uses_few_lines_and_speech_many():
 def test_arrays_from_which_no_position_can_be_had_are_refused():
     line = np.outer(np.linspace(0, 4, 6), [1.0, 0.2, 0.0]) + 1.0
     with pytest.raises(ValueError, match="line"):
-        Array(line, FS, ROOM).require(count=4, dimensions=2)
+        Array(line, FS, ROOM).require(count=4, solid=True)
     with pytest.raises(ValueError, match="3 microphones"):
-        Array(MICROPHONES[:3], FS, ROOM).require(count=4, dimensions=2)
+        Array(MICROPHONES[:3], FS, ROOM).require(count=4)
     with pytest.raises(ValueError, match="4 microphones"):
-        Array(MICROPHONES[[0, 0, 2, 3, 4]], FS, ROOM).require(count=5, dimensions=2)
+        Array(MICROPHONES[[0, 0, 2, 3, 4]], FS, ROOM).require(count=5)
     flat = Array(MICROPHONES * [1, 1, 0] + [0, 0, 2.4], FS, ROOM)
-    flat.require(count=4, dimensions=2)
+    flat.require(count=4)
     with pytest.raises(ValueError, match="plane"):
-        flat.require(count=5, dimensions=3)
+        flat.require(count=5, solid=True)
 
 
 def test_time_steps_are_those_within_the_recording():
@@ -423,3 +423,21 @@ def test_the_covariance_grows_with_all_that_speaks_against_a_place():
     assert spread(strayed=np.array([0.01, 0.0, 0.3]))[2] > 1.3 * usual[2]
     lost = spread(residual=1.0, others=np.diag([9.0, 9.0, 1.0]))
     assert (lost < 3.1 * (high - low) / np.sqrt(12.0)).all(), "no wider than the room"
+
+
+@pytest.mark.parametrize("count", [5, 8, 16])
+def test_errors_of_the_microphones_places_are_in_the_covariance(count):
+    rng = np.random.default_rng(count)
+    microphones, place = rng.uniform([0, 0, 0], [6, 5, 3], (count, 3)), np.array([2.5, 3.0, 1.5])
+    first, second = np.triu_indices(count, 1)
+
+    def found(moved):
+        ranges = np.linalg.norm(place - moved, axis=1)
+        differences = ranges[first] - ranges[second]
+        return multilateration.refine(place, microphones, first, second, differences, np.ones(len(first)), scale=1e3)
+
+    draws = rng.normal(0.0, uncertainty.MISPLACED_M, (600, count, 3))
+    errors = np.array([found(microphones + moved)[0] - place for moved in draws])
+    expected = uncertainty.misplaced(found(microphones)[1], count, np.full(3, 1e3))
+    whitened = errors @ np.linalg.inv(np.linalg.cholesky(expected)).T
+    np.testing.assert_allclose(np.cov(whitened.T), np.eye(3), atol=0.25)

@@ -405,10 +405,8 @@ def test_other_arrays(speech, microphones, limit):
 
 
 def test_arrays_that_see_too_little_are_refused():
-    line = np.outer(np.linspace(0, 4, 6), [1.0, 0.2, 0.0]) + 0.3
-    for microphones, reason in ((MICROPHONES[:3], "needs 4"), (line, "one line")):
-        with pytest.raises(ValueError, match=reason):
-            localize(np.zeros((100, len(microphones))), microphones=microphones)
+    with pytest.raises(ValueError, match="needs 4"):
+        localize(np.zeros((100, 3)), microphones=MICROPHONES[:3])
     with pytest.raises(ValueError, match="band"):
         localize(np.zeros((100, 8)), band=(7000.0, 7010.0))
 

@@ -56,12 +56,12 @@ class Array:
         centred = self.microphones - self.microphones.mean(axis=0)
         return np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
 
-    def require(self, *, count: int, dimensions: int) -> None:
+    def require(self, *, count: int, solid: bool = False) -> None:
         """Refuse an array from which no position can be computed.
 
         Args:
             count: the least number of microphones at different places.
-            dimensions: 1 refuses nothing more, 2 microphones on one line, 3 also those in one plane.
+            solid: whether to refuse microphones on one line and in one plane, too.
 
         Raises:
             ValueError: says which dimension is missing.
@@ -71,9 +71,12 @@ class Array:
             raise ValueError(
                 f"{distinct} microphones at different places; a position in x, y and z needs {count} or more"
             )
-        if dimensions >= 2 and self.spread[1] < 0.01:
-            raise ValueError("the microphones are on one line; a position needs at least one more off that line")
-        if dimensions == 3 and self.spread[2] < 0.001:
+        if solid and self.spread[1] < 0.01:
+            raise ValueError(
+                "the microphones are on one line; the closed form cannot decide where about it a talker is; "
+                "use the method srp"
+            )
+        if solid and self.spread[2] < 0.001:
             raise ValueError(
                 "the microphones are in one plane; the closed form cannot decide on which side a talker is; "
                 "use the method srp"

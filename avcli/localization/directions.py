@@ -16,8 +16,10 @@ import numpy as np
 
 from avcli.localization import correlation
 from avcli.localization.array import Array, Ray, Talker
+from avcli.localization.line import HARDLY, line_of, tangents
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.mirror import mirrored
 from avcli.localization.modulation import APART_S, Course, Levels
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
@@ -42,9 +44,6 @@ APART, NEAR_M = np.radians(25.0), 0.2
 
 IN_LINE = np.radians(10.0)
 """rad: how far beside a talker, seen from above, his echoes by floor and ceiling may seem to be."""
-
-HARDLY = 0.02
-"""The share of the places that may be on a side, below which nobody is told there."""
 
 ANY = 1.0
 """rad: a larger standard deviation of a bearing tells none."""
@@ -320,7 +319,7 @@ class DirectionFinder:
     ):
         self.trust = trust
         self.settings, self.response, self.masks, self.law, self.voice = settings, response, masks, law, voice
-        self.mirror, self.line = _mirror(response.microphones), _line(response.microphones)
+        self.mirror, self.line = _mirror(response.microphones), line_of(response.microphones)
         self.level = self.mirror is not None and bool(abs(self.mirror[2]) > np.cos(APART))
         self.levels = Levels(masks.correlator.band, masks.array.sample_rate)
         self.apart = max(1, round(APART_S * settings.rate))  # decisions between two levels that are compared
@@ -379,7 +378,7 @@ class DirectionFinder:
         gcc = gccs.mean(axis=0)
         ray, distance, curvature, response = self.response.refined(gcc, start)
         if self.line is not None:
-            ray, curvature = self.line.standing_for(ray), self.line.across(ray, curvature)
+            ray, curvature = self.line.standing_for(ray), self.line.curved(ray, curvature)
         place = self.response.centre + ray * distance
         at_lag = interpolated(gcc, self.response.lags(place[None]) + self.response.half_lags)[:, 0]
         # Of pairs that are left out there is nothing, and of the others as much more.
@@ -407,7 +406,7 @@ class DirectionFinder:
 
     def images(self, ray: np.ndarray) -> list[np.ndarray]:
         """Return a direction, and its mirror image where that is heard alike."""
-        return [ray] if self.mirror is None else [ray, _mirrored(ray, self.mirror)]
+        return [ray] if self.mirror is None else [ray, mirrored(ray, self.mirror)]
 
     def beside(self, ray: np.ndarray) -> np.ndarray:
         """Return how far the rays of the search are from a ray (3,) and from what is heard like it, (n,) rad."""
@@ -571,46 +570,6 @@ class DirectionFinder:
         return points.reshape(-1, 3), weight.ravel()
 
 
-@dataclass(frozen=True)
-class Line:
-    """Microphones on one line: all directions at one angle to it, a cone, are heard alike.
-
-    Attributes:
-        axis: (3,) unit vector.
-        level: (3,) unit vector across it, level. The direction on that side stands for the others of its cone.
-    """
-
-    axis: np.ndarray
-    level: np.ndarray
-
-    def angle(self, rays: np.ndarray) -> np.ndarray:
-        """Return the angle in rad between rays (..., 3) and the axis."""
-        return np.arccos(np.clip(rays @ self.axis, -1.0, 1.0))
-
-    def cones(self, angles: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """Return the directions (a t, 3) at angles (a,) to the axis, turned about it by turns (t,) from `level`."""
-        across = np.cos(turns)[:, None] * self.level + np.sin(turns)[:, None] * np.cross(self.axis, self.level)
-        return (np.cos(angles)[:, None, None] * self.axis + np.sin(angles)[:, None, None] * across).reshape(-1, 3)
-
-    def standing_for(self, ray: np.ndarray) -> np.ndarray:
-        """Return the direction (3,) that stands for one's cone."""
-        return self.cones(self.angle(ray)[None], np.zeros(1))[0]
-
-    def across(self, ray: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Return a curvature (2, 2) 1/rad² as it is about the direction that stands for a ray: along the cone none."""
-        angle = self.angle(ray)
-        steeper = tangents(self.standing_for(ray)) @ (np.cos(angle) * self.level - np.sin(angle) * self.axis)
-        return float(np.linalg.eigvalsh(curvature)[-1]) * np.outer(steeper, steeper)
-
-
-def tangents(ray: np.ndarray) -> np.ndarray:
-    """Return two unit vectors (2, 3) across a ray (3,), the first level, the second upward as far as may be."""
-    level = np.array([-ray[1], ray[0], 0.0])
-    length = float(np.linalg.norm(level))
-    level = level / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
-    return np.stack([level, np.cross(ray, level)])
-
-
 def _tangent(ray: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Return the unit vectors (n, 3) at offsets (n, 2) rad from a ray along `tangents`."""
     turned = ray + offsets @ tangents(ray)
@@ -626,32 +585,17 @@ def _sphere(spacing: float) -> np.ndarray:
     return np.column_stack([level * np.cos(turn), level * np.sin(turn), height])
 
 
-def _line(microphones: np.ndarray) -> Line | None:
-    """Return the line that microphones (m, 3) m are on; None where they are not."""
-    centred = microphones - microphones.mean(axis=0)
-    _, spread, axes = np.linalg.svd(centred)
-    if spread[1] > 0.05 * spread[0]:
-        return None
-    level = np.cross(axes[0], [0.0, 0.0, 1.0])
-    length = float(np.linalg.norm(level))
-    return Line(axes[0], level / length if length > 1e-6 else np.array([1.0, 0.0, 0.0]))
-
-
 def _mirror(microphones: np.ndarray) -> np.ndarray | None:
     """Return the unit normal (3,) of the plane in which mirror images are heard alike; None where there is none."""
     centred = microphones - microphones.mean(axis=0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
     if spread[2] > 0.05 * spread[0]:
         return None
-    line = _line(microphones)
+    line = line_of(microphones)
     if line is None:
         normal: np.ndarray = axes[2]
         return normal
     return line.level if abs(line.axis[2]) < 1.0 - 1e-6 else None
-
-
-def _mirrored(ray: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    return ray - 2.0 * (ray @ normal) * normal
 
 
 _GRID = np.array([[x, y] for y in range(-2, 3) for x in range(-2, 3)], dtype=np.float64)

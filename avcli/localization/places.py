@@ -9,8 +9,10 @@ import numpy as np
 from avcli.localization import uncertainty
 from avcli.localization.array import Array, Talker
 from avcli.localization.health import Health
+from avcli.localization.line import HalfPlane, believed
 from avcli.localization.masks import Masks
 from avcli.localization.memory import UNKNOWN, Memory, Trace, level_distance
+from avcli.localization.mirror import HalfSpace
 from avcli.localization.modulation import APART_S, Course
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
@@ -77,6 +79,7 @@ class PlaceFinder:
         settings: see SteeredSettings.
         response, masks, health: of the array.
         law: scores and covariances.
+        half: what is searched of the room where places are heard alike.
 
     Attributes:
         outside: whether a source was surely heard, in the latest decision, on the edge of the room or beyond it.
@@ -90,9 +93,10 @@ class PlaceFinder:
         masks: Masks,
         health: Health,
         law: uncertainty.Law,
+        half: HalfPlane | HalfSpace | None = None,
     ):
         self.settings, self.response, self.health, self.law = settings, response, health, law
-        self.talkers = TalkerSearch(array, settings, masks, response)
+        self.talkers = TalkerSearch(array, settings, masks, response, half)
         self.outside = False
         self.apart = max(1, round(APART_S * settings.rate))  # decisions between two levels that are compared
 
@@ -257,6 +261,8 @@ class PlaceFinder:
             heard: the windows around the moment.
             noise: what noise does to as many windows.
         """
+        if self.response.flat:
+            judged = [one if one.features.first else replace(one, score=believed(one.score)) for one in judged]
         return [
             Talker(
                 one.peak.position,

@@ -6,6 +6,8 @@ largest GCC over all lags that points of the cell can cause (after Cobos, Marti 
 in the cell from above; the best cells are cut into eight, again and again, down to the resolution.
 """
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -57,11 +59,12 @@ class SteeredResponse:
                 f"a room of {x:.4g} × {y:.4g} m is too large to search in cells of {cell:g} m: is room_dimensions_m "
                 "in metres?"
             )
+        self.flat = bool(extent[2] == 0.0)
         self.half_cell = 0.5 * extent / counts
         axes = [self.low[k] + self.half_cell[k] * (2.0 * np.arange(counts[k]) + 1.0) for k in range(3)]
         self.cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         self.levels = max(0, int(np.ceil(np.log2(2.0 * self.half_cell.max() / resolution))))
-        self.children = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        self.children = np.array(list(product(*((-0.5, 0.5) if edge > 0.0 else (0.0,) for edge in extent))))
         self.lag_count = 2 * self.half_lags + 1
         self.rows = np.arange(len(first))[:, None] * self.lag_count
         # Which rung of the ladder a run of so many lags stands on: floor(log2(length)), as high as coarse cells need.

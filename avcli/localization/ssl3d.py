@@ -57,7 +57,7 @@ class ClosedFormLocalizer:
     ):
         self.wiring = array.wiring
         array = array.usable
-        array.require(count=settings.combination + 1, dimensions=3)
+        array.require(count=settings.combination + 1, solid=True)
         self.array, self.settings, self.law = array, settings, law or uncertainty.fitted_law()
         # The thesis gives T60 times the window; we take the window in samples and the product as samples.
         gap = (reverberation_s or RT60_S) * settings.window if settings.min_gap is None else settings.min_gap

@@ -47,13 +47,21 @@ class SteadySources:
         correlator: of the array.
         search: of places, or of directions.
         hop: s between windows. If it is longer than a third of `LASTING_S`, nothing is learnt.
+        in_room: returns the places (k, 3) m of the room for those of the search; None: they are the same.
 
     Attributes:
         places: (k, 3) m of the sources; where the search is of directions, at some distance in these.
     """
 
-    def __init__(self, correlator: Correlator, search: SteeredResponse | RaySearch, hop: float):
+    def __init__(
+        self,
+        correlator: Correlator,
+        search: SteeredResponse | RaySearch,
+        hop: float,
+        in_room: Callable[[np.ndarray], np.ndarray] | None = None,
+    ):
         self.correlator, self.search = correlator, search
+        self.in_room = in_room or np.asarray
         self.named = np.zeros((0, 3))
         band = correlator.band
         self.weight = band.weight / band.weight.sum()
@@ -168,7 +176,7 @@ class SteadySources:
         return said
 
     def _where(self, place: np.ndarray) -> str:
-        x, y, _ = place
+        x, y, _ = self.in_room(place[None])[0]
         if isinstance(self.search, RaySearch):
             x, y, _ = place - self.search.centre
             return f"at an azimuth of {np.degrees(np.arctan2(y, x)):.0f} degrees"
@@ -178,7 +186,7 @@ class SteadySources:
     def told(self) -> np.ndarray:
         """The places (k, 3) m, or unit vectors of the directions where the search is of these."""
         if not isinstance(self.search, RaySearch) or not len(self.places):
-            return self.places
+            return self.in_room(self.places)
         away = self.places - self.search.centre
         return away / np.linalg.norm(away, axis=1, keepdims=True)
 

@@ -20,8 +20,10 @@ from avcli.localization.array import Array, Decision, time_steps
 from avcli.localization.directions import DirectionFinder, RaySearch
 from avcli.localization.events import Gate
 from avcli.localization.health import Health
+from avcli.localization.line import HalfPlane
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory
+from avcli.localization.mirror import HalfSpace
 from avcli.localization.noise import NoiseLaw, draw_noise_law
 from avcli.localization.places import PlaceFinder
 from avcli.localization.settings import SteeredSettings
@@ -84,10 +86,17 @@ class SteeredLocalizer:
         low = np.array([0.0, 0.0, min(settings.heights[0], array.room[2])])
         high = np.array([*array.room[:2], min(settings.heights[1], array.room[2])])
         compact = not directions.observes_ranges(array, low, high)
-        array.require(count=4, dimensions=1 if compact else 2)
-        self.array, self.settings, self.rng = array, settings, rng
+        array.require(count=4)
+        self.settings, self.rng = settings, rng
         self.law = law or uncertainty.fitted_law()
         self.delay = array.mean_delay(low, high)
+        # Of microphones on one line only a half-plane is searched: about the line nothing can be told.
+        self.half: HalfPlane | HalfSpace | None = None
+        if not compact:
+            self.half = HalfPlane.beside(array, low, high) or HalfSpace.beside(array, low, high)
+        if self.half:
+            array, low, high = self.half.searched(array)
+        self.array = array
         if compact:
             settings = replace(settings, band=directions.band_of(settings, array), tilt=0.0)
         self.band = Band.of(settings, array.sample_rate)
@@ -115,7 +124,7 @@ class SteeredLocalizer:
                 settings, response, masks, directions.fitted_law(), self.law.voice, lambda: self.health.trust
             )
         else:
-            self.finder = PlaceFinder(array, settings, response, masks, self.health, self.law)
+            self.finder = PlaceFinder(array, settings, response, masks, self.health, self.law, self.half)
         # Windows lie `hop` apart: a whole number of them to a decision, close enough for the context to be covered.
         self.windows_a_step = max(1, int(np.ceil(1.0 / (settings.rate * max(settings.context, 1e-9)) - 1e-9)))
         if settings.context <= 0.0:
@@ -127,7 +136,8 @@ class SteeredLocalizer:
         self.gate = Gate(1.0 / self.hop)
         self.spacing = max(1, round(SPACING_S / self.hop))  # windows between those by which channels are tested
         self.examined = -math.inf  # the last of these
-        self.steady = SteadySources(self.correlator, response, self.hop)
+        in_room = self.half.in_room if self.half else None
+        self.steady = SteadySources(self.correlator, response, self.hop, in_room)
         kept = float(np.exp(-1.0 / (settings.rate * self.law.memory)))
         self.memory = Memory(settings.rate, settings.max_speed, kept)
         self.told_unsettled = self.told_contradicted = False
@@ -188,6 +198,8 @@ class SteeredLocalizer:
         known = [one.found for one in later if one.step <= moment.step + self.ahead]
         talkers = self.finder.talkers_of(moment.found, known)
         features = self.voices.features(moment.now, moment.out, talkers)
+        if self.half:
+            talkers, features = self.half.told(talkers, features)
         return moment.decision.with_talkers(talkers, features)
 
     def _skip(self, stream: LatestSamples, step: int) -> bool:

@@ -11,8 +11,10 @@ import numpy as np
 
 from avcli.localization import multilateration
 from avcli.localization.array import Array
+from avcli.localization.line import HalfPlane
 from avcli.localization.masks import Masks
 from avcli.localization.memory import Memory, Trace, level_distance
+from avcli.localization.mirror import HalfSpace
 from avcli.localization.modulation import Levels
 from avcli.localization.noise import NoiseLaw
 from avcli.localization.settings import SteeredSettings
@@ -60,10 +62,18 @@ class TalkerSearch:
         array: the microphones and the room.
         settings: see SteeredSettings.
         masks, response: of the array.
+        half: what is searched of the room where places are heard alike.
     """
 
-    def __init__(self, array: Array, settings: SteeredSettings, masks: Masks, response: SteeredResponse):
-        self.array, self.settings, self.masks, self.response = array, settings, masks, response
+    def __init__(
+        self,
+        array: Array,
+        settings: SteeredSettings,
+        masks: Masks,
+        response: SteeredResponse,
+        half: HalfPlane | HalfSpace | None = None,
+    ):
+        self.array, self.settings, self.masks, self.response, self.half = array, settings, masks, response, half
         self.levels = Levels(masks.correlator.band, array.sample_rate)
 
     def peaks(self, heard: Heard, noise: NoiseLaw, memory: Memory) -> list[Peak]:
@@ -131,6 +141,7 @@ class TalkerSearch:
         """
         mean = gccs.mean(axis=0)
         start = self.response.search(np.minimum(mean, 7.0 * noise.deviation))[0][0]
+        start = self.half.fold(start) if self.half else start
         return start if 1.5 * float(self.response.response(mean, start[None])[0]) >= threshold else None
 
     def left(self, heard: Heard, explained: np.ndarray, taken: list[np.ndarray]) -> np.ndarray:
@@ -145,7 +156,9 @@ class TalkerSearch:
         for places in taken:
             gccs = self.response.notch(gccs, places, NOTCH_M)
         peaks = taken[len(heard.steady) :]
-        return self.response.notch_echoes(gccs, peaks[0], self.array.room, ECHO_NOTCH_M) if peaks else gccs
+        if not peaks or self.response.flat:  # where echoes stand is not known beside a line
+            return gccs
+        return self.response.notch_echoes(gccs, peaks[0], self.array.room, ECHO_NOTCH_M)
 
     def fitted(
         self, gccs: np.ndarray, heard: Heard, start: np.ndarray, noise: NoiseLaw, explained: np.ndarray

@@ -15,6 +15,12 @@ import numpy as np
 FLOOR = 0.0005
 """m: the standard deviation that no localization undercuts."""
 
+MISPLACED_M = 0.01
+"""m: how well the place of a microphone is known that was measured with a tape, along the ray to a talker."""
+
+UNCHECKED = 2.0
+"""What the variances grow by where four channels are heard: a place takes all their delays, and none shows an error."""
+
 UNSURE_M = 0.2
 """m: what the standard deviation grows by while channels disagree and it is not known yet which of them are right: the
 places that such an array answers best were up to 0.45 m off."""
@@ -249,6 +255,7 @@ class Law:
         for part, wider in self.widened.items():
             weights[part][0] += wider
         found = spread(weights, spread_terms(normal, others, features), normal, others, paths(features), extent)
+        found = found * (UNCHECKED if features.channels < 4.5 else 1.0) + misplaced(normal, features.channels, extent)
         found = np.linalg.inv(np.linalg.inv(found) + np.diag((3.0 * extent) ** -2.0))
         return 0.5 * (found + found.T)
 
@@ -393,6 +400,18 @@ def spread(
     result = np.linalg.inv(normal / factor["peaks"] + np.eye(3) * (extent**-2.0)[..., None]) + FLOOR**2 * np.eye(3)
     result = result + factor["lattice"] * others + factor["motion"] * motion
     return result + factor["level"] * np.diag([1.0, 1.0, 0.0]) + factor["height"] * np.diag([0.0, 0.0, 1.0])
+
+
+def misplaced(normal: np.ndarray, channels: float, extent: np.ndarray) -> np.ndarray:
+    """Return the covariance (3, 3) m² of a position by the errors of the places of the microphones.
+
+    Args:
+        normal: (3, 3) JᵀWJ of the range differences of all pairs, with weights of mean 1: that of the single ranges and
+            a common time, times the number of channels.
+        channels: how many there are.
+        extent: (3,) m, the standard deviation of what was not observed.
+    """
+    return np.asarray(np.linalg.inv(normal / (MISPLACED_M**2 * channels) + np.diag(extent**-2.0)))
 
 
 def beyond(edge: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ import pyroomacoustics as pra  # noqa: E402
 import soundfile  # noqa: E402
 from bench_real_audio import SPEAKERS, delay  # noqa: E402
 from pystoi import stoi  # noqa: E402
-from real_audio_sets import SETS, Measured  # noqa: E402
+from real_audio_sets import LINE, RANDOM, SETS, Measured  # noqa: E402
 from scipy.linalg import solve_toeplitz  # noqa: E402
 from scipy.signal import fftconvolve, resample_poly  # noqa: E402
 
@@ -157,6 +157,7 @@ def measured(split: str, data: Path) -> Iterator[Case]:
     """Each loudspeaker of the measured rooms by itself, and beside the next one of the same room."""
     for one in (one for one in SETS if (data / one.folder).is_dir()):
         cases = [case for case in one.read(data / one.folder) if split in ("both", case.split)]
+        cases = [case for case in cases if not case.set.startswith((LINE, RANDOM))]
         cases = cases[:: max(1, len(cases) // 8)]
         for number, case in enumerate(cases):
             same = [
@@ -167,19 +168,13 @@ def measured(split: str, data: Path) -> Iterator[Case]:
                     yield of_measured(people, number)
 
 
-def upright(case: Measured) -> np.ndarray:
-    """Return responses of one polarity: three of the eight in the grid are turned over, which avdetect-audio says."""
-    first = np.abs(case.responses).argmax(axis=1)
-    return case.responses * np.sign(np.take_along_axis(case.responses, first[:, None], axis=1))
-
-
 def of_measured(people: list[Measured], number: int) -> Case:
     """One measured room with a loudspeaker for each person."""
     case, rng = people[0], np.random.default_rng([7, number])
     shared = np.gcd(case.sample_rate, RATE)
     late = [round(delay(one) * RATE) for one in people]
     responses = [
-        np.roll(resample_poly(upright(one), RATE // shared, case.sample_rate // shared, axis=1), -shift, axis=1)
+        np.roll(resample_poly(one.responses, RATE // shared, case.sample_rate // shared, axis=1), -shift, axis=1)
         for one, shift in zip(people, late, strict=True)
     ]
     scale = [np.sqrt(np.mean(one**2, axis=1).max()) for one in responses]

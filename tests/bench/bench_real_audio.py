@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np  # noqa: E402
 import pyroomacoustics  # noqa: E402
 import soundfile  # noqa: E402
-from real_audio_sets import SETS, Measured  # noqa: E402
+from real_audio_sets import LINE, SETS, Measured  # noqa: E402
 from scipy.signal import fftconvolve, resample_poly  # noqa: E402
 
 from avcli.localization.array import Array, Decision  # noqa: E402
@@ -57,6 +57,7 @@ class Tally:
         inside: whether the true direction is within 1.96 standard deviations.
         places: errors in m, in x and y.
         ellipses: whether the true place is in the 95 % ellipse.
+        widths: of these of lines, the standard deviation along the longer axis, m.
         scores, right: of every detection.
         further: how many detections there were beside the first.
     """
@@ -66,6 +67,7 @@ class Tally:
     inside: list[bool] = field(default_factory=list)
     places: list[float] = field(default_factory=list)
     ellipses: list[bool] = field(default_factory=list)
+    widths: list[float] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     further: int = 0
@@ -221,6 +223,9 @@ def by_avcli(case: Measured, samples: np.ndarray, times: list[float], tally: Tal
 
 def note(case: Measured, decision: Decision, tally: Tally) -> None:
     """Note a decision."""
+    if case.set.startswith(LINE):
+        note_sides(case, decision, tally)
+        return
     centre, true = case.microphones.mean(axis=0), case.source - case.microphones.mean(axis=0)
     for number, (position, score) in enumerate(zip(decision.positions, decision.scores, strict=True)):
         ray = decision.rays[number] if decision.rays else None
@@ -237,6 +242,22 @@ def note(case: Measured, decision: Decision, tally: Tally) -> None:
         tally.ellipses.append(bool(away @ np.linalg.solve(decision.covariances[number][:2, :2], away) < 5.99))
         if ray:
             tally.inside.append(error < 1.96 * np.degrees(ray.sd))
+
+
+def note_sides(case: Measured, decision: Decision, tally: Tally) -> None:
+    """Note the nearest place that a line tells; the other side of the line counts as told beside it."""
+    if not len(decision.positions):
+        return
+    away = (decision.positions - case.source)[:, :2]
+    held = [
+        float(one @ np.linalg.solve(shape[:2, :2], one)) for one, shape in zip(away, decision.covariances, strict=True)
+    ]
+    nearest = int(np.argmin(held))
+    tally.places.append(float(np.hypot(*away[nearest])))
+    tally.ellipses.append(held[nearest] < 5.99)
+    tally.widths.append(float(np.sqrt(np.linalg.eigvalsh(decision.covariances[nearest][:2, :2])[1])))
+    tally.scores.append(float(decision.scores.sum()))
+    tally.further += len(away) - 1
 
 
 def spread(errors: list[float], digits: int = 1) -> str:
@@ -261,6 +282,23 @@ def table(tallies: dict[tuple[str, str], Tally]) -> list[str]:
         lines.append(
             f"| {array} | {split} | {tally.frames} | {found / max(tally.frames, 1):.2f} | {errors} | {inside} |"
             f" {'-' if tally.inside else spread(tally.places, 3)} | {held} | {said} | {tally.further} |"
+        )
+    return lines
+
+
+def table_of_lines(tallies: dict[tuple[str, str], Tally]) -> list[str]:
+    """Return the lines of the table of microphones on one line."""
+    lines = [
+        "| line | frames | found | metres, the nearer side | standard deviation, m | 95 % ellipse | scores together |"
+        " told beside it |",
+        "|" + "---|" * 8,
+    ]
+    for (array, _), tally in tallies.items():
+        found = len(tally.places)
+        lines.append(
+            f"| {array} | {tally.frames} | {found / max(tally.frames, 1):.2f} | {spread(tally.places, 2)} |"
+            f" {spread(tally.widths, 2)} | {np.mean(tally.ellipses or [np.nan]):.2f} |"
+            f" {np.mean(tally.scores or [np.nan]):.2f} | {tally.further} |"
         )
     return lines
 
@@ -325,15 +363,19 @@ def main() -> None:
             by_avcli(case, samples, times, tally)
             if tally.inside:  # pyroomacoustics takes sound for plane waves, which it is not inside a large array
                 by_peers(case, samples, times, tally)
-        for split in dict.fromkeys(case.split for case in cases):
-            some = [case for case in cases if case.split == split]
+        paired = [case for case in cases if not case.set.startswith(LINE)]
+        for split in dict.fromkeys(case.split for case in paired):
+            some = [case for case in paired if case.split == split]
             for number, pair in enumerate(pairs(some)[:: chosen.every if len(some) > 20 else 1]):
                 two_at_once(pair, number, both.setdefault((pair[0].set, split), Both()))
         sources.append(f"- {cases[0].set}: {one.source}; licence: {one.licence}")
     if not tallies:
         sys.exit(f"bench-real-audio: none of the sets is in {chosen.data}")
     chosen.out.mkdir(parents=True, exist_ok=True)
-    text = "\n".join([*table(tallies), "", *table_of_both(both), "", *sources, ""])
+    straight = {key: tally for key, tally in tallies.items() if key[0].startswith(LINE)}
+    others = {key: tally for key, tally in tallies.items() if key not in straight}
+    tables = [table(others), table_of_lines(straight), table_of_both(both)]
+    text = "\n".join([line for one in tables for line in [*one, ""]] + [*sources, ""])
     (chosen.out / "real-audio.md").write_text(text)
     print(text)
 

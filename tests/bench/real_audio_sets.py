@@ -13,6 +13,9 @@ import numpy as np
 import soundfile
 from scipy.io import loadmat
 
+LINE, RANDOM = "5 on a line of 2 m", "8 of 25 at random"
+"""What lines, and other arrays, of VilniusTech's places are called."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -97,32 +100,57 @@ def variable_lab(folder: Path) -> Iterator[Measured]:
         )
 
 
+def polarity(responses: np.ndarray, ranges: np.ndarray, rate: int) -> np.ndarray:
+    """Return 1 or -1 for each response (m, n), (m, 1): by which the direct sounds from ranges (m,) m are alike."""
+    begin = int(np.median(np.abs(responses).argmax(axis=1) - ranges / 343.0 * rate)) - rate // 650
+    delays = ranges / 343.0 * rate + begin
+    first = delays.astype(int)
+    pieces = np.stack([one[at : at + rate // 170] for one, at in zip(responses, first, strict=True)])
+    turns = np.exp(2j * np.pi * np.fft.rfftfreq(1024) * (delays - first)[:, None])
+    frequency = np.fft.rfftfreq(1024, 1.0 / rate)
+    spectra = (np.fft.rfft(pieces, 1024) * turns)[:, (frequency > 300.0) & (frequency < 5000.0)]
+    spectra /= np.linalg.norm(spectra, axis=1, keepdims=True)
+    common = np.linalg.eigh((spectra @ spectra.conj().T).real)[1][:, -1]
+    turned: np.ndarray = np.sign(common * common.sum())[:, None]
+    return turned
+
+
 def vilnius(folder: Path) -> Iterator[Measured]:
     """Read 25 places of a microphone in a grid 50 cm apart, two loudspeakers 1 to 3 m from them (VilniusTech).
 
-    Eight of the places at a time are an array; the delays agree with the stated places to 0.01 ms.
+    Eight of the places at a time are an array, and each five of a row or a column a line; the delays agree with the
+    stated places to 0.01 ms. The polarity of a response is a matter of chance: 8 of one loudspeaker and 12 of the other
+    are turned over, mostly at other places. No wiring does that; they are put right by the direct sound.
     """
     grid = np.array([(3.68 - 0.5 * (k % 5), 3.0 + 0.5 * (k // 5), 1.2) for k in range(25)])
-    choices = {"decide": [0, 4, 20, 24, 7, 11, 13, 17], "judge": [2, 10, 14, 22, 1, 8, 16, 23]}
+    choices = [
+        ("8 in a grid of 2 m", "decide", np.array([0, 4, 20, 24, 7, 11, 13, 17])),
+        ("8 in a grid of 2 m", "judge", np.array([2, 10, 14, 22, 1, 8, 16, 23])),
+        *((RANDOM, "judge", np.random.default_rng(k).choice(25, 8, replace=False)) for k in range(20)),
+        *((f"{LINE}, row", "judge", 5 * k + np.arange(5)) for k in range(5)),
+        *((f"{LINE}, column", "judge", k + 5 * np.arange(5)) for k in range(5)),
+    ]
     sources = np.array([(3.36, 2.0, 1.5), (2.0, 2.0, 1.5)])
-    for number, source in enumerate(sources, start=1):
-        heard = []
-        for place in range(1, 26):
-            samples, rate = soundfile.read(folder / f"Source{number}" / f"S{number}R{place}.Wav", always_2d=True)
-            heard.append(samples[:, 0])
-        length = min(len(one) for one in heard)
-        responses = np.array([one[:length] for one in heard])
-        for split, chosen in choices.items():
-            yield Measured(
-                "8 in a grid of 2 m",
-                f"loudspeaker {number}, places {split}",
-                split,
-                np.array([5.36, 5.85, 2.86]),
-                grid[chosen],
-                source,
-                responses[chosen],
-                rate,
-            )
+    heard = []
+    for number in (1, 2):
+        paths = [folder / f"Source{number}" / f"S{number}R{place}.Wav" for place in range(1, 26)]
+        read = [soundfile.read(path, always_2d=True) for path in paths]
+        length = min(len(samples) for samples, _ in read)
+        responses, rate = np.array([samples[:length, 0] for samples, _ in read]), read[0][1]
+        heard.append((responses * polarity(responses, np.linalg.norm(sources[number - 1] - grid, axis=1), rate), rate))
+    for some in (choices[:2], choices[2:]):
+        for number, (source, (responses, rate)) in enumerate(zip(sources, heard, strict=True), start=1):
+            for array, (name, split, chosen) in enumerate(some):
+                yield Measured(
+                    name,
+                    f"loudspeaker {number}, array {array}",
+                    split,
+                    np.array([5.36, 5.85, 2.86]),
+                    grid[chosen],
+                    source,
+                    responses[chosen],
+                    rate,
+                )
 
 
 SETS = (
