@@ -353,9 +353,8 @@ def test_pictures_that_are_missing_by_their_numbers_are_said(folder, network, tm
         shutil.copy(picture, tmp_path / f"film/img{number}.png")
     result = run("avdetect-video", "-C", folder, "--model", network, tmp_path / "film")
     assert len(result.stdout.splitlines()) == 11
-    assert (
-        f"1 pictures are missing by the numbers in the names, the first after {tmp_path}/film/img7.png" in result.stderr
-    )
+    said = f"pictures that are missing by the numbers in the names: 1, the first after {tmp_path}/film/img7.png"
+    assert said in result.stderr
     shutil.copy(picture, tmp_path / "film/img8.png")
     assert "missing" not in run("avdetect-video", "-C", folder, "--model", network, tmp_path / "film").stderr
 

@@ -396,8 +396,8 @@ def _picture_shots(
     counted = all(time == number / rate for number, (time, _) in enumerate(timed))  # the names have no times
     if counted and (gaps := missing([path for _, path in timed])):
         session.warn(
-            f"{gaps[0]} pictures are missing by the numbers in the names, the first after {gaps[1]}: what follows "
-            "counts as the next time step"
+            f"pictures that are missing by the numbers in the names: {gaps[0]}, the first after {gaps[1]}; what "
+            "follows counts as the next time step"
         )
     for timestamp, path in timed:
         if depth:
