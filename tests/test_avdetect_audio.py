@@ -158,11 +158,33 @@ def test_a_wav_is_not_taken_for_raw_samples(tmp_path, sound):
     )
 
 
+def test_pieces_of_a_recording_are_taken_in_the_order_of_their_numbers(tmp_path, sound):
+    write(tmp_path, sound)
+    pieces = np.array_split(sound, 12)
+    for number, piece in enumerate(pieces):
+        soundfile.write(tmp_path / f"p{number}.wav", piece, FS, subtype="FLOAT")
+    shell = sorted((tmp_path / f"p{number}.wav" for number in range(12)), key=str)
+    whole = run("avdetect-audio", "-C", tmp_path, tmp_path / WAV)
+    assert run("avdetect-audio", "-C", tmp_path, *shell).stdout == whole.stdout
+
+
 def test_microphones_outside_the_room_are_named(tmp_path, sound):
     listed = [{"position": p} for p in (MICROPHONES * [1, 1, -1]).tolist()]
     write(tmp_path, sound, microphone_config={"mic_positions_m": listed})
     said = run("avdetect-audio", "-C", tmp_path, tmp_path / WAV).stderr
-    assert "microphone 1, 2, 3, 4, 5, 6, 7, 8 is outside the room of 4.66 × 4.66 × 3 m" in said
+    assert "microphones 1, 2, 3, 4, 5, 6, 7, 8 are outside the room of 4.66 × 4.66 × 3 m" in said
+
+
+def test_microphones_at_one_place_and_numbers_in_another_order_are_named(tmp_path, sound):
+    listed = MICROPHONES.tolist()
+    write(tmp_path, sound, microphone_config={"mic_positions_m": [*listed[:4], listed[1], *listed[5:]]})
+    said = run("avdetect-audio", "-C", tmp_path, tmp_path / WAV).stderr
+    assert "microphones 2 and 5 have the same position" in said
+    listed = [{"object_id": 8 - k, "position": p} for k, p in enumerate(listed)]
+    write(tmp_path, sound, microphone_config={"mic_positions_m": listed})
+    said = run("avdetect-audio", "-C", tmp_path, tmp_path / WAV).stderr
+    assert "object_id does not count, and stands in another order: 8, 7, 6, 5, 4, 3, 2, 1" in said
+    assert "same position" not in said
 
 
 def test_scores_that_are_too_high_are_said(tmp_path, sound):

@@ -327,6 +327,38 @@ def test_wrong_usage(made, options, word):
 # --- other sources and drawings ---------------------------------------------------------------------------------------
 
 
+def test_colour_alone_is_not_compared_with_the_empty_rooms_depth(folder, network):
+    config = json.loads((folder / "config.json").read_text())
+    config["camera_config"]["camera_rotation_deg"] = [-90, 0, 0]
+    (folder / "config.json").write_text(json.dumps(config))
+    up = run("avdetect-video", "-C", folder, "--model", network, folder / "video/rgb")
+    assert "3 boxes have no place: none of their rays reaches the floor" in up.stderr
+    assert "is camera_rotation_deg right?" in up.stderr
+
+
+@pytest.mark.parametrize(("step", "where"), [(10 * STEP, "m below the floor"), (STEP / 10, "m below the camera")])
+def test_depth_that_cannot_be_of_the_room_is_doubted(folder, step, where):
+    config = json.loads((folder / "config.json").read_text())
+    config["camera_config"]["depth_step_m"] = step
+    (folder / "config.json").write_text(json.dumps(config))
+    doubted = run(*DEPTH, "-C", folder, folder / "frames.jsonl")
+    assert where in doubted.stderr
+    assert "depth_step_m" in doubted.stderr
+
+
+def test_pictures_that_are_missing_by_their_numbers_are_said(folder, network, tmp_path):
+    (tmp_path / "film").mkdir()
+    picture = next((folder / "video/rgb").iterdir())
+    for number in (*range(8), *range(9, 12)):
+        shutil.copy(picture, tmp_path / f"film/img{number}.png")
+    result = run("avdetect-video", "-C", folder, "--model", network, tmp_path / "film")
+    assert len(result.stdout.splitlines()) == 11
+    said = f"pictures that are missing by the numbers in the names: 1, the first after {tmp_path}/film/img7.png"
+    assert said in result.stderr
+    shutil.copy(picture, tmp_path / "film/img8.png")
+    assert "missing" not in run("avdetect-video", "-C", folder, "--model", network, tmp_path / "film").stderr
+
+
 def test_a_video_and_its_rate(folder, network, tmp_path):
     import cv2
 
@@ -343,6 +375,12 @@ def test_a_video_and_its_rate(folder, network, tmp_path):
     assert footage.frame_rate(str(tmp_path / "drawn.mp4")) == 10.0
     capture = cv2.VideoCapture(str(tmp_path / "drawn.mp4"))
     assert capture.read()[1].shape == (270, 480, 3)
+
+
+def test_an_overlay_that_cannot_be_written_is_named(made, tmp_path):
+    (tmp_path / "drawn").write_text("a file")
+    result = run(*DEPTH, "-C", made, "--overlay", tmp_path / "drawn", "-o", tmp_path / "v.jsonl", made / "frames.jsonl")
+    refused(result, f"{tmp_path / 'drawn'}: File exists", code=74)
 
 
 def test_an_overlay_of_pictures(made, tmp_path):

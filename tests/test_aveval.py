@@ -368,3 +368,18 @@ def test_a_name_that_is_no_utf8_is_shown(tmp_path):
     assert (result.returncode, result.stderr) == (0, "")
     assert json.loads(result.stdout.splitlines()[0])["tracker"] == "tr�"
     assert run("aveval", truth, tracks, "--format", "table").returncode == 0
+
+
+def test_what_config_json_states_is_drawn_without_the_rest(tmp_path):
+    from avcli.formats.experiment import Config
+    from avcli.metrics.run import Run
+    from avcli.metrics.surroundings import with_surroundings
+
+    camera = {"fx_px": 500, "fy_px": 500, "cx_px": 320, "cy_px": 240, "camera_position_m": [2, 1, 3]}
+    said = []
+    shown = with_surroundings(Run("run", [], {}), Config({"camera_config": camera}), said.append)
+    assert (shown.camera.tolist(), shown.room, len(shown.microphones), said) == ([2, 1], None, 0, [])
+    wrong = Config({"camera_config": camera, "room_config": {"room_dimensions_m": [4, 3]}})
+    shown = with_surroundings(Run("run", [], {}), wrong, said.append)
+    assert (shown.camera.tolist(), shown.room, len(said)) == ([2, 1], None, 1)
+    assert said[0].startswith("run: not drawn: room: ")

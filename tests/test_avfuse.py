@@ -173,6 +173,31 @@ def test_a_source_that_keeps_the_others_waiting_is_named(experiment):
         assert process.wait() == 0
 
 
+def test_clocks_that_have_no_time_in_common_are_asked_about(tmp_path):
+    for name, begin in (("a", 0.0), ("b", 1.7e9), ("c", 1.7e9 + 1)):
+        (tmp_path / f"{name}.jsonl").write_text("".join(line(begin + k / 10, sensor=name) for k in range(21)))
+    said = "sensor 'a': its records, from 0.0 to 2.0 s, have no time in common with those of another sensor"
+    result = run("avfuse", *(tmp_path / f"{name}.jsonl" for name in "abc"))
+    assert (result.returncode, result.stderr.count("no time in common")) == (0, 1)
+    assert said in result.stderr
+    assert "no time in common" not in run("avfuse", tmp_path / "a.jsonl").stderr
+
+
+def test_two_files_of_one_sensor_at_the_same_times_are_asked_about(tmp_path):
+    for name, begin in (("left", 0.0), ("right", 0.03), ("later", 5.0)):
+        (tmp_path / f"{name}.jsonl").write_text("".join(line(begin + k / 10) for k in range(21)))
+    left, right, later = (tmp_path / f"{name}.jsonl" for name in ("left", "right", "later"))
+    said = f"{left} and {right} have records of it at the same times"
+    assert run("avfuse", left, right).stderr.count(said) == 1
+    assert "at the same times" not in run("avfuse", left, later).stderr
+
+
+def test_times_in_milliseconds_are_asked_about(experiment):
+    result = run("avfuse", "-C", experiment, stdin="".join(line(100.0 * k) for k in range(5)))
+    said = "no sensor has a record for more than 10 s; the tracks go on with the next record; are the times in seconds?"
+    assert said in result.stderr
+
+
 @pytest.mark.parametrize("far", [600.0, 3000.0, 1e11])
 def test_one_wrong_time_does_not_make_thousands_of_records(experiment, far):
     lines = walk(steps=41)
@@ -403,6 +428,15 @@ def test_options_of_a_kind_reach_all_its_sensors_and_those_of_a_name_win():
     assert fuse(lines, "--sigma", "camera=0.5") == wide
     assert fuse(lines, "--sigma", "camera=0.1", "--sigma", "video=0.5") == wide
     assert fuse(lines, "--sigma", "microphones=0.5") == fuse(lines)
+    records = [json.loads(one) for one in lines]
+    for each in (each for record in records for each in record["objects"]):
+        each["covariance"] = [[0.01, 0], [0, 0.01]]
+    stated = "".join(json.dumps(record) + "\n" for record in records)
+    for name in ("camera", "video"):
+        result = run("avfuse", "--sigma", f"{name}=0.5", stdin=stated)
+        assert result.stderr == (
+            f"avfuse: --sigma {name} has no effect: all of its detections state a covariance, which counts\n"
+        )
     result = run("avfuse", "--sigma", "vidoe=0.5", stdin="".join(lines))
     assert result.stderr == "avfuse: sensor 'vidoe' has options but sent no record\n"
 

@@ -339,6 +339,18 @@ def test_channels_in_config_that_make_no_sense_are_refused(channels, words):
         _ = Config(raw).microphones
 
 
+@pytest.mark.parametrize(
+    ("scale", "code", "words"),
+    [([1, 1, -1], 3, "microphones 1, 2, 3, 4, 5, 6, 7, 8 are outside the room"), ([1000] * 3, 1, "in metres?")],
+)
+def test_microphones_that_cannot_be_there_are_named(recording, tmp_path, scale, code, words):
+    samples, fs, _ = recording
+    experiment(tmp_path, np.tile(samples[: round(0.75 * fs)], (2, 1)), fs, MICROPHONES * scale)
+    result = CliRunner().invoke(main, ["microphones", "-C", str(tmp_path)])
+    assert result.exit_code == code, result.output
+    assert words in result.output
+
+
 def test_the_command_changes_nothing_where_the_recording_cannot_tell(recording, tmp_path):
     samples, fs, _ = recording
     raw = experiment(tmp_path, np.tile(samples[: round(0.75 * fs)], (8, 1)), fs, MICROPHONES)

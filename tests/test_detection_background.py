@@ -94,3 +94,7 @@ def test_a_command_records_both(tmp_path, room, rng):
     assert np.abs(colour.astype(int) - room).mean() < 4
     assert (media.read_depth(tmp_path / "lab" / said["background_depth"]) == 2503).all()
     assert run("avcalib", "background", "-C", tmp_path / "lab").returncode == 2
+    alone = run("avcalib", "background", "--depth", tmp_path / "depth", "-C", tmp_path / "other")
+    assert json.loads(alone.stdout)["camera_config"] == {"background_depth": said["background_depth"]}
+    missing = run("avcalib", "background", "--depth", tmp_path / "none", "-C", tmp_path / "other")
+    assert (missing.returncode, missing.stderr.count("none: ")) == (2, 1)

@@ -77,6 +77,13 @@ def test_times_stand_in_the_names_of_all_pictures_or_of_none(tmp_path):
     assert [time for time, _ in footage.stamped(mixed, 4.0)] == [0.0, 0.25, 0.5]
 
 
+def test_what_a_shell_names_is_taken_in_the_order_of_numbers_and_anything_else_as_named(tmp_path):
+    shell = sorted((tmp_path / f"{folder}/img{k}.png" for folder in "ab" for k in (1, 2, 10)), key=str)
+    taken = [f"{path.parent.name}{path.stem}" for _, path in footage.stamped(shell, 10.0)]
+    assert taken == ["aimg1", "aimg2", "aimg10", "bimg1", "bimg2", "bimg10"]
+    assert [path for _, path in footage.stamped(shell[::-1], 10.0)] == shell[::-1]
+
+
 def test_shots_decoded_ahead_are_the_same_and_read_once():
     read = []
 
@@ -187,3 +194,43 @@ def test_pictures_of_one_name_do_not_replace_each_other(tmp_path):
     assert not media.read_picture(tmp_path / "new" / "one.png").any()
     with Sink(tmp_path / "new", (64, 48), 10.0, single=False) as sink:  # another run may replace them
         sink.write(Picture(str(tmp_path / "b" / "one.png"), 0.0, picture()), picture())
+
+
+def test_what_a_folder_holds_in_the_order_of_numbers(tmp_path):
+    for name in ("img10.png", "img2.png", "img1.png"):
+        media.write_png(tmp_path / name, picture())
+    names = [str(tmp_path / f"img{k}.png") for k in (1, 2, 10)]
+    assert footage.in_numbers([str(tmp_path), "film.mp4"]) == [*names, "film.mp4"]
+
+
+def film_of(path, count=20):
+    """A film of noise, MJPG at 10 Hz, each picture of another brightness."""
+    chance = np.random.default_rng(0)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (160, 120))
+    for number in range(count):
+        writer.write((chance.integers(0, 40, (120, 160, 3)) + 10 * number).astype(np.uint8))
+    writer.release()
+    return path.read_bytes()
+
+
+def test_a_film_goes_on_behind_damaged_pictures_and_says_so(tmp_path):
+    path, said = tmp_path / "film.avi", []
+    whole = film_of(path)
+    middle = len(whole) // 2
+    path.write_bytes(whole[:middle] + bytes(range(256)) * 64 + whole[middle + 16384 :])
+    brightness = [one.image.mean() for one in footage.pictures([str(path)], say=said.append)]
+    assert len(brightness) >= 15
+    assert brightness[-1] == pytest.approx(20 + 10 * 19, abs=3)
+    assert len(said) == 1
+    assert said[0].startswith(f"{path}: damaged pictures are left out: ")
+
+
+def test_a_film_that_is_cut_short_is_said_to_be(tmp_path):
+    path, said = tmp_path / "film.avi", []
+    whole = film_of(path, 40)
+    assert len(list(footage.pictures([str(path)], say=said.append))) == 40
+    assert said == []
+    path.write_bytes(whole[: len(whole) // 2])
+    assert 15 < len(list(footage.pictures([str(path)], say=said.append))) < 25
+    assert len(said) == 1
+    assert said[0].startswith(f"{path}: its header states 4.0 s, but it ends after ")

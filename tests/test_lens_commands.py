@@ -117,6 +117,15 @@ def test_a_board_is_checked_and_tells_the_pose(lens, camera, tmp_path):
     did("avcalib", "pose", "--points", table, "-c", camera, "-o", out)
     assert np.abs(placed(out) - CEILING).max() < 1e-6
 
+    room = {"camera_config": json.loads(camera.read_text()), "room_config": {"room_dimensions_m": [4.66, 4.66, 3]}}
+    (tmp_path / "room.json").write_text(json.dumps(room))
+    asked = "outside the room of 4.66 × 4.66 × 3 m"
+    command = "avcalib", "pose", "--points", table, "-c", tmp_path / "room.json", "-o", out
+    assert asked not in run(*command).stderr
+    in_cm = np.column_stack([pixels, 100 * points])
+    np.savetxt(table, in_cm, delimiter=",", header="u,v,x,y,z", comments="")
+    assert asked in run(*command).stderr
+
 
 @pytest.mark.parametrize("name", variants())
 def test_it_goes_to_another_tool_and_back_or_its_distance_is_said(name, tmp_path):

@@ -246,6 +246,20 @@ def test_a_signal_ends_a_live_command_that_waits(folder, command):
         assert process.wait(HANG_S) == -signal.SIGTERM
 
 
+def test_what_was_learnt_live_is_kept_when_a_signal_ends_the_run(tmp_path):
+    learnt = tmp_path / "room.json"
+    with started("avfuse", "--live", "--rate", "10", "--learn", learnt) as process:
+        for k in range(30):
+            at = {"timestamp": k / 10, "sensor": "eye", "kind": "camera", "objects": [{"position": [2 + k / 50, 2]}]}
+            process.stdin.write(json.dumps(at).encode() + b"\n")
+        while b'"2.8' not in process.stdout.readline():
+            pass
+        assert not learnt.exists()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(HANG_S) == -signal.SIGTERM
+    assert json.loads(learnt.read_bytes())["sensors"].keys() == {"eye"}
+
+
 def wait_until_empty(pipe):
     """Wait until all that was written into a pipe has been read."""
     import fcntl

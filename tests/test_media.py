@@ -56,6 +56,12 @@ def test_the_bytes_of_a_png_are_the_same_wherever_its_compressor_lies():
     assert len(contents) == 1
 
 
+def test_floats_that_are_no_numbers_make_no_noise():
+    decode, width = media.decoder(3, 32)
+    assert width == 4
+    assert np.isnan(decode(bytes([1, 0, 0x80, 0x7F]))).all()  # a signalling NaN; warnings are errors here
+
+
 @settings(deadline=None, max_examples=200)
 @given(st.data())
 def test_a_damaged_png_is_left_to_opencv(data):

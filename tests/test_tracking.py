@@ -415,6 +415,15 @@ def test_extreme_parameters_give_finite_answers(detection, clutter, sigma, adapt
             assert 0 <= track.existence <= 1
 
 
+def test_a_covariance_of_zeros_alone_is_none():
+    stated = np.array([np.zeros((2, 2)), np.full((2, 2), np.nan), [[0.04, 0], [0, 0]]])
+    zeros, unknown, only_x = noise_of(stated, (0.2, 0.3), 0.0, ((0.0, 0.0), (4.0, 4.0)))
+    np.testing.assert_allclose(zeros, np.diag([0.04, 0.09]))
+    np.testing.assert_array_equal(zeros, unknown)
+    assert only_x[0, 0] == pytest.approx(0.04)
+    assert only_x[1, 1] > 1
+
+
 @pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 10.0, 1e12])
 def test_any_scale_of_the_covariances_keeps_one_track(scale):
     fusion, rng, labels = Fusion(Settings()), np.random.default_rng(8), set()

@@ -406,6 +406,18 @@ def test_a_start_without_film_or_sound_is_wrong_usage(tmp_path):
     assert run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", "--beam", "none").returncode == 0
 
 
+@pytest.mark.parametrize(("start", "said"), [("0", True), ("1000.5", False)])
+def test_sound_at_another_time_than_the_records_is_said(tmp_path, start, said):
+    soundfile.write(tmp_path / "a.wav", np.zeros((8000, 2)), 8000)
+    somebody = [{"object_id": 1, "position": [1, 1, 0]}]
+    (tmp_path / "t.jsonl").write_text("".join(json.dumps(record(1000 + k / 10, somebody)) + "\n" for k in range(21)))
+    options = ["--sound", tmp_path / "a.wav", "--start", start, "--html", tmp_path / "p.html"]
+    result = run("avview", tmp_path / "t.jsonl", *options)
+    assert result.returncode == 0
+    apart = "the sound is from 0.0 to 1.0 s, but the records are from 1000.0 to 1002.0 s: is --start right?"
+    assert (apart in result.stderr) == said
+
+
 def test_a_film_replaces_no_file_that_is_shown(made):
     for name in ("config.json", "tracking/video_tracking.jsonl"):
         before = (made / "s3" / name).read_bytes()

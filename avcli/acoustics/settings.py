@@ -49,8 +49,8 @@ class Settings:
     )
     absorption_model: str = setting(
         "image",
-        "How the absorption of the walls follows from the reverberation time: such that the image sources themselves "
-        "decay in that time (T30), by Sabine's equation, or by Eyring's.",
+        "How the absorption of the walls follows from the reverberation time. image: the simulated sound decays in "
+        "that time (T30). sabine, eyring: by the equation of this name.",
         choices=MODELS,
     )
     strict: bool = setting(False, "Fail if the room cannot have the reverberation time, instead of a warning.")

@@ -45,7 +45,7 @@ def detector_command(
 
     The teacher says where people are in the film, and the small network learns it: use a film with people, and minutes
     without. Part of the film is held back, to calibrate the scores and to compare. The result goes to -o, for
-    avdetect-video --model; nothing is written (exit 3) if the network that began agrees with the teacher as well.
+    avdetect-video --model; nothing is written (exit 3) if the network knew as much before it learnt.
     """
     settings = settings_from(TeachingSettings, values)
     if session.output_path == "-":
@@ -146,14 +146,15 @@ def _pictures(session: Session, sources: tuple[str, ...], most: int) -> Iterator
         live = [one.name for one in footage.sources(sources) if one.is_live]
     except FileNotFoundError as error:
         session.usage(f"{error.filename}: {error.strerror}")
-    count = None if live else footage.count_pictures(list(sources))
+    names = footage.in_numbers(sources)
+    count = None if live else footage.count_pictures(names)
     if count is None:
         session.usage(f"{(live or sources)[0]}: record a film first; it is read from its beginning to its end")
     if count < FEWEST:
         session.fail(f"the film has {count} pictures; {FEWEST} or more are needed")
     taken = min(most, count)
     wanted = {k * count // taken for k in range(taken)}
-    for number, picture in enumerate(footage.pictures(list(sources))):
+    for number, picture in enumerate(footage.pictures(names, say=session.warn)):
         if number in wanted:
             yield picture.name, picture.image[..., :3]
 

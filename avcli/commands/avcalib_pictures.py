@@ -124,6 +124,7 @@ def collect(
             stream_rate_hz=rate_hz if was_given("rate_hz") else None,
             size=values.get("size"),
             skip=lambda words: session.warn(f"left out: {words}"),
+            say=session.warn,
             grey=True,
             most=most,
         )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import avcli.calibration.settings as settings
+from avcli.commands.arrays import doubt_microphones
 from avcli.commands.avcalib_pictures import (
     check_sources,
     config_file,
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
     from avcli.calibration.bundle import Way
     from avcli.localization.survey import Listening
+
+_WALL_M = 0.3
+"""How far outside the stated room a camera may be: walls are measured roughly."""
 
 
 @click.command("undistort", epilog="Example: avcalib undistort film.mp4 -c camera.json --to straight.mp4")
@@ -71,8 +75,9 @@ def undistort_command(
         limit = camera.theta_max if extrapolate else camera.theta_trusted
         straight = undistort.straighten(camera.lens, camera.size, size, given, limit, camera.circle)
         sink = footage.Sink(target, size, footage.rate_taken(names[0], rate_hz) or 10.0, single=single)
+    names = footage.in_numbers(names)  # a film of them plays in order
     total = footage.count_pictures(names, rate_hz)
-    pictures = session.progress(footage.pictures(names, rate_hz), total, "straightening")
+    pictures = session.progress(footage.pictures(names, rate_hz, say=session.warn), total, "straightening")
 
     def skip(words: str) -> None:
         session.warn(f"left out: {words}")
@@ -132,11 +137,25 @@ def pose_command(
         session.warn(line)
     if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):
         raise GateNotMet(wrong)
+    _doubt_place(session, best.camera_config()["camera_position_m"])
     if session.output_path == "-":
         write_camera(session, best.camera_config())
         return
     with session.output() as write:
         write({**camera.values, **best.camera_config()})
+
+
+def _doubt_place(session: Session, position: list[float]) -> None:
+    """Say so if a camera is outside the room that config.json states: points in centimetres, or from another corner."""
+    if not session.config.states("room_config", "room_dimensions_m"):
+        return
+    room = session.config.room.dimensions
+    if any(not -_WALL_M <= place <= side + _WALL_M for place, side in zip(position, room, strict=True)):
+        sides = " × ".join(f"{side:g}" for side in room)
+        session.warn(
+            f"that is outside the room of {sides} m in {session.config.name}: are the points in metres, counted from a "
+            "floor corner, z upwards?"
+        )
 
 
 @click.command("microphones", epilog="Example: avcalib microphones -C lab smooth.jsonl")
@@ -192,6 +211,7 @@ def microphones_command(
     session.check_outputs({"--html": html}, [*audio, *filter(None, (tracks, places))], writes_config=True)
     if not tracks:
         refuse_without_effect(["mouth_height_m", "track_sd_m"], "without TRACKS")
+    doubt_microphones(session, session.config)
     way = _way(session, tracks, places, given)
     with session.timing("listen"):
         listening = _listening(session, audio, given)
@@ -255,11 +275,17 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
     import numpy as np
 
     from avcli.calibration import microphones
-    from avcli.localization.survey import Listening
+    from avcli.localization.survey import WINDOW_S, Listening
     from avcli.numeric import TooLittle
 
     config, speed = session.config, _speed_of_sound(session, given)[0]
     known, size = config.microphones, config.room.dimensions
+    widest, most = float(np.linalg.norm(known.positions[:, None] - known.positions, axis=2).max()), WINDOW_S * speed / 2
+    if widest > most:
+        session.fail(
+            f"microphones of {config.name} are {widest:.1f} m apart, but sound is compared up to {most:.1f} m; are the "
+            "positions in metres?"
+        )
 
     def read() -> Iterator[tuple[float, np.ndarray, int]]:
         for start, samples, rate in microphones.sounds(audio, None if audio else session.experiment / "audio" / "wav"):
@@ -293,7 +319,7 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
 def background_command(session: Session, sources: tuple[str, ...], depth: str | None, pictures: int) -> None:
     """Record what a room looks like without people, in colour and depth, from a film in which nobody stays in place.
 
-    The pictures are written into the experiment directory, and the camera_config keys that name them to the output.
+    The pictures are written into the experiment directory. The output is the part of config.json that names them.
     """
     from avcli.detection import background
     from avcli.formats import footage, media
@@ -301,17 +327,17 @@ def background_command(session: Session, sources: tuple[str, ...], depth: str | 
 
     if not sources and not depth:
         session.usage("give colour pictures or a film, or --depth, or both")
-    check_sources(session, list(sources))
+    check_sources(session, [*sources, *filter(None, (depth,))])
     session.check_outputs({}, [*sources, *filter(None, (depth,))])
     found: dict[str, str] = {}
     try:
         if sources:
-            colour = (picture.image[..., :3] for picture in footage.pictures(list(sources)))
+            colour = (picture.image[..., :3] for picture in footage.pictures(list(sources), say=session.warn))
             room = background.still_colour(colour, pictures)
             found["background_rgb"] = Layout.background_rgb
             _write_picture(session, Layout.background_rgb, room)
         if depth:
-            shown = background.still_depth(footage.depths(depth), pictures)
+            shown = background.still_depth(footage.depths(depth, session.warn), pictures)
             found["background_depth"] = Layout.background_depth
             holes = float((shown == 0).mean())
             if holes > 0.5:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
+from avcli.commands.arrays import doubt_microphones
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.live import Skips, open_pipe
 from avcli.commands.options import FiniteRange, Numbers, Parsed, from_settings, refuse_without_effect, settings_from
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 16
 """samples that are read of a file at a time."""
-_SLACK_M = 0.3
-"""How far outside the stated room a microphone may be: walls are measured roughly."""
 _SOUND = (b"RIFF", b"RIFX", b"RF64", b"riff", b"fLaC", b"FORM", b"caff", b".snd", b"OggS")
 """How sound files begin: WAV, its form for large files and W64, FLAC, AIFF, CAF, AU, Ogg."""
 
@@ -104,11 +103,13 @@ def main(
     session.check_outputs({}, files or ("-",))
     session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
+        from avcli.formats.numbered import as_numbered
+
         sound = _Sound(session, start, live, raw, channels, gains)
         if live:
             blocks = _arriving(sound, stack, *open_pipe(session, files))
         else:
-            blocks = sound.blocks([(path, session.open(path)) for path in files or ("-",)])
+            blocks = sound.blocks([(path, session.open(path)) for path in as_numbered(files or ("-",))])
         with session.timing("read"):
             first = next(blocks, None)
         if first is None:
@@ -121,7 +122,7 @@ def main(
         chosen = localizer(sound.config, method, seed=session.seed, settings=settings, temperature_c=temperature)
         if chosen.latency is not None:
             session.note(f"a decision comes {chosen.latency:.3f} s after the sound was emitted")
-        _say_who_is_outside(session, sound.config)
+        doubt_microphones(session, sound.config)
         if sound.microphones.wiring:
             session.note("the channels are put right as microphone_config.channels in config.json says")
         at = "position"  # of a steady source
@@ -146,18 +147,6 @@ def main(
             write({**named, "objects": objects, **faults, **steady})
         if isinstance(chosen, SteeredLocalizer):
             session.note_skipped("searches of windows", chosen.silent, chosen.windows, "which hold no voice")
-
-
-def _say_who_is_outside(session: Session, config: Config) -> None:
-    """Say which microphones are clearly outside the room: z counted downwards, millimetres, or another origin."""
-    positions, room = config.microphones.positions, config.room.dimensions
-    outside = [number for number, one in enumerate(positions, 1) if ((one < -_SLACK_M) | (one > room + _SLACK_M)).any()]
-    if outside:
-        sides = " × ".join(f"{side:g}" for side in room)
-        session.warn(
-            f"{config.name}: microphone {', '.join(map(str, outside))} is outside the room of {sides} m, so places are "
-            "wrong; x, y and z are counted in metres from a floor corner, z upwards"
-        )
 
 
 def _objects(decision: Decision, features: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -91,10 +91,13 @@ def main(
         for shot in session.progress(shots, _expected(session, files, rate)):
             if detector is None:
                 with session.timing("start"):
-                    detector = _detector(session, model, settings)
+                    detector = _detector(session, model, settings, depth=shot.depth is not None)
                 if overlay:
                     drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
+            doubted = detector.shown_m is not None
             people = _people(session, detector, shot)
+            if not doubted:
+                _doubt_depth(session, detector)
             if people is None:
                 continue
             write(records.as_record(detections(shot.timestamp, people, settings.sensor)))
@@ -112,7 +115,7 @@ def _refuse_without_effect(settings: Settings) -> None:
         refuse_without_effect(["position"], "with --monocular")
 
 
-def _detector(session: filter.Session, model: str | None, settings: Settings) -> Detector:
+def _detector(session: filter.Session, model: str | None, settings: Settings, *, depth: bool) -> Detector:
     from avcli.detection.detector import Detector
     from avcli.formats import media
 
@@ -129,7 +132,8 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
             "--windows is for networks that know people from photographs (--model): the package's own has learnt from"
             " whole pictures, and misses most people in windows"
         )
-    empty = partial(media.read_depth, session.media_root / path) if path else None
+    compared = depth or settings.detector == "depth"  # colour alone cannot be compared with the empty room's depth
+    empty = partial(media.read_depth, session.media_root / path) if path and compared else None
     try:
         colour = camera.background_rgb if settings.learn_background else None
         detector = Detector(
@@ -148,6 +152,23 @@ def _detector(session: filter.Session, model: str | None, settings: Settings) ->
     if network and network.head.kind == "end2end":
         refuse_without_effect(["iou"], "with this model: it removes overlapping boxes itself")
     return detector
+
+
+def _doubt_depth(session: filter.Session, detector: Detector) -> None:
+    """Say so if the first depth shows no room: half lies far below the floor, or nearly all just below the camera."""
+    if detector.shown_m is None:
+        return
+    (half, tenth), height = detector.shown_m, float(detector.view.origin[2])
+    where = ""
+    if half < -0.5:
+        where = f"half of what depth shows lies {-half:.1f} m below the floor"
+    elif tenth > 0.8 * height:
+        where = f"nearly all that depth shows lies less than {height - tenth:.2g} m below the camera"
+    if where:
+        session.warn(
+            f"{where}, so nobody can be found there: are depth_step_m, depth_kind and the camera's place right in "
+            f"{session.config.name}?"
+        )
 
 
 def _camera(session: filter.Session, sensor: str) -> Camera:
@@ -197,7 +218,10 @@ def _say_what_did_not_fit(session: filter.Session, detector: Detector) -> None:
             + _other_height(detector)
         )
     if tally.nowhere:
-        session.warn(f"{tally.nowhere} boxes have no place: none of their rays reaches the floor or a body on it")
+        session.warn(
+            f"{tally.nowhere} boxes have no place: none of their rays reaches the floor or a body on it"
+            + ("; is camera_rotation_deg right?" if tally.nowhere > tally.by_box else "")
+        )
     if tally.still:
         session.warn(
             f"{tally.still} boxes showed only the room as it was learnt (--learn-background), and are left out"
@@ -280,10 +304,10 @@ def _shots(
     if still:
         return _picture_shots(session, still, rate, sensor, depth=depth)
     if moving and depth:
-        pictures = footage.depth_pictures(moving[0].name, rate)
+        pictures = footage.depth_pictures(moving[0].name, rate, session.warn)
         return (footage.UnreadShot(picture.timestamp, None, picture.image.view) for picture in pictures)
     if moving:
-        pictures = footage.pictures([moving[0].name], rate)
+        pictures = footage.pictures([moving[0].name], rate, say=session.warn)
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
         if not moving[0].is_live:
             return shots
@@ -355,6 +379,7 @@ def _picture_shots(
     """Pictures in the order given; the empty room's depth picture, which lies beside the frames, is left out."""
     from avcli.formats import media
     from avcli.formats.footage import UnreadShot, stamped
+    from avcli.formats.numbered import missing
 
     background = _camera(session, sensor).background_depth
     empty = (session.media_root / background).resolve() if background else None
@@ -366,7 +391,15 @@ def _picture_shots(
         paths += inside
     if not depth and media.is_depth(paths[0]):
         session.warn(f"{paths[0]} looks like a depth picture (16 bits, one channel); use --detector depth for those")
-    for timestamp, path in stamped(paths, rate or session.config.frame_rate_hz):
+    rate = rate or session.config.frame_rate_hz
+    timed = stamped(paths, rate)
+    counted = all(time == number / rate for number, (time, _) in enumerate(timed))  # the names have no times
+    if counted and (gaps := missing([path for _, path in timed])):
+        session.warn(
+            f"pictures that are missing by the numbers in the names: {gaps[0]}, the first after {gaps[1]}; what "
+            "follows counts as the next time step"
+        )
+    for timestamp, path in timed:
         if depth:
             yield UnreadShot(timestamp, None, partial(media.read_depth, path))
         else:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
-from avcli.commands.filter import Failure, Filter, Session, common
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from
+from avcli.commands.filter import Failure, Filter, Killed, Session, common, unbroken
+from avcli.commands.options import from_settings, refuse_without_effect, settings_from, was_given
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
 
@@ -109,7 +109,9 @@ def _usual(field: str) -> str:
     type=click.Choice(list(TRACKERS)),
     default=next(iter(TRACKERS)),
     show_default=True,
-    help="Association by " + "; ".join(f"{name}: {one.text}" for name, one in TRACKERS.items()) + ".",
+    help="How detections are assigned to people. "
+    + "; ".join(f"{name}: {one.text}" for name, one in TRACKERS.items())
+    + ".",
 )
 @click.option(
     "--lag",
@@ -212,12 +214,13 @@ def main(
         if learn:
             _recall(session, fusion, learn)
         events = itertools.chain(first, inputs.rest(merger))
-        for step in merger.steps(session.progress(events, session.lines(path for _, path in sources))):
-            with session.timing("tracking"):
-                ready = fusion.step(*step)
-            for tracks in ready:
-                write(as_record(tracks))
-            account(fusion)
+        with _kept(learn if live and not no_learn else None, fusion):
+            for step in merger.steps(session.progress(events, session.lines(path for _, path in sources))):
+                with session.timing("tracking"), unbroken():
+                    ready = fusion.step(*step)
+                for tracks in ready:
+                    write(as_record(tracks))
+                account(fusion)
         for tracks in fusion.finish():
             write(as_record(tracks))
         if inputs.broken:
@@ -231,13 +234,28 @@ def main(
         from avcli.tracking.picture import picture
 
         write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
-    for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
-        session.warn(f"sensor {name!r} has options but sent no record")
+    _doubt(session, fusion, given)
     for note in fusion.notes():
         session.note(note)
     if isinstance(fusion.tracker, GLMB):
         pairs, near = fusion.tracker.pairs, fusion.tracker.near
         session.note_skipped("pairs of person and detection", pairs - near, pairs, "which are far from each other")
+
+
+def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]]) -> None:
+    """Say which sensors and options cannot be as they were meant."""
+    for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
+        session.warn(f"sensor {name!r} has options but sent no record")
+    for name in fusion.alone():
+        first, last = fusion.spans[name]
+        session.warn(
+            f"sensor {name!r}: its records, from {first:.1f} to {last:.1f} s, have no time in common with those of "
+            "another sensor: do the clocks agree?"
+        )
+    for name in sorted(name for name, fields in given.items() if "sigma" in fields and was_given("sigma")):
+        stated = [fusion.stated.get(one.name) for one in fusion.tracker.sensors if name in (one.name, one.kind)]
+        if True in stated and False not in stated:
+            session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
 
 
 def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> None:
@@ -260,6 +278,19 @@ def _recall(session: Session, fusion: Fusion, path: str) -> None:
             fusion.restore(read_learnt(path))
         except ValueError as error:
             session.fail(f"--learn {path}: {error}")
+
+
+@contextlib.contextmanager
+def _kept(path: str | None, fusion: Fusion) -> Iterator[None]:
+    """Write what was learnt to a file where a signal ends the block, as a live run mostly ends; None: write nothing."""
+    try:
+        yield
+    except Killed:
+        if path:
+            from avcli.tracking.learnt import write_learnt
+
+            write_learnt(path, fusion.state())
+        raise
 
 
 @contextlib.contextmanager

@@ -57,9 +57,9 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @click.option(
     "--people", type=click.IntRange(0, 250), default=3, show_default=True, help="Number of people in a random scenario."
 )
-@click.option("--kind", type=click.Choice(ROOM_KINDS), help="Kind of the room of a random scenario; default: drawn.")
-@click.option("--room", metavar="WxDxH", help="Size of the room of a random scenario, m, as 6x4x2.8; default: drawn.")
-@click.option("--lens", type=click.Choice(LENSES), help="Lens of a random scenario; default: drawn.")
+@click.option("--kind", type=click.Choice(ROOM_KINDS), help="Kind of the room of a random scenario; default: any.")
+@click.option("--room", metavar="WxDxH", help="Size of the room of a random scenario, m, as 6x4x2.8; default: any.")
+@click.option("--lens", type=click.Choice(LENSES), help="Lens of a random scenario; default: any.")
 @click.option("--duration", type=FiniteRange(0), metavar="S", help="Length of the scene, s, instead of its own.")
 @click.option(
     "--masks", is_flag=True, help="Write video/masks/Mask_frame_<t>.png: the person of each pixel, 0 for none."

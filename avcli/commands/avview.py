@@ -92,8 +92,9 @@ class Run:
     "--beam",
     multiple=True,
     metavar="ID",
-    help="Listen at this track with all microphones: --mp4 plays it, --html has it to choose. May be repeated; none: no"
-    " beams. By default --html has those of all tracks of the tracker that is shown first.",
+    help="Listen to the place of this track with all microphones. --mp4 plays that sound; --html offers it beside the "
+    "others. May be repeated; the word none: no such sound. By default --html has that of each track of the tracker "
+    "that is shown first.",
 )
 @click.option(
     "--start",
@@ -255,6 +256,7 @@ def _shown(
     session: Session, run: Run, options: Options, watch: Callable[[Shown], Live] | None, listening: bool
 ) -> Shown:
     """Read a run, and show it while it is read where somebody watches; listen at its tracks if that is wanted."""
+    from avcli.formats import footage
     from avcli.view import experiment
     from avcli.view.page import Shown
     from avcli.view.recording import Recording
@@ -289,11 +291,14 @@ def _shown(
         live.end()
     with session.timing("pictures"):
         if options.film:
-            shown.pictures, shown.picture_count = experiment.film(options.film, shown.rate_hz, options.start)
+            found = experiment.film(options.film, shown.rate_hz, options.start, session.warn)
+            shown.pictures, shown.picture_count = found
             shown.film = Path(options.film), options.start
+            rate = footage.rate_taken(options.film, shown.rate_hz)
+            _say_if_apart(session, "film", options.start, shown.picture_count / rate if rate else 0.0, recording)
         else:
-            found = experiment.frames(run.root, recording.frames)
-            shown.pictures, shown.picture_count = found, len(found)
+            frames = experiment.frames(run.root, recording.frames)
+            shown.pictures, shown.picture_count = frames, len(frames)
         if shown.surroundings and (camera := _camera(session, run, options)):
             checked = experiment.of_size((camera.width_px, camera.height_px), session.warn)
             read = ((time, checked(picture)) for time, picture in shown.pictures)
@@ -305,7 +310,9 @@ def _shown(
             )
     with session.timing("sound"):
         if options.sound:
-            recorded: Recorded | None = experiment.Recorded([(options.start, Path(options.sound))])
+            played = experiment.Recorded([(options.start, Path(options.sound))])
+            _say_if_apart(session, "sound", options.start, played.length / played.rate_hz, recording)
+            recorded: Recorded | None = played
         else:
             recorded = experiment.recorded(run.root, recording.chunks)
         unheard = [f"--beam {one}" for one in options.beam if one != "none"]
@@ -319,6 +326,16 @@ def _shown(
     with session.timing("score"):
         shown.scores = _scores(recording)
     return shown
+
+
+def _say_if_apart(session: Session, what: str, begin: float, seconds: float, recording: Recording) -> None:
+    """Say so if a film or a sound has no time in common with the records."""
+    times = [row[0] for stream in recording.streams for row in (stream.rows[0], stream.rows[-1])]
+    if times and seconds and (begin > max(times) or begin + seconds < min(times)):
+        session.warn(
+            f"the {what} is from {begin:.1f} to {begin + seconds:.1f} s, but the records are from {min(times):.1f} to "
+            f"{max(times):.1f} s: is --start right?"
+        )
 
 
 def _beams(session: Session, run: Run, options: Options, recording: Recording, recorded: Recorded) -> list[Beam]:

@@ -57,7 +57,7 @@ class InputOutputError(click.ClickException):
     exit_code = EXIT_IO
 
 
-class _Killed(BaseException):
+class Killed(BaseException):
     """A signal that ends the process after all clean-up."""
 
     def __init__(self, number: int):
@@ -81,7 +81,7 @@ class Filter(click.Command):
         sys.unraisablehook = _deliver_again
         try:
             code = self._run(list(sys.argv[1:] if args is None else args))
-        except _Killed as killed:
+        except Killed as killed:
             _die_of(killed.number)
         full = False
         try:
@@ -146,17 +146,35 @@ def _reopen_closed() -> None:
 
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+_waiting: list[int] | None = None  # signals that came in a block of `unbroken`; None outside of one
+
+
+@contextlib.contextmanager
+def unbroken() -> Iterator[None]:
+    """Put the end by a signal off until the block is done, so that what it changes is whole."""
+    global _waiting
+    waiting: list[int] = []
+    _waiting = waiting
+    try:
+        yield
+    finally:
+        _waiting = None
+        if waiting:
+            raise Killed(waiting[0])
 
 
 def _kill(number: int, frame: FrameType | None) -> None:
     for each in _ENDING:  # a second signal ends the process at once, even where the clean-up waits for something
         if signal.getsignal(each) is _kill:
             signal.signal(each, signal.SIG_DFL)
+    if _waiting is not None:
+        _waiting.append(number)
+        return None
     while frame is not None:
         if frame.f_globals.get("__name__") == _IMPORT:
             return _kill_later(number)  # libraries in C that are being loaded may crash, or raise another error
         frame = frame.f_back
-    raise _Killed(number)
+    raise Killed(number)
 
 
 _IMPORT = "importlib._bootstrap"
@@ -170,7 +188,7 @@ def _kill_later(number: int) -> None:
 def _deliver_again(unraisable: sys.UnraisableHookArgs) -> None:
     """Deliver a signal again that arrived inside a __del__ (moderngl has many): Python drops what is raised there."""
     killed = unraisable.exc_value
-    if isinstance(killed, _Killed):
+    if isinstance(killed, Killed):
         _kill_later(killed.number)
     else:
         sys.__unraisablehook__(unraisable)
@@ -516,7 +534,9 @@ class Session:
         except OSError as error:
             if error.errno == errno.EPIPE:
                 raise
-            raise InputOutputError(f"{self.output_path}: {error.strerror or error}") from None
+            own = error.filename is None or atomic.is_temporary(error.filename)
+            path = self.output_path if own else error.filename
+            raise InputOutputError(f"{path}: {error.strerror or error}") from None
 
 
 # --- the options that all share ---------------------------------------------------------------------------------------

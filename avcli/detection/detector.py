@@ -207,6 +207,7 @@ class Detector:
         sight: what looks at the pictures: the network, or its windows or bands; None for the depth detector, and before
             the first picture.
         tally: what became of the network's boxes so far.
+        shown_m: heights above the floor, m, below which the half and a tenth lie of what the first depth picture shows.
 
     Raises:
         MediaError: `model` cannot be read.
@@ -249,6 +250,7 @@ class Detector:
             raise ValueError('the detector "depth" needs the depth picture of the empty room')
         self._gate, self._last = Gate(self.settings.refresh), list[Person]()
         self._stillness = Stillness() if self.settings.stillness else None
+        self.shown_m: tuple[float, float] | None = None
         self._strangers = False  # bodies stand before the empty room of whom the network is not sure
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
@@ -274,7 +276,7 @@ class Detector:
             with self._timing("wait for pictures"):
                 picture = self._read(depth, "depth")
             with self._timing("depth and positions"):
-                standing = self._before_room.detect(self._metres(picture))
+                standing = self._before_room.detect(self._measured(picture))
                 people = [beyond_trust(one, self.view) for one in standing if self._in_room(one)]
             return people if self._looks is None else self._described(self._read(rgb, "colour"), people)
         with self._timing("wait for pictures"):
@@ -364,7 +366,7 @@ class Detector:
             return []
         if depth is None or self.settings.monocular:
             return self._by_box.place(found, None, time)
-        metres = self._metres(self._read(depth, "depth"))
+        metres = self._measured(self._read(depth, "depth"))
         if self.settings.position == "centre":
             return place_centre(found, metres, self.view)
         people = self._before_room.place(found, metres)
@@ -477,6 +479,13 @@ class Detector:
 
     def _metres(self, picture: np.ndarray) -> np.ndarray:
         return self.view.radial_depth(picture, self._camera.depth_step_m, self._camera.depth_kind)
+
+    def _measured(self, depth: np.ndarray) -> np.ndarray:
+        metres = self._metres(depth)
+        if self.shown_m is None and (seen := metres > 0).any():
+            heights = self.view.origin[2] + metres[seen] * self.view.rays[seen][:, 2]
+            self.shown_m = float(np.median(heights)), float(np.quantile(heights, 0.1))
+        return metres
 
     def _read(self, picture: Picture | None, kind: str) -> np.ndarray:
         if picture is None:

@@ -14,7 +14,7 @@ class Settings:
 
     detector: str = setting(
         "net",
-        "How people are found: net, by a network in the colour picture; depth, as what stands before the empty room.",
+        "How people are found: net, by a network in the colour picture; depth, as what is nearer than the empty room.",
         choices=("net", "depth"),
     )
     confidence: float | None = setting(
@@ -47,8 +47,8 @@ class Settings:
     )
     windows: int | None = setting(
         None,
-        "Look at N windows in place of the whole picture, turned so that the way from the point below the camera leads "
-        "up: for a model that knows people from photographs, such as those of COCO.",
+        "Look at N windows in place of the whole picture. They are turned so that people stand upright in them, for a "
+        "model that knows people from photographs, such as those of COCO.",
         unit="N",
         least=3,
         most=64,
@@ -62,8 +62,8 @@ class Settings:
     )
     stillness: bool = setting(
         True,
-        "Without the empty room's depth: hold somebody who keeps quite still in the film for less probable, as plants "
-        "and chairs do.",
+        "Without the empty room's depth: give a lower score to a person who does not move at all in the film, since "
+        "plants and chairs do not.",
         flag="--stillness/--no-stillness",
         only="net",
     )
@@ -96,7 +96,8 @@ class Settings:
 
     sensor: str = setting(
         "video",
-        "The camera's name in the records; if config.json's sensors has a camera_config under this name, that camera.",
+        'The camera\'s name in the records. If "sensors" in config.json has a camera_config of this name, that camera '
+        "is used.",
         unit="NAME",
     )
     features: bool | None = setting(

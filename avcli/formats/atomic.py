@@ -70,6 +70,11 @@ def remove_unfinished() -> None:
         _remove(temporary)
 
 
+def is_temporary(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path is that of a file that is not finished, by its name."""
+    return _TEMPORARY.fullmatch(Path(path).name) is not None
+
+
 def _remove(temporary: Path) -> None:
     with contextlib.suppress(OSError):
         os.unlink(temporary)

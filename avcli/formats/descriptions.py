@@ -106,7 +106,9 @@ DETECTION = Object(
             "position, m in the room frame; z is null or absent where it was not observed; may be left out beside a "
             "direction or a range",
         ),
-        "covariance": Key(SPREAD, "covariance of the position, m²; a zero variance means: not observed"),
+        "covariance": Key(
+            SPREAD, "covariance of the position, m²; a zero variance means: not observed; zeros alone: not known"
+        ),
         "score": Key(PROBABILITY, "probability that the detection is right"),
         "machine": Key(
             PROBABILITY,

@@ -30,6 +30,7 @@ from avcli.formats.media import (
     refuse_full_disk,
     swapped,
 )
+from avcli.formats.numbered import as_numbered, by_number
 
 if TYPE_CHECKING:
     import cv2
@@ -47,6 +48,10 @@ _USUAL_RATE = 30.0
 """Hz, of a video that does not say."""
 _AHEAD = 3
 """Shots that are read ahead of the one in hand."""
+_DAMAGED = 1000
+"""Pictures of a film, one after another, that may be damaged; after more of them it has ended."""
+_PATIENCE = 5.0
+"""Seconds in which a stream may give damaged pictures alone; after more of them it has ended."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,7 @@ class Source:
     def files(self) -> list[Path]:
         """Return the files of a picture, a folder or a pattern, in order, by the numbers in their names; else none."""
         if self.kind in ("folder", "pattern"):
-            return sorted((Path(one.name) for one in self.members() if one.kind == "picture"), key=_in_numbers)
+            return sorted((Path(one.name) for one in self.members() if one.kind == "picture"), key=by_number)
         return [Path(self.name)] if self.kind == "picture" else []
 
     def members(self) -> "list[Source]":
@@ -147,10 +152,13 @@ class Source:
 _SEEN = PICTURES | VIDEOS.keys()
 
 
-def _in_numbers(path: Path) -> list[tuple[int, str]]:
-    """Order names as people number them: frame2 before frame10, and so RGB_frame_2.0 before RGB_frame_10.0."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), part) if part.isdecimal() and part.isascii() else (-1, part) for part in parts]
+def in_numbers(names: Iterable[str]) -> list[str]:
+    """Name what folders and a shell's * hold one by one, in the order of the numbers in the names; else as they are."""
+    opened: list[str] = []
+    for one in map(source, as_numbered(list(names))):
+        members = one.members() if one.kind == "folder" else []
+        opened += sorted((member.name for member in members), key=by_number) or [one.name]
+    return opened
 
 
 def _is(path: Path, suffixes: Container[str]) -> bool:
@@ -217,12 +225,14 @@ def _is_virtual(name: str) -> bool:
 def stamped(paths: list[Path], rate_hz: float) -> list[tuple[float, Path]]:
     """Give picture files their times, s: those that all their names end in ("RGB_frame_0.1000000000"), else k / rate.
 
-    They come in the order of time, as a shell's * does not: it has 10.0 before 2.0.
+    They come in the order of time, as a shell's * does not: it has 10.0 before 2.0, and img10 before img2.
 
     Args:
-        paths: in the order of time where their names have none.
+        paths: in the order of time where their names have none; those in the order of letters are a shell's, and are
+            taken in the order of the numbers in their names.
         rate_hz: pictures a second where a name has no time.
     """
+    paths = [Path(path) for path in as_numbered([str(path) for path in paths])]
     times = [re.search(r"_(\d+\.\d+)$", path.stem) for path in paths]
     named = all(times)
     timed = [
@@ -243,6 +253,7 @@ def pictures(
     stream_rate_hz: float | None = None,
     size: tuple[int, int] | None = None,
     skip: Callable[[str], None] | None = None,
+    say: Callable[[str], None] = lambda _: None,
     grey: bool = False,
     most: int | None = None,
 ) -> Iterator[Picture]:
@@ -257,6 +268,7 @@ def pictures(
             all.
         size: width and height in px to ask of a camera.
         skip: gets a sentence for each file that cannot be read, which is then left out.
+        say: gets a sentence about each video of which a part is damaged or missing.
         grey: the brightness of JPEG files and videos is enough, which is quicker.
         most: about how many pictures to take from a long video, over all its length: those that are quick to reach.
 
@@ -278,7 +290,7 @@ def pictures(
             elif member.kind == "url":
                 found = _live_pictures(member.name, rate_hz)
             else:
-                found = _video_pictures(member.name, rate_hz, grey=grey, most=most)
+                found = _video_pictures(member.name, rate_hz, say, grey=grey, most=most)
             for picture in found:
                 while held and skip:
                     skip(held.pop(0))
@@ -377,7 +389,7 @@ def _live_pictures(address: str, rate_hz: float | None) -> Iterator[Picture]:
     """Pictures of a stream at an address, with Unix time; at most `rate_hz` a second."""
     capture, pace, number = _open_video(address), Pace(rate_hz), 0
     try:
-        while capture.grab():
+        for _ in _grabs(capture):
             now = time.time()
             if not pace.takes():
                 continue
@@ -391,25 +403,28 @@ def _live_pictures(address: str, rate_hz: float | None) -> Iterator[Picture]:
         raise MediaError(f"{address}: the stream has no picture that can be read")
 
 
-def depth_pictures(name: str, rate_hz: float | None = None) -> Iterator[Picture]:
+def depth_pictures(
+    name: str, rate_hz: float | None = None, say: Callable[[str], None] = lambda _: None
+) -> Iterator[Picture]:
     """Yield the pictures (height, width) uint16 of a film of depth, whose format must keep 16 bits (FFV1, gray16le).
 
     Args:
         name: of the film.
         rate_hz: pictures per second to take; None: all.
+        say: gets a sentence if a part of the film is damaged or missing.
 
     Raises:
         MediaError: it cannot be opened, or has other pictures.
     """
-    for picture in _video_pictures(name, rate_hz, deep=True):
+    for picture in _video_pictures(name, rate_hz, say, deep=True):
         image = picture.image
         if image.dtype != np.uint16 or image.size != image.shape[0] * image.shape[1]:
             raise MediaError(f"{name}: this film does not keep depth in 16 bits; write it as FFV1 with gray16le pixels")
         yield Picture(picture.name, picture.timestamp, image.reshape(image.shape[:2]))
 
 
-def depths(name: str) -> Iterator[np.ndarray]:
-    """Yield the depth pictures (height, width) of a film, a folder, a pattern or a picture.
+def depths(name: str, say: Callable[[str], None] = lambda _: None) -> Iterator[np.ndarray]:
+    """Yield the depth pictures (height, width) of a film, a folder, a pattern or a picture; `say`: as depth_pictures.
 
     Raises:
         MediaError: one of them cannot be read, or there is none.
@@ -418,11 +433,17 @@ def depths(name: str) -> Iterator[np.ndarray]:
     if files:
         yield from map(read_depth, files)
     else:
-        yield from (picture.image for picture in depth_pictures(name))
+        yield from (picture.image for picture in depth_pictures(name, say=say))
 
 
 def _video_pictures(
-    source: str, rate_hz: float | None, *, deep: bool = False, grey: bool = False, most: int | None = None
+    source: str,
+    rate_hz: float | None,
+    say: Callable[[str], None],
+    *,
+    deep: bool = False,
+    grey: bool = False,
+    most: int | None = None,
 ) -> Iterator[Picture]:
     import cv2
 
@@ -433,10 +454,10 @@ def _video_pictures(
     if most and rate_hz and frames / fps * rate_hz > most:
         rate_hz = most * fps / frames
         jumps = film.quick_frames(source, fps / rate_hz)
-    number, due, last = 0, 0.0, -1.0
+    number, due, last, damaged = 0, 0.0, -1.0, 0
     try:
-        for now in _jumping(capture, jumps) if jumps else _playing(capture, fps):
-            number += 1
+        for now, lost in _jumping(capture, jumps) if jumps else _playing(capture, fps):
+            number, damaged = number + 1, damaged + lost
             if now <= last or (rate_hz and not jumps and now < due - 0.5 / fps):
                 continue
             last = now
@@ -445,34 +466,54 @@ def _video_pictures(
                 if image.ndim == 3 and not deep:
                     image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image[:, :, ::-1]
                 yield Picture(f"{source} at {now:.2f} s", now, image)
+            else:
+                damaged += 1
             if rate_hz:
                 due = max(due + 1 / rate_hz, now + 0.5 / rate_hz)
     finally:
         capture.release()
     if number == 0:
         raise MediaError(f"{source}: the video has no picture that can be read")
+    stated = frames / fps
+    if not jumps and stated - now > max(1.0, 0.02 * stated):
+        say(f"{source}: its header states {stated:.1f} s, but it ends after {now:.1f} s: the rest is missing")
+    elif source.lower().endswith(".avi") and not jumps:  # others state no exact number
+        damaged = max(damaged, int(frames) - number)
+    if damaged:
+        say(f"{source}: damaged pictures are left out: {damaged}")
 
 
-def _playing(capture: "cv2.VideoCapture", fps: float) -> Iterator[float]:
-    """Grab one frame of a video after another; yields the time of each, s, which rises."""
+def _grabs(capture: "cv2.VideoCapture") -> Iterator[int]:
+    """Grab one picture after another, past damaged ones; yields how many of these lay before each."""
+    while True:
+        damaged, until = 0, time.monotonic() + _PATIENCE
+        while not capture.grab():
+            damaged += 1
+            if damaged > _DAMAGED or time.monotonic() > until:
+                return
+        yield damaged
+
+
+def _playing(capture: "cv2.VideoCapture", fps: float) -> Iterator[tuple[float, int]]:
+    """Grab one frame of a video after another; yields the time of each, s, which rises, and damaged ones before it."""
     import cv2
 
     last, first = -1.0, True
-    while capture.grab():
+    for damaged in _grabs(capture):
         stated = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
         now = stated if stated > last else max(last, 0.0) + 1 / fps
         now = 0.0 if first and now <= 1 / fps + 1e-9 else now
         first, last = False, now
-        yield now
+        yield now, damaged
 
 
-def _jumping(capture: "cv2.VideoCapture", frames: list[int]) -> Iterator[float]:
-    """Grab some frames of a video; yields the time of each, s."""
+def _jumping(capture: "cv2.VideoCapture", frames: list[int]) -> Iterator[tuple[float, int]]:
+    """Grab some frames of a video; yields the time of each, s, and 0."""
     import cv2
 
     for frame in frames:
         if capture.set(cv2.CAP_PROP_POS_FRAMES, frame) and capture.grab():
-            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, 0
 
 
 def camera_pictures(camera: Camera) -> Iterator[Picture]:

@@ -674,9 +674,10 @@ def _wav_layout(content: bytes, name: str) -> tuple[Callable[[bytes], np.ndarray
 
 def decoder(tag: int, bits: int) -> tuple[Callable[[bytes], np.ndarray], int]:
     """Return how to decode samples of a WAV's format (1: integers, 3: floats) and bits, and their bytes."""
-    if tag == 3:
-        kind = f"<f{bits // 8}"
-        return (lambda content: np.frombuffer(content, kind).astype(np.float64)), bits // 8
+
+    def floats(content: bytes) -> np.ndarray:
+        with np.errstate(invalid="ignore"):  # samples that are not numbers, as in what is no sound of floats
+            return np.frombuffer(content, f"<f{bits // 8}").astype(np.float64)
 
     def integers(content: bytes) -> np.ndarray:
         octets: np.ndarray = np.frombuffer(content, np.uint8).reshape(-1, bits // 8)
@@ -686,7 +687,7 @@ def decoder(tag: int, bits: int) -> tuple[Callable[[bytes], np.ndarray], int]:
         wide[:, 4 - bits // 8 :] = octets
         return wide.view("<i4")[:, 0] / 2.0**31
 
-    return integers, bits // 8
+    return (floats if tag == 3 else integers), bits // 8
 
 
 def as_much_as(stream: BinaryIO, size: int) -> bytes:

@@ -99,6 +99,8 @@ class Fusion:
     Attributes:
         tracker: the filter.
         outside: number of detections of each sensor that were ignored because they lie outside the room.
+        stated: whether all detections of each sensor stated a covariance.
+        spans: s, times of the first and the last record of each sensor.
     """
 
     def __init__(
@@ -153,6 +155,8 @@ class Fusion:
         self.numbers: dict[int, int] = {}
         self.ears: list[str] = []  # names of the microphones
         self.outside: Counter[str] = Counter()
+        self.stated: dict[str, bool] = {}
+        self.spans: dict[str, tuple[float, float]] = {}
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
@@ -230,6 +234,8 @@ class Fusion:
         self._now, self._period = now, min(now - self._now, self._period) or self._period
         looks: dict[tuple[float, int], list[Detections]] = {}
         for at, name, one in records:
+            first, last = self.spans.get(name, (at, at))
+            self.spans[name] = min(first, at), max(last, at)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
@@ -241,6 +247,16 @@ class Fusion:
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
         return [self._identified(now, self.tracker.tracks(now))]
+
+    def alone(self) -> list[str]:
+        """Return the sensors of several whose records have no time in common with those of any other."""
+        spans = self.spans.items()
+        together = {
+            name
+            for name, (a, b) in spans
+            if any(a <= last and first <= b for one, (first, last) in spans if one != name)
+        }
+        return sorted(self.spans.keys() - together) if len(self.spans) > 1 else []
 
     def finish(self) -> list[Identified]:
         """Return the tracks of the steps that are left at the end."""
@@ -328,6 +344,9 @@ class Fusion:
                 positions, covariances, scores = positions[inside], covariances[inside], scores[inside]
                 told = {name: one.take(inside) for name, one in told.items()}
             self._inside[model.name] += len(positions)
+        if len(covariances):
+            all_stated = bool((covariances.max(axis=(1, 2)) > 0).all())
+            self.stated[model.name] = self.stated.get(model.name, True) and all_stated
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
             self.tracker.update(at, model.name, positions, noise, scores, told)
@@ -396,7 +415,8 @@ def _with_heights(config: Config, given: Given) -> Given:
 def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, area: Corners) -> np.ndarray:
     """Return measurement noise as the filter needs it, (J, 2, 2) m², positive definite.
 
-    A variance of 0 means that the coordinate was not observed, see `model.unobserved`.
+    A variance of 0 means that the coordinate was not observed, see `model.unobserved`; who writes 0 for both of a
+    position knows no covariance.
 
     Args:
         covariances: (J, 2, 2) m², NaN where not given.
@@ -407,7 +427,7 @@ def noise_of(covariances: np.ndarray, sigma: tuple[float, float], floor: float, 
     noise = []
     for (xx, xy), (yx, yy) in covariances.tolist():
         xx, yy, cross = xx + floor * floor * (xx > 0), yy + floor * floor * (yy > 0), (xy + yx) / 2
-        if math.isnan(xx + yy + cross):
+        if math.isnan(xx + yy + cross) or xx == yy == 0:
             xx, yy, cross = sigma[0] ** 2, sigma[1] ** 2, 0.0
         if not (xx and yy):
             cross = 0.0

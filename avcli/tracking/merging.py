@@ -159,9 +159,11 @@ class Merger:
         self.records: list[tuple[float, str, int, Detections]] = []
         self.lagging: set[str] = set()
         self.first, self.last = math.inf, -math.inf
-        self.origin, self.tick, self.began = 0.0, 0, False
+        self.origin, self.tick, self.begin, self.began = 0.0, 0, 0, False
         self.late: Counter[str] = Counter()
         self.set_back = SetBack()
+        self.since: dict[str, dict[int, float]] = {}  # sensor -> number of each of its sources, s of its first record
+        self.shared: set[str] = set()  # sensors of several sources of which that was said
 
     def steps(self, events: Iterable[Event]) -> Iterator[Step]:
         """Yield each step as soon as it is complete.
@@ -194,6 +196,10 @@ class Merger:
                 f"sensor {sensor!r}: the time of a record must be within {LATEST:g} s of 0, not {time:g} s"
             )
         key = source, sensor
+        since = self.since.setdefault(sensor, {})
+        since.setdefault(source, time)
+        if len(since) > 1 and sensor not in self.shared:
+            self._say_if_shared(key, time)
         stream = self.streams.get(key)
         if self.began and stream:
             wrong = self.set_back.take(key, time, stream.complete, detections)
@@ -210,6 +216,20 @@ class Merger:
             self.streams[key] = self._stream(time)
         else:
             stream.take(time)
+
+    def _say_if_shared(self, key: Key, time: float) -> None:
+        """Say so if another source has records of the same sensor at the time: what both find would count twice."""
+        source, sensor = key
+        for other, first in self.since[sensor].items():
+            stream = self.streams.get((other, sensor))
+            if other != source and stream and first <= time and stream.latest >= self.since[sensor][source]:
+                self.shared.add(sensor)
+                names = " and ".join(self.sources[k] for k in sorted((source, other)))
+                self.say(
+                    f"sensor {sensor!r}: {names} have records of it at the same times; if these are two sensors, "
+                    "each needs a name of its own (--sensor of avdetect-video)"
+                )
+                return
 
     def end(self, source: int) -> None:
         """Note that a source has ended."""
@@ -256,7 +276,10 @@ class Merger:
                 return
             known = min((record[0] for record in self.records if record[0] <= horizon), default=now)
             if known - now > JUMP:
-                self.say(f"no sensor has a record for more than {JUMP:g} s; the tracks go on with the next record")
+                unit = "; are the times in seconds?" if self.tick <= self.begin + 1 else ""
+                self.say(
+                    f"no sensor has a record for more than {JUMP:g} s; the tracks go on with the next record{unit}"
+                )
                 self._begin()
                 continue
             yield now, self._until(now)
@@ -317,7 +340,7 @@ class Merger:
         times = sorted(record[0] for record in self.records)
         on_grid = [t for t in times if abs(t * rate - round(t * rate)) < 1e-3 * rate]
         self.origin = 0.0 if on_grid else times[0]
-        self.tick = math.ceil((times[0] - self.origin) * rate - 1e-3 * rate)
+        self.tick = self.begin = math.ceil((times[0] - self.origin) * rate - 1e-3 * rate)
         self.began = True
         for stream in self.streams.values():
             stream.step = min(stream.step, 1.0 / rate)

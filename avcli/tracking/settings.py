@@ -47,7 +47,7 @@ class Settings:
     )
     process_noise: float = setting(
         0.5,
-        "With --motion cv: standard deviation, in m/s2, of an acceleration that is constant over each step.",
+        "Standard deviation, in m/s2, of the acceleration, which is constant over each step.",
         unit="SIGMA",
         above=0.0,
         most=1e6,
@@ -72,7 +72,8 @@ class Settings:
     )
     hidden: bool = setting(
         True,
-        "People can be hidden from a sensor (occluded, silent) for a while; without, every miss counts.",
+        "--hidden: people can be hidden from a sensor (occluded, silent) for a while. --no-hidden: each record without "
+        "a detection of a person speaks against the person.",
         flag="--hidden/--no-hidden",
     )
     show: str = setting(

@@ -49,14 +49,18 @@ def of_size(size: tuple[int, int], say: Callable[[str], None]) -> Callable[[Read
     return lambda read: partial(seen, read)
 
 
-def film(path: str, rate_hz: float | None, start_s: float) -> tuple[Iterator[Timed], int]:
+def film(
+    path: str, rate_hz: float | None, start_s: float, say: Callable[[str], None] = lambda _: None
+) -> tuple[Iterator[Timed], int]:
     """Return the pictures of a film whose first one was taken at `start_s`, and how many they are.
+
+    `say` gets a sentence if a part of the film is damaged or missing.
 
     Raises:
         MediaError: it cannot be read.
     """
     count = footage.count_pictures([path], rate_hz) or 0
-    shots = footage.pictures([path], rate_hz)
+    shots = footage.pictures([path], rate_hz, say=say)
     return ((start_s + shot.timestamp, partial(_same, shot)) for shot in shots), count
 
 
