@@ -297,8 +297,8 @@ def table_of_lines(tallies: dict[tuple[str, str], Tally]) -> list[str]:
         found = len(tally.places)
         lines.append(
             f"| {array} | {tally.frames} | {found / max(tally.frames, 1):.2f} | {spread(tally.places, 2)} |"
-            f" {spread(tally.widths, 2)} | {np.mean(tally.ellipses or [np.nan]):.2f} |"
-            f" {np.mean(tally.scores or [np.nan]):.2f} | {tally.further} |"
+            f" {spread(tally.widths, 2)} | {np.mean(np.array(tally.ellipses)) if tally.ellipses else np.nan:.2f} |"
+            f" {np.mean(tally.scores) if tally.scores else np.nan:.2f} | {tally.further} |"
         )
     return lines
 
