@@ -14,10 +14,10 @@ from avcli.localization.windows import Band
 LEAKS, HEARD, LOUDER = (1.0, 0.25, 0.01, 5e-4, 8e-5), 0.75, 0.5
 """What the taper spreads of a tone over the bins beside it; the share of the time in which a voice is not louder than
 what is usual while somebody speaks, and by how much of that a bin is disturbed."""
-MEMORY_S, LEAST, QUANTILE = 3.0, 8, 0.2
-"""s that are remembered, the windows from which tones are looked for, and the share of them that is quieter than what
+MEMORY_S, LEAST_S, QUANTILE = 3.0, 1.0, 0.2
+"""s that are remembered, from how many s on tones are looked for, and the share of them that is quieter than what
 counts: a voice comes and goes, and its pitch changes."""
-AROUND_HZ, USUAL, ABOVE, STEADY = 80.0, 0.25, 16.0, 2.0
+AROUND_HZ, USUAL, ABOVE, STEADY = 80.0, 0.25, 16.0, 1.5
 """Hz to each side in which a tone must stand out, of which share of these it must, and by which power; and what the
 median over the time may be over the quiet moments."""
 
@@ -37,16 +37,21 @@ class Hum:
     def __init__(self, band: Band, sample_rate: float, hop: float):
         self.width = sample_rate / band.size
         self.first = band.bins.start
-        self.history: deque[np.ndarray] = deque(maxlen=max(LEAST, round(MEMORY_S / hop)))
+        self.memory, self.least = max(5, round(MEMORY_S / hop)), max(5, round(LEAST_S / hop))
         self.half = round(AROUND_HZ / self.width)
+        self.told = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as after a gap in the stream."""
+        self.history: deque[np.ndarray] = deque(maxlen=self.memory)
         self.bins: np.ndarray | None = None
         self.lasted = np.zeros(0, int)  # windows on end in which each bin stood out
-        self.told = False
 
     def take(self, power: np.ndarray) -> None:
         """Take the power (bins,) of a whole window, tones and all."""
         self.history.append(power)
-        if len(self.history) < LEAST:
+        if len(self.history) < self.least:
             return
         count = len(self.history)
         low, middle, high = int(QUANTILE * count), count // 2, int(HEARD * count)
@@ -69,7 +74,7 @@ class Hum:
 
     def news(self) -> list[str]:
         """Return a sentence about the loudest tones, once they have stood out for as long as is remembered."""
-        lasting = self.lasted >= (self.history.maxlen or 0)
+        lasting = self.lasted >= self.memory
         if self.told or not lasting.any():
             return []
         self.told = True

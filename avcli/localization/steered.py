@@ -170,6 +170,7 @@ class SteeredLocalizer:
         for first, stretch in stretches(blocks, begin):
             yield from self._stretch(stretch, first)
             self.steady.forget()
+            self.hum.forget()
             self.memory.forget()  # a talker of one stretch is not expected in the next
 
     def _stretch(self, blocks: Iterable[Block], begin: int) -> Iterator[Decision]:
