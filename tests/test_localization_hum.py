@@ -17,12 +17,12 @@ BAND = Band.of(SteeredSettings(), FS)
 HOP = 1 / 15
 
 
-def learnt(sound):
-    """What is known of the tones in a sound (n,) at its end."""
+def learnt(sound, alike=1.0):
+    """What is known of the tones in a sound (n,), so far alike in all channels, at its end."""
     hum, taper = Hum(BAND, FS, HOP), hann(BAND.size)
     for start in range(0, len(sound) - BAND.size, round(HOP * FS)):
         spectrum = np.fft.rfft(sound[start : start + BAND.size] * taper)[BAND.bins]
-        hum.take(np.abs(spectrum) ** 2)
+        hum.take(np.abs(spectrum) ** 2, np.full(len(spectrum), alike))
     return hum
 
 
@@ -60,6 +60,10 @@ def test_a_tone_that_ends_is_forgotten():
     rng = np.random.default_rng(2)
     hum = learnt(np.r_[tones(4, 100), np.zeros(5 * FS)] + 0.05 * rng.standard_normal(9 * FS))
     assert hum.bins is None
+
+
+def test_the_tones_of_a_machine_in_the_room_stay():
+    assert learnt(tones(5, 100, 150) + 0.05 * np.random.default_rng(4).standard_normal(5 * FS), alike=0.3).bins is None
 
 
 @pytest.mark.parametrize("level", [0.3, 1.0, 10.0])

@@ -1,8 +1,9 @@
-"""Steady tones, such as the mains' hum: narrow, always there, and no voice.
+"""The mains' hum and other steady tones that are in all channels alike: they come by cable, and are no sound.
 
-A hum that is in all channels alike looks like a source at which all delays are none; one that is louder than the voice
-hides it, and what the taper spreads of it lies over its neighbours. The frequencies in which the quietest moments of
-the last seconds stand out of those around them are left out of everything.
+Such a tone looks like a source at which all delays are none; one that is louder than the voice hides it, and what the
+taper spreads of it lies over its neighbours. The frequencies in which the quietest moments of the last seconds stand
+out of those around them are left out of everything. Tones of a machine in the room have other phases in each channel;
+they tell that it is one.
 """
 
 from collections import deque
@@ -20,6 +21,10 @@ counts: a voice comes and goes, and its pitch changes."""
 AROUND_HZ, USUAL, ABOVE, STEADY = 80.0, 0.25, 16.0, 1.5
 """Hz to each side in which a tone must stand out, of which share of these it must, and by which power; and what the
 median over the time may be over the quiet moments."""
+
+
+ALIKE = 0.7
+"""The squared length of the mean phase of the channels from which a tone is in all of them alike."""
 
 
 class Hum:
@@ -45,12 +50,14 @@ class Hum:
     def forget(self) -> None:
         """Begin anew, as after a gap in the stream."""
         self.history: deque[np.ndarray] = deque(maxlen=self.memory)
+        self.phases: deque[np.ndarray] = deque(maxlen=self.memory)
         self.bins: np.ndarray | None = None
         self.lasted = np.zeros(0, int)  # windows on end in which each bin stood out
 
-    def take(self, power: np.ndarray) -> None:
-        """Take the power (bins,) of a whole window, tones and all."""
+    def take(self, power: np.ndarray, alike: np.ndarray) -> None:
+        """Take the power (bins,) of a whole window, tones and all, and how far its channels are alike (bins,)."""
         self.history.append(power)
+        self.phases.append(alike)
         if len(self.history) < self.least:
             return
         count = len(self.history)
@@ -58,6 +65,7 @@ class Hum:
         ordered = np.partition(np.array(self.history), [low, middle, high], axis=0)
         floor = ordered[low]
         tones = (floor > ABOVE * self._around(floor, USUAL)) & (ordered[middle] < STEADY * floor)
+        tones &= np.mean(self.phases, axis=0) > ALIKE
         self.lasted = (self.lasted + 1) * tones if len(self.lasted) else tones.astype(int)
         self.bins = None
         if tones.any():

@@ -227,7 +227,7 @@ class SteeredLocalizer:
             window = self.heard(*stream.window(self._place(index), size))
             if window.correlated:
                 if window.correlated.part > WHOLE:
-                    self.hum.take(window.correlated.whole)
+                    self.hum.take(window.correlated.whole, window.correlated.alike)
                 self.steady.take(window.correlated, self.noise_apart)
             windows[index] = self.sounding(window)
             stream.forget(self._place(index + 1))

@@ -86,6 +86,7 @@ class Correlated:
         occupancy: share of the bins within 40 dB of the strongest.
         power: (bins,) median over the channels of the squared spectra.
         whole: (bins,) the same of all channels, with the steady tones that are left out of everything else.
+        alike: (bins,) from 0 to 1, how far the channels have the same phase, these tones included.
     """
 
     gcc: np.ndarray
@@ -98,6 +99,7 @@ class Correlated:
     occupancy: float
     power: np.ndarray
     whole: np.ndarray
+    alike: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,7 @@ class Correlator:
         tapered = tapered.astype(np.float32)
         spectra = self._spectra(tapered)
         power = (spectra.real**2 + spectra.imag**2).astype(np.float64)
-        whole = np.median(power, axis=0) * float(scale) ** 2
+        whole, alike = np.median(power, axis=0) * float(scale) ** 2, _alike(spectra, power)
         if tones is not None:
             spectra, power = np.where(tones, 0.0, spectra), np.where(tones, 0.0, power)
         level = power.sum(axis=1)
@@ -215,6 +217,7 @@ class Correlator:
             occupancy=occupancy(usual),
             power=usual * float(scale) ** 2,
             whole=whole,
+            alike=alike,
         )
         return Window(correlated, (*notices, *found, *twins))
 
@@ -235,6 +238,13 @@ class Correlator:
             notices.append(f"channels {first[pair] + 1} and {second[pair] + 1} are the same signal and left out")
             good[first[pair]] = good[second[pair]] = False
         return good, notices
+
+
+def _alike(spectra: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Return the squared length (bins,) of the mean phase of spectra (m, bins) with some power (m, bins)."""
+    sounding = np.count_nonzero(power, axis=0)
+    total = (spectra / np.sqrt(np.maximum(power, np.finfo(float).tiny))).sum(axis=0)
+    return (np.abs(total) / np.maximum(sounding, 1)) ** 2
 
 
 def finite(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
