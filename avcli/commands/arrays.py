@@ -1,4 +1,4 @@
-"""What is said of the microphones that config.json states."""
+"""Warnings about the microphones of config.json."""
 
 from __future__ import annotations
 

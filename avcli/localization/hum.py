@@ -21,10 +21,8 @@ counts: a voice comes and goes, and its pitch changes."""
 AROUND_HZ, USUAL, ABOVE, STEADY = 80.0, 0.25, 16.0, 1.5
 """Hz to each side in which a tone must stand out, of which share of these it must, and by which power; and what the
 median over the time may be over the quiet moments."""
-
-
 ALIKE = 0.7
-"""The squared length of the mean phase of the channels from which a tone is in all of them alike."""
+"""A tone is in all channels alike if the mean of their phases, as unit vectors, has at least this squared length."""
 
 
 class Hum:
