@@ -216,6 +216,53 @@ def detections(seed: int, folder: Path) -> Trial:
     return Trial(f"{what}, then aveval", lost=lost)
 
 
+def found(rng: np.random.Generator, kind: str, place: np.ndarray, origin: np.ndarray, sd: float) -> dict[str, Any]:
+    """A detection of a kind of a place (3,) m by a sensor at an origin (3,) m, with errors of so many m."""
+    place = place + rng.normal(0.0, sd, 3)
+    away = float(np.linalg.norm(place - origin))
+    one: dict[str, Any] = {"score": float(rng.choice([rng.uniform(), 1e-6, 1.0]))} if rng.random() < 0.7 else {}
+    if kind == "direction":
+        look = ((place - origin) / away).tolist()
+        return one | {"origin": origin.tolist(), "direction": look, "direction_sd_deg": some(rng, 0.1, 20)}
+    if kind == "distance":
+        return one | {"origin": origin.tolist(), "range_m": away, "range_sd_m": sd}
+    if kind == "covariance":
+        return one | {"position": place.tolist(), "covariance": spread(rng, 0.1 * sd**2, 10 * sd**2)}
+    return one | {"position": [*place[:2].tolist(), None if kind == "floor" else float(place[2])]}
+
+
+def walkers(seed: int, folder: Path) -> Trial:
+    """People who come and go past sensors of every kind, which see too much and too little; with many options."""
+    rng = np.random.default_rng(seed)
+    room, lasts = np.array([8.0, 6.0, 2.0]) * rng.choice([1, 1, 1, 50]), float(rng.uniform(3, 15))
+    people = [
+        (rng.uniform(0, room), [*rng.normal(0, 0.7, 2), 0.0], begin, begin + rng.uniform(1, 20))
+        for begin in rng.uniform(-5, 0.6 * lasts, int(rng.choice([0, 1, 1, 2, 3, 5, 10])))
+    ]
+    start, records = float(rng.choice([0, 0, 1.7e9, -5])), list[dict[str, Any]]()
+    for number in range(int(rng.integers(1, 5))):
+        rate, sd, chance = float(rng.choice([1, 5, 10, 12.5, 29.97, 60])), some(rng, 0.005, 1.5), rng.uniform(0.1, 1)
+        kinds = ["position", "covariance", "floor", "direction", "distance"]
+        kind, clutter = str(rng.choice([*kinds, "any"])), rng.choice([0, 0, 0.2, 2])
+        origin, blind = rng.uniform(0, room), np.sort(rng.uniform(0, 2 * lasts, 2))
+        for at in np.arange(rng.uniform(0, 1 / rate), lasts, 1 / rate):
+            if blind[0] < at < blind[1]:
+                continue
+            there = [first + at * np.array(pace) for first, pace, begin, end in people if begin < at < end]
+            seen = [place for place in there if rng.random() < chance]
+            seen += [rng.uniform(-0.5, room + 0.5) for _ in range(rng.poisson(clutter))]
+            objects = [found(rng, str(rng.choice(kinds)) if kind == "any" else kind, x, origin, sd) for x in seen]
+            records.append({"timestamp": f"{start + at:.10f}", "sensor": f"s{number}", "objects": objects})
+    records.sort(key=lambda record: float(record["timestamp"]))
+    ways = ("", "", "--lag 0", "--lag inf", "--no-hidden", "--no-learn", "--rate 10", "--tracker lmb", "--show all")
+    options = str(rng.choice(ways)).split()
+    trial, tracks = ended("avfuse", options, folder, fuzz.lines(records))
+    (folder / "tracks.jsonl").write_bytes(tracks)
+    scored, _ = ended("aveval", [folder / "tracks.jsonl", folder / "tracks.jsonl"], folder)
+    lost = trial.lost or trial.refused or scored.lost or (scored.refused if b"object_id" in tracks else "")
+    return Trial(f"avfuse {' '.join(options)}, {len(people)} people, {len(records)} records", lost=lost)
+
+
 def order(seed: int, folder: Path) -> Trial:
     """Records that come twice, or a few places too early or late: the tracks are those of the records in order."""
     rng = np.random.default_rng(seed)
@@ -583,6 +630,7 @@ KINDS: dict[str, Kind] = {
         files,
         values,
         detections,
+        walkers,
         order,
         sounds,
         pictures,
