@@ -311,6 +311,66 @@ def sounds(seed: int, folder: Path) -> Trial:
     return Trial(f"avdetect-audio {method[1]}, {rate} Hz, {count} channels, {kind}", trial.refused, trial.lost)
 
 
+def spoilt(rng: np.random.Generator, wave: np.ndarray, rate: int) -> np.ndarray:
+    """Sound (n, m) in which up to three channels are faulty, or all of them hum."""
+    wave = wave.copy()
+    loudest, count = float(np.abs(wave).max(initial=0.0)) + 1e-6, wave.shape[1]
+    for c in rng.choice(count, min(count, int(rng.choice([0, 0, 1, 2, 3]))), replace=False):
+        kind, one = rng.choice(["dead", "over", "late", "loud", "clipped", "noise", "shifted", "exchanged"]), wave[:, c]
+        if kind == "exchanged":
+            wave[:, [c, -1]] = wave[:, [-1, c]]
+        else:
+            wave[:, c] = {
+                "dead": 0 * one, "over": -one, "late": np.roll(one, int(rng.integers(1, rate // 50))),
+                "loud": 10 * one, "clipped": np.clip(one, -0.2 * loudest, 0.2 * loudest),
+                "noise": 0.1 * loudest * rng.standard_normal(len(one)), "shifted": one + 0.3 * loudest,
+            }[str(kind)]  # fmt: skip
+    if rng.random() < 0.2:
+        wave += 0.3 * loudest * np.sin(2 * np.pi * 50 * np.arange(len(wave)) / rate)[:, None]
+    return wave
+
+
+def talks(seed: int, folder: Path) -> Trial:
+    """People who talk for seconds between microphones of any shape, some channels of which are faulty."""
+    rng = np.random.default_rng(seed)
+    sides, rate = rng.uniform([3, 3, 2.4], [10, 8, 3.5]), int(rng.choice([8000, 16000, 16000, 44100]))
+    count, shape = (
+        int(rng.choice([4, 5, 6, 8, 8, 12])),
+        str(rng.choice(["room", "room", "table", "line", "wall"])),
+    )
+    microphones = rng.random((count, 3))
+    if shape == "room":
+        microphones *= sides
+    else:  # of some size: thin in one or in two axes, or in none
+        thin = {"table": [1, 1, 1], "line": [1, 0, 0], "wall": [1, 0, 1]}[shape]
+        microphones = sides / 2 + (microphones - 0.5) * some(rng, 0.05, 2) * thin
+    config = copy.deepcopy(LABORATORY)
+    config["room_config"] = {"room_dimensions_m": sides.tolist()}
+    config["microphone_config"] = {"mic_positions_m": microphones.tolist(), "audio_sample_rate_hz": rate}
+    (folder / "config.json").write_text(json.dumps(config))
+    mouths = [rng.uniform([0.2, 0.2, 1.0], sides - [0.2, 0.2, 0.5]) for _ in range(int(rng.choice([0, 1, 1, 2, 3])))]
+    paces = [[*rng.normal(0, 0.5, 2), 0.0] if rng.random() < 0.3 else [0.0] * 3 for _ in mouths]
+    people = []
+    for k in range(int(rng.integers(5, 90))):
+        places = [np.clip(at + 0.1 * k * np.array(pace), 0.1, sides) for at, pace in zip(mouths, paces, strict=True)]
+        people.append({"timestamp": k / 10, "objects": [
+            {"object_id": i, "position": [*place[:2], 0.0], "mouth_position": place.tolist(),
+             "speaking": (k // 7 + i) % 5 > 0} for i, place in enumerate(places)]})  # fmt: skip
+    trial, _ = ended("avsim-audio", ["-C", folder, "--rt60", rng.choice([0.0, 0.2, 0.5])], folder, fuzz.lines(people))
+    paths = list(folder.rglob("*.wav"))
+    if trial.lost or not paths:
+        return trial
+    wave, _ = soundfile.read(paths[0], always_2d=True)
+    soundfile.write(folder / "a.wav", spoilt(rng, wave, rate), rate, subtype="FLOAT")
+    ways = ("", "", "--method 3d-ssl", "--lookahead 0", "--context 0", "--max-speakers 4", "--rate 25", "--min-score 0")
+    options = str(rng.choice(ways)).split()
+    trial, _ = ended("avdetect-audio", [folder / "a.wav", "-C", folder, *options], folder)
+    what = (
+        f"avdetect-audio {' '.join(options)}, {count} microphones ({shape}), {len(mouths)} people, {len(people)} steps"
+    )
+    return Trial(what, trial.refused, trial.lost)
+
+
 def pictures(seed: int, folder: Path) -> Trial:
     """Pictures from 1 x 1 px to 8K, grey, with alpha, of 16 bits; depth that is absent, zero, far, of another size."""
     rng = np.random.default_rng(seed)
@@ -633,6 +693,7 @@ KINDS: dict[str, Kind] = {
         walkers,
         order,
         sounds,
+        talks,
         pictures,
         lens,
         cameras,
