@@ -229,7 +229,7 @@ class Merger:
                 names = " and ".join(self.sources[k] for k in sorted((source, other)))
                 self.say(
                     f"sensor {sensor!r}: {names} have records of it at the same times; if these are two sensors, "
-                    "each needs a name of its own (--sensor of avdetect-video)"
+                    "each needs a name of its own (--sensor of avdetect-video and avdetect-audio)"
                 )
                 return
 
