@@ -47,7 +47,7 @@ from avcli.tracking.errors import Errors
 from avcli.tracking.false_places import FalsePlaces
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT, FEATURED, INDEPENDENT, Cluster
-from avcli.tracking.learning import Habits
+from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import Rates, logit
@@ -285,7 +285,8 @@ class GLMB:
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
-            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
+            hits, misses = association.hits_and_misses(groups, scan, self._known())
+            rates.learn(math.fsum(false), hits, misses, math.fsum(again))
             self._learn(groups, scan)
         self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
         if score is not None:
@@ -386,7 +387,8 @@ class GLMB:
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
         dt = self.time - self.last_record[column]
-        known = people, self.labelled_rows, self.likely_rows, self.habits.leaving
+        sure = self._known()
+        known = people, self.labelled_rows, [row for row in self.likely_rows if sure[row]], self.habits.leaving
         record = blindness.Record(column, self.time, dt, *known, covered, likely, clutters, new)
         sight = blindness.weigh(record, self.rates)
         return Scan(
@@ -422,6 +424,10 @@ class GLMB:
             shown,
             seen,
         )
+
+    def _known(self) -> list[bool]:
+        """Tell of each row whether it was detected often enough to tell something of the sensor that misses it."""
+        return (self.people.hits.sum(1) >= SURE_HITS).tolist()
 
     def _believe_who_went(self, column: int) -> None:
         """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""
