@@ -224,7 +224,7 @@ class Fusion:
         Returns:
             The tracks of the steps that are due: without lag those of this step.
         """
-        begin = min([time, *(at for at, _, _ in records)])
+        begin = min([time, *[at for at, _, _ in records]])
         if not self._origins:
             self._origins.append((-math.inf, begin))  # nothing is before the tracker's time 0
         elif time - self._origins[-1][1] < self._now:  # a clock was set back; people have not gone meanwhile
@@ -345,7 +345,8 @@ class Fusion:
                 told = {name: one.take(inside) for name, one in told.items()}
             self._inside[model.name] += len(positions)
         if len(covariances):
-            all_stated = bool((covariances.max(axis=(1, 2)) > 0).all())
+            flat = covariances.reshape(-1, 4).tolist()
+            all_stated = all(max(one) > 0 and not math.isnan(sum(one)) for one in flat)
             self.stated[model.name] = self.stated.get(model.name, True) and all_stated
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
@@ -378,10 +379,8 @@ class Fusion:
         n, numbers, ears = len(tracks), self.numbers, self.ears
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
         speaking = [math.nan] * n
-        states = np.array([one.state for one in tracks]).reshape(n, 4)
-        positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
-        covariances[:, :2, :2] = np.array([one.cov for one in tracks]).reshape(n, 4, 4)[:, :2, :2]
         for k, one in enumerate(tracks):
+            positions[k, :2], velocities[k, :2], covariances[k, :2, :2] = one.state[:2], one.state[2:], one.cov[:2, :2]
             numbers.setdefault(one.label, len(numbers))
             if ears and one.detectable:
                 # a sum of weights may end an ulp above
