@@ -26,7 +26,8 @@ WIDER = 4.0  # factor on the variance of the other sensor's noise
 CERTAIN, DOUBT = 20.0, -3.0  # nats from which the noise is larger; and at least, so that a later change is seen, too
 RECORDS, PEOPLE = 3.0, 14.0  # what the stated clutter and detection probability are worth, see `rates`
 SURE, FAST = 0.9, 2.5  # existence and m/s of the people who count: who runs turns more sharply than is expected
-SELDOM = 8  # records of which one is looked at while nothing speaks for larger noise
+SELDOM = 8  # records of which one is looked at while little speaks for larger noise
+LITTLE = 1.0  # nats above DOUBT: so much do records without a detection say, too
 KEEP = 0.995  # weight of what was counted before, for each record
 
 
@@ -50,7 +51,7 @@ class Scales:
     def due(self) -> bool:
         """Return whether the next record is to be looked at: one of some, while nothing speaks for larger noise."""
         self._count += 1
-        return self.nats > DOUBT or self._count % SELDOM == 0
+        return self.nats > DOUBT + LITTLE or self._count % SELDOM == 0
 
     def wider(self, scan: Scan, people: Densities, rows: Sequence[int], surface: float) -> bool:
         """Take in one record, and return whether the noise certainly is larger.
