@@ -16,6 +16,7 @@ from avcli.formats.experiment import Config
 from avcli.formats.records import Detections, Identified
 from avcli.formats.sensors import MICROPHONES, sensor_kind
 from avcli.tracking import partial
+from avcli.tracking.clocks import Clocks
 from avcli.tracking.coverage import Coverage, of_config
 from avcli.tracking.live import LiveMerger
 from avcli.tracking.merging import Merger, Record, in_turn
@@ -157,6 +158,7 @@ class Fusion:
         self.outside: Counter[str] = Counter()
         self.stated: dict[str, bool] = {}
         self.spans: dict[str, tuple[float, float]] = {}
+        self._clocks = Clocks()
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
@@ -236,13 +238,14 @@ class Fusion:
         for at, name, one in records:
             first, last = self.spans.get(name, (at, at))
             self.spans[name] = min(first, at), max(last, at)
+            self._clocks.take(at - origin, name, one.positions)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
         for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
             self._update(at, sensors[column], parts)
-        for text in self._news() if self._news else ():
+        for text in [*(self._news() if self._news else ()), *self._clocks.news(now)]:
             self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
