@@ -371,7 +371,7 @@ class GLMB:
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
         doubt = None if score is None else np.array([0.0 if one != one else 1 - one for one in score.tolist()])
-        if score is not None and sensor.score_within < math.inf:  # the score knows nothing of the floor
+        if score is not None and len(z) and sensor.score_within < math.inf:  # the score knows nothing of the floor
             near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
