@@ -12,6 +12,7 @@ from avcli.tracking.settings import sensor
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
 import tracking_measures as measures
 import tracking_peers as peers
+import tracking_report as report
 import walks
 from tracking_cases import SYNTHETIC, judged
 from tracking_runs import Frame, Variant, ceiling, fuse
@@ -51,6 +52,16 @@ def test_existence_is_true_for_tracks_matched_one_to_one_within_a_metre():
     bins = measures.existence(tracks, measures.matched(truth, tracks))
     assert bins[9].tolist() == pytest.approx([3, 2.7, 1, 2 * 0.81 + 0.01])
     assert not bins[:9].any()
+
+
+def test_what_existence_says_is_counted_over_all_records_and_with_each_case_alike():
+    def run(case, seed, true):
+        bins = np.zeros((10, 4))
+        bins[7] = 10, 7.5, 10 * true, 0
+        return report.Run(case, seed, "", "", measures.Outcome(0, 0, 0, 0, 0, 0, 0, [], [], 0, bins.tolist(), 0.0))
+
+    runs = [run("gaps", seed, 1.0) for seed in range(3)] + [run("clutter", 0, 0.4)]
+    assert report.reliability({"synthetic": runs})["synthetic"][7] == pytest.approx([40, 4, 0.75, 0.85, 0.75, 0.7])
 
 
 def test_who_comes_is_found_after_a_delay_and_who_is_never_found_after_the_whole_stay():

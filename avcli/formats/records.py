@@ -227,10 +227,28 @@ def _unknown() -> np.ndarray:
     return _UNKNOWN
 
 
-def _fill_unknown(item: "Detections | Identified", count: int, **shapes: tuple[int, ...]) -> None:
+_OF_DETECTIONS: dict[str, tuple[int, ...]] = {  # shapes of what is known of each
+    "covariances": (3, 3),
+    "boxes_px": (4,),
+    "origins": (3,),
+    "directions": (3,),
+    "turned_px": (5,),
+    **dict.fromkeys(("scores", "heights", "direction_sds", "ranges", "range_sds", "explained", "machines"), ()),
+}
+_OF_PEOPLE: dict[str, tuple[int, ...]] = {
+    "mouths": (3,),
+    "boxes_px": (4,),
+    "velocities": (3,),
+    "covariances": (3, 3),
+    **dict.fromkeys(("speaking", "existence", "observed", "last_seen"), ()),
+}
+
+
+def _fill_unknown(item: "Detections | Identified", shapes: Mapping[str, tuple[int, ...]]) -> None:
+    count, own = len(item), vars(item)
     for name, shape in shapes.items():
-        if getattr(item, name) is _UNKNOWN:
-            object.__setattr__(item, name, _nan((count, *shape)))
+        if own[name] is _UNKNOWN:
+            own[name] = _nan((count, *shape))
 
 
 @functools.lru_cache(maxsize=256)
@@ -286,10 +304,7 @@ class Detections:
     machines: np.ndarray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
-        count = len(self.positions)
-        _fill_unknown(self, count, covariances=(3, 3), scores=(), boxes_px=(4,), heights=())
-        _fill_unknown(self, count, origins=(3,), directions=(3,), direction_sds=(), ranges=(), range_sds=())
-        _fill_unknown(self, count, turned_px=(5,), explained=(), machines=())
+        _fill_unknown(self, _OF_DETECTIONS)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -345,9 +360,7 @@ class Identified:
     names: Mapping[int, str] | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.ids)
-        _fill_unknown(self, count, mouths=(3,), speaking=(), boxes_px=(4,))
-        _fill_unknown(self, count, velocities=(3,), covariances=(3, 3), existence=(), observed=(), last_seen=())
+        _fill_unknown(self, _OF_PEOPLE)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -572,11 +585,14 @@ def as_record(item: Detections | Identified) -> dict[str, Any]:
         }
     objects: list[Row] = [{} for _ in range(len(item))]
     for key, column in columns.items():
-        known = ~np.isnan(column.reshape(len(item), -1)).any(axis=1) if len(item) else np.empty(0, bool)
-        for row, value, given in zip(objects, column.tolist(), known.tolist(), strict=True):
+        if column is _nan(column.shape) and key != "height":  # as nearly all that nobody gave
+            continue
+        lacks = np.isnan(column)
+        some = np.logical_or.reduce(lacks.reshape(len(item), -1), 1).tolist() if lacks.any() else [False] * len(item)
+        for row, value, unknown in zip(objects, column.tolist(), some, strict=True):
             if key == "object_id":
                 row[key] = names.get(value, value)
-            elif given:
+            elif not unknown:
                 is_bool = key in ("observed", "explained") or (
                     key == "speaking" and value in (0, 1) and "existence" not in row
                 )

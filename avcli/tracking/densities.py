@@ -106,7 +106,7 @@ class Densities:
         at = np.array(rows, int)
         return (self.mode.take(at, 0)[:, None] @ self.mean.take(at, 0))[:, 0]
 
-    def nobody(self, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def nobody(self, rows: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the probabilities (n,) that n rows are nobody, and whether (n,) a camera says so, too."""
         doubt = self.doubt.take(rows, 0)
         by_scores = np.multiply.reduce(np.minimum(doubt, 1.0), 1)

@@ -254,7 +254,7 @@ class Errors:
             lean * lean * self.lasting, -1
         )  # a product of matrices would depend on the order of sensors
 
-    def covariances(self, people: Densities, rows: Sequence[int]) -> np.ndarray:
+    def covariances(self, people: Densities, rows: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the covariances (n, 2, 2) m² of the positions in n rows by errors that do not average away.
 
         The filter takes the common ones for noise; what it still counts of them is in its own covariance.

@@ -233,12 +233,10 @@ class FalsePlaces:
             self._confirm(scan, people, others, groups)
         if not places:
             return
-        rows = np.array(likely, int)
-        centres = np.ascontiguousarray(people.mean.take(rows, 0)[:, 0, :2]).view(complex)[:, 0]
-        points = np.concatenate([np.ascontiguousarray(scan.z).view(complex)[:, 0], centres])
+        points = np.concatenate([scan.z, people.mean[:, 0, :2].take(likely, 0)]).view(complex)[:, 0]
         apart = abs(self._at[scan.column][:, None] - points)
         far = max(NEAR, math.sqrt(GATE * max(one.variance for one in places)))
-        busy, n, lost = (apart < far).any(1).tolist(), len(scan.z), False
+        busy, n, lost = np.logical_or.reduce(apart < far, 1).tolist(), len(scan.z), False
         for k, one in enumerate(places):
             if not busy[k] and one.label < 0:
                 one.idle += 1

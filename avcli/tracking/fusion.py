@@ -16,6 +16,7 @@ from avcli.formats.experiment import Config
 from avcli.formats.records import Detections, Identified
 from avcli.formats.sensors import MICROPHONES, sensor_kind
 from avcli.tracking import partial
+from avcli.tracking.clocks import Clocks
 from avcli.tracking.coverage import Coverage, of_config
 from avcli.tracking.live import LiveMerger
 from avcli.tracking.merging import Merger, Record, in_turn
@@ -161,6 +162,7 @@ class Fusion:
         self.spans: dict[str, tuple[float, float]] = {}
         self.doubted = False
         self.steps = {"all": 0, "detections": 0, "people": 0}
+        self._clocks = Clocks()
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
@@ -230,7 +232,7 @@ class Fusion:
         """
         self.steps["all"] += 1
         self.steps["detections"] += any(len(one) for _, _, one in records)
-        begin = min([time, *(at for at, _, _ in records)])
+        begin = min([time, *[at for at, _, _ in records]])
         if not self._origins:
             self._origins.append((-math.inf, begin))  # nothing is before the tracker's time 0
         elif time - self._origins[-1][1] < self._now:  # a clock was set back; people have not gone meanwhile
@@ -242,6 +244,7 @@ class Fusion:
         for at, name, one in records:
             first, last = self.spans.get(name, (at, at))
             self.spans[name] = min(first, at), max(last, at)
+            self._clocks.take(at - origin, name, one.positions)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
@@ -250,6 +253,8 @@ class Fusion:
             self._update(at, sensors[column], parts)
         for text in self._news() if self._news else ():
             self.doubted = True
+            self.say(text)
+        for text in self._clocks.news(now):
             self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
@@ -352,7 +357,8 @@ class Fusion:
                 told = {name: one.take(inside) for name, one in told.items()}
             self._inside[model.name] += len(positions)
         if len(covariances):
-            all_stated = bool((covariances.max(axis=(1, 2)) > 0).all())
+            flat = covariances.reshape(-1, 4).tolist()
+            all_stated = all(max(one) > 0 and not math.isnan(sum(one)) for one in flat)
             self.stated[model.name] = self.stated.get(model.name, True) and all_stated
         noise = noise_of(covariances, model.sigma, model.floor, self.population.area)
         if shown is None:
@@ -386,10 +392,8 @@ class Fusion:
         n, numbers, ears = len(tracks), self.numbers, self.ears
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
         speaking = [math.nan] * n
-        states = np.array([one.state for one in tracks]).reshape(n, 4)
-        positions[:, :2], velocities[:, :2] = states[:, :2], states[:, 2:]
-        covariances[:, :2, :2] = np.array([one.cov for one in tracks]).reshape(n, 4, 4)[:, :2, :2]
         for k, one in enumerate(tracks):
+            positions[k, :2], velocities[k, :2], covariances[k, :2, :2] = one.state[:2], one.state[2:], one.cov[:2, :2]
             numbers.setdefault(one.label, len(numbers))
             if ears and one.detectable:
                 # a sum of weights may end an ulp above

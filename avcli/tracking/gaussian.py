@@ -126,9 +126,9 @@ def loglikelihood(expected: np.ndarray, z: np.ndarray, noise: np.ndarray) -> tup
     Returns:
         The log likelihoods (n, M, J), and the squared Mahalanobis distances (n, M, J).
     """
-    xy = z.T - expected[..., :2, None]  # (n, M, 2, J)
-    spread = expected[..., 2:5, None] + noise.reshape(-1, 4).T.take(UPPER, 0)
-    return log_normal(xy[..., 0, :], xy[..., 1, :], spread[..., 0, :], spread[..., 1, :], spread[..., 2, :])
+    expected = expected.transpose(2, 0, 1)[..., None].copy()  # number by number, in which arrays are a third faster
+    xy = z.T[:, None, None] - expected[:2]
+    return log_normal(*xy, *(expected[2:5] + noise.reshape(-1, 4).T.take(UPPER, 0)[:, None, None]))
 
 
 def innovation(

@@ -262,12 +262,13 @@ class GLMB:
         self.errors.learn(now, scan, groups, self.people)
         if settings.learn and shown is None and self.scales[scan.column].due():
             self._widen(scan)
-        more, there = 1.0, np.zeros(0)
+        more, full = 1.0, False
         if shown is None and rates.doubtful():
             there, false_ones = recurring(
                 scan, unclaimed, self.people, tentative, self.likely_rows, self.population.body
             )
-        if there.any():
+            full = bool(there.any())
+        if full:
             rates.take_back()
             more = false_ones / scan.expected_clutter
             from_tentative *= np.maximum(there / [max(scan.existence[i], 1e-12) for i in tentative], 1.0)[:, None]
@@ -281,7 +282,7 @@ class GLMB:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
         existence, false, again = weighed(scan, unclaimed, birth, twice, more)
         if settings.learn:
-            if not there.any() and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+            if not full and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
@@ -371,7 +372,7 @@ class GLMB:
         odds = [math.nan] * len(z) if score is None else [logit(one) for one in score.tolist()]
         near = [1.0] * len(z)
         doubt = None if score is None else np.array([0.0 if one != one else 1 - one for one in score.tolist()])
-        if score is not None and sensor.score_within < math.inf:  # the score knows nothing of the floor
+        if score is not None and len(z) and sensor.score_within < math.inf:  # the score knows nothing of the floor
             near = gaussian.odds_within(stated - sensor.floor**2 * gaussian.EYE2, sensor.score_within)
         surface = sensor.field(self.population.surface)
         clutter = max(rates.clutter, 1e-9) / surface
@@ -743,7 +744,7 @@ class GLMB:
             present = sorted(present + [(label, row, float(people.existence[row])) for label, row in dormant.items()])
         if not present:
             return []
-        rows = [row for _, row, _ in present]
+        rows = np.array([row for _, row, _ in present])
         densities = people.mean.take(rows, 0), people.cov.take(rows, 0), people.mode.take(rows, 0)
         mean, cov = gaussian.moments(*densities)
         near = gaussian.within(*densities, mean[:, :2], np.maximum(NEAR, BLUR * people.reach.take(rows))).tolist()

@@ -67,7 +67,7 @@ class Cluster:
         if len(self.hypotheses) == 1:
             return [existence.item(row) if row >= 0 else 0.0 for row in self.hypotheses[0]]
         rows = np.array(self.hypotheses)
-        found = np.array(self.shares) @ np.where(rows >= 0, existence.take(rows), 0.0)
+        found = np.array(self.shares) @ (existence.take(rows) * (rows >= 0))
         return np.minimum(found, 1.0).tolist()  # shares add up to 1 but for rounding
 
     def row_shares(self) -> dict[int, float]:

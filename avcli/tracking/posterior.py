@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, count
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class Needed:
         """Return (row before, detection) -> row after, of all but the fresh ones."""
         row_of = {(row, MISSED): k for k, row in enumerate(self.missed)}
         old = len(self.missed) + len(self.staying)
-        row_of.update((pair, old + k) for k, pair in enumerate(self.strayed + self.detected + self.renewed))
+        row_of.update(zip(self.strayed + self.detected + self.renewed, count(old), strict=False))
         row_of[ABSENT, MISSED] = ABSENT
         return row_of
 
@@ -61,7 +61,7 @@ def needed(
     scan: Scan, people: Densities, tentative: Sequence[int], groups: Iterable[Group], births: Iterable[Birth]
 ) -> Needed:
     """Find what must be computed: what the hypotheses and births mention, and the tentative people who may be left."""
-    pairs = dict.fromkeys(chain.from_iterable(h.pairs for group in groups for h in group.hypotheses))
+    pairs = dict.fromkeys(chain.from_iterable([h.pairs for group in groups for h in group.hypotheses]))
     left = {i: scan.existence[i] * (1 - scan.p_detect[i]) for i in tentative}
     staying = [i for i in tentative if left[i] > TENTATIVE]
     for i in staying:

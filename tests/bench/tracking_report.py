@@ -5,6 +5,7 @@ import math
 import os
 import sys
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -212,14 +213,19 @@ def fused(runs: Sequence[Run], case: str, scale: str) -> list[float]:
 
 
 def reliability(groups: dict[str, list[Run]]) -> dict[str, np.ndarray]:
-    """For each group and bin of existence: records, runs, mean of what is said, share that is true: (10, 4)."""
+    """For each group and bin of existence: records, runs, and what is said and true of all, and alike: (10, 6).
+
+    Alike: each case has the same weight. Some have more seeds than others because chance weighs on their HOTA, not
+    because such scenes are frequent.
+    """
     out = {}
     for name, runs in groups.items():
         bins = np.array([run.outcome.bins for run in runs]).reshape(-1, BINS, 4)
-        count = bins[..., 0].sum(0)
+        seeds = Counter(run.case for run in runs)
+        alike = np.tensordot([1 / seeds[run.case] for run in runs], bins, 1)
         with np.errstate(invalid="ignore"):
-            said, true = bins[..., 1].sum(0) / count, bins[..., 2].sum(0) / count
-        out[name] = np.column_stack([count, (bins[..., 0] > 0).sum(0), said, true])
+            said = [sums[:, 1:3] / sums[:, :1] for sums in (bins.sum(0), alike)]
+        out[name] = np.column_stack([bins[..., 0].sum(0), (bins[..., 0] > 0).sum(0), *said])
     return out
 
 
@@ -228,17 +234,18 @@ def reliability_table(groups: dict[str, list[Run]]) -> list[str]:
     lines = []
     for name, table in reliability(groups).items():
         for k in range(BINS // 2, BINS):
-            count, runs, said, true = table[k].tolist()
+            count, runs, *pairs = table[k].tolist()
             if count:
-                bad = count >= ENOUGH and runs >= RUNS and abs(said - true) > CLOSE
-                span = f"{k / BINS:.1f} to {(k + 1) / BINS:.1f}"
-                lines.append([name, span, f"{count:.0f}", f"{runs:.0f}", f"{said:.3f}", f"{true:.3f}" + " *" * bad])
+                cells = [f"{count:.0f}", f"{runs:.0f}"]
+                for said, true in (pairs[:2], pairs[2:]):
+                    bad = count >= ENOUGH and runs >= RUNS and abs(said - true) > CLOSE
+                    cells += [f"{said:.3f}", f"{true:.3f}" + " *" * bad]
+                lines.append([name, f"{k / BINS:.1f} to {(k + 1) / BINS:.1f}", *cells])
         squares = np.array([run.outcome.bins for run in groups[name]]).reshape(-1, BINS, 4).sum((0, 1))
         if squares[0]:
-            lines.append(
-                [name, "Brier", f"{squares[0]:.0f}", str(len(groups[name])), "", f"{squares[3] / squares[0]:.4f}"]
-            )
-    return rows(["detections", "existence", "records", "runs", "said", "true"], lines)
+            brier = f"{squares[3] / squares[0]:.4f}"
+            lines.append([name, "Brier", f"{squares[0]:.0f}", str(len(groups[name])), "", brier, "", ""])
+    return rows(["detections", "existence", "records", "runs", "said", "true", "alike: said", "true"], lines)
 
 
 def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> str:
@@ -250,7 +257,10 @@ def markdown(runs: Sequence[Run], before: Sequence[Run], own: Sequence[Run]) -> 
         "and JPDA, avfuse's own gnn, and avfuse with --no-hidden."
     )
     sensors = "Difference of HOTA for each seed: mean with its 95 % interval, and the worst. coarse: video sigma .2 m."
-    star = f"A star: more than {CLOSE} apart, where there are {ENOUGH} records of {RUNS} runs."
+    star = (
+        f"A star: more than {CLOSE} apart, where there are {ENOUGH} records of {RUNS} runs. Alike: each case counts "
+        "the same, however many seeds it has."
+    )
     old = {f"{name}, before": found for name, found in groups_of(before, ()).items()}
     existence = {**groups_of(runs, own), **old}
     groups = {"s1 to s4": [*EASY], "s1 to s4, coarse": [*COARSE]}
