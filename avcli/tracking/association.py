@@ -427,15 +427,15 @@ def _unpaid(prices: Mapping[int, float], used: int) -> float:
     return math.fsum([price for j, price in prices.items() if not used >> j & 1]) if prices else 0.0
 
 
-def hits_and_misses(groups: Iterable[Group], scan: Scan, known: Sequence[bool]) -> tuple[float, float]:
+def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
     """Return the expected numbers of detected and of missed detectable people, among those who surely exist.
 
-    known: of each row, whether it was detected often enough: who was detected once and is missed was hardly a person.
+    Who was detected once and is missed was hardly a person.
     """
     hits = misses = 0.0
     for group in groups:
         for row, j in group.hypotheses[0].pairs:
-            if row >= 0 and known[row] and scan.existence[row] > SURE:
+            if row >= 0 and scan.known[row] and scan.existence[row] > SURE:
                 if j != MISSED:
                     hits += 1
                 else:

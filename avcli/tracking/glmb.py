@@ -286,8 +286,7 @@ class GLMB:
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
-            hits, misses = association.hits_and_misses(groups, scan, self._known())
-            rates.learn(math.fsum(false), hits, misses, math.fsum(again))
+            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
             self._learn(groups, scan)
         self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
         if score is not None:
@@ -388,7 +387,7 @@ class GLMB:
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
         dt = self.time - self.last_record[column]
-        sure = self._known()
+        sure = (people.hits.sum(1) >= SURE_HITS).tolist()
         known = people, self.labelled_rows, [row for row in self.likely_rows if sure[row]], self.habits.leaving
         record = blindness.Record(column, self.time, dt, *known, covered, likely, clutters, new)
         sight = blindness.weigh(record, self.rates)
@@ -420,15 +419,12 @@ class GLMB:
             sight.newcomers,
             sight.p_detect,
             sight.p_hit,
+            sure,
             evidence,
             covered,
             shown,
             seen,
         )
-
-    def _known(self) -> list[bool]:
-        """Tell of each row whether it was detected often enough to tell something of the sensor that misses it."""
-        return (self.people.hits.sum(1) >= SURE_HITS).tolist()
 
     def _believe_who_went(self, column: int) -> None:
         """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""
@@ -738,9 +734,9 @@ class GLMB:
         present = [(one.label, one.row, one.existence) for one in self.labelled() if one.existence > least]
         if self.settings.show == "all":
             taken = {label for label, _, _ in present}
-            rows = sorted(self.tentative, key=lambda row: (people.existence[row], -row))
+            unsure = sorted(self.tentative, key=lambda row: (people.existence[row], -row))
             # Of each the likeliest: one who left may be kept with several pasts.
-            dormant = {people.label[row]: row for row in rows if people.label[row] not in {-1, *taken}}
+            dormant = {people.label[row]: row for row in unsure if people.label[row] not in {-1, *taken}}
             present = sorted(present + [(label, row, float(people.existence[row])) for label, row in dormant.items()])
         if not present:
             return []
