@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from avcli.commands.filter import Failure, Filter, Killed, Session, common, unbroken
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from, was_given
+from avcli.commands.options import WholeRange, from_settings, refuse_without_effect, settings_from, was_given
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
 
@@ -46,7 +46,7 @@ class _Lag(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if value in ("inf", math.inf):
             return math.inf
-        return click.IntRange(0).convert(value, param, ctx)
+        return WholeRange(0).convert(value, param, ctx)
 
 
 class _ForSensor(click.ParamType):
@@ -125,7 +125,7 @@ def _usual(field: str) -> str:
 @click.option(
     "--sigma",
     multiple=True,
-    type=_ForSensor(_sigma, "NAME=M[,M[,M]]"),
+    type=_ForSensor(_sigma, "NAME=M[,M[,M]], with M in metres"),
     metavar="NAME=M[,M[,M]]",
     help="Noise in m of x, y and z for detections without a covariance; 0: not observed.  NAME is a sensor's name or a "
     "kind: camera, microphones.  " + _usual("sigma"),
@@ -133,7 +133,7 @@ def _usual(field: str) -> str:
 @click.option(
     "--detection",
     multiple=True,
-    type=_ForSensor(lambda text: _number(text, 1.0), "NAME=P"),
+    type=_ForSensor(lambda text: _number(text, 1.0), "NAME=P, with P from 0 to 1"),
     metavar="NAME=P",
     help="Probability that a sensor detects a person who is not hidden from it.  " + _usual("detection"),
 )
