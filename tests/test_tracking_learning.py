@@ -440,6 +440,18 @@ def test_show_decides_who_is_written():
     assert min(one.existence.min(initial=1.0) for one in everybody) < 0.35
 
 
+def test_nobody_is_written_twice_although_he_is_kept_with_several_pasts():
+    rng = np.random.default_rng(5)
+    records = []
+    for k in range(100):
+        there = rng.uniform([0, 0], ROOM[1], (rng.poisson(2.0), 2))
+        positions = np.column_stack([there, np.zeros(len(there))])
+        covariances = np.tile(0.1 * np.eye(3), (len(there), 1, 1))
+        records.append(Detections(k / 10, "video", positions, covariances, np.full(len(there), 0.7)))
+    for record in fuse(fusion_of(show="all"), records):
+        assert len(set(record.ids.tolist())) == len(record)
+
+
 # --- the picture ------------------------------------------------------------------------------------------------------
 
 

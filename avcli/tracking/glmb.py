@@ -736,8 +736,11 @@ class GLMB:
         people, least = self.people, 0.0 if self.settings.show == "all" else REPORT
         present = [(one.label, one.row, one.existence) for one in self.labelled() if one.existence > least]
         if self.settings.show == "all":
-            dormant = [row for row in self.tentative if people.label[row] >= 0]
-            present = sorted(present + [(people.label[row], row, float(people.existence[row])) for row in dormant])
+            taken = {label for label, _, _ in present}
+            rows = sorted(self.tentative, key=lambda row: (people.existence[row], -row))
+            # Of each the likeliest: one who left may be kept with several pasts.
+            dormant = {people.label[row]: row for row in rows if people.label[row] not in {-1, *taken}}
+            present = sorted(present + [(label, row, float(people.existence[row])) for label, row in dormant.items()])
         if not present:
             return []
         rows = [row for _, row, _ in present]
