@@ -176,11 +176,11 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number) and number != self.max:
             self.fail(f"must be a finite number, found {value}", param, ctx)
         if not _within(self, number):
-            self.fail(f"must be {_bounds(self, 'a number')}, found {value}", param, ctx)
+            self.fail(f"must be {_bounds(self)}, found {value}", param, ctx)
         return number
 
-    def _describe_range(self) -> str:  # click would write "x<=None" where there is no bound
-        return "" if self.min is self.max is None else super()._describe_range()
+    def _describe_range(self) -> str:
+        return _bounds(self)
 
 
 class WholeRange(click.IntRange):
@@ -193,8 +193,11 @@ class WholeRange(click.IntRange):
         except ValueError:
             self.fail(f"must be a whole number, found {value!r}", param, ctx)
         if not _within(self, number):
-            self.fail(f"must be {_bounds(self, 'a whole number')}, found {value}", param, ctx)
+            self.fail(f"must be {_bounds(self)}, found {value}", param, ctx)
         return number
+
+    def _describe_range(self) -> str:
+        return _bounds(self)
 
 
 def _within(kind: click.FloatRange | click.IntRange, number: float) -> bool:
@@ -202,13 +205,16 @@ def _within(kind: click.FloatRange | click.IntRange, number: float) -> bool:
     return low and (kind.max is None or (number < kind.max if kind.max_open else number <= kind.max))
 
 
-def _bounds(kind: click.FloatRange | click.IntRange, what: str) -> str:
-    """Say in words which numbers an option takes: "a number above 0 and at most 1000"."""
-    if kind.min is not None and kind.max is not None and not (kind.min_open or kind.max_open):
-        return f"{what} from {kind.min:g} to {kind.max:g}"
-    low = "" if kind.min is None else f"{'above' if kind.min_open else 'of at least'} {kind.min:g}"
-    high = "" if kind.max is None else f"{'below' if kind.max_open else 'of at most'} {kind.max:g}"
-    return f"{what} {' and '.join(filter(None, (low, high)))}"
+def _bounds(kind: click.FloatRange | click.IntRange) -> str:
+    """Say in words which numbers an option takes, also in --help: "above 0 and at most 1000"; nothing if all."""
+    least, most = kind.min, kind.max
+    if most == math.inf and not kind.max_open:
+        most = None
+    if least is not None and most is not None and not (kind.min_open or kind.max_open):
+        return f"from {least:g} to {most:g}"
+    low = "" if least is None else f"{'above' if kind.min_open else 'at least'} {least:g}"
+    high = "" if most is None else f"{'below' if kind.max_open else 'at most'} {most:g}"
+    return " and ".join(filter(None, (low, high)))
 
 
 def _range(annotation: type, setting: Setting) -> click.ParamType:
