@@ -422,6 +422,17 @@ def test_options_of_a_sensor_reach_it():
     assert not fuse(lines, "--detection", "video=0", "--no-learn")[-1]["objects"]
 
 
+def test_a_name_that_no_record_takes_is_said(tmp_path):
+    named, other = tmp_path / "named.jsonl", tmp_path / "other.jsonl"
+    named.write_text("".join(walk(sensor="audio")))
+    other.write_text(
+        "".join(json.dumps({k: v for k, v in json.loads(one).items() if k != "sensor"}) + "\n" for one in walk())
+    )
+    said = "--sensor ring has no effect: the records of its file state another name"
+    assert said in run("avfuse", "--sensor", f"ring={named}").stderr
+    assert said not in run("avfuse", "--sensor", f"ring={other}").stderr
+
+
 def test_detections_of_which_no_track_comes_are_said():
     records = [json.loads(one) for one in walk(steps=80)]
     for record in records:

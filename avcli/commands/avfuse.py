@@ -234,7 +234,7 @@ def main(
         from avcli.tracking.picture import picture
 
         write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
-    _doubt(session, fusion, given)
+    _doubt(session, fusion, given, [name for name, _ in named])
     for note in fusion.notes():
         session.note(note)
     if isinstance(fusion.tracker, GLMB):
@@ -242,8 +242,10 @@ def main(
         session.note_skipped("pairs of person and detection", pairs - near, pairs, "which are far from each other")
 
 
-def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]]) -> None:
+def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]], named: list[str]) -> None:
     """Say which sensors and options cannot be as they were meant."""
+    for name in sorted(set(named) - fusion.tracker.column.keys() if fusion.tracker.column else ()):
+        session.warn(f"--sensor {name} has no effect: the records of its file state another name, or there are none")
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
     for name in fusion.alone():
