@@ -259,6 +259,11 @@ def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]], n
         if True in stated and False not in stated:
             session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
 
+    for name, gaps in sorted(fusion.without_empty().items()):
+        session.warn(
+            f"sensor {name!r} has {gaps} gaps between its records, and no record that finds nobody: where it finds "
+            'nobody, it must write an empty list "objects", since a time without a record is one at which nobody looked'
+        )
     steps, seen, shown = (fusion.steps[key] for key in ("all", "detections", "people"))
     if seen >= max(50, steps / 2) and shown < seen / 20 and not fusion.outside and not fusion.doubted:
         session.warn(
