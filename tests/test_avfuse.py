@@ -422,6 +422,27 @@ def test_options_of_a_sensor_reach_it():
     assert not fuse(lines, "--detection", "video=0", "--no-learn")[-1]["objects"]
 
 
+def test_a_name_that_no_record_takes_is_said(tmp_path):
+    named, other = tmp_path / "named.jsonl", tmp_path / "other.jsonl"
+    named.write_text("".join(walk(sensor="audio")))
+    other.write_text(
+        "".join(json.dumps({k: v for k, v in json.loads(one).items() if k != "sensor"}) + "\n" for one in walk())
+    )
+    said = "--sensor ring has no effect: the records of its file state another name"
+    assert said in run("avfuse", "--sensor", f"ring={named}").stderr
+    assert said not in run("avfuse", "--sensor", f"ring={other}").stderr
+
+
+def test_a_sensor_that_writes_nothing_where_it_finds_nobody_is_told_to(tmp_path):
+    lines = walk(steps=80)
+    gappy = [one for k, one in enumerate(lines) if k % 10 > 1]
+    said = "sensor 'video' has 7 gaps between its records, and no record that finds nobody"
+    assert said in run("avfuse", stdin="".join(gappy)).stderr
+    empty = [*gappy, line(8.0, [])]
+    assert not run("avfuse", stdin="".join(empty)).stderr
+    assert not run("avfuse", stdin="".join(lines)).stderr
+
+
 def test_detections_of_which_no_track_comes_are_said():
     records = [json.loads(one) for one in walk(steps=80)]
     for record in records:

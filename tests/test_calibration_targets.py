@@ -244,3 +244,17 @@ def test_the_map_from_the_unit_square_is_that_of_opencv():
     assert np.allclose(markers._from_unit_square(quads.astype(float)), expected, rtol=1e-9, atol=1e-9)
     in_a_line = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]]])
     assert np.isfinite(markers._from_unit_square(in_a_line)).all()
+
+
+@pytest.mark.parametrize(
+    ("paper", "size"), [("letter", (215.9, 279.4)), ("Legal", (215.9, 355.6)), ("300x200.5", (200.5, 300.0))]
+)
+def test_a_sheet_has_the_size_that_is_asked_for(paper, size):
+    page = drawing.draw(Board(7, 10, 0.015), paper)
+    assert (page.width_mm, page.height_mm) == size
+
+
+@pytest.mark.parametrize("paper", ["A9", "300", "0x3", "letterx", "-1x300"])
+def test_a_paper_that_nobody_has_is_refused(paper):
+    with pytest.raises(ValueError, match="must be A4, A3"):
+        drawing.draw(Board(7, 10, 0.015), paper)

@@ -50,9 +50,24 @@ def test_what_is_out_of_range_is_refused(wrong):
     assert run(*wrong).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["--window", "x"], "must be a number, found 'x'"),
+        (["--window", "inf"], "must be a finite number, found inf"),
+        (["--window", "0"], "must be above 0, found 0"),
+        (["--count", "2.5"], "must be a whole number, found '2.5'"),
+        (["--count", "10"], "must be from 1 to 9, found 10"),
+        (["--band-hz", "-1", "3"], "must be at least 0, found -1"),
+    ],
+)
+def test_what_is_wrong_with_a_number_is_said_in_words(wrong, words):
+    assert words in run(*wrong).output
+
+
 def test_help_says_default_unit_and_range():
     text = " ".join(run("--help").output.split())
-    for part in ("--window S", "[default: 0.1; x>0.0]", "[default: (learnt); 0.0<=x<=1.0]", "--refine / --no-refine"):
+    for part in ("--window S", "[default: 0.1; above 0]", "[default: (learnt); from 0 to 1]", "--refine / --no-refine"):
         assert part in text
 
 

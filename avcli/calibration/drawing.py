@@ -1,5 +1,6 @@
 """Drawings of calibration boards to print at true size: SVG, PDF, PNG."""
 
+import re
 import struct
 import zlib
 from dataclasses import dataclass
@@ -16,8 +17,11 @@ PAPERS_MM = {
     "A2": (420.0, 594.0),
     "A1": (594.0, 841.0),
     "A0": (841.0, 1189.0),
+    "letter": (215.9, 279.4),
+    "legal": (215.9, 355.6),
+    "tabloid": (279.4, 431.8),
 }
-"""Paper sizes (ISO 216), width and height in mm."""
+"""Paper sizes (ISO 216; ANSI/ASME Y14.1 and legal), width and height in mm."""
 
 _DOTS_PER_INCH = 300
 
@@ -40,15 +44,33 @@ class Drawing:
     texts: tuple[tuple[float, float, float, str], ...]
 
 
+def paper_mm(paper: str) -> tuple[float, float]:
+    """Return width and height in mm of a paper: a name in PAPERS_MM, in small letters or large, or its size in mm.
+
+    Raises:
+        ValueError: it is neither.
+
+    >>> paper_mm("a4"), paper_mm("500x700")
+    ((210.0, 297.0), (500.0, 700.0))
+    """
+    known = {name.lower(): size for name, size in PAPERS_MM.items()}
+    if paper.lower() in known:
+        return known[paper.lower()]
+    size = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)", paper)
+    if size is None or not all(10 <= float(side) <= 10000 for side in size.groups()):
+        raise ValueError(f"--paper {paper}: must be {', '.join(PAPERS_MM)}, or a size in mm such as 500x700")
+    return float(size[1]), float(size[2])
+
+
 def draw(board: Board, paper: str | None = None) -> Drawing:
     """Draw a board to print, with a ruler along two sides and, where there is room, a quiet border of a square.
 
     Args:
         board: its squares have their true size.
-        paper: a name in PAPERS_MM, turned as the board needs it; None makes the page as large as the board needs.
+        paper: see `paper_mm`, turned as the board needs it; None makes the page as large as the board needs.
 
     Raises:
-        ValueError: the board does not fit on the paper, or its dictionary has too few markers.
+        ValueError: the paper is not known, the board does not fit on it, or its dictionary has too few markers.
     """
     side, unit = 1000 * board.square_m, KINDS[board.kind].unit
     wide, high = 1000 * board.printed_m
@@ -57,9 +79,8 @@ def draw(board: Board, paper: str | None = None) -> Drawing:
         quiet = max(1000 * board.clear[0] if board.kind == "aprilgrid" else side, ruler)
         page = wide + 2 * quiet, high + 2 * quiet
     else:
-        if paper not in PAPERS_MM:
-            raise ValueError(f"unknown paper {paper!r}; known are {', '.join(PAPERS_MM)}")
-        page = PAPERS_MM[paper] if wide <= high else PAPERS_MM[paper][::-1]
+        short, long = sorted(paper_mm(paper))
+        page = (short, long) if wide <= high else (long, short)
         if wide + 2 * ruler > page[0] or high + 2 * ruler > page[1]:
             largest = side * min((page[0] - 2 * ruler) / wide, (page[1] - 2 * ruler) / high)
             what = f"{board} {unit} of {side:g} mm" if not board.has_circles else f"{board} circles {side:g} mm apart"

@@ -214,8 +214,9 @@ class PrintSettings:
 
     paper: str | None = setting(
         None,
-        "Paper size; the sheet is turned as the board needs it.",
-        choices=("A4", "A3", "A2", "A1", "A0"),
+        "Paper: A4, A3, A2, A1, A0, letter, legal, tabloid, or its size in mm, such as 500x700; the sheet is turned as "
+        "the board needs it.",
+        unit="PAPER",
         default_text="a page as large as the board",
     )
     format: str | None = setting(

@@ -19,7 +19,7 @@ from avcli.commands.avcalib_pictures import (
     write_camera,
 )
 from avcli.commands.filter import GateNotMet, Session, common
-from avcli.commands.options import FiniteRange, Size, from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import FiniteRange, Size, WholeRange, from_settings, refuse_without_effect, settings_from
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
@@ -309,7 +309,7 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
 @click.option("--depth", metavar="FILM|DIR", help="A film of depth in 16 bits, or a folder of depth pictures.")
 @click.option(
     "--pictures",
-    type=click.IntRange(3, 1000),
+    type=WholeRange(3, 1000),
     default=100,
     metavar="N",
     show_default=True,

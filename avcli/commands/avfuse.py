@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from avcli.commands.filter import Failure, Filter, Killed, Session, common, unbroken
-from avcli.commands.options import from_settings, refuse_without_effect, settings_from, was_given
+from avcli.commands.options import WholeRange, from_settings, refuse_without_effect, settings_from, was_given
 from avcli.settings import settings_of
 from avcli.tracking.settings import SENSORS, TRACKERS, Settings
 
@@ -46,7 +46,7 @@ class _Lag(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if value in ("inf", math.inf):
             return math.inf
-        return click.IntRange(0).convert(value, param, ctx)
+        return WholeRange(0).convert(value, param, ctx)
 
 
 class _ForSensor(click.ParamType):
@@ -125,7 +125,7 @@ def _usual(field: str) -> str:
 @click.option(
     "--sigma",
     multiple=True,
-    type=_ForSensor(_sigma, "NAME=M[,M[,M]]"),
+    type=_ForSensor(_sigma, "NAME=M[,M[,M]], with M in metres"),
     metavar="NAME=M[,M[,M]]",
     help="Noise in m of x, y and z for detections without a covariance; 0: not observed.  NAME is a sensor's name or a "
     "kind: camera, microphones.  " + _usual("sigma"),
@@ -133,7 +133,7 @@ def _usual(field: str) -> str:
 @click.option(
     "--detection",
     multiple=True,
-    type=_ForSensor(lambda text: _number(text, 1.0), "NAME=P"),
+    type=_ForSensor(lambda text: _number(text, 1.0), "NAME=P, with P from 0 to 1"),
     metavar="NAME=P",
     help="Probability that a sensor detects a person who is not hidden from it.  " + _usual("detection"),
 )
@@ -234,7 +234,7 @@ def main(
         from avcli.tracking.picture import picture
 
         write_bytes(map, picture(fusion.state(), fusion.population, fusion.coverage, settings.hidden))
-    _doubt(session, fusion, given)
+    _doubt(session, fusion, given, [name for name, _ in named])
     for note in fusion.notes():
         session.note(note)
     if isinstance(fusion.tracker, GLMB):
@@ -242,8 +242,10 @@ def main(
         session.note_skipped("pairs of person and detection", pairs - near, pairs, "which are far from each other")
 
 
-def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]]) -> None:
+def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]], named: list[str]) -> None:
     """Say which sensors and options cannot be as they were meant."""
+    for name in sorted(set(named) - fusion.tracker.column.keys() if fusion.tracker.column else ()):
+        session.warn(f"--sensor {name} has no effect: the records of its file state another name, or there are none")
     for name in sorted(given.keys() - fusion.tracker.column.keys() - SENSORS.keys()):
         session.warn(f"sensor {name!r} has options but sent no record")
     for name in fusion.alone():
@@ -257,6 +259,11 @@ def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]]) -
         if True in stated and False not in stated:
             session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
 
+    for name, gaps in sorted(fusion.without_empty().items()):
+        session.warn(
+            f"sensor {name!r} has {gaps} gaps between its records, and no record that finds nobody: where it finds "
+            'nobody, it must write an empty list "objects", since a time without a record is one at which nobody looked'
+        )
     steps, seen, shown = (fusion.steps[key] for key in ("all", "detections", "people"))
     if seen >= max(50, steps / 2) and shown < seen / 20 and not fusion.outside and not fusion.doubted:
         session.warn(

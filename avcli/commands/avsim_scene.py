@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from avcli.commands.filter import Filter, Session, common
-from avcli.commands.options import FiniteRange, from_settings, refuse_without_effect, settings_from
+from avcli.commands.options import FiniteRange, WholeRange, from_settings, refuse_without_effect, settings_from
 from avcli.scene.settings import BUILT_IN, LENSES, ROOM_KINDS, SENSORS, Drawing, Effects
 from avcli.settings import settings_of
 
@@ -55,7 +55,12 @@ PRESETS = {"thesis": {"camera": "thesis", "depth_bits": "8"}}
 @click.option("--camera-config", metavar="FILE", help="Lens and image size from avcalib: a twin of your own camera.")
 @click.option("--camera-height", type=FiniteRange(0, min_open=True), metavar="M", help="Height of the camera, m.")
 @click.option(
-    "--people", type=click.IntRange(0, 250), default=3, show_default=True, help="Number of people in a random scenario."
+    "--people",
+    type=WholeRange(0, 250),
+    metavar="N",
+    default=3,
+    show_default=True,
+    help="Number of people in a random scenario.",
 )
 @click.option("--kind", type=click.Choice(ROOM_KINDS), help="Kind of the room of a random scenario; default: any.")
 @click.option("--room", metavar="WxDxH", help="Size of the room of a random scenario, m, as 6x4x2.8; default: any.")

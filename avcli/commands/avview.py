@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from avcli.commands.filter import Filter, Session, common
-from avcli.commands.options import FiniteRange
+from avcli.commands.options import FiniteRange, WholeRange
 
 if TYPE_CHECKING:
     import numpy as np
@@ -82,7 +82,7 @@ class Run:
 @click.option("--sound", **_LYING, help="Play this sound file; its first sample was taken at --start.")
 @click.option(
     "--microphone",
-    type=click.IntRange(1),
+    type=WholeRange(1),
     metavar="N",
     default=1,
     show_default=True,
@@ -118,7 +118,7 @@ class Run:
 )
 @click.option(
     "--port",
-    type=click.IntRange(0, 65535),
+    type=WholeRange(0, 65535),
     metavar="N",
     default=8008,
     show_default=True,

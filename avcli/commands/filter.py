@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 import click
 
 from avcli import __version__
+from avcli.commands.options import WholeRange
 
 if TYPE_CHECKING:
     from avcli.formats.experiment import Config
@@ -579,9 +580,7 @@ def common(
     if seed:
         text = "Random seed; the same inputs and seed give the same bytes."
         options.append(
-            click.option(
-                "--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", default=0, show_default=True, help=text
-            )
+            click.option("--seed", type=WholeRange(0, 2**63 - 1), metavar="N", default=0, show_default=True, help=text)
         )
     if skip_invalid:
         options.append(click.option("--skip-invalid", is_flag=True, help="Drop and count invalid lines and objects."))

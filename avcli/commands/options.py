@@ -168,13 +168,53 @@ class FiniteRange(click.FloatRange):
     """A range of numbers without NaN, and without infinity unless that is its end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        number = super().convert(value, param, ctx)
+        """Read a number; what is wrong is said in words."""
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"must be a number, found {value!r}", param, ctx)
         if not math.isfinite(number) and number != self.max:
-            self.fail(f"{value} is not a finite number.", param, ctx)
+            self.fail(f"must be a finite number, found {value}", param, ctx)
+        if not _within(self, number):
+            self.fail(f"must be {_bounds(self)}, found {value}", param, ctx)
         return number
 
-    def _describe_range(self) -> str:  # click would write "x<=None" where there is no bound
-        return "" if self.min is self.max is None else super()._describe_range()
+    def _describe_range(self) -> str:
+        return _bounds(self)
+
+
+class WholeRange(click.IntRange):
+    """A range of whole numbers."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Read a whole number; what is wrong is said in words."""
+        try:
+            number = int(value)
+        except ValueError:
+            self.fail(f"must be a whole number, found {value!r}", param, ctx)
+        if not _within(self, number):
+            self.fail(f"must be {_bounds(self)}, found {value}", param, ctx)
+        return number
+
+    def _describe_range(self) -> str:
+        return _bounds(self)
+
+
+def _within(kind: click.FloatRange | click.IntRange, number: float) -> bool:
+    low = kind.min is None or (number > kind.min if kind.min_open else number >= kind.min)
+    return low and (kind.max is None or (number < kind.max if kind.max_open else number <= kind.max))
+
+
+def _bounds(kind: click.FloatRange | click.IntRange) -> str:
+    """Say in words which numbers an option takes, also in --help: "above 0 and at most 1000"; nothing if all."""
+    least, most = kind.min, kind.max
+    if most == math.inf and not kind.max_open:
+        most = None
+    if least is not None and most is not None and not (kind.min_open or kind.max_open):
+        return f"from {least:g} to {most:g}"
+    low = "" if least is None else f"{'above' if kind.min_open else 'at least'} {least:g}"
+    high = "" if most is None else f"{'below' if kind.max_open else 'at most'} {most:g}"
+    return " and ".join(filter(None, (low, high)))
 
 
 def _range(annotation: type, setting: Setting) -> click.ParamType:
@@ -185,5 +225,5 @@ def _range(annotation: type, setting: Setting) -> click.ParamType:
     low_open, high_open = low_open and low is not None, high_open and high is not None
     if annotation is int:
         least, most = None if low is None else int(low), None if high is None else int(high)
-        return click.IntRange(least, most, min_open=low_open, max_open=high_open)
+        return WholeRange(least, most, min_open=low_open, max_open=high_open)
     return FiniteRange(low, high, min_open=low_open, max_open=high_open)

@@ -435,10 +435,10 @@ def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
     hits = misses = 0.0
     for group in groups:
         for row, j in group.hypotheses[0].pairs:
-            if row >= 0 and scan.known[row] and scan.existence[row] > SURE:
+            if row >= 0 and scan.existence[row] > SURE:
                 if j != MISSED:
                     hits += 1
-                else:
+                elif scan.known[row]:
                     p = scan.p_detect[row]
                     misses += p * (1 - scan.p_sensor) / max(scan.p_sensor * (1 - p), 1e-12)
     return hits, misses

@@ -27,6 +27,7 @@ from avcli.tracking.trackers import TRACKERS, Explainable, Learning, Partly, Smo
 
 FLOOR, CEILING = 1e-6, 1e8  # m², of variances; a person's position is not defined to better than a millimetre
 HEIGHT_VARIANCE = 1e-4  # m², of tracks: people stand on the floor
+FEW_RECORDS, GAPPY = 50, 0.01  # records of a sensor, and share of longer gaps, from which some are missing
 _MANY_OUTSIDE = 10  # detections outside the room after which the user is told, if most are there
 
 Given = Mapping[str, Mapping[str, Any]]
@@ -161,6 +162,8 @@ class Fusion:
         self.stated: dict[str, bool] = {}
         self.spans: dict[str, tuple[float, float]] = {}
         self.doubted = False
+        self._empty: Counter[str] = Counter()  # records of each sensor that find nobody
+        self._gaps: dict[str, Counter[int]] = {}  # of each sensor: ms between its records -> how often
         self.steps = {"all": 0, "detections": 0, "people": 0}
         self._clocks = Clocks()
         self._inside: Counter[str] = Counter()
@@ -243,6 +246,8 @@ class Fusion:
         looks: dict[tuple[float, int], list[Detections]] = {}
         for at, name, one in records:
             first, last = self.spans.get(name, (at, at))
+            self._empty[name] += not len(one)
+            self._gaps.setdefault(name, Counter())[min(round(1000 * (at - last)), 60_000)] += at > last
             self.spans[name] = min(first, at), max(last, at)
             self._clocks.take(at - origin, name, one.positions)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
@@ -269,6 +274,19 @@ class Fusion:
             if any(a <= last and first <= b for one, (first, last) in spans if one != name)
         }
         return sorted(self.spans.keys() - together) if len(self.spans) > 1 else []
+
+    def without_empty(self) -> dict[str, int]:
+        """Return the sensors without a record that finds nobody, and how often each has none for longer than usual."""
+        found = {}
+        for name, gaps in self._gaps.items():
+            count = gaps.total()
+            if count < FEW_RECORDS or self._empty[name]:
+                continue
+            usual = sorted(gaps.elements())[count // 2]
+            longer = sum(often for gap, often in gaps.items() if gap > 1.5 * usual)
+            if longer >= GAPPY * count:
+                found[name] = longer
+        return found
 
     def finish(self) -> list[Identified]:
         """Return the tracks of the steps that are left at the end."""
