@@ -16,6 +16,13 @@ SPEED_OF_SOUND_M_S = 343.0
 
 _ALIKE = 0.25
 """Share by which steps differ that are one step of a clock."""
+_MOST = 2 / 3
+"""Share of the steps that are alike where a clock is regular."""
+_OFF, _NEARLY_ALL = 0.1, 0.9
+"""By how many steps of a clock a multiple may be off, and the share of the steps that are multiples."""
+_FEWEST, _SHORTEST = 0.1, 0.05
+"""The step of a clock with missing records is at least this share of all steps, and this share of the commonest one: so
+two records of one moment, whose times are rounded to milliseconds, are no clock of 1000 Hz."""
 _NTSC_HZ = [rate for whole in (12, 15, 24, 30, 48, 60, 120) for rate in (whole / 1.001, round(whole / 1.001, 3))]
 """Frame rates of television, as they are and as they are written: 29.97003 and 29.97."""
 
@@ -63,27 +70,33 @@ def speed_of_sound(temperature_c: float) -> float:
 
 
 def rate_of(steps: Sequence[Sequence[float]]) -> float:
-    """Return the rate in Hz of the commonest step: of the step like which most others are.
+    """Return the rate in Hz of the clock that sensors keep, some records of which may be missing.
 
-    Time stamps are rounded, and sensors are late by more or less. So the rate is that of the mean of these steps, and
-    the roundest number that is as near as the mean is uncertain: 30 Hz, since a clock of 30.001 Hz soon runs away. The
-    rates of television, 30 / 1.001 Hz and its kin, are as round as those with one decimal.
+    Its step is the commonest one, like which most others are, or a shorter one of which all are multiples: many
+    detectors write nothing where they find nobody. Time stamps are rounded, and sensors are late by more or less. So
+    the rate is that of the mean of these steps, and the roundest number that is as near as the mean is uncertain:
+    30 Hz, since a clock of 30.001 Hz soon runs away. The rates of television, 30 / 1.001 Hz and its kin, are as round
+    as those with one decimal.
 
     Args:
         steps: s between successive records, of each sensor that has some.
 
     >>> rate_of([[0.033, 0.034, 0.033]])
     30.0
+    >>> rate_of([[0.7, 0.5, 0.6, 0.5, 0.2, 0.3, 0.1, 0.4, 0.1]])
+    10.0
     """
-    every = sorted(itertools.chain.from_iterable(steps))
-
-    def alike(step: float) -> int:
-        return bisect_right(every, step * (1 + _ALIKE)) - bisect_left(every, step * (1 - _ALIKE))
-
-    usual = max(every, key=lambda step: (alike(step), -step))
-    each = [[step for step in own if abs(step - usual) <= _ALIKE * usual] for own in steps]
-    best = max(each, key=len)  # of sensors that are nearly as fast, one
-    mean, uncertain = _clock(best)
+    usual, short, _ = _usual(steps)
+    best: tuple[list[float], list[int]] = [], []
+    for own in steps:  # of sensors that are nearly as fast, one
+        if short:
+            ticks = [max(round(step / short), 1) for step in own]
+            known = [(step, n) for step, n in zip(own, ticks, strict=True) if abs(step - n * short) <= _OFF * short]
+        else:
+            known = [(step, 1) for step in own if abs(step - usual) <= _ALIKE * usual]
+        if len(known) > len(best[0]):
+            best = [step for step, _ in known], [n for _, n in known]
+    mean, uncertain = _clock(*best)
     for round_ones in ([round(1 / mean)], [round(1 / mean, 1), *_NTSC_HZ], [round(1 / mean, 2)]):
         off, rate = min((abs(rate * mean - 1), rate) for rate in round_ones)
         if off <= uncertain:
@@ -91,17 +104,51 @@ def rate_of(steps: Sequence[Sequence[float]]) -> float:
     return 1 / mean
 
 
-def _clock(steps: Sequence[float]) -> tuple[float, float]:
-    """Return the mean of the steps of a clock, s, and the share by which it is uncertain."""
-    n, spread = len(steps), max(steps) - min(steps)
+def is_regular(steps: Sequence[Sequence[float]]) -> bool:
+    """Tell whether most steps, s of each sensor, are one step of a clock, or nearly all are multiples of it.
+
+    >>> is_regular([[0.7, 0.5]]), is_regular([[0.1, 0.1, 0.2]])
+    (False, True)
+    """
+    return bool(steps) and _usual(steps)[2]
+
+
+def _usual(steps: Sequence[Sequence[float]]) -> tuple[float, float, bool]:
+    """Find the step of a clock.
+
+    Returns:
+        The commonest step, s; a shorter one of which nearly all are multiples, s, or 0; and whether one of the two is
+        clearly the clock's.
+    """
+    every = sorted(itertools.chain.from_iterable(steps))
+
+    def alike(step: float) -> int:
+        return bisect_right(every, step * (1 + _ALIKE)) - bisect_left(every, step * (1 - _ALIKE))
+
+    usual = max(every, key=lambda step: (alike(step), -step))
+    least = max(2.0, _FEWEST * len(every))
+    first = next((step for step in every if step > _SHORTEST * usual and alike(step) >= least), usual)
+    own = [step for step in every if abs(step - first) <= _ALIKE * first]
+    short = math.fsum(own) / len(own)
+    off = np.array(every) / short
+    multiples = bool(np.mean(abs(off - np.maximum(off.round(), 1)) <= _OFF) >= _NEARLY_ALL)
+    is_shorter = multiples and short < (1 - _ALIKE) * usual
+    return usual, short if is_shorter else 0.0, multiples or alike(usual) >= _MOST * len(every)
+
+
+def _clock(steps: Sequence[float], ticks: Sequence[int]) -> tuple[float, float]:
+    """Return the step of a clock, s, and the share by which it is uncertain, from times that last some ticks each."""
+    mean = math.fsum(steps) / sum(ticks)
+    each = [step - (n - 1) * mean for step, n in zip(steps, ticks, strict=True)]
+    spread = max(each) - min(each)
     for quantum in (1e-3, 1e-4):
         if 0.5 < spread / quantum < 1.5 and all(abs(step / quantum - round(step / quantum)) < 0.01 for step in steps):
             # 33 and 34 ms: nothing but the rounding of the times, whose errors do not add up; three standard deviations
-            number = np.arange(n + 1) - n / 2
+            number = np.cumsum([0.0, *ticks])
+            number -= number.mean()
             slope = float(number @ np.cumsum([0.0, *steps]) / (number @ number))
-            return slope, 3.0 * quantum / (n**1.5 * slope)
-    mean = math.fsum(steps) / n
-    return mean, spread / mean / math.sqrt(n) + 1e-9
+            return slope, 3.0 * quantum / (len(steps) ** 0.5 * sum(ticks) * slope)
+    return mean, spread / mean / math.sqrt(len(steps)) + 1e-9
 
 
 def assignment_solver(work: float) -> Assignment:

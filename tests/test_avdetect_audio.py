@@ -102,6 +102,12 @@ def test_one_record_for_every_time_step_of_the_scene(found):
     assert np.median(np.linalg.norm(positions - PLACE, axis=1)) < 0.05
 
 
+def test_each_array_has_its_own_name(experiment, found):
+    named = lines(run("avdetect-audio", "-C", experiment, "--sensor", "tile", stdin=record()))
+    assert named == [one | {"sensor": "tile"} for one in found]
+    assert "the name is empty" in one_line(run("avdetect-audio", "-C", experiment, "--sensor", "", stdin=record()), 2)
+
+
 def test_ground_truth_that_passes_by_changes_nothing(experiment, found):
     truth = {"objects": [{"object_id": 0, "position": [1, 1, 0]}], "activity": {"0": [[0, 1]]}}
     assert lines(run("avdetect-audio", "-C", experiment, stdin=b'{"timestamp":0}\n' + record(**truth))) == found

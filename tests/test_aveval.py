@@ -232,6 +232,12 @@ def test_what_does_not_match_in_time_is_said(tmp_path):
     assert records_of(scored(tmp_path, lines(walk()), late, "--tolerance", "0.03"))[0]["summary"]["HOTA"] == 1
 
 
+def test_tracks_in_another_unit_or_frame_are_said(tmp_path):
+    result = scored(tmp_path, lines(walk()), lines(walk(offset=20.0)))
+    assert "no track comes within 2 m (--d0) of anybody; the tracks lie in x " in result.stderr
+    assert "no track comes" not in scored(tmp_path, lines(walk()), lines(walk(offset=0.5))).stderr
+
+
 def test_unsorted_records_are_sorted(tmp_path):
     backwards = "".join(reversed(lines(walk()).splitlines(keepends=True)))
     result = scored(tmp_path, lines(walk()), backwards)

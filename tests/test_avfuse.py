@@ -422,6 +422,16 @@ def test_options_of_a_sensor_reach_it():
     assert not fuse(lines, "--detection", "video=0", "--no-learn")[-1]["objects"]
 
 
+def test_detections_of_which_no_track_comes_are_said():
+    records = [json.loads(one) for one in walk(steps=80)]
+    for record in records:
+        record["objects"][0]["position"] = [1000 * x for x in record["objects"][0]["position"][:2]]
+    result = run("avfuse", stdin="".join(json.dumps(record) + "\n" for record in records))
+    assert "80 of 80 steps have detections, but " in result.stderr
+    assert "are positions in metres" in result.stderr
+    assert not run("avfuse", stdin="".join(walk(steps=80))).stderr
+
+
 def test_options_of_a_kind_reach_all_its_sensors_and_those_of_a_name_win():
     lines = walk()
     wide = fuse(lines, "--sigma", "video=0.5")

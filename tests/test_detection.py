@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from avcli.detection.body import Person, beyond_trust
 from avcli.detection.depth import DepthDetector, place_centre, separate
 from avcli.detection.fitted import BOX
+from avcli.detection.frozen import Frozen
 from avcli.detection.gate import LEARNING, Gate
 from avcli.detection.monocular import Fitted
 from avcli.detection.network import Boxes
@@ -448,6 +449,20 @@ def test_the_gate_learns_noise_that_begins_later():
     noisy = [len(gate.changes(rng.normal(90, 8, (240, 320, 3)).astype(np.uint8))) for _ in range(30)]
     assert noisy[: LEARNING + 1] == [1] * (LEARNING + 1)
     assert sum(noisy[LEARNING + 1 :]) <= 1
+
+
+def test_a_camera_that_repeats_one_picture_has_stopped():
+    rng, frozen = np.random.default_rng(0), Frozen()
+    picture = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    for k in range(50):  # 10 s of noise
+        frozen.see(rng.integers(0, 255, picture.shape, dtype=np.uint8), k / 5)
+    for k in range(150):
+        frozen.see(picture, 10 + k / 5)
+        assert not frozen.is_frozen
+    frozen.see(picture, 40.0)
+    assert (frozen.is_frozen, frozen.since) == (True, 10.0)
+    frozen.see(picture + 1, 41.0)
+    assert not frozen.is_frozen
 
 
 def test_the_gate_looks_again_now_and_then():

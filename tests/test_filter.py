@@ -62,7 +62,7 @@ BAD = {
     b'{"timestamp": "nan", "objects": []}': '<stdin>:2: "timestamp"',
     b'{"timestamp": true, "objects": []}': '<stdin>:2: "timestamp"',
     b'{"timestamp": "0"}': '<stdin>:2: "objects" is missing',
-    b'{"timestamp": "0", "objects": [{"position": [NaN, 1, 2]}]}': "<stdin>:2:",
+    b'{"timestamp": "0", "objects": [{"position": [NaN, 1, 2]}]}': "<stdin>:2:46: invalid JSON: NaN is no number",
     b'{"timestamp": "0", "objects": [{"position": [1e999, 1, 2]}]}': "<stdin>:2:",
     b'{"timestamp": "0", "objects": [{"position": [null, 1, 2]}]}': "<stdin>:2:",
     b'{"timestamp": "0", "objects": [{"position": ["1", 1, 2]}]}': "<stdin>:2:",

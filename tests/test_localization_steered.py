@@ -428,3 +428,20 @@ def test_extreme_places_give_finite_answers_inside_the_room(speech, place):
         assert len(told) > 8, "somebody is heard"
         assert max(d.scores[0] for d in told) < 0.9, "it is not where it seems to be"
         assert np.median([d.covariances[0][0, 0] for d in told]) > 0.1, "it may be behind the wall"
+
+
+def test_a_peak_without_any_response_does_no_harm(talk, found):
+    """Known talkers are searched for where they were, and what is there may be nothing at all."""
+    localizer = SteeredLocalizer(Array(MICROPHONES, FS, ROOM, 343.0), SteeredSettings(), np.random.default_rng(0))
+    talkers = localizer.finder.talkers
+    peaks = talkers.peaks
+
+    def with_nothing(*args):
+        real = peaks(*args)
+        away = np.array([1.5, -1.0, 0.0])
+        return [*real, *(replace(one, position=one.position + away, response=0.0, own=100.0) for one in real[:1])]
+
+    talkers.peaks = with_nothing
+    decisions = list(localizer.localize([Block(talk)]))
+    assert len(decisions) == len(found)
+    assert sum((errors([d]) < 0.3).any() for d in decisions) >= sum((errors([d]) < 0.3).any() for d in found) - 1

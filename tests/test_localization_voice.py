@@ -181,3 +181,18 @@ def test_channels_that_the_sound_has_not_reached_are_no_copies():
         sound[[4, 5]] = level * ringing
         notices = Correlator(ARRAY, band, 400, 1.0).correlate(whole * sound, correlation.hann(band.size)).notices
         assert any("channels 5 and 6 are the same" in notice for notice in notices) == said
+
+
+@pytest.mark.parametrize(
+    ("taken", "notices"),
+    [
+        ([0, 1, 2, 3, 4, 5, 6, 7], set()),
+        ([0, 0, 2, 3, 3, 5, 3, 7], {"channels 1 and 2", "channels 4, 5 and 7"}),
+        ([3] * 8, {"all channels"}),
+    ],
+)
+def test_all_copies_of_a_signal_are_named_in_one_sentence(taken, notices):
+    band = Band.of(SteeredSettings(), FS)
+    sound = np.random.default_rng(4).normal(size=(len(MICROPHONES), band.size))[taken]
+    window = Correlator(ARRAY, band, 400, 1.0).correlate(sound, correlation.hann(band.size))
+    assert set(window.notices) == {f"{one} are the same signal and left out" for one in notices}

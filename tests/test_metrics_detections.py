@@ -144,6 +144,25 @@ def test_figures_are_the_same_every_time(plot, kind, begins):
     assert content == plot(run, kind)
 
 
+def test_nothing_is_drawn_where_there_was_no_record(plot):
+    from matplotlib.figure import Figure
+
+    from avcli.metrics.plots import _draw_error, _draw_room
+
+    walk = [one(k / 10) for k in range(5)] + [NOTHING] * 3 + [one(k / 10) for k in range(8, 20)]
+    run = a_run(walk, walk)
+    time = run.trackers["audio"].sequence.time
+    time[10:] += 7200.0
+    axes = Figure().add_subplot()
+    _draw_error(axes, run, "audio")
+    ((at, _),) = [line.get_data() for line in axes.lines]
+    assert np.isnan(at[10])  # neither a line nor an area through the two hours
+    assert len(at) == 21
+    room = Figure().add_subplot()
+    _draw_room(room, run, "audio")
+    assert all(np.isnan(line.get_xdata()[5]) for line in room.lines)
+
+
 @pytest.mark.parametrize(
     ("truth", "track"), [([], []), ([NOTHING], [NOTHING]), ([one(1)], [NOTHING]), ([NOTHING], [one(1)])]
 )

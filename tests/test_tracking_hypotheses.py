@@ -284,6 +284,33 @@ def test_names_that_nothing_can_tell_apart_any_more_are_decided():
     assert decided([either], crowd)[0].hypotheses == [(0, 2), (1, 3), (0, 4)]
 
 
+def test_who_came_back_is_one_person_though_nobody_knows_which_of_those_who_left():
+    here, gone, elsewhere = [1, 1, 0.5, 0], [9, 9, 0, 0], [-7, 2, 0, 0]
+    crowd = people([here, gone, elsewhere, here], [0, 0, 1, 1])
+    crowd.existence[:] = [1.0, 0.001, 0.001, 1.0]
+    either = cluster({(0, 2): 0.4, (1, 3): 0.6})  # two left, and one of them is back
+    assert decided([either], crowd)[0].hypotheses == [(1, 3)]
+    crowd.existence[1:3] = 0.3  # the other one may be there as well
+    assert decided([either], crowd)[0].hypotheses == [(1, 3), (0, 2)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_of_three_who_left_together_is_shown_when_he_comes_back(seed):
+    tracker, rng = GLMB(Settings(), Population(), [sensor("video")]), np.random.default_rng(seed)
+    shown = 0
+    for k in range(160):
+        t = k / 10
+        if t < 8:  # three walk to the wall x = 0, in a row
+            places = np.column_stack([np.full(3, 0.3 + 0.5 * (8 - t)), 2.3 + 0.075 * (8 - t) * np.arange(-1, 2)])
+        else:
+            places = np.array([[0.3 + min(t - 10, 2.5), 2.3]]) if t >= 10 else np.zeros((0, 2))
+        places = places[rng.random(len(places)) < 0.92]
+        z = places + 0.1 * rng.standard_normal(places.shape)
+        tracker.update(t, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+        shown += t >= 11 and len(tracker.tracks(t)) == 1
+    assert shown == 50
+
+
 def camera(focal, **more):
     values = {"camera_position_m": [2.33, 2.33, 2.5], "lens_model": "kannala_brandt", "fx_px": focal, "fy_px": focal}
     values |= {"cx_px": 959.5, "cy_px": 539.5, "image_width_px": 1920, "image_height_px": 1080} | more

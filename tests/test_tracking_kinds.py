@@ -114,6 +114,21 @@ def test_a_direction_with_a_range_is_a_position():
     assert along @ cov[0] @ along == pytest.approx(model.range_sd**2, rel=0.01)
 
 
+@pytest.mark.parametrize("across", [0.0, 1e-9, -1e-6, 3e-5, -2e-3])
+def test_a_direction_that_misses_the_area_stands_for_its_origin(across):
+    """The line cuts both sides of the area outside of it, one of them ever farther away."""
+    look = np.array([[1.0, across, 0.0]]) / np.hypot(1.0, across)
+    one = Detections(
+        0.0, "a", np.full((1, 3), np.nan), origins=np.array([[150.0, 250.0, 1.5]]), directions=look,
+        direction_sds=np.array([0.02])
+    )  # fmt: skip
+    place, _, shown = partial.read(
+        [one], one.positions[:, :2], one.covariances[:, :2, :2], sensor("a"), Population(ROOM)
+    )
+    assert shown is not None
+    np.testing.assert_array_equal(place, [[150.0, 250.0]])
+
+
 def people(centre, spread=0.2):
     """One person whose place is about known, of one motion model."""
     cov = np.diag([spread**2, spread**2, 0.3, 0.3])
@@ -322,7 +337,7 @@ def look(model, column=0):
     none, between = np.zeros(0), Between(np.zeros(0), np.zeros(0))
     noise = np.zeros((0, 2, 2))
     seen = [], None, [], np.zeros((0, 1, 6)), nothing, nothing, [], {}, [], [], []
-    return Scan(model, column, nothing, noise, none, None, 0.0, between, *seen, 1.0, 0.0, [], 0.9, 0.9, [], [], [])
+    return Scan(model, column, nothing, noise, none, None, 0.0, between, *seen, 1.0, 0.0, [], 0.9, 0.9, [], [], [], [])
 
 
 def half_seen():

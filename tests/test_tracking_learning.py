@@ -440,6 +440,18 @@ def test_show_decides_who_is_written():
     assert min(one.existence.min(initial=1.0) for one in everybody) < 0.35
 
 
+def test_nobody_is_written_twice_although_he_is_kept_with_several_pasts():
+    rng = np.random.default_rng(5)
+    records = []
+    for k in range(100):
+        there = rng.uniform([0, 0], ROOM[1], (rng.poisson(2.0), 2))
+        positions = np.column_stack([there, np.zeros(len(there))])
+        covariances = np.tile(0.1 * np.eye(3), (len(there), 1, 1))
+        records.append(Detections(k / 10, "video", positions, covariances, np.full(len(there), 0.7)))
+    for record in fuse(fusion_of(show="all"), records):
+        assert len(set(record.ids.tolist())) == len(record)
+
+
 # --- the picture ------------------------------------------------------------------------------------------------------
 
 
@@ -654,3 +666,19 @@ def test_one_person_who_is_detected_often_does_not_fill_a_room():
     rng = np.random.default_rng(2)
     records = [rng.normal(3.0, 0.1, (20, 2)) for _ in range(4)]
     assert max(tracked(records, (6.0, 6.0))) <= 4
+
+
+@pytest.mark.parametrize("seed", [0, 2, 6])
+def test_a_first_record_of_false_detections_does_not_make_a_sensor_that_detects_nobody(seed):
+    tracker, rng = GLMB(Settings(), Population(), [sensor("video")]), np.random.default_rng(seed)
+    shown = 0
+    for k in range(150):
+        t = k / 10
+        z = rng.uniform(0, (9, 7), (6 if k == 0 else rng.poisson(3.0), 2))
+        if t >= 3 and rng.random() < 0.9:
+            z = np.vstack([z, [0.2 + 0.3 * (t - 3), 2.3] + 0.1 * rng.standard_normal(2)])
+        tracker.update(t, "video", z, np.tile(0.01 * np.eye(2), (len(z), 1, 1)))
+        places = [one.state[:2] for one in tracker.tracks(t)]
+        shown += t >= 5 and any(np.hypot(x - 0.2 - 0.3 * (t - 3), y - 2.3) < 0.5 for x, y in places)
+    assert tracker.rates[0].detection > 0.4
+    assert shown >= 99

@@ -428,11 +428,47 @@ def test_live_with_infinite_patience_waits():
     assert live.now(0.0, "audio", 0) == [0.0]
 
 
+SPARSE = [0.0, 0.7, 1.2, 1.8, 2.3, 2.5, 2.8, 3.3, 3.5, 3.6, 3.7, 3.8, 3.9, 4.0, 4.1]  # 10 Hz, empty records left out
+
+
+def test_the_rate_is_found_where_records_of_nobody_are_missing():
+    said = []
+    steps, merger = merged(SPARSE, say=said.append)
+    assert merger.rate == 10
+    assert [step for step, _ in steps] == [round(k / 10, 9) for k in range(42)]
+    assert not said
+    live = Live(rate=None)
+    for before, now in itertools.pairwise(SPARSE):
+        live.now(before)
+        live.after(now - before)
+    assert live.merger.rate == 10
+
+
+@pytest.mark.parametrize(("rate", "share", "digits"), [(10, 0.3, 3), (25, 0.5, 9), (29.97, 0.7, 9)])
+def test_a_clock_with_missing_records_does_not_run_away(rate, share, digits):
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        stamps = (np.flatnonzero(rng.random(2000) < share) / rate + 5.0).round(digits)
+        _, merger = merged(stamps[stamps < 25])
+        assert merger.rate == pytest.approx(rate, rel=1e-4)
+
+
+def test_times_that_tell_no_rate_are_said():
+    said = []
+    merged(np.cumsum(np.random.default_rng(1).exponential(0.4, 30)).tolist(), say=said.append)
+    assert said[0].startswith("the times of the records do not tell a rate; tracks are written at ")
+
+
+def test_two_records_of_one_moment_are_no_fast_clock():
+    times = sorted([k / 10 for k in range(40)] + [k / 10 + 0.001 for k in range(0, 40, 8)])
+    assert merged(times)[1].rate == pytest.approx(10, rel=2e-3)
+
+
 def test_live_without_a_rate_begins_when_the_rate_shows():
     live = Live(rate=None)
-    steps = [live.now(k / 25) for k in range(8)]
-    assert list(itertools.chain(*steps)) == [round(k / 25, 6) for k in range(8)]
-    assert steps[5]
+    steps = [live.now(k / 25) for k in range(10)]
+    assert list(itertools.chain(*steps)) == [round(k / 25, 6) for k in range(10)]
+    assert steps[8]
     alone = Live(rate=None)
     assert alone.now(0.0) == []
     assert alone.after(1.1)[0] == 0.0

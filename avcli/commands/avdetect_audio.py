@@ -45,6 +45,13 @@ _SOUND = (b"RIFF", b"RIFX", b"RF64", b"riff", b"fLaC", b"FORM", b"caff", b".snd"
     help="srp: steered response power, live, several talkers. 3d-ssl: the thesis's closed form, on whole recordings.",
 )
 @click.option(
+    "--sensor",
+    default="audio",
+    show_default=True,
+    metavar="NAME",
+    help="Name of the microphones in the records; of several arrays each needs its own.",
+)
+@click.option(
     "--start",
     type=FiniteRange(),
     default=0.0,
@@ -78,6 +85,7 @@ def main(
     session: Session,
     files: tuple[str, ...],
     method: str,
+    sensor: str,
     start: float,
     temperature: float | None,
     live: bool,
@@ -100,6 +108,8 @@ def main(
     heights = options["heights"] or ()
     if list(heights) != sorted(heights):
         session.usage("--heights {:g} {:g}: the lowest mouth comes first".format(*heights))
+    if not sensor:
+        session.usage("--sensor: the name is empty")
     session.check_outputs({}, files or ("-",))
     session.load("soundfile", "avcli.localization.methods")
     with session.output() as write, contextlib.ExitStack() as stack:
@@ -143,7 +153,7 @@ def main(
             objects = _objects(decision, as_objects(decision.features, len(decision.scores)))
             faults = {"channel_faults": [fault.record() for fault in decision.faults]} if decision.faults else {}
             steady = {"steady_sources": [{at: place} for place in decision.steady]} if len(decision.steady) else {}
-            named = {"timestamp": decision.time, "sensor": "audio", "kind": "microphones"}
+            named = {"timestamp": decision.time, "sensor": sensor, "kind": "microphones"}
             write({**named, "objects": objects, **faults, **steady})
         if isinstance(chosen, SteeredLocalizer):
             session.note_skipped("searches of windows", chosen.silent, chosen.windows, "which hold no voice")

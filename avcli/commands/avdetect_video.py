@@ -21,6 +21,7 @@ from avcli.settings import settings_of
 if TYPE_CHECKING:
     from avcli.detection.body import Person
     from avcli.detection.detector import Detector
+    from avcli.detection.frozen import Frozen
     from avcli.detection.view import View
     from avcli.formats import footage, records
     from avcli.formats.experiment import Camera
@@ -94,8 +95,10 @@ def main(
                     detector = _detector(session, model, settings, depth=shot.depth is not None)
                 if overlay:
                     drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
-            doubted = detector.shown_m is not None
+            doubted, stopped = detector.shown_m is not None, detector.frozen.is_frozen
             people = _people(session, detector, shot)
+            if detector.frozen.is_frozen != stopped:
+                _say_if_frozen(session, detector.frozen, shot.timestamp)
             if not doubted:
                 _doubt_depth(session, detector)
             if people is None:
@@ -152,6 +155,17 @@ def _detector(session: filter.Session, model: str | None, settings: Settings, *,
     if network and network.head.kind == "end2end":
         refuse_without_effect(["iou"], "with this model: it removes overlapping boxes itself")
     return detector
+
+
+def _say_if_frozen(session: filter.Session, frozen: Frozen, time: float) -> None:
+    """Say that the picture stopped, or goes on, at a time in s."""
+    if frozen.is_frozen:
+        session.warn(
+            f"the picture has been the same to the last bit since {frozen.since:.1f} s: has the camera stopped? "
+            "Whoever is in it is still reported"
+        )
+    else:
+        session.warn(f"the picture changes again at {time:.1f} s")
 
 
 def _doubt_depth(session: filter.Session, detector: Detector) -> None:

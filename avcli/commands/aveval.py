@@ -6,7 +6,7 @@ import contextlib
 import functools
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -294,6 +294,11 @@ def _score(
             tracked, mismatch = score_tracks(truth, tracks, settings, entry.name, name, keep_first=keep_first)
         if any(map(len, tracks)):
             _warn(session, f"{entry.name} {name}", mismatch, settings, "track")
+            if mismatch.truth_frames < mismatch.truth_records and not tracked.record["HOTA"]["HOTA_TP"][0]:
+                session.warn(
+                    f"{entry.name} {name}: no track comes within {settings.d0:g} m (--d0) of anybody; the tracks lie "
+                    f"in {_extent(tracks)}, the people in {_extent(truth)}: are both in metres, from the same corner?"
+                )
         elif any(map(len, truth)):
             session.warn(f"{entry.name} {name}: there are no tracks, so all people are missed")
         else:
@@ -318,6 +323,17 @@ def _score(
     from avcli.metrics.surroundings import with_surroundings
 
     return with_surroundings(run, config, session.warn)
+
+
+def _extent(people: Sequence[Identified]) -> str:
+    """Say in which x and y, m, people are."""
+    import numpy as np
+
+    places = np.concatenate([one.positions[:, :2] for one in people])
+    if not len(places):
+        return "no place"
+    (x0, y0), (x1, y1) = places.min(0), places.max(0)
+    return f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
 
 
 def _noted(recording: Recording, found: Iterator[Detections]) -> Iterator[Detections]:

@@ -257,6 +257,13 @@ def _doubt(session: Session, fusion: Fusion, given: dict[str, dict[str, Any]]) -
         if True in stated and False not in stated:
             session.warn(f"--sigma {name} has no effect: all of its detections state a covariance, which counts")
 
+    steps, seen, shown = (fusion.steps[key] for key in ("all", "detections", "people"))
+    if seen >= max(50, steps / 2) and shown < seen / 20 and not fusion.outside and not fusion.doubted:
+        session.warn(
+            f"{seen} of {steps} steps have detections, but {shown} have people: are positions in metres, covariances "
+            "in square metres, and times in seconds?"
+        )
+
 
 def _refuse(tracker: str, lag: float, settings: Settings, has_config: bool) -> None:
     """End with a usage error where an option was given that has no effect."""

@@ -16,6 +16,7 @@ from avcli.detection.body import Person, beyond_trust, boxes_of
 from avcli.detection.depth import DepthDetector, place_centre
 from avcli.detection.fitted import FAINT
 from avcli.detection.following import FOLLOWED, Following
+from avcli.detection.frozen import Frozen
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
 from avcli.detection.monocular import Fitted
@@ -255,6 +256,7 @@ class Detector:
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
         self.tally = Tally()
+        self.frozen = Frozen()
         self._room_colours = Background(room_picture) if self.settings.learn_background else None
         known = config.states("room_config", "room_dimensions_m")
         self._room = np.asarray(config.room.dimensions[:2], float) if known else None
@@ -275,12 +277,16 @@ class Detector:
         if self.network is None:
             with self._timing("wait for pictures"):
                 picture = self._read(depth, "depth")
+            if time is not None:
+                self.frozen.see(picture, time)
             with self._timing("depth and positions"):
                 standing = self._before_room.detect(self._measured(picture))
                 people = [beyond_trust(one, self.view) for one in standing if self._in_room(one)]
             return people if self._looks is None else self._described(self._read(rgb, "colour"), people)
         with self._timing("wait for pictures"):
             picture = self._read(rgb, "colour")
+        if time is not None:
+            self.frozen.see(picture, time)
         regions = self._gate.changes(picture)
         self.tally.pictures += 1
         self.tally.unchanged += not len(regions)

@@ -35,6 +35,7 @@ from avcli.formats.schema import (
     Written,
     refuse_depth,
     shown,
+    syntax_error,
 )
 from avcli.formats.sensors import KINDS
 from avcli.numeric import SPEED_OF_SOUND_M_S
@@ -553,7 +554,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         refuse_depth(raw)
         return Config(raw, str(path))
     except orjson.JSONDecodeError as error:
-        raise ConfigError(f"{path}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}") from None
+        raise ConfigError(f"{path}:{error.lineno}:{error.colno}: {syntax_error(error)}") from None
     except Invalid as error:
         raise ConfigError(f"{path}: {error}") from None
 

@@ -26,7 +26,7 @@ import orjson
 from avcli.formats import atomic, descriptions, features
 from avcli.formats.bounds import LATEST_S, LONGEST_RECORD, MOST_OBJECTS
 from avcli.formats.features import Feature
-from avcli.formats.schema import DEEPEST, IDENTITY, Invalid, Object, refuse_depth, shown
+from avcli.formats.schema import DEEPEST, IDENTITY, Invalid, Object, refuse_depth, shown, syntax_error
 
 
 class RecordError(ValueError):
@@ -114,7 +114,7 @@ def decode(line: bytes) -> dict[str, Any]:
     except orjson.JSONDecodeError as error:
         if not line.startswith(b"{") and (b"\0" in line or not _is_text(line)):
             raise RecordError("not text, but perhaps sound or a picture; a record is a line of JSON") from None
-        raise RecordError(f"invalid JSON: {error.msg}", error.colno) from None
+        raise RecordError(syntax_error(error), error.colno) from None
     if not isinstance(record, dict):
         raise RecordError(f"must be a JSON object, found {shown(record)}")
     if "timestamp" not in record:

@@ -84,6 +84,14 @@ def _beginning(value: Any, left: list[int]) -> Any:
     return value
 
 
+def syntax_error(error: orjson.JSONDecodeError) -> str:
+    """Say why a text is no JSON: as the decoder does, or what programs write that take NaN for a number of JSON."""
+    word = re.match(r"[A-Za-z]*", error.doc[error.pos :])
+    if word and word[0].lower() in ("nan", "inf", "infinity"):
+        return f"invalid JSON: {word[0]} is no number of JSON; write null, or leave the key or the object out"
+    return f"invalid JSON: {error.msg}"
+
+
 def refuse_depth(value: Any) -> None:
     """Refuse a decoded JSON value whose lists and objects lie more than DEEPEST deep inside one another.
 

@@ -59,6 +59,7 @@ class Found:
         noise: what noise does to as many windows.
         memory: what the decisions before found.
         fall: see uncertainty.Features.
+        strongest: response of the peak that was found first; 0 where none was.
         trust: by which its scores are multiplied, see `Health`.
     """
 
@@ -68,6 +69,7 @@ class Found:
     noise: NoiseLaw
     memory: Memory
     fall: float
+    strongest: float
     trust: float
 
 
@@ -110,8 +112,10 @@ class PlaceFinder:
             memory: what the decisions before found.
         """
         fall = memory.fall(float(heard.power[np.argmin(np.abs(heard.offsets))].sum()))
-        found = Found(time, [], heard, noise, copy.copy(memory), fall, self.health.trust)
-        judged = self.judge(self.talkers.peaks(heard, noise, memory), found)
+        peaks = self.talkers.peaks(heard, noise, memory)
+        strongest = peaks[0].response if peaks else 0.0
+        found = Found(time, [], heard, noise, copy.copy(memory), fall, strongest, self.health.trust)
+        judged = self.judge(peaks, found)
         judged.sort(key=lambda one: -one.evidence)
         memory.keep(
             [
@@ -192,7 +196,7 @@ class PlaceFinder:
         judged, left = list(found.judged), memory.traces
         for one in judged:
             left = [t for t in left if level_distance(t.position, one.peak.position) >= memory.reach(t)]
-        strongest = judged[0].peak.response / judged[0].features.relative if judged else 0.0
+        strongest = found.strongest
         leading = next((one.score for one in judged if one.features.first), 0.5)
         of_all = {
             "channels": heard.channels,

@@ -225,19 +225,29 @@ class Correlator:
         return np.fft.rfft(tapered, axis=1)[:, self.band.bins]
 
     def _without_twins(self, gcc: np.ndarray, good: np.ndarray, faint: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        """Return which channels (m,) are good and no copy of another one, and a notice of each pair of copies.
+        """Return which channels (m,) are good and no copy of another one, and a notice of all copies of one signal.
 
         Faint channels, (m,) bool, are not compared: what rings in them before the sound itself arrives is alike, and so
         is what computing leaves after its end.
         """
-        first, second, notices = self.first, self.second, []
         compared = good & ~faint
-        twins = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01) & compared[first] & compared[second]
-        good = good.copy()
-        for pair in np.flatnonzero(twins):
-            notices.append(f"channels {first[pair] + 1} and {second[pair] + 1} are the same signal and left out")
-            good[first[pair]] = good[second[pair]] = False
-        return good, notices
+        same = (gcc[:, self.half_lags] > 0.99) & (self.baseline > 0.01)
+        same &= compared[self.first] & compared[self.second]
+        if not same.any():
+            return good, []
+        copies = np.eye(len(good), dtype=bool)
+        copies[self.first[same], self.second[same]] = copies[self.second[same], self.first[same]] = True
+        linked = np.linalg.matrix_power(copies, len(good))
+        twins = [np.flatnonzero(group) for group in np.unique(linked, axis=0) if group.sum() > 1]
+        notices = [f"{_listed(channels + 1, len(good))} are the same signal and left out" for channels in twins]
+        return good & (linked.sum(axis=0) == 1), notices
+
+
+def _listed(numbers: np.ndarray, count: int) -> str:
+    """Return the numbers of at least two of so many channels as "channels 1, 2 and 3"."""
+    if len(numbers) == count:
+        return "all channels"
+    return f"channels {', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
 
 
 def _alike(spectra: np.ndarray, power: np.ndarray) -> np.ndarray:

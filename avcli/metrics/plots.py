@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:  # an extra
 
 IDENTITY_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A5195", "#8C564B")
 """Okabe and Ito's colours without black and yellow, which colour-blind readers can distinguish, and two more."""
+_GAP = 10  # usual steps; a longer time without records is left empty
 _MARKERS = {MICROPHONES: "x", CAMERA: "+"}
 _SHADES = {MICROPHONES: "0.55", CAMERA: "0.3"}
 _SCORES: dict[str, dict[str, Any]] = {
@@ -105,7 +107,8 @@ def _draw_room(axes: Axes, run: Run, name: str) -> None:
         axes.scatter(run.camera[0], run.camera[1], marker="s", s=28, facecolor="none", edgecolor="0.6", zorder=1)
 
     tracked = run.trackers[name]
-    end = max([1e-9, *tracked.sequence.time.tolist()])
+    begin = tracked.sequence.time.min(initial=math.inf)
+    length = max(tracked.sequence.time.max(initial=-math.inf) - begin, 1e-9)
     for sensor, detected in run.sensors.items():
         # A tracker that is named after one sensor had that sensor alone.
         if name in run.sensors and sensor != name:
@@ -115,7 +118,7 @@ def _draw_room(axes: Axes, run: Run, name: str) -> None:
             axes.scatter(
                 points[:, 0],
                 points[:, 1],
-                c=0.15 + 0.6 * time / end,
+                c=0.15 + 0.6 * (time - begin) / length,
                 cmap="gray",
                 vmin=0,
                 vmax=1,
@@ -126,20 +129,25 @@ def _draw_room(axes: Axes, run: Run, name: str) -> None:
             )
     truth = tracked.sequence.truth
     for k in range(truth.label.size):
-        path = truth.position[truth.identity == k]
-        axes.plot(path[:, 0], path[:, 1], color="black", linewidth=1.0, zorder=3)
+        own = np.flatnonzero(truth.identity == k)
+        path = truth.position[own]
+        axes.plot(*_parts(path, truth.frame[own]), color="black", linewidth=1.0, zorder=3)
         _birth_and_death(axes, path, "black", "none", 62)
     track = tracked.sequence.track
     for k in range(track.label.size):
         own = np.flatnonzero(track.identity == k)
-        path, frame = track.position[own], track.frame[own]
+        path = track.position[own]
         color = IDENTITY_COLORS[k % len(IDENTITY_COLORS)]
-        line = np.insert(path, np.flatnonzero(np.diff(frame) > 1) + 1, np.nan, axis=0)  # a line only where a track is
-        axes.plot(line[:, 0], line[:, 1], color=color, linewidth=1.8, zorder=4, solid_capstyle="round")
+        axes.plot(*_parts(path, track.frame[own]), color=color, linewidth=1.8, zorder=4, solid_capstyle="round")
         _birth_and_death(axes, path, color, color, 26)
     margin = 0.04 * max(x1 - x0, y1 - y0, 1e-3)
     axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), xlabel="x in m", ylabel="y in m")
     axes.set_aspect("equal")
+
+
+def _parts(path: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return x and y (2, n) of a path, m, with NaN between frames in which there is nobody."""
+    return np.insert(path[:, :2], np.flatnonzero(np.diff(frame) > 1) + 1, np.nan, axis=0).T
 
 
 def _birth_and_death(axes: Axes, path: np.ndarray, edge: str, face: str, size: float) -> None:
@@ -162,7 +170,10 @@ def _draw_error(axes: Axes, run: Run, name: str) -> None:
     error, distances = error_over_time(tracked)
     time = tracked.sequence.time
     largest = 100 * max(float(np.nan_to_num(error).max(initial=0.0)), 0.01)
-    axes.fill_between(time, 100 * distances.ospa, step="mid", color="0.88", linewidth=0, label="OSPA")
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > _GAP * (np.median(steps) if steps.size else 0.0)) + 1
+    time, error, ospa = (np.insert(values, gaps, np.nan) for values in (time, error, distances.ospa))
+    axes.fill_between(time, 100 * ospa, step="mid", color="0.88", linewidth=0, label="OSPA")
     axes.plot(
         time, 100 * error, color="#0072B2", linewidth=1.4, marker=".", markersize=3, label="mean error of matches"
     )

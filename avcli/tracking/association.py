@@ -428,11 +428,14 @@ def _unpaid(prices: Mapping[int, float], used: int) -> float:
 
 
 def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
-    """Return the expected numbers of detected and of missed detectable people, among those who surely exist."""
+    """Return the expected numbers of detected and of missed detectable people, among those who surely exist.
+
+    Who was detected once and is missed was hardly a person.
+    """
     hits = misses = 0.0
     for group in groups:
         for row, j in group.hypotheses[0].pairs:
-            if row >= 0 and scan.existence[row] > SURE:
+            if row >= 0 and scan.known[row] and scan.existence[row] > SURE:
                 if j != MISSED:
                     hits += 1
                 else:

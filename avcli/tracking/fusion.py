@@ -102,6 +102,8 @@ class Fusion:
         outside: number of detections of each sensor that were ignored because they lie outside the room.
         stated: whether all detections of each sensor stated a covariance.
         spans: s, times of the first and the last record of each sensor.
+        steps: number of steps, of those with detections, and of those with people.
+        doubted: whether the user was told of detections that are nobody, or of features that are not used.
     """
 
     def __init__(
@@ -158,6 +160,8 @@ class Fusion:
         self.outside: Counter[str] = Counter()
         self.stated: dict[str, bool] = {}
         self.spans: dict[str, tuple[float, float]] = {}
+        self.doubted = False
+        self.steps = {"all": 0, "detections": 0, "people": 0}
         self._clocks = Clocks()
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
@@ -226,6 +230,8 @@ class Fusion:
         Returns:
             The tracks of the steps that are due: without lag those of this step.
         """
+        self.steps["all"] += 1
+        self.steps["detections"] += any(len(one) for _, _, one in records)
         begin = min([time, *[at for at, _, _ in records]])
         if not self._origins:
             self._origins.append((-math.inf, begin))  # nothing is before the tracker's time 0
@@ -245,7 +251,10 @@ class Fusion:
         )  # at one time the exact sensor first: where it sees nobody, a vague one is doubted
         for (at, column), parts in sorted(looks.items(), key=lambda look: (look[0][0], max(sensors[look[0][1]].sigma))):
             self._update(at, sensors[column], parts)
-        for text in [*(self._news() if self._news else ()), *self._clocks.news(now)]:
+        for text in self._news() if self._news else ():
+            self.doubted = True
+            self.say(text)
+        for text in self._clocks.news(now):
             self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]
@@ -379,6 +388,7 @@ class Fusion:
         before, self.shown = self.shown, time
         if self.settings.show == "observed":
             tracks = [one for one in tracks if one.last_seen > before]
+        self.steps["people"] += bool(tracks)
         n, numbers, ears = len(tracks), self.numbers, self.ears
         positions, velocities, covariances = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
         speaking = [math.nan] * n

@@ -47,7 +47,7 @@ from avcli.tracking.errors import Errors
 from avcli.tracking.false_places import FalsePlaces
 from avcli.tracking.features import Features
 from avcli.tracking.hypotheses import ABSENT, FEATURED, INDEPENDENT, Cluster
-from avcli.tracking.learning import Habits
+from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
 from avcli.tracking.rates import Rates, logit
@@ -387,7 +387,8 @@ class GLMB:
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
         dt = self.time - self.last_record[column]
-        known = people, self.labelled_rows, self.likely_rows, self.habits.leaving
+        sure = (people.hits.sum(1) >= SURE_HITS).tolist()
+        known = people, self.labelled_rows, [row for row in self.likely_rows if sure[row]], self.habits.leaving
         record = blindness.Record(column, self.time, dt, *known, covered, likely, clutters, new)
         sight = blindness.weigh(record, self.rates)
         return Scan(
@@ -418,6 +419,7 @@ class GLMB:
             sight.newcomers,
             sight.p_detect,
             sight.p_hit,
+            sure,
             evidence,
             covered,
             shown,
@@ -731,8 +733,11 @@ class GLMB:
         people, least = self.people, 0.0 if self.settings.show == "all" else REPORT
         present = [(one.label, one.row, one.existence) for one in self.labelled() if one.existence > least]
         if self.settings.show == "all":
-            dormant = [row for row in self.tentative if people.label[row] >= 0]
-            present = sorted(present + [(people.label[row], row, float(people.existence[row])) for row in dormant])
+            taken = {label for label, _, _ in present}
+            unsure = sorted(self.tentative, key=lambda row: (people.existence[row], -row))
+            # Of each the likeliest: one who left may be kept with several pasts.
+            dormant = {people.label[row]: row for row in unsure if people.label[row] not in {-1, *taken}}
+            present = sorted(present + [(label, row, float(people.existence[row])) for label, row in dormant.items()])
         if not present:
             return []
         rows = np.array([row for _, row, _ in present])

@@ -24,6 +24,7 @@ TELL = 0.2  # divergence of one look, see `Features.apart`; rows whose features 
 BESIDE, EXCHANGE = 0.3, 0.2  # m; least weight of the exchange of two people as near to each other as this
 FEATURED = 0.001  # in place of INDEPENDENT: else an exchange that is improbable now is lost before features can tell
 TWIN_DETECTABLE = 0.2  # as far as the probabilities that sensors can detect them are as near as this
+GONE = 0.03  # existence of a row below which nobody is at its place
 
 Joint = tuple[int, ...]
 
@@ -207,7 +208,9 @@ def decided(clusters: Sequence[Cluster], people: Densities, features: Features |
     """Return the clusters without hypotheses that differ from a likelier one only in which person has which label.
 
     Where the same people stand at the same positions under exchanged labels, no later record can tell which is
-    right. The likelier labels stay, so that they do not come and go with the last digits of the weights.
+    right. The likelier labels stay, so that they do not come and go with the last digits of the weights. Of several who
+    left, one may have come back: where the others are does not matter once they are hardly there. Else that one would
+    never be shown, since each label has but a share of the person.
     """
     doubtful = [k for k, one in enumerate(clusters) if len(one.labels) > 1 and len(one.hypotheses) > 1]
     out = list(clusters)
@@ -228,7 +231,8 @@ def _decided(cluster: Cluster, states: np.ndarray, people: Densities, features: 
     if features and features.width:
         apart += features.apart(people.traits.take(rows, 0)) / TELL
     twin = (apart < 1).argmax(1).tolist()
-    twin_of = {ABSENT: ABSENT, **dict(zip(rows, twin, strict=True))}
+    gone = (people.existence.take(rows) < GONE).tolist()
+    twin_of = {row: ABSENT if out else at for row, at, out in zip(rows, twin, gone, strict=True)} | {ABSENT: ABSENT}
     shares: dict[Joint, float] = {}
     first: dict[tuple[int, ...], Joint] = {}
     for hypothesis, share in zip(cluster.hypotheses, cluster.shares, strict=True):

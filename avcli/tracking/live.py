@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from avcli.formats.records import Detections
-from avcli.tracking.merging import PATIENCE, SAME, Key, Merger, Stream
+from avcli.tracking.merging import JUMP, PATIENCE, SAME, Key, Merger, Stream, tells_rate
 
 SLACK = 0.02  # s, in which what has been sent arrives
 
@@ -73,6 +73,7 @@ class LiveMerger(Merger):
         """
         super().__init__(sources, rate, max_wait, one_sensor=True, say=say)
         self.clock, self.start = clock, clock()
+        self.spoke = math.inf  # wall time in s of the first record
         self.heard: dict[Key, float] = {}  # wall time in s of the latest record
         self.behind: dict[Key, float] = {}  # wall time in s since when a sensor lags
         self.absent: set[Key] = set()
@@ -88,6 +89,7 @@ class LiveMerger(Merger):
         doubtful = bool(stream and stream.waiting)
         super().push(source, sensor, time, detections)
         self.heard[key] = self.clock()
+        self.spoke = min(self.spoke, self.heard[key])
         if stream and doubtful and not stream.waiting and stream.complete == time:
             wrong = [r for r in self.records if r[1:3] == (sensor, source) and r[0] > time]
             if wrong:
@@ -134,8 +136,7 @@ class LiveMerger(Merger):
         if not self.open:
             return math.inf
         now = self.clock()
-        known = self.rate is not None or any(s.steady >= PATIENCE - 1 for s in self.streams.values())
-        if not self.began and not known and now - self.start < self.max_wait:
+        if not self.began and now < self._rate_due():
             return -math.inf
         if self._without_record() - self.unheard:
             return -math.inf
@@ -150,9 +151,11 @@ class LiveMerger(Merger):
             return None
         now = self.clock()
         times = [at for one in (self.heard, self.behind) for key, at in one.items() if key not in self.absent]
-        if self._without_record() - self.unheard or (not self.began and now - self.start < self.max_wait):
+        if self._without_record() - self.unheard:
             times.append(self.start)
         waits = [at + self.max_wait - now for at in times]
+        if not self.began and now < self._rate_due() < math.inf:
+            waits.append(self._rate_due() - now)
         if not waits and self.streams:
             waits = [self._time(self.tick) - self._gone_by(now)]
         return max(min(waits), 0.0) + SLACK if waits else None
@@ -161,6 +164,13 @@ class LiveMerger(Merger):
         """Time in s of the records that would have come `max_wait` ago, had the sensors not fallen silent."""
         newest = max(stream.complete for stream in self.streams.values())
         return newest + now - max(self.heard.values()) - self.max_wait
+
+    def _rate_due(self) -> float:
+        """Wall time in s up to which the rate may yet show: longer where a sensor has steps, but not enough of them."""
+        steps = [] if self.rate is not None else self._steps()
+        if self.rate is not None or tells_rate(steps):
+            return -math.inf
+        return self.spoke + JUMP if steps else self.start + self.max_wait
 
     def _without_record(self) -> set[int]:
         return self.open - {source for source, _ in self.streams}

@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from avcli.formats.records import Detections
-from avcli.numeric import rate_of
+from avcli.numeric import is_regular, rate_of
 
 SAME = 1e-6  # s; nearer times are one
 PATIENCE = 3  # records after a gap before the missing one is given up
 JUMP = 10.0  # s without any record, or back in time, after which the clock starts anew
 FASTEST = 1000.0  # Hz, of a clock that is estimated
+FEW, PLENTY = 8, 200  # steps of a sensor that an estimate wants, and with which it waits for no more
 LATEST = 1e11  # s; the steps of a clock cannot be told from each other much beyond
 
 
@@ -147,7 +148,8 @@ class Merger:
 
         Args:
             sources: names of the streams of records.
-            rate: Hz of the clock, None: estimated from the records, whose first `max_wait` seconds are then held back.
+            rate: Hz of the clock, None: estimated from the records, which are then held back for `max_wait` seconds,
+                and until they show it.
             max_wait: s of data by which a sensor may lag behind the others of its source.
             one_sensor: whether each source is known to hold one sensor; else a sole source waits for its second one.
             say: called with a sentence for the user, for each sensor that lags too far behind or was late.
@@ -227,7 +229,7 @@ class Merger:
                 names = " and ".join(self.sources[k] for k in sorted((source, other)))
                 self.say(
                     f"sensor {sensor!r}: {names} have records of it at the same times; if these are two sensors, "
-                    "each needs a name of its own (--sensor of avdetect-video)"
+                    "each needs a name of its own (--sensor of avdetect-video and avdetect-audio)"
                 )
                 return
 
@@ -313,8 +315,8 @@ class Merger:
             return -math.inf
         if not self.open:
             return math.inf
-        held = self.rate is None or (self.waits_for_second and len(self.streams) < 2)
-        if not self.began and held and self.last - self.first < self.max_wait:
+        waits = not self.began and self.waits_for_second and len(self.streams) < 2
+        if (waits and self.last - self.first < self.max_wait) or not self._is_rate_known():
             return -math.inf
         lagging = self.laggards()
         return min((s.complete for key, s in self.streams.items() if key[1] not in lagging), default=-math.inf)
@@ -336,7 +338,7 @@ class Merger:
         return Stream(time, time, 1.0 / self.rate if self.rate else math.inf)
 
     def _begin(self) -> None:
-        rate = self.rate = self.rate or self._commonest_rate()
+        rate = self.rate = self.rate or self._estimated_rate()
         times = sorted(record[0] for record in self.records)
         on_grid = [t for t in times if abs(t * rate - round(t * rate)) < 1e-3 * rate]
         self.origin = 0.0 if on_grid else times[0]
@@ -345,14 +347,32 @@ class Merger:
         for stream in self.streams.values():
             stream.step = min(stream.step, 1.0 / rate)
 
-    def _commonest_rate(self) -> float:
+    def _is_rate_known(self) -> bool:
+        """Tell whether the rate is stated, or the records show it, or there are too many to wait for more."""
+        if self.rate is not None:
+            return True
+        if self.last - self.first < self.max_wait:
+            return False
+        return tells_rate(self._steps())
+
+    def _estimated_rate(self) -> float:
+        steps = self._steps()
+        if not steps:
+            return 10.0
+        rate = min(rate_of(steps), FASTEST)
+        if max(map(len, steps)) > 1 and not is_regular(steps):
+            self.say(f"the times of the records do not tell a rate; tracks are written at {rate:.4g} Hz (--rate)")
+        return rate
+
+    def _steps(self) -> list[list[float]]:
+        """Return the s between the records of each sensor that has some."""
         steps: dict[str, list[float]] = {}
         before: dict[str, float] = {}
         for time, sensor, *_ in sorted(self.records, key=lambda r: r[:3]):
             if sensor in before and time - before[sensor] > SAME:
                 steps.setdefault(sensor, []).append(time - before[sensor])
             before[sensor] = time
-        return min(rate_of(list(steps.values())), FASTEST) if steps else 10.0
+        return list(steps.values())
 
     def _time(self, tick: int) -> float:
         return self.origin + tick / (self.rate or 1.0)
@@ -361,6 +381,12 @@ class Merger:
         ready = sorted((r for r in self.records if r[0] <= now + SAME), key=lambda r: r[:3])
         self.records = [r for r in self.records if r[0] > now + SAME]
         return [(time, sensor, detections) for time, sensor, _, detections in ready]
+
+
+def tells_rate(steps: Sequence[Sequence[float]]) -> bool:
+    """Tell whether the s between the records of each sensor show the rate, or are so many that no more may help."""
+    most = max(map(len, steps), default=0)
+    return most >= PLENTY or (most >= FEW and is_regular(steps))
 
 
 def in_turn(sources: Sequence[Iterator[Detections]]) -> Iterator[tuple[int, Detections | None]]:

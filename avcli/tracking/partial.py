@@ -160,7 +160,8 @@ def _guesses(partial: Partial, z: np.ndarray, population: Population, height: fl
             z[j] = origin[:2] + toward / far * math.sqrt(max(partial.distance[j] ** 2 - rise**2, 0.0))
         else:
             begin, end = _stretch(origin[:2], direction[:2], population)
-            z[j] = origin[:2] + direction[:2] * (max(begin + end, 0.0) / 2 if math.isfinite(begin + end) else 0.0)
+            crosses = begin < end and math.isfinite(begin + end)  # a line may miss the area
+            z[j] = origin[:2] + direction[:2] * (max(begin + end, 0.0) / 2 if crosses else 0.0)
     return z
 
 

@@ -216,6 +216,53 @@ def detections(seed: int, folder: Path) -> Trial:
     return Trial(f"{what}, then aveval", lost=lost)
 
 
+def found(rng: np.random.Generator, kind: str, place: np.ndarray, origin: np.ndarray, sd: float) -> dict[str, Any]:
+    """A detection of a kind of a place (3,) m by a sensor at an origin (3,) m, with errors of so many m."""
+    place = place + rng.normal(0.0, sd, 3)
+    away = float(np.linalg.norm(place - origin))
+    one: dict[str, Any] = {"score": float(rng.choice([rng.uniform(), 1e-6, 1.0]))} if rng.random() < 0.7 else {}
+    if kind == "direction":
+        look = ((place - origin) / away).tolist()
+        return one | {"origin": origin.tolist(), "direction": look, "direction_sd_deg": some(rng, 0.1, 20)}
+    if kind == "distance":
+        return one | {"origin": origin.tolist(), "range_m": away, "range_sd_m": sd}
+    if kind == "covariance":
+        return one | {"position": place.tolist(), "covariance": spread(rng, 0.1 * sd**2, 10 * sd**2)}
+    return one | {"position": [*place[:2].tolist(), None if kind == "floor" else float(place[2])]}
+
+
+def walkers(seed: int, folder: Path) -> Trial:
+    """People who come and go past sensors of every kind, which see too much and too little; with many options."""
+    rng = np.random.default_rng(seed)
+    room, lasts = np.array([8.0, 6.0, 2.0]) * rng.choice([1, 1, 1, 50]), float(rng.uniform(3, 15))
+    people = [
+        (rng.uniform(0, room), [*rng.normal(0, 0.7, 2), 0.0], begin, begin + rng.uniform(1, 20))
+        for begin in rng.uniform(-5, 0.6 * lasts, int(rng.choice([0, 1, 1, 2, 3, 5, 10])))
+    ]
+    start, records = float(rng.choice([0, 0, 1.7e9, -5])), list[dict[str, Any]]()
+    for number in range(int(rng.integers(1, 5))):
+        rate, sd, chance = float(rng.choice([1, 5, 10, 12.5, 29.97, 60])), some(rng, 0.005, 1.5), rng.uniform(0.1, 1)
+        kinds = ["position", "covariance", "floor", "direction", "distance"]
+        kind, clutter = str(rng.choice([*kinds, "any"])), rng.choice([0, 0, 0.2, 2])
+        origin, blind = rng.uniform(0, room), np.sort(rng.uniform(0, 2 * lasts, 2))
+        for at in np.arange(rng.uniform(0, 1 / rate), lasts, 1 / rate):
+            if blind[0] < at < blind[1]:
+                continue
+            there = [first + at * np.array(pace) for first, pace, begin, end in people if begin < at < end]
+            seen = [place for place in there if rng.random() < chance]
+            seen += [rng.uniform(-0.5, room + 0.5) for _ in range(rng.poisson(clutter))]
+            objects = [found(rng, str(rng.choice(kinds)) if kind == "any" else kind, x, origin, sd) for x in seen]
+            records.append({"timestamp": f"{start + at:.10f}", "sensor": f"s{number}", "objects": objects})
+    records.sort(key=lambda record: float(record["timestamp"]))
+    ways = ("", "", "--lag 0", "--lag inf", "--no-hidden", "--no-learn", "--rate 10", "--tracker lmb", "--show all")
+    options = str(rng.choice(ways)).split()
+    trial, tracks = ended("avfuse", options, folder, fuzz.lines(records))
+    (folder / "tracks.jsonl").write_bytes(tracks)
+    scored, _ = ended("aveval", [folder / "tracks.jsonl", folder / "tracks.jsonl"], folder)
+    lost = trial.lost or trial.refused or scored.lost or (scored.refused if b"object_id" in tracks else "")
+    return Trial(f"avfuse {' '.join(options)}, {len(people)} people, {len(records)} records", lost=lost)
+
+
 def order(seed: int, folder: Path) -> Trial:
     """Records that come twice, or a few places too early or late: the tracks are those of the records in order."""
     rng = np.random.default_rng(seed)
@@ -262,6 +309,66 @@ def sounds(seed: int, folder: Path) -> Trial:
     method = ["--method", str(rng.choice(["srp", "3d-ssl"]))]
     trial, _ = ended("avdetect-audio", ["-C", folder, folder / "a.wav", *method], folder)
     return Trial(f"avdetect-audio {method[1]}, {rate} Hz, {count} channels, {kind}", trial.refused, trial.lost)
+
+
+def spoilt(rng: np.random.Generator, wave: np.ndarray, rate: int) -> np.ndarray:
+    """Sound (n, m) in which up to three channels are faulty, or all of them hum."""
+    wave = wave.copy()
+    loudest, count = float(np.abs(wave).max(initial=0.0)) + 1e-6, wave.shape[1]
+    for c in rng.choice(count, min(count, int(rng.choice([0, 0, 1, 2, 3]))), replace=False):
+        kind, one = rng.choice(["dead", "over", "late", "loud", "clipped", "noise", "shifted", "exchanged"]), wave[:, c]
+        if kind == "exchanged":
+            wave[:, [c, -1]] = wave[:, [-1, c]]
+        else:
+            wave[:, c] = {
+                "dead": 0 * one, "over": -one, "late": np.roll(one, int(rng.integers(1, rate // 50))),
+                "loud": 10 * one, "clipped": np.clip(one, -0.2 * loudest, 0.2 * loudest),
+                "noise": 0.1 * loudest * rng.standard_normal(len(one)), "shifted": one + 0.3 * loudest,
+            }[str(kind)]  # fmt: skip
+    if rng.random() < 0.2:
+        wave += 0.3 * loudest * np.sin(2 * np.pi * 50 * np.arange(len(wave)) / rate)[:, None]
+    return wave
+
+
+def talks(seed: int, folder: Path) -> Trial:
+    """People who talk for seconds between microphones of any shape, some channels of which are faulty."""
+    rng = np.random.default_rng(seed)
+    sides, rate = rng.uniform([3, 3, 2.4], [10, 8, 3.5]), int(rng.choice([8000, 16000, 16000, 44100]))
+    count, shape = (
+        int(rng.choice([4, 5, 6, 8, 8, 12])),
+        str(rng.choice(["room", "room", "table", "line", "wall"])),
+    )
+    microphones = rng.random((count, 3))
+    if shape == "room":
+        microphones *= sides
+    else:  # of some size: thin in one or in two axes, or in none
+        thin = {"table": [1, 1, 1], "line": [1, 0, 0], "wall": [1, 0, 1]}[shape]
+        microphones = sides / 2 + (microphones - 0.5) * some(rng, 0.05, 2) * thin
+    config = copy.deepcopy(LABORATORY)
+    config["room_config"] = {"room_dimensions_m": sides.tolist()}
+    config["microphone_config"] = {"mic_positions_m": microphones.tolist(), "audio_sample_rate_hz": rate}
+    (folder / "config.json").write_text(json.dumps(config))
+    mouths = [rng.uniform([0.2, 0.2, 1.0], sides - [0.2, 0.2, 0.5]) for _ in range(int(rng.choice([0, 1, 1, 2, 3])))]
+    paces = [[*rng.normal(0, 0.5, 2), 0.0] if rng.random() < 0.3 else [0.0] * 3 for _ in mouths]
+    people = []
+    for k in range(int(rng.integers(5, 90))):
+        places = [np.clip(at + 0.1 * k * np.array(pace), 0.1, sides) for at, pace in zip(mouths, paces, strict=True)]
+        people.append({"timestamp": k / 10, "objects": [
+            {"object_id": i, "position": [*place[:2], 0.0], "mouth_position": place.tolist(),
+             "speaking": (k // 7 + i) % 5 > 0} for i, place in enumerate(places)]})  # fmt: skip
+    trial, _ = ended("avsim-audio", ["-C", folder, "--rt60", rng.choice([0.0, 0.2, 0.5])], folder, fuzz.lines(people))
+    paths = list(folder.rglob("*.wav"))
+    if trial.lost or not paths:
+        return trial
+    wave, _ = soundfile.read(paths[0], always_2d=True)
+    soundfile.write(folder / "a.wav", spoilt(rng, wave, rate), rate, subtype="FLOAT")
+    ways = ("", "", "--method 3d-ssl", "--lookahead 0", "--context 0", "--max-speakers 4", "--rate 25", "--min-score 0")
+    options = str(rng.choice(ways)).split()
+    trial, _ = ended("avdetect-audio", [folder / "a.wav", "-C", folder, *options], folder)
+    what = (
+        f"avdetect-audio {' '.join(options)}, {count} microphones ({shape}), {len(mouths)} people, {len(people)} steps"
+    )
+    return Trial(what, trial.refused, trial.lost)
 
 
 def pictures(seed: int, folder: Path) -> Trial:
@@ -583,8 +690,10 @@ KINDS: dict[str, Kind] = {
         files,
         values,
         detections,
+        walkers,
         order,
         sounds,
+        talks,
         pictures,
         lens,
         cameras,
