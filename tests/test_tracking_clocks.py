@@ -51,6 +51,19 @@ def test_nothing_is_said_where_clocks_agree_or_nobody_can_tell(place: Place, lat
     assert told(place, late, **moved) == []
 
 
+@pytest.mark.parametrize(("phase", "late", "says"), [(0.5, 0.0, False), (0.25, 0.0, False), (0.5, 3.0, True)])
+def test_records_that_are_never_of_one_time_do_not_pass_for_clocks_that_disagree(
+    phase: float, late: float, says: bool
+) -> None:
+    clocks, said = Clocks(), []
+    records = [(t, "eye", walking(t)) for t in np.arange(0.0, 120.0)]
+    records += [(t + late, "ear", walking(t)) for t in np.arange(phase, 120.0)]
+    for t, name, xy in sorted(records):
+        clocks.take(t, name, np.array([xy]))
+        said += clocks.news(t)
+    assert bool(said) == says
+
+
 def test_records_without_positions_and_a_sensor_alone_say_nothing() -> None:
     clocks = Clocks()
     for k in range(400):
