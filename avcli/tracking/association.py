@@ -427,10 +427,10 @@ def _unpaid(prices: Mapping[int, float], used: int) -> float:
     return math.fsum([price for j, price in prices.items() if not used >> j & 1]) if prices else 0.0
 
 
-def hits_and_misses(groups: Iterable[Group], scan: Scan, known: Sequence[bool]) -> tuple[float, float]:
+def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
     """Return the expected numbers of detected and of missed detectable people, among those who surely exist.
 
-    known: of each row, whether it was detected often enough: who was detected once and is missed was hardly a person.
+    Who was detected once and is missed was hardly a person: a miss counts where the person was detected often.
     """
     hits = misses = 0.0
     for group in groups:
@@ -438,7 +438,7 @@ def hits_and_misses(groups: Iterable[Group], scan: Scan, known: Sequence[bool]) 
             if row >= 0 and scan.existence[row] > SURE:
                 if j != MISSED:
                     hits += 1
-                elif known[row]:
+                elif scan.often[row]:
                     p = scan.p_detect[row]
                     misses += p * (1 - scan.p_sensor) / max(scan.p_sensor * (1 - p), 1e-12)
     return hits, misses

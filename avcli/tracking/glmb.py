@@ -285,8 +285,7 @@ class GLMB:
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
-            hits, misses = association.hits_and_misses(groups, scan, self._known())
-            rates.learn(math.fsum(false), hits, misses, math.fsum(again))
+            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
             self._learn(groups, scan)
         self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
         if score is not None:
@@ -387,8 +386,8 @@ class GLMB:
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
         dt = self.time - self.last_record[column]
-        sure = self._known()
-        known = people, self.labelled_rows, [row for row in self.likely_rows if sure[row]], self.habits.leaving
+        often = (np.add.reduce(people.hits, 1) >= SURE_HITS).tolist()
+        known = people, self.labelled_rows, [row for row in self.likely_rows if often[row]], self.habits.leaving
         record = blindness.Record(column, self.time, dt, *known, covered, likely, clutters, new)
         sight = blindness.weigh(record, self.rates)
         return Scan(
@@ -409,6 +408,7 @@ class GLMB:
             likely,
             astray,
             sight.existence,
+            often,
             sight.detectable,
             clutters,
             max(rates.clutter, 1e-9),
@@ -424,10 +424,6 @@ class GLMB:
             shown,
             seen,
         )
-
-    def _known(self) -> list[bool]:
-        """Tell of each row whether it was detected often enough to tell something of the sensor that misses it."""
-        return (self.people.hits.sum(1) >= SURE_HITS).tolist()
 
     def _believe_who_went(self, column: int) -> None:
         """Stop doubting the people whom a camera saw walk away: what it falsely takes for people stays where it is."""

@@ -54,6 +54,7 @@ class Scan:
         strays: rows of people of whom nothing is detected -> the detections that nobody explains, and the density per
             m² of a detection of that person there, for the share of those that lie anywhere near; see `strays`.
         existence: n probabilities.
+        often: of each of the n, whether sensors detected the person often enough to tell something of who misses them.
         detectable: n probabilities that the sensor can detect the person.
         clutter: J densities per m² of false detections.
         expected_clutter: number of them, without those of places that are false again and again.
@@ -87,6 +88,7 @@ class Scan:
     likelihoods: Likelihoods
     strays: Mapping[int, list[tuple[int, float]]]
     existence: list[float]
+    often: list[bool]
     detectable: list[float]
     clutter: list[float]
     expected_clutter: float
