@@ -337,7 +337,7 @@ def look(model, column=0):
     none, between = np.zeros(0), Between(np.zeros(0), np.zeros(0))
     noise = np.zeros((0, 2, 2))
     seen = [], None, [], np.zeros((0, 1, 6)), nothing, nothing, [], {}, [], [], []
-    return Scan(model, column, nothing, noise, none, None, 0.0, between, *seen, 1.0, 0.0, [], 0.9, 0.9, [], [], [], [])
+    return Scan(model, column, nothing, noise, none, None, 0.0, between, *seen, 1.0, 0.0, [], 0.9, 0.9, [], [], [])
 
 
 def half_seen():

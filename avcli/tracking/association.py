@@ -428,17 +428,14 @@ def _unpaid(prices: Mapping[int, float], used: int) -> float:
 
 
 def hits_and_misses(groups: Iterable[Group], scan: Scan) -> tuple[float, float]:
-    """Return the expected numbers of detected and of missed detectable people, among those who surely exist.
-
-    Who was detected once and is missed was hardly a person.
-    """
+    """Return the expected numbers of detected and of missed detectable people, among those who surely exist."""
     hits = misses = 0.0
     for group in groups:
         for row, j in group.hypotheses[0].pairs:
             if row >= 0 and scan.existence[row] > SURE:
                 if j != MISSED:
                     hits += 1
-                elif scan.known[row]:
+                else:
                     p = scan.p_detect[row]
                     misses += p * (1 - scan.p_sensor) / max(scan.p_sensor * (1 - p), 1e-12)
     return hits, misses

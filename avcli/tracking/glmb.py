@@ -387,8 +387,9 @@ class GLMB:
             for j in shown.columns():
                 clutters[j] *= surface / shown.volume(j, self.population)
         dt = self.time - self.last_record[column]
-        sure = (people.hits.sum(1) >= SURE_HITS).tolist()
-        known = people, self.labelled_rows, [row for row in self.likely_rows if sure[row]], self.habits.leaving
+        # Who was detected once and is missed was hardly a person, and tells nothing of a sensor that may be blind.
+        often = (np.add.reduce(people.hits, 1) >= SURE_HITS).tolist()
+        known = people, self.labelled_rows, [row for row in self.likely_rows if often[row]], self.habits.leaving
         record = blindness.Record(column, self.time, dt, *known, covered, likely, clutters, new)
         sight = blindness.weigh(record, self.rates)
         return Scan(
@@ -419,7 +420,6 @@ class GLMB:
             sight.newcomers,
             sight.p_detect,
             sight.p_hit,
-            sure,
             evidence,
             covered,
             shown,

@@ -64,7 +64,6 @@ class Scan:
         newcomers: J densities per m² of detecting a person never detected before, where there is room for another.
         p_detect: n probabilities that it detects the person, if that person exists.
         p_hit: the same by all but the person's own detection, of which one that lies there asks.
-        known: n, whether the person was detected so often that it tells something of a sensor that misses him.
         covered: (n, M) shares of the detection probability at each person, by motion model; None: all of it.
         partial: what its detections show, None: all show positions.
         view: how the densities look in those that do not.
@@ -98,7 +97,6 @@ class Scan:
     newcomers: list[float]
     p_detect: list[float]
     p_hit: list[float]
-    known: list[bool]
     evidence: Evidence | None = None
     covered: np.ndarray | None = None
     partial: Partial | None = None
