@@ -13,6 +13,7 @@ Of whom little is seen a network is less sure, and its boxes and points are wors
 and the position are off, and how probable it is that the feet are hidden.
 """
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +44,7 @@ BODY_M = 0.15
 TIGHT = 0.75
 """Where a standing or seated body and a box share less, people who lie are thought of too."""
 
-_STEP_M, _MOST_STEPS = 0.01, 8
+_STEP_M, _MOST_STEPS, _LONGEST_M = 0.01, 6, 1.0
 _INWARD = np.array([1.0, 1.0, -1.0, -1.0])
 
 _TILT = 2 * np.pi * np.arange(12) / 12
@@ -117,7 +118,6 @@ class _Hypotheses:
     """
 
     def __init__(self, kinds: tuple[Kind, ...], *, upright: bool, points: bool = False):
-        self.upright = upright
         shares = {(False, True): 1.0}  # of those who are seen whole, and of those whose feet are hidden
         if upright:
             shares[True, True] = HEAD_TOLD if points else 1.0
@@ -125,6 +125,7 @@ class _Hypotheses:
             shares[True, False] = 1 - HEAD_TOLD
         self.kind = np.repeat(np.arange(len(kinds)), len(shares))
         self.hiding, self.told = (np.tile(column, len(kinds)) for column in np.array(list(shares)).T)
+        self.upright = np.full(len(self.kind), upright)
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
@@ -134,6 +135,14 @@ class _Hypotheses:
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    def beside(self, others: "_Hypotheses") -> "_Hypotheses":
+        """These hypotheses, and others after them."""
+        both = copy.copy(self)
+        for name, mine in vars(self).items():
+            setattr(both, name, np.concatenate([mine, getattr(others, name)]))
+        both.kind[len(self) :] += len(self.outlines)
+        return both
 
 
 _MOST, _MOST_BY_POINTS = (_Hypotheses(KINDS, upright=True, points=points) for points in (False, True))
@@ -182,6 +191,11 @@ class Fitted:
         law: the fitted errors of boxes and of positions by them.
         scores: (n,) of the network that gave the parts, from 0 to 1; None if unknown. Without parts they tell nothing,
             since each network has its own.
+        lie: fit people who lie together with the others, and not only after them where these suit a box badly. It
+            takes less time where some box is such a one, and more elsewhere; the positions are the same.
+
+    Attributes:
+        lie: whether people who lie were thought of.
     """
 
     def __init__(
@@ -193,8 +207,10 @@ class Fitted:
         room: np.ndarray | None = None,
         law: BoxLaw = BOX,
         scores: np.ndarray | None = None,
+        lie: bool = False,
     ):
         boxes = np.asarray(boxes, float).reshape(-1, 4)
+        self.lie = lie
         self._room, self._law, self._below = room, law, view.origin[:2]
         self._most = _MOST if parts is None else _MOST_BY_POINTS
         if not len(boxes):
@@ -203,9 +219,14 @@ class Fitted:
             )
             return
         self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
-        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most)
-        loose = np.flatnonzero(np.where(fits.good & ~self._most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
-        if len(loose):
+        count = len(self._most)
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most.beside(_REST) if lie else self._most)
+        suits = np.where(fits.good[:, :count] & ~self._most.hiding, fits.shared[:, :count], 0.0).max(axis=1) >= TIGHT
+        loose = np.flatnonzero(~suits)
+        self.lie = len(loose) > 0
+        if lie:
+            fits.good[suits, count:] = False
+        elif len(loose):
             some = [None if item is None else item[loose] for item in (parts, turns, self._unsure)]
             fits = fits.joined(_fitted(boxes[loose], view, some[0], some[1], some[2], law, _REST), loose)
         self._fits = fits
@@ -396,8 +417,8 @@ class _Fits:
         self._across = np.moveaxis(outline[..., :2] @ view.rotation[:2], -1, 0).copy()
         self._part = outline[..., 2]
         self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
-        if hypotheses.upright:
-            self.log_share += np.log(np.where(self.hiding, feet, 1 - feet))
+        upright = np.tile(hypotheses.upright, repeat)
+        self.log_share += np.where(upright, np.log(np.where(self.hiding, feet, 1 - feet)), 0.0)
         self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
         self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2
         self._turn = None if turns is None or not turns.any() else (np.cos(turns), np.sin(turns))  # picture to box
@@ -407,14 +428,16 @@ class _Fits:
         if parts is not None:
             along = np.stack(self._into_box(*np.moveaxis(parts, -1, 0)), axis=-1)
             self.measured = np.concatenate([self.measured, along.reshape(rows, 6)], axis=1)
-        below = view.below()
-        inward = np.zeros((rows, 2)) if below is None else np.stack(self._turned(*(below + 0.5 - self.middle).T), axis=1)
+        below = view.below
+        inward = (
+            np.zeros((rows, 2)) if below is None else np.stack(self._turned(*(below + 0.5 - self.middle).T), axis=1)
+        )
         inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9)
         self.inward = inward
         inner = np.concatenate([inward < -0.3, inward > 0.3], axis=1)  # sides that face the point below the camera
         self._coverable = self.hiding[:, None] & inner
         marked = np.repeat([False, True, False], 2) & np.tile(hypotheses.told, repeat)[:, None]
-        self._silent = np.where(self.hiding[:, None], ~marked, not hypotheses.upright)  # of the parts
+        self._silent = np.where(self.hiding[:, None], ~marked, ~upright[:, None])  # of the parts
         self.valid = np.ones(rows, bool)
         self.state = self._start()
         parts_up = np.tile(PART_HEIGHTS if self.parts else [], (rows, 1))
@@ -550,7 +573,7 @@ class _Fits:
             pull[:, 2] += prior * (self.mean - self.state[:, 2])
             step = np.linalg.solve(information, pull[..., None])[..., 0]
             longest = np.abs(step).max(axis=1)
-            step *= np.minimum(1.0, 0.3 / np.maximum(longest, 1e-12))[:, None]
+            step *= np.minimum(1.0, _LONGEST_M / np.maximum(longest, 1e-12))[:, None]
             self.state = self.state + step
             short += (own_pull - (cross * step).sum(axis=1)) / own
             if longest[self.valid].max(initial=0.0) < 2e-3:

@@ -202,13 +202,14 @@ class Network:
         return maps
 
     def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
-        if bgr:
-            tensor = picture[:, :, ::-1].transpose(2, 0, 1).astype(self._type)
-        else:
-            tensor = picture.transpose(2, 0, 1).astype(self._type)
-            np.multiply(tensor, self._type(1 / 255), out=tensor)
+        import cv2
+
+        tensor = np.empty((1, 3, *picture.shape[:2]), self._type)
+        tensor[0] = cv2.split(picture)[:: -1 if bgr else 1]
+        if not bgr:
+            tensor *= self._type(1 / 255)
         try:
-            return self._session.run(None, {self._input.name: np.ascontiguousarray(tensor[None])})
+            return self._session.run(None, {self._input.name: tensor})
         except Exception as error:  # onnxruntime raises RuntimeError's children of many names
             raise ModelError(f"the model cannot be run: {_first_line(error)}") from None
 
