@@ -272,6 +272,8 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 def _other(now: np.ndarray, then: np.ndarray, least: float) -> bool:
     """Whether two pictures (h, w) show two things: parts are unlike, and differ by more than `least`, squared."""
     now, then = now - now.mean(), then - then.mean()
+    if np.square(now - then).mean() < OTHERS / 2 * least:  # too little, however it is spread over the parts
+        return False
     one, other, both = _of_parts(np.stack([now * now, then * then, now * then], axis=-1)).T
     unlike = both < UNLIKE * np.sqrt(one * other)
     return bool((unlike & (one + other - 2 * both > least)).mean() >= OTHERS)
