@@ -83,12 +83,12 @@ class Letterbox:
         import cv2
 
         width, height = round(picture.shape[1] * self.scale), round(picture.shape[0] * self.scale)
+        if (height, width) != picture.shape[:2]:
+            picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        if (width, height) == self.size:
+            return picture
         out = np.full((self.size[1], self.size[0], 3), PAD, np.uint8)
-        inner = out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width]
-        if (height, width) == picture.shape[:2]:
-            inner[:] = picture
-        else:
-            inner[:] = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width] = picture
         return out
 
     def to_input(self, points: np.ndarray) -> np.ndarray:
@@ -405,7 +405,7 @@ def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confide
     Returns:
         Boxes (n, 4) [x0, y0, x1, y1] px of the input; scores (n,), falling; and parts (n, 3, 2) px or None.
     """
-    output = outputs[0][0].astype(np.float64)
+    output = outputs[0][0]
     with np.errstate(over="ignore", invalid="ignore"):  # a row that is not finite is dropped below
         boxes, scores, parts = _rows(output, head, size, confidence)
         keep = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1)
@@ -423,6 +423,7 @@ def _rows(
     """Boxes, scores and parts of all of an output's rows, whatever is in them."""
     if head.kind == "points":
         return _decode_points(output, size, confidence)
+    output = output.astype(np.float64)
     if head.kind == "end2end":
         return output[:, :4], np.where(np.rint(output[:, 5]) == head.person, output[:, 4], 0.0), None
     rows = output if head.transposed else output.T
@@ -453,7 +454,7 @@ def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -
     """This project's maps (11, h, w): score (0 but at its peaks), log distances to the box's sides, parts' offsets."""
     stride = size[0] / maps.shape[2]
     v, u = np.nonzero(maps[0] >= confidence)
-    values = maps[:, v, u].T
+    values = maps[:, v, u].T.astype(np.float64)
     place = (np.stack([u, v], axis=1) + 0.5) * stride
     reach = np.exp(values[:, 1:5]) * stride
     boxes = np.concatenate([place - reach[:, :2], place + reach[:, 2:]], axis=1)
