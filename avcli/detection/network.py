@@ -27,6 +27,9 @@ CONTEXT = 6
 WHOLE = 0.6
 """Share of the input above which it is cheaper to look at all of it."""
 
+_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
+"""Types of inputs. Bytes, [1, height, width, 3], are those of a picture, as for this project's network in integers."""
+
 PARTS = ("torso", "head", "foot")
 
 STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))
@@ -128,13 +131,15 @@ class Network:
         self._session = _open(model, threads)
         self.confidence = confidence
         source = self._session.get_inputs()
-        if len(source) != 1 or len(source[0].shape) != 4 or source[0].type not in ("tensor(float)", "tensor(float16)"):
+        if len(source) != 1 or len(source[0].shape) != 4 or source[0].type not in _TYPES:
             raise ModelError(
                 "expected one input [1, 3, height, width] of floats, found "
                 + ", ".join(f"{item.name} {item.shape} {item.type}" for item in source)
             )
-        self._input = source[0]
-        self._type = np.float16 if self._input.type == "tensor(float16)" else np.float32
+        self._name, self._type = source[0].name, _TYPES[source[0].type]
+        self._expected = list(source[0].shape)  # batch, channels, height, width
+        if self._type is np.uint8:
+            self._expected.insert(1, self._expected.pop())
         self.metadata = dict(self._session.get_modelmeta().custom_metadata_map)
         task = self.metadata.get("task", "detect")
         if task != "detect":
@@ -142,7 +147,7 @@ class Network:
         self.iou = _overlap(self.metadata.get("iou")) if iou is None else iou
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size, picture)
-        self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
+        self._open = not any(isinstance(side, int) for side in self._expected[2:])
         self._maps: np.ndarray | None = None
         self._shape: tuple | None = None
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
@@ -202,21 +207,15 @@ class Network:
         return maps
 
     def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
-        import cv2
-
-        tensor = np.empty((1, 3, *picture.shape[:2]), self._type)
-        tensor[0] = cv2.split(picture)[:: -1 if bgr else 1]
-        if not bgr:
-            tensor *= self._type(1 / 255)
         try:
-            return self._session.run(None, {self._input.name: tensor})
+            return self._session.run(None, {self._name: _tensor(picture, self._type, bgr=bgr)})
         except Exception as error:  # onnxruntime raises RuntimeError's children of many names
             raise ModelError(f"the model cannot be run: {_first_line(error)}") from None
 
     def _input_size(self, wanted: tuple[int, int] | None, picture: tuple[int, int]) -> tuple[int, int]:
-        batch, channels, height, width = self._input.shape
+        batch, channels, height, width = self._expected
         if (isinstance(channels, int) and channels != 3) or (isinstance(batch, int) and batch != 1):
-            raise ModelError(f"expected an input [1, 3, height, width], found {self._input.shape}")
+            raise ModelError(f"expected an input [1, 3, height, width], found {self._expected}")
         if isinstance(width, int) and isinstance(height, int):
             return width, height
         if wanted is None:
@@ -243,9 +242,23 @@ class Network:
         return longest if 0 < longest <= 4096 else 640
 
 
-def own_model() -> bytes:
-    """The content of the package's own ONNX file."""
-    return (resources.files("avcli.detection") / "people.onnx").read_bytes()
+def own_model(*, floats: bool = False) -> bytes:
+    """The content of the package's own ONNX file: in integers, or in `floats`, in which a network can learn."""
+    name = "people.onnx" if floats else "people-integers.onnx"
+    return (resources.files("avcli.detection") / name).read_bytes()
+
+
+def _tensor(picture: np.ndarray, kind: type, *, bgr: bool) -> np.ndarray:
+    """A picture (height, width, 3) uint8 as an input: its bytes, RGB from 0 to 1, or for YOLOX BGR from 0 to 255."""
+    import cv2
+
+    if kind is np.uint8:
+        return np.ascontiguousarray(picture[None])
+    tensor = np.empty((1, 3, *picture.shape[:2]), kind)
+    tensor[0] = cv2.split(picture)[:: -1 if bgr else 1]
+    if not bgr:
+        tensor *= kind(1 / 255)
+    return tensor
 
 
 def _cells(regions: np.ndarray, size: tuple[int, int], step: int) -> list[list[int]]:
