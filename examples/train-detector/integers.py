@@ -118,6 +118,8 @@ class Rounded(Graph):
             out, inputs = node.output[0], [read.get(name, name) for name in node.input]
             if node.op_type == "Conv" and out not in self.ends:
                 weight, bias = (constants.pop(name) for name in node.input[1:])
+                if node.input[0] == self.rounded[0]:  # no level of a byte is 0 there
+                    bias = bias + weight.sum((1, 2, 3)) * (self.made_of_input(0.0) - self.ranges[node.input[0]][0])
                 own = _steps(torch.from_numpy(weight)).numpy().ravel()
                 both = [(weight / own[:, None, None, None], own, np.int8)]
                 both.append((bias / (own * steps[node.input[0]]), own * steps[node.input[0]], np.int32))
