@@ -301,7 +301,7 @@ def test_legs_that_a_network_overlooks_move_nobody_far(view, background):
     person = (3.7, 2.33, 1.0, 0.3, 1.75)
     axis = np.array([[person[0], person[1], z] for z in (0.54 * 1.75, 0.93 * 1.75, 0.0)])
     box, parts = box_of(cast(view, [person]), background)[None], view.project(axis)[None] + 0.5
-    away = view.below() - box.reshape(2, 2).mean(axis=0)
+    away = view.below - box.reshape(2, 2).mean(axis=0)
     overlooked = 0.12 * np.sqrt((box[0, 2:] - box[0, :2]).prod()) * away / np.linalg.norm(away)
     box = box - np.concatenate([np.minimum(overlooked, 0), np.maximum(overlooked, 0)])
     parts = parts - np.array([0.5, 0.0, 1.0])[:, None] * overlooked
@@ -353,6 +353,19 @@ def test_a_lying_person_is_placed_within_what_is_said(view, background):
     found = Fitted(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])[None], view).places()
     away = found.positions[0] - [3.45, 3.1]
     assert away @ np.linalg.solve(found.covariances[0], away) < 6.0
+
+
+def test_who_lies_is_placed_alike_with_the_others_and_after_them(view, background):
+    lying = np.array([[x, 3.1 + y, z] for x in np.linspace(2.6, 4.3, 9) for y in (-0.2, 0.2) for z in (0.0, 0.25)])
+    pixels = view.project(lying) + 0.5
+    standing = box_of(cast(view, [placed_at(1.0, 0.3, 0)]), background)
+    boxes = np.array([np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), standing])
+    after, together = Fitted(boxes, view), Fitted(boxes, view, lie=True)
+    assert after.lie
+    assert together.lie
+    assert np.allclose(after.places().positions, together.places().positions, atol=1e-3)
+    assert np.allclose(after.places().covariances, together.places().covariances, rtol=0.01)
+    assert not Fitted(standing[None], view, lie=True).lie
 
 
 def test_no_boxes_give_no_places(view):

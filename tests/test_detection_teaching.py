@@ -108,7 +108,7 @@ def test_the_graph_that_learns_is_the_network_of_the_file():
     from avcli.detection.learning import Graph, Progress, learn
     from avcli.detection.network import Network, own_model
 
-    graph = Graph(own_model())
+    graph = Graph(own_model(floats=True))
     picture = np.random.default_rng(1).integers(0, 255, (64, 96, 3), np.uint8)
     with torch.no_grad():
         maps = graph(torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255)
@@ -118,9 +118,9 @@ def test_the_graph_that_learns_is_the_network_of_the_file():
     assert written.metadata["parts"] == "unknown"
 
     def taught(cuts):
-        graph, progress = Graph(own_model()), Progress()
+        graph, progress = Graph(own_model(floats=True)), Progress()
         for cut in cuts:
-            graph = Graph(own_model())
+            graph = Graph(own_model(floats=True))
             for now in learn(graph, lambda k, chance: drawn(shown((64, 64)), chance), 1, 3, 0, progress, 2):
                 if now.step == cut < 3:
                     progress = now

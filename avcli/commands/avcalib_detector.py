@@ -90,7 +90,7 @@ def _taught(
 
     name, model, labels = files
     knowing = read_bytes(name)
-    learner = own_model() if model is None else read_bytes(model)
+    learner = own_model(floats=True) if model is None else read_bytes(model)
     pictures = _pictures(session, sources, settings.pictures)
     first, picture = next(pictures)
     size = picture.shape[1], picture.shape[0]

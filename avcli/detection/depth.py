@@ -73,6 +73,7 @@ class DepthDetector:
 
     def __init__(self, view: View, background: np.ndarray | None, room: np.ndarray | None = None):
         self.heights = Heights()
+        self._lie = False  # whether the last picture had a box that suits nobody upright
         self.view, self.room = view, room
         self.limit = None
         if background is not None:
@@ -195,7 +196,8 @@ class DepthDetector:
             if found.turned is not None:
                 middle, half, turns = found.turned[:, :2], found.turned[:, 2:4] / 2, found.turned[:, 4]
                 boxes = np.concatenate([middle - half, middle + half], axis=1)
-            bodies = Fitted(boxes, self.view, found.parts, turns, self.room, scores=found.scores)
+            bodies = Fitted(boxes, self.view, found.parts, turns, self.room, scores=found.scores, lie=self._lie)
+            self._lie = bodies.lie
             if depth is not None or time is None:
                 return bodies.places()
             return self.heights.place(found.boxes, time, bodies.places)

@@ -447,7 +447,7 @@ class Detector:
         return found.take(moving)
 
     def _windows(self, network: Network) -> WindowedNetwork:
-        below = self.view.below()
+        below = self.view.below
         centre = np.array(self._size) / 2 if below is None else below + 0.5
         return WindowedNetwork(network, self._size, centre, self.settings.windows or 1, self.view.circle)
 

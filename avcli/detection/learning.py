@@ -43,14 +43,18 @@ class Graph(torch.nn.Module):
     Args:
         model: content of the file.
 
+    Attributes:
+        proto: what it says.
+        ends: the names of the maps of the score's logit and of the rest.
+
     Raises:
         ValueError: it has an operator that this project's networks do not have.
     """
 
     def __init__(self, model: bytes) -> None:
         super().__init__()
-        self._proto = onnx.load_from_string(model)
-        graph = self._proto.graph
+        self.proto = onnx.load_from_string(model)
+        graph = self.proto.graph
         learnt = {name for node in graph.node if node.op_type == "Conv" for name in node.input[1:]}
         self._fixed = dict[str, torch.Tensor]()
         for constant in graph.initializer:
@@ -64,24 +68,43 @@ class Graph(torch.nn.Module):
         sigmoids = [node for node in graph.node if node.op_type == "Sigmoid"]
         if unknown or len(sigmoids) != 1 or graph.node[-1].op_type != "Concat":
             raise ValueError(f"not a network of this project: its graph has {', '.join(unknown) or 'another head'}")
-        self._ends = sigmoids[0].input[0], graph.node[-1].input[1]
+        self.ends = sigmoids[0].input[0], graph.node[-1].input[1]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """RGB in [0, 1], (n, 3, h, w), to maps (n, 11, h/8, w/8): the score's logit, logs of distances, parts."""
-        values: dict[str, Any] = {**self._fixed, **dict(self.named_parameters()), self._proto.graph.input[0].name: x}
-        for node in self._proto.graph.node:
+        values: dict[str, Any] = {**self._fixed, **dict(self.named_parameters()), self.proto.graph.input[0].name: x}
+        for node in self.proto.graph.node:
             given = [values.get(name) for name in node.input]
             if all(value is not None for name, value in zip(node.input, given, strict=True) if name):
-                made = _run(node, given)
+                made = self.made(node, given)
                 if made is not None:
                     values[node.output[0]] = made
-        return torch.cat([values[name] for name in self._ends], dim=1)
+        return torch.cat([values[name] for name in self.ends], dim=1)
+
+    def made(self, node: Any, given: list[Any]) -> torch.Tensor | None:
+        """What a node makes of its inputs; None: nothing that is learnt from."""
+        options = {one.name: onnx.helper.get_attribute_value(one) for one in node.attribute}
+        match node.op_type:
+            case "Conv":
+                x, weight, bias = given
+                return F.conv2d(x, weight, bias, options["strides"], options["pads"][:2], 1, options["group"])
+            case "Relu":
+                return F.relu(given[0])
+            case "Add":
+                return given[0] + given[1]
+            case "Sub":
+                return given[0] - given[1]
+            case "Mul" if given[1].ndim == 0:
+                return given[0] * given[1]
+            case "Resize":
+                return F.interpolate(given[0], scale_factor=2.0, mode="nearest")
+        return None
 
     def content(self, slope: float, shift: float, metadata: dict[str, str]) -> bytes:
         """The ONNX file of the network as it is now, with the score's logit stretched and shifted, and metadata."""
         proto = onnx.ModelProto()
-        proto.CopyFrom(self._proto)
-        (score,) = (node for node in proto.graph.node if node.output[0] == self._ends[0])
+        proto.CopyFrom(self.proto)
+        (score,) = (node for node in proto.graph.node if node.output[0] == self.ends[0])
         for constant in proto.graph.initializer:
             if constant.name in dict(self.named_parameters()):
                 value = self.get_parameter(constant.name).detach().numpy()
@@ -94,25 +117,6 @@ class Graph(torch.nn.Module):
         for key, text in kept.items():
             proto.metadata_props.add(key=key, value=text)
         return proto.SerializeToString(deterministic=True)
-
-
-def _run(node: Any, given: list[Any]) -> torch.Tensor | None:
-    options = {one.name: onnx.helper.get_attribute_value(one) for one in node.attribute}
-    match node.op_type:
-        case "Conv":
-            x, weight, bias = given
-            return F.conv2d(x, weight, bias, options["strides"], options["pads"][:2], 1, options["group"])
-        case "Relu":
-            return F.relu(given[0])
-        case "Add":
-            return given[0] + given[1]
-        case "Sub":
-            return given[0] - given[1]
-        case "Mul" if given[1].ndim == 0:
-            return given[0] * given[1]
-        case "Resize":
-            return F.interpolate(given[0], scale_factor=2.0, mode="nearest")
-    return None
 
 
 def loss(maps: torch.Tensor, heat: Any, negative: Any, reach: Any, weight: Any) -> tuple[torch.Tensor, torch.Tensor]:

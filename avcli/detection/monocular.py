@@ -13,6 +13,7 @@ Of whom little is seen a network is less sure, and its boxes and points are wors
 and the position are off, and how probable it is that the feet are hidden.
 """
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,9 +44,8 @@ BODY_M = 0.15
 TIGHT = 0.75
 """Where a standing or seated body and a box share less, people who lie are thought of too."""
 
-_STEP_M = 0.01
-_STEPS = np.vstack([np.zeros(3), _STEP_M * np.eye(3)])
-_AXIS = np.column_stack([np.zeros((3, 2)), PART_HEIGHTS])
+_STEP_M, _MOST_STEPS, _LONGEST_M = 0.01, 6, 1.0
+_INWARD = np.array([1.0, 1.0, -1.0, -1.0])
 
 _TILT = 2 * np.pi * np.arange(12) / 12
 _RING = np.stack([np.cos(_TILT), np.sin(_TILT)], axis=1)
@@ -118,7 +118,6 @@ class _Hypotheses:
     """
 
     def __init__(self, kinds: tuple[Kind, ...], *, upright: bool, points: bool = False):
-        self.upright = upright
         shares = {(False, True): 1.0}  # of those who are seen whole, and of those whose feet are hidden
         if upright:
             shares[True, True] = HEAD_TOLD if points else 1.0
@@ -126,6 +125,7 @@ class _Hypotheses:
             shares[True, False] = 1 - HEAD_TOLD
         self.kind = np.repeat(np.arange(len(kinds)), len(shares))
         self.hiding, self.told = (np.tile(column, len(kinds)) for column in np.array(list(shares)).T)
+        self.upright = np.full(len(self.kind), upright)
         self.outlines = np.stack([kind.outline for kind in kinds])
         self.mean = np.array([kinds[kind].height_m for kind in self.kind])
         self.spread = np.array([kinds[kind].spread_m for kind in self.kind])
@@ -135,6 +135,14 @@ class _Hypotheses:
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    def beside(self, others: "_Hypotheses") -> "_Hypotheses":
+        """These hypotheses, and others after them."""
+        both = copy.copy(self)
+        for name, mine in vars(self).items():
+            setattr(both, name, np.concatenate([mine, getattr(others, name)]))
+        both.kind[len(self) :] += len(self.outlines)
+        return both
 
 
 _MOST, _MOST_BY_POINTS = (_Hypotheses(KINDS, upright=True, points=points) for points in (False, True))
@@ -183,6 +191,11 @@ class Fitted:
         law: the fitted errors of boxes and of positions by them.
         scores: (n,) of the network that gave the parts, from 0 to 1; None if unknown. Without parts they tell nothing,
             since each network has its own.
+        lie: fit people who lie together with the others, and not only after them where these suit a box badly. It
+            takes less time where some box is such a one, and more elsewhere; the positions are the same.
+
+    Attributes:
+        lie: whether people who lie were thought of.
     """
 
     def __init__(
@@ -194,8 +207,10 @@ class Fitted:
         room: np.ndarray | None = None,
         law: BoxLaw = BOX,
         scores: np.ndarray | None = None,
+        lie: bool = False,
     ):
         boxes = np.asarray(boxes, float).reshape(-1, 4)
+        self.lie = lie
         self._room, self._law, self._below = room, law, view.origin[:2]
         self._most = _MOST if parts is None else _MOST_BY_POINTS
         if not len(boxes):
@@ -204,9 +219,14 @@ class Fitted:
             )
             return
         self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
-        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most)
-        loose = np.flatnonzero(np.where(fits.good & ~self._most.hiding, fits.shared, 0.0).max(axis=1) < TIGHT)
-        if len(loose):
+        count = len(self._most)
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most.beside(_REST) if lie else self._most)
+        suits = np.where(fits.good[:, :count] & ~self._most.hiding, fits.shared[:, :count], 0.0).max(axis=1) >= TIGHT
+        loose = np.flatnonzero(~suits)
+        self.lie = len(loose) > 0
+        if lie:
+            fits.good[suits, count:] = False
+        elif len(loose):
             some = [None if item is None else item[loose] for item in (parts, turns, self._unsure)]
             fits = fits.joined(_fitted(boxes[loose], view, some[0], some[1], some[2], law, _REST), loose)
         self._fits = fits
@@ -370,7 +390,10 @@ def _fitted(
 
 
 class _Fits:
-    """Fits of bodies to boxes by Gauss and Newton's method, a row for each box and hypothesis."""
+    """Fits of bodies to boxes by Gauss and Newton's method, a row for each box and hypothesis.
+
+    Arrays have the coordinate first and the rows next, since numpy is slow along short last axes.
+    """
 
     def __init__(
         self,
@@ -388,39 +411,51 @@ class _Fits:
         )
         self.unsure = np.zeros(rows) if unsure is None else unsure
         self.view, self.law, self.parts = view, law, parts is not None
-        self._picture = np.array(view.size, float)
+        self._rows = np.arange(rows)
         repeat = rows // len(hypotheses)
-        self.outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
+        outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
+        self._across = np.moveaxis(outline[..., :2] @ view.rotation[:2], -1, 0).copy()
+        self._part = outline[..., 2]
         self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
-        if hypotheses.upright:
-            self.log_share += np.log(np.where(self.hiding, feet, 1 - feet))
-        head = np.repeat([False, True, False], 2)
-        marked = head & np.tile(hypotheses.told, repeat)[:, None]
-        self.silent = np.where(self.hiding[:, None], ~marked, not hypotheses.upright)  # of the parts
+        upright = np.tile(hypotheses.upright, repeat)
+        self.log_share += np.where(upright, np.log(np.where(self.hiding, feet, 1 - feet)), 0.0)
         self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
-        turns = np.zeros(rows) if turns is None else turns
         self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2
-        cosine, sine = np.cos(turns), np.sin(turns)
-        self.turn = np.stack([np.stack([cosine, sine], 1), np.stack([-sine, cosine], 1)], 1)  # picture to box
-        self.turned = turns != 0
-        if not self.turned.any():
+        self._turn = None if turns is None or not turns.any() else (np.cos(turns), np.sin(turns))  # picture to box
+        if self._turn is None:
             boxes = np.clip(boxes, 0.0, [*view.size, *view.size])
-        self.measured = self._into_box(boxes.reshape(rows, 2, 2), rotate=False).reshape(rows, 4)
+        self.measured = boxes - np.tile(self.middle, 2)
         if parts is not None:
-            self.measured = np.concatenate([self.measured, self._into_box(parts).reshape(rows, 6)], axis=1)
-        below = view.below()
-        inward = np.zeros((rows, 2)) if below is None else below + 0.5 - self.middle
-        inward = (self.turn @ inward[..., None])[..., 0]
+            along = np.stack(self._into_box(*np.moveaxis(parts, -1, 0)), axis=-1)
+            self.measured = np.concatenate([self.measured, along.reshape(rows, 6)], axis=1)
+        below = view.below
+        inward = (
+            np.zeros((rows, 2)) if below is None else np.stack(self._turned(*(below + 0.5 - self.middle).T), axis=1)
+        )
         inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9)
         self.inward = inward
-        self.inner = np.concatenate([inward < -0.3, inward > 0.3], axis=1)  # sides that face the point below the camera
+        inner = np.concatenate([inward < -0.3, inward > 0.3], axis=1)  # sides that face the point below the camera
+        self._coverable = self.hiding[:, None] & inner
+        marked = np.repeat([False, True, False], 2) & np.tile(hypotheses.told, repeat)[:, None]
+        self._silent = np.where(self.hiding[:, None], ~marked, ~upright[:, None])  # of the parts
         self.valid = np.ones(rows, bool)
         self.state = self._start()
+        parts_up = np.tile(PART_HEIGHTS if self.parts else [], (rows, 1))
+        self._up = np.concatenate([np.zeros((rows, 4)), parts_up], axis=1)  # parts of the height; of sides, see predict
+        self._steps = np.zeros((3, 4, *self._up.shape))
+        self._steps[:, 1:3] = _STEP_M * view.rotation[:2].T[..., None, None]
 
-    def _into_box(self, points: np.ndarray, *, rotate: bool = True) -> np.ndarray:
-        """Points (rows, m, 2) px of the picture in the axes of their row's box."""
-        away = points - self.middle[:, None]
-        return away @ self.turn.mT if rotate and self.turned.any() else away
+    def _turned(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vectors (..., rows) px of the picture in the axes of their row's box."""
+        if self._turn is None:
+            return x, y
+        cosine, sine = self._turn
+        return cosine * x + sine * y, cosine * y - sine * x
+
+    def _into_box(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (..., rows, m) px of the picture in the axes of their row's box."""
+        x, y = self._turned((u - self.middle[:, :1]).swapaxes(-1, -2), (v - self.middle[:, 1:]).swapaxes(-1, -2))
+        return x.swapaxes(-1, -2), y.swapaxes(-1, -2)
 
     def _start(self) -> np.ndarray:
         """Where the fits begin (rows, 3): the middle at half the height, or the outer side at the head's."""
@@ -428,94 +463,117 @@ class _Fits:
         with np.errstate(divide="ignore"):
             reach = np.min(half / np.maximum(np.abs(self.inward), 1e-9), axis=1)
         outer = -self.inward * (0.9 * reach)[:, None]
-        seed = np.where(self.hiding[:, None], outer, 0.0)
-        if self.parts:
-            seed = np.where(self.hiding[:, None], seed, self.measured[:, 4:6])
-        pixels = (self.turn.mT @ seed[..., None])[..., 0] + self.middle
+        seed = np.where(self.hiding[:, None], outer, self.measured[:, 4:6] if self.parts else 0.0)
+        if self._turn is not None:
+            cosine, sine = self._turn
+            seed = np.stack([cosine * seed[:, 0] - sine * seed[:, 1], sine * seed[:, 0] + cosine * seed[:, 1]], axis=1)
         height = np.where(self.hiding, 0.9, 0.54) * self.mean
-        xy, good = _on_planes(pixels, self.view, height)
+        xy, good = _on_planes(seed + self.middle, self.view, height)
         self.valid &= good
         return np.column_stack([np.where(good[:, None], xy, self.view.origin[:2]), self.mean])
 
-    def _points(self, state: np.ndarray, unit: np.ndarray) -> np.ndarray:
-        """Pixels (..., m, 2) of points (..., m, 3) of bodies of height 1 in the states (..., 3); not cut."""
-        body = np.empty((*state.shape[:-1], unit.shape[-2], 3))
-        np.add(unit[..., :2], state[..., None, :2], out=body[..., :2])
-        np.multiply(unit[..., 2], state[..., None, 2], out=body[..., 2])
-        return self.view.project(body.reshape(-1, 3)).reshape(*body.shape[:-1], 2) + 0.5
-
-    def _cut(self, pixels: np.ndarray) -> np.ndarray:
-        """The pixels (rows, m, 2), moved onto the lit picture, in the axes of the box."""
-        inside = np.minimum(np.maximum(pixels, 0.0), self._picture)
+    def _cut(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (..., m) px, moved onto the lit picture."""
+        width, height = self.view.size
+        u, v = np.minimum(np.maximum(u, 0.0), width), np.minimum(np.maximum(v, 0.0), height)
         if self.view.circle is not None:
             x, y, radius = self.view.circle
-            away = inside - [x + 0.5, y + 0.5]
-            inside = away / np.maximum(np.linalg.norm(away, axis=2, keepdims=True) / radius, 1.0) + [x + 0.5, y + 0.5]
-        return self._into_box(inside)
+            u, v = u - x - 0.5, v - y - 0.5
+            beyond = np.maximum(np.hypot(u, v) / radius, 1.0)
+            u, v = u / beyond + x + 0.5, v / beyond + y + 0.5
+        return u, v
 
     def _areas(self) -> np.ndarray:
-        """Areas (rows,) px² of the boxes of the bodies, not cut by the picture's border."""
-        whole = self._into_box(self._points(self.state, self.outline))
-        seen = np.isfinite(whole)
-        span = np.where(seen, whole, -np.inf).max(axis=1) - np.where(seen, whole, np.inf).min(axis=1)
-        return np.where(np.isfinite(span), span, 0.0).prod(axis=1)
+        """Areas (rows,) px² of the boxes of the bodies last predicted, not cut by the picture's border."""
+        u, v = self._whole if self._turn is None else self._into_box(*self._whole)
+        if self._unseen is not None:
+            low, high = (np.where(self._unseen, end, [u, v]) for end in (np.inf, -np.inf))
+        else:
+            low = high = np.stack([u, v])
+        span = high.max(axis=2) - low.min(axis=2)
+        return np.where(np.isfinite(span), span, 0.0).prod(axis=0)
 
     def predict(self) -> tuple[np.ndarray, np.ndarray]:
         """Boxes (rows, 4), and parts where they are known (6 more), of the bodies as the picture cuts them; Jacobians.
 
-        The Jacobians (rows, 4 or 10, 3) of sides and parts are those of the points that make the sides.
+        The Jacobians (3, rows, 4 or 10) of sides and parts are those of the points that make the sides.
         """
-        rows = len(self.state)
-        pixels = self._points(self.state, self.outline)
-        unseen = np.isnan(pixels[..., 0])
-        self.valid &= ~unseen.all(axis=1)
-        low = high = self._cut(pixels)
-        if unseen.any():
-            low, high = (np.where(unseen[..., None], end, low) for end in (np.inf, -np.inf))
-        corner = np.concatenate([low.argmin(axis=1), high.argmax(axis=1)], axis=1)  # x0, y0, x1, y1
-        unit = self.outline[np.arange(rows)[:, None], corner]
-        if self.parts:
-            unit = np.concatenate([unit, np.broadcast_to(_AXIS, (rows, 3, 3))], axis=1)
-        points = self._points(self.state[:, None] + _STEPS, unit[:, None])
-        cut = self._cut(points[:, :, :4].reshape(rows, -1, 2)).reshape(rows, 4, 8)
-        values = cut[:, :, [0, 3, 4, 7]]
-        if self.parts:
-            axes = self._into_box(points[:, :, 4:].reshape(rows, -1, 2)).reshape(rows, 4, 6)
-            values = np.concatenate([values, axes], axis=2)
-        predicted = values[:, 0]
-        return predicted, (values[:, 1:] - predicted[:, None]).mT / _STEP_M
+        view, image = self.view, self.view.lens.image
+        axis = ((self.state[:, :2] - view.origin[:2]) @ view.rotation[:2] - view.origin[2] * view.rotation[2]).T
+        up = view.rotation[2][:, None, None]
+        height = self.state[:, 2:]
+        body = self._across + axis[..., None] + up * (height * self._part)
+        u, v = image(*body)
+        self._whole = u, v = u + 0.5, v + 0.5
+        unseen = np.isnan(u)
+        self._unseen = unseen if unseen.any() else None
+        u, v = self._cut(u, v)
+        if self._turn is not None:
+            u, v = self._into_box(u, v)
+        ends = np.stack([u, v, -u, -v])
+        if self._unseen is not None:
+            self.valid &= ~unseen.all(axis=1)
+            ends[:, unseen] = np.inf
+        corner = ends.argmin(axis=2).T  # x0, y0, x1, y1
+        rows = self._rows[:, None]
+        self._up[:, :4] = self._part[rows, corner]
+        self._steps[:, 3] = _STEP_M * up * self._up
+        points = np.empty((3, *self._up.shape))
+        points[..., :4] = body[:, rows, corner]
+        points[..., 4:] = axis[..., None] + up * (height * self._up[:, 4:])
+        u, v = image(*(points[:, None] + self._steps))
+        u, v = u + 0.5, v + 0.5
+        u[..., :4], v[..., :4] = self._cut(u[..., :4], v[..., :4])
+        u, v = self._into_box(u, v)
+        values = np.empty((4, *self.measured.shape))
+        values[..., 0:4:2], values[..., 1:4:2] = u[..., 0:4:2], v[..., 1:4:2]
+        values[..., 4::2], values[..., 5::2] = u[..., 4:], v[..., 4:]
+        return values[0], (values[1:] - values[0]) / _STEP_M
 
-    def run(self) -> None:
-        """Fit x, y and height of every row."""
-        extent = np.sqrt(np.maximum(self._areas(), 1.0))
+    def _measure(self, extent: np.ndarray) -> None:
+        """Set the standard deviations (rows, 4 or 10) px of what was measured, of bodies with boxes of these sizes.
+
+        Of whom is half hidden, the network takes torso and foot from the half that it sees: they tell nothing.
+        """
         self.spread = np.repeat((self.law.side * extent + 1.0)[:, None], self.measured.shape[1], axis=1)
         if self.parts:
             doubted = 1 + self.law.part_unsure * np.multiply.outer(self.unsure, PART_UNSURE)
             self.spread[:, 4:] *= np.repeat(self.law.part * PART_SPREADS * doubted, 2, axis=1)
-        prior = np.zeros((len(self.state), 3, 3))
-        prior[:, 2, 2] = self.height_spread**-2.0
+        self._usual = self.spread.copy()
+        if self.parts:
+            self._usual[:, 4:][self._silent] = np.inf
+
+    def run(self) -> None:
+        """Fit x, y and height of every row."""
+        predicted, jacobian = self.predict()
+        extent = np.sqrt(np.maximum(self._areas(), 1.0))
+        self._measure(extent)
+        prior = self.height_spread**-2.0
         legs, precision = self._legs(extent), self.law.short_spread**-2.0
         short = np.full(len(self.state), float(self.law.short))  # the fourth unknown, eliminated from the equations
-        for _ in range(8):
-            predicted, jacobian = self.predict()
+        for step_number in range(_MOST_STEPS):
+            if step_number:
+                predicted, jacobian = self.predict()
             predicted = predicted - short[:, None] * legs
-            told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=2)
-            jacobian, slope = np.where(told[..., None], jacobian, 0.0), np.where(told, -legs, 0.0)
-            error = np.where(told, self.measured - predicted, 0.0)
+            error, slope = self.measured - predicted, -legs
+            told = np.isfinite(predicted) & np.isfinite(jacobian).all(axis=0)
+            if not told.all():
+                jacobian, error, slope = (np.where(told, item, 0.0) for item in (jacobian, error, slope))
             doubt, covered = self._doubt(predicted, error)
             weights = 1.0 / np.maximum(np.abs(error / doubt) / 2.0, 1.0) / doubt**2  # Huber: an arm moves one side only
-            information = jacobian.mT @ (weights[..., None] * jacobian) + prior + np.eye(3)
-            pull = (jacobian.mT @ (weights * error)[..., None])[..., 0]
-            pull[:, 2] += prior[:, 2, 2] * (self.mean - self.state[:, 2])
+            columns = np.stack([*jacobian, error, slope], axis=1)
+            products = (columns * weights[:, None]) @ columns.mT
             off = self.law.short - short
-            own_pull = precision * off + (weights * slope * error).sum(axis=1)
-            own = precision + (weights * slope**2).sum(axis=1)
-            cross = (jacobian.mT @ (weights * slope)[..., None])[..., 0]
-            information -= cross[:, :, None] * cross[:, None, :] / own[:, None, None]  # Schur complement
-            pull -= cross * (own_pull / own)[:, None]
+            own, own_pull = precision + products[:, 4, 4], precision * off + products[:, 4, 3]
+            cross, share = products[:, :3, 4], products[:, :3, 4] / own[:, None]
+            information = products[:, :3, :3] - share[:, :, None] * cross[:, None, :]  # Schur complement
+            information += np.eye(3)
+            information[:, 2, 2] += prior
+            pull = products[:, :3, 3] - share * own_pull[:, None]
+            pull[:, 2] += prior * (self.mean - self.state[:, 2])
             step = np.linalg.solve(information, pull[..., None])[..., 0]
-            longest = np.abs(step).max(axis=1, keepdims=True)
-            step *= np.minimum(1.0, 0.3 / np.maximum(longest, 1e-12))
+            longest = np.abs(step).max(axis=1)
+            step *= np.minimum(1.0, _LONGEST_M / np.maximum(longest, 1e-12))[:, None]
             self.state = self.state + step
             short += (own_pull - (cross * step).sum(axis=1)) / own
             if longest[self.valid].max(initial=0.0) < 2e-3:
@@ -538,13 +596,11 @@ class _Fits:
 
     def _doubt(self, predicted: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of what was measured, and the sides (rows, 4) of bodies that something hides."""
-        doubt = self.spread.copy()
-        shorter = np.concatenate([error[:, :2] > 0, error[:, 2:4] < 0], axis=1)
-        length = np.tile(np.maximum(predicted[:, 2:4] - predicted[:, :2], 1.0), (1, 2))
-        covered = self.hiding[:, None] & self.inner & shorter
-        doubt[:, :4] = np.where(covered, np.maximum(length, doubt[:, :4]), doubt[:, :4])
-        if self.parts:  # of whom is half hidden, the network takes torso and foot from the half that it sees
-            doubt[:, 4:] = np.where(self.silent, np.inf, doubt[:, 4:])
+        doubt = self._usual.copy()
+        covered = self._coverable & (error[:, :4] * _INWARD > 0)
+        if covered.any():
+            length = np.tile(predicted[:, 2:4] - predicted[:, :2], (1, 2))
+            doubt[:, :4] = np.where(covered, np.maximum(np.maximum(length, 1.0), doubt[:, :4]), doubt[:, :4])
         return doubt, covered
 
     def judge(self) -> tuple[np.ndarray, ...]:

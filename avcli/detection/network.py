@@ -27,6 +27,9 @@ CONTEXT = 6
 WHOLE = 0.6
 """Share of the input above which it is cheaper to look at all of it."""
 
+_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
+"""Types of inputs. Bytes, [1, height, width, 3], are those of a picture, as for this project's network in integers."""
+
 PARTS = ("torso", "head", "foot")
 
 STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))
@@ -83,12 +86,12 @@ class Letterbox:
         import cv2
 
         width, height = round(picture.shape[1] * self.scale), round(picture.shape[0] * self.scale)
+        if (height, width) != picture.shape[:2]:
+            picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        if (width, height) == self.size:
+            return picture
         out = np.full((self.size[1], self.size[0], 3), PAD, np.uint8)
-        inner = out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width]
-        if (height, width) == picture.shape[:2]:
-            inner[:] = picture
-        else:
-            inner[:] = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width] = picture
         return out
 
     def to_input(self, points: np.ndarray) -> np.ndarray:
@@ -128,13 +131,15 @@ class Network:
         self._session = _open(model, threads)
         self.confidence = confidence
         source = self._session.get_inputs()
-        if len(source) != 1 or len(source[0].shape) != 4 or source[0].type not in ("tensor(float)", "tensor(float16)"):
+        if len(source) != 1 or len(source[0].shape) != 4 or source[0].type not in _TYPES:
             raise ModelError(
                 "expected one input [1, 3, height, width] of floats, found "
                 + ", ".join(f"{item.name} {item.shape} {item.type}" for item in source)
             )
-        self._input = source[0]
-        self._type = np.float16 if self._input.type == "tensor(float16)" else np.float32
+        self._name, self._type = source[0].name, _TYPES[source[0].type]
+        self._expected = list(source[0].shape)  # batch, channels, height, width
+        if self._type is np.uint8:
+            self._expected.insert(1, self._expected.pop())
         self.metadata = dict(self._session.get_modelmeta().custom_metadata_map)
         task = self.metadata.get("task", "detect")
         if task != "detect":
@@ -142,7 +147,7 @@ class Network:
         self.iou = _overlap(self.metadata.get("iou")) if iou is None else iou
         self.names = _names(self.metadata.get("names"))
         self.size = self._input_size(size, picture)
-        self._open = not any(isinstance(side, int) for side in self._input.shape[2:])
+        self._open = not any(isinstance(side, int) for side in self._expected[2:])
         self._maps: np.ndarray | None = None
         self._shape: tuple | None = None
         outputs = self._run(np.zeros((self.size[1], self.size[0], 3), np.uint8), bgr=False)
@@ -202,20 +207,15 @@ class Network:
         return maps
 
     def _run(self, picture: np.ndarray, *, bgr: bool) -> list[np.ndarray]:
-        if bgr:
-            tensor = picture[:, :, ::-1].transpose(2, 0, 1).astype(self._type)
-        else:
-            tensor = picture.transpose(2, 0, 1).astype(self._type)
-            np.multiply(tensor, self._type(1 / 255), out=tensor)
         try:
-            return self._session.run(None, {self._input.name: np.ascontiguousarray(tensor[None])})
+            return self._session.run(None, {self._name: _tensor(picture, self._type, bgr=bgr)})
         except Exception as error:  # onnxruntime raises RuntimeError's children of many names
             raise ModelError(f"the model cannot be run: {_first_line(error)}") from None
 
     def _input_size(self, wanted: tuple[int, int] | None, picture: tuple[int, int]) -> tuple[int, int]:
-        batch, channels, height, width = self._input.shape
+        batch, channels, height, width = self._expected
         if (isinstance(channels, int) and channels != 3) or (isinstance(batch, int) and batch != 1):
-            raise ModelError(f"expected an input [1, 3, height, width], found {self._input.shape}")
+            raise ModelError(f"expected an input [1, 3, height, width], found {self._expected}")
         if isinstance(width, int) and isinstance(height, int):
             return width, height
         if wanted is None:
@@ -242,9 +242,23 @@ class Network:
         return longest if 0 < longest <= 4096 else 640
 
 
-def own_model() -> bytes:
-    """The content of the package's own ONNX file."""
-    return (resources.files("avcli.detection") / "people.onnx").read_bytes()
+def own_model(*, floats: bool = False) -> bytes:
+    """The content of the package's own ONNX file: in integers, or in `floats`, in which a network can learn."""
+    name = "people.onnx" if floats else "people-integers.onnx"
+    return (resources.files("avcli.detection") / name).read_bytes()
+
+
+def _tensor(picture: np.ndarray, kind: type, *, bgr: bool) -> np.ndarray:
+    """A picture (height, width, 3) uint8 as an input: its bytes, RGB from 0 to 1, or for YOLOX BGR from 0 to 255."""
+    import cv2
+
+    if kind is np.uint8:
+        return np.ascontiguousarray(picture[None])
+    tensor = np.empty((1, 3, *picture.shape[:2]), kind)
+    tensor[0] = cv2.split(picture)[:: -1 if bgr else 1]
+    if not bgr:
+        tensor *= kind(1 / 255)
+    return tensor
 
 
 def _cells(regions: np.ndarray, size: tuple[int, int], step: int) -> list[list[int]]:
@@ -404,7 +418,7 @@ def decode(outputs: list[np.ndarray], head: Head, size: tuple[int, int], confide
     Returns:
         Boxes (n, 4) [x0, y0, x1, y1] px of the input; scores (n,), falling; and parts (n, 3, 2) px or None.
     """
-    output = outputs[0][0].astype(np.float64)
+    output = outputs[0][0]
     with np.errstate(over="ignore", invalid="ignore"):  # a row that is not finite is dropped below
         boxes, scores, parts = _rows(output, head, size, confidence)
         keep = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1)
@@ -422,6 +436,7 @@ def _rows(
     """Boxes, scores and parts of all of an output's rows, whatever is in them."""
     if head.kind == "points":
         return _decode_points(output, size, confidence)
+    output = output.astype(np.float64)
     if head.kind == "end2end":
         return output[:, :4], np.where(np.rint(output[:, 5]) == head.person, output[:, 4], 0.0), None
     rows = output if head.transposed else output.T
@@ -452,7 +467,7 @@ def _decode_points(maps: np.ndarray, size: tuple[int, int], confidence: float) -
     """This project's maps (11, h, w): score (0 but at its peaks), log distances to the box's sides, parts' offsets."""
     stride = size[0] / maps.shape[2]
     v, u = np.nonzero(maps[0] >= confidence)
-    values = maps[:, v, u].T
+    values = maps[:, v, u].T.astype(np.float64)
     place = (np.stack([u, v], axis=1) + 0.5) * stride
     reach = np.exp(values[:, 1:5]) * stride
     boxes = np.concatenate([place - reach[:, :2], place + reach[:, 2:]], axis=1)

@@ -198,12 +198,13 @@ class Stillness:
     def _nats(self, part: np.ndarray, x0: int, y0: int, seen: np.ndarray | None = None) -> float:
         """What the pictures before tell of a part (h, w) at a place, px, or of what of it is `seen`, (h, w) 0 or 1."""
         assert self._noise is not None  # who calls has looked
-        nats, (height, width) = 0.0, part.shape
-        for then, light in self._earlier:
-            before = then[y0 : y0 + height, x0 : x0 + width] + light
-            shifted, swaying = _shift(part, before, OTHER * self._noise, seen)
-            nats += float(np.clip(SLOPE * (np.log(shifted) - MOVED), LEAST * min(swaying / np.exp(MOVED), 1.0), MOST))
-        return nats
+        if not self._earlier:
+            return 0.0
+        height, width = part.shape
+        before = np.stack([then[y0 : y0 + height, x0 : x0 + width] + light for then, light in self._earlier], axis=-1)
+        shifted, swaying = _shifts(part, before, OTHER * self._noise, seen)
+        least = LEAST * np.minimum(swaying / np.exp(MOVED), 1.0)
+        return float(np.clip(SLOPE * (np.log(shifted) - MOVED), least, MOST).sum())
 
     def _pictures(self, now: np.ndarray) -> list[tuple[np.ndarray, float]]:
         """Pictures kept that have the ages, youngest first, and how much brighter a reduced one is than each.
@@ -215,8 +216,7 @@ class Stillness:
         for age in AGES_S if len(old) else ():
             nearest = int(np.abs(old - age).argmin())
             then = self._kept[nearest][1]
-            frozen = np.array_equal(now, then)
-            if NEAREST * age <= old[nearest] <= FARTHEST * age and not frozen:
+            if NEAREST * age <= old[nearest] <= FARTHEST * age and not np.array_equal(now, then):
                 found.append((then, _brighter(now, then)))
         return found
 
@@ -272,6 +272,8 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 def _other(now: np.ndarray, then: np.ndarray, least: float) -> bool:
     """Whether two pictures (h, w) show two things: parts are unlike, and differ by more than `least`, squared."""
     now, then = now - now.mean(), then - then.mean()
+    if np.square(now - then).mean() < OTHERS / 2 * least:  # too little, however it is spread over the parts
+        return False
     one, other, both = _of_parts(np.stack([now * now, then * then, now * then], axis=-1)).T
     unlike = both < UNLIKE * np.sqrt(one * other)
     return bool((unlike & (one + other - 2 * both > least)).mean() >= OTHERS)
@@ -290,37 +292,44 @@ def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, down
 
 
-def _shift(now: np.ndarray, then: np.ndarray, most: float, seen: np.ndarray | None = None) -> tuple[float, float]:
-    """Logarithm, nats, of the likelihood ratio of a shift to none between two pictures (h, w), and that of a sway.
+def _shifts(
+    now: np.ndarray, then: np.ndarray, most: float, seen: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms (n,), nats, of the likelihood ratios of a shift to none between a picture and n others, and of a sway.
 
     Of the part where it is largest; the sway, `SWAY`, is that which would be seen best. Squared differences a pixel
     that no shift explains are taken for noise up to `most`. Pixels that are not `seen`, (h, w) 0 or 1, do not count;
     two parts of a body must then have moved, since a camera's time stamp changes, too.
+
+    Args:
+        now: (h, w).
+        then: (h, w, n).
     """
-    across, down = _slopes((now + then) / 2)
+    now = now[..., None]
+    across, down = (slope.reshape(then.shape) for slope in _slopes((now + then) / 2))
     each = across, down, now - then
     pairs = [one * two for i, one in enumerate(each) for two in each[i:]]
-    values, shares = np.stack([*each, *pairs], axis=-1), np.ones(1)
+    values, shares = np.stack([*each, *pairs], axis=2), np.ones((1, 1))
     if seen is None:
         mean = _of_parts(values)
     else:
-        shares = _of_parts(seen[..., None])[:, 0]
-        mean = _of_parts(values * seen[..., None]) / np.maximum(shares, 1e-6)[:, None]
-    x, y, e = mean[:, :3].T
-    xx, xy, xe, yy, ye, ee = mean[:, 3:].T
+        shares = _of_parts(seen[..., None])
+        mean = _of_parts(values * seen[..., None, None]) / np.maximum(shares, 1e-6)[..., None]
+    x, y, e, xx, xy, xe, yy, ye, ee = mean.swapaxes(0, 1)
     xx, xy, xe, yy, ye, ee = xx - x * x, xy - x * y, xe - x * e, yy - y * y, ye - y * e, ee - e * e
     xx, yy = xx + QUANTUM, yy + QUANTUM
     explained = (yy * xe**2 - 2 * xy * xe * ye + xx * ye**2) / (xx * yy - xy**2)
     doubled = 2 * np.clip(ee - explained, QUANTUM, most) / (now.size / len(x))
     sway = SWAY**2 * now.size * (xx + yy) / 2
     shifts, sways = (np.where(shares >= SEEN, one * shares / doubled, 0.0) for one in (explained, sway))
-    told = shifts.max() if seen is None else np.sort(shifts)[-2] if len(shifts) > 1 else 0.0
-    return float(max(told, 1e-3)), float(sways.max())
+    told = shifts.max(axis=0) if seen is None else np.sort(shifts, axis=0)[-2] if len(shifts) > 1 else np.zeros(1)
+    return np.maximum(told, 1e-3), sways.max(axis=0)
 
 
 def _of_parts(values: np.ndarray) -> np.ndarray:
-    """Means (1, 4 or 9, c) of the parts of a picture (height, width, c)."""
+    """Means (1, 4 or 9, ...) of the parts of a picture (height, width, ...)."""
     count = int(np.clip(min(values.shape[:2]) // PART_PX, 1, 3))
     down, across = (side * np.arange(count + 1) // count for side in values.shape[:2])
     sums = np.add.reduceat(np.add.reduceat(values, down[:-1], axis=0), across[:-1], axis=1)
-    return np.asarray((sums / np.multiply.outer(np.diff(down), np.diff(across))[..., None]).reshape(count**2, -1))
+    sizes = np.multiply.outer(np.diff(down), np.diff(across)).ravel()
+    return np.asarray(sums.reshape(count**2, *values.shape[2:]) / sizes.reshape(-1, *(1,) * (values.ndim - 2)))

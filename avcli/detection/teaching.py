@@ -155,7 +155,7 @@ class Teacher:
     ) -> None:
         shape = (1, 1) if settings.windows else size
         network = Network(model, None, DOUBTFUL, picture=shape)
-        below = None if view is None else view.below()
+        below = None if view is None else view.below
         centre = np.array(size) / 2 if below is None else below + 0.5
         circle = None if view is None else view.circle
         self._least, self._view = settings.confidence, view

@@ -47,6 +47,7 @@ class View:
         """Project points (n, 3), m in the room, to pixels (n, 2); NaN where the lens cannot see them."""
         return self.lens.project((np.asarray(points, float) - self.origin) @ self.rotation)
 
+    @cached_property
     def below(self) -> np.ndarray | None:
         """The pixel (2,) of the point below the camera; None where the lens does not see it."""
         pixel = self.project((self.origin - [0.0, 0.0, 1.0])[None])[0]

@@ -114,7 +114,11 @@ class Lens(ABC):
         Returns:
             (..., 2) px; NaN where the lens does not image the point.
         """
-        x, y, r, s, seen = self._across(*columns(points, 3))
+        return np.stack(self.image(*columns(points, 3)), -1)
+
+    def image(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Project points whose x, y and z (...) are apart, as `project`, to columns and rows (...) px."""
+        x, y, r, s, seen = self._across(x, y, z)
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = np.where(r > 0, self._radius(s)[0] / r, 1.0)
         scale_x, scale_y = self.scale_px
@@ -158,7 +162,7 @@ class Lens(ABC):
             by_k = self._by_coefficients(across.s)
             mx, my = across.x * factor, across.y * factor
             scale = self.scale_px
-            pixels = _where_seen(across.seen, self.cx + scale[0] * mx, self.cy + scale[1] * my)
+            pixels = np.stack(_where_seen(across.seen, self.cx + scale[0] * mx, self.cy + scale[1] * my), -1)
             by_point = np.empty((*across.seen.shape, 2, 3))
             for axis, rows in enumerate((rows_x, rows_y)):
                 for i, row in enumerate(rows):
@@ -599,5 +603,5 @@ def columns(array: ArrayLike, width: int) -> np.ndarray:
     return np.moveaxis(array, -1, 0)
 
 
-def _where_seen(seen: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return np.where(seen[..., None], np.stack([u, v], -1), np.nan)
+def _where_seen(seen: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return (u, v) if seen.all() else (np.where(seen, u, np.nan), np.where(seen, v, np.nan))

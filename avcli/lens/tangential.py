@@ -45,17 +45,17 @@ class Tangential(Lens):
     def tangential_terms(self) -> tuple[float, float, float, float]:
         return self.p2, self.p1, self.p2, self.p1
 
-    def project(self, points: ArrayLike) -> np.ndarray:
+    def image(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not any(self.tangential_terms):
-            return super().project(points)
-        across = self._across(*columns(points, 3))
+            return super().image(x, y, z)
+        across = self._across(x, y, z)
         with np.errstate(invalid="ignore", divide="ignore"):
             ex, ey = across.direction
             m, s = self._radius(across.s)[0], across.s
             tx, ty = self._tangent(s * ex, s * ey)
             scale_x, scale_y = self.scale_px
-            pixels = np.stack([self.cx + scale_x * (m * ex + tx), self.cy + scale_y * (m * ey + ty)], -1)
-        return np.where(across.seen[..., None], pixels, np.nan)
+            u, v = self.cx + scale_x * (m * ex + tx), self.cy + scale_y * (m * ey + ty)
+        return np.where(across.seen, u, np.nan), np.where(across.seen, v, np.nan)
 
     def project_jacobian(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pixels, by_point, by_parameter = super().project_jacobian(points)

@@ -22,7 +22,6 @@ import json
 import re
 import time
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +127,7 @@ def by_shape(network: Network) -> Callable[[np.ndarray], Boxes]:
 
 def ways(options: argparse.Namespace, size: tuple[int, int]) -> dict[str, Callable[[np.ndarray], Boxes]]:
     """The networks, in the whole picture and in windows, for pictures of a size."""
-    own = (resources.files("avcli.detection") / "people.onnx").read_bytes()
+    own = own_model()
     whole = Network(own, None, LEAST, picture=size)
     made: dict[str, Callable[[np.ndarray], Boxes]] = {
         f"people {options.own_size[0]}x{options.own_size[1]}": Network(own, options.own_size, LEAST).detect,

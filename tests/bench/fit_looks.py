@@ -18,7 +18,6 @@ import dataclasses
 import json
 import subprocess
 from collections.abc import Callable, Iterable
-from importlib import resources
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,7 @@ from avcli.detection import looks
 from avcli.detection.body import Person
 from avcli.detection.depth import DepthDetector
 from avcli.detection.looks import COMPONENTS, KIND, NAME, Looks, LooksLaw
-from avcli.detection.network import Network
+from avcli.detection.network import Network, own_model
 from avcli.formats import features
 from avcli.scene.person import Colour, Look
 
@@ -105,7 +104,7 @@ Row = tuple[np.ndarray, np.ndarray, int, int]
 def collect(count: int, frames: int, seed: int) -> dict[str, Sights]:
     """Describe rendered people, placed by depth and without it, on `frames` pictures of each of `count` scenes."""
     rng = np.random.default_rng([seed, 1])
-    network = Network((resources.files("avcli.detection") / "people.onnx").read_bytes())
+    network = Network(own_model())
     rows: dict[str, list[Row]] = {method: [] for method in GATE_M}
     for scene, (drawn, view) in enumerate(scenes(count, frames, seed, look=dull_look)):
         depth = DepthDetector(view, view.sampled(drawn[0].background))
