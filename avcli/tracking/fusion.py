@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any, cast
 
 import numpy as np
@@ -282,7 +283,9 @@ class Fusion:
             count = gaps.total()
             if count < FEW_RECORDS or self._empty[name]:
                 continue
-            usual = sorted(gaps.elements())[count // 2]
+            ordered = sorted(gaps)
+            below = accumulate(gaps[gap] for gap in ordered)
+            usual = next(gap for gap, often in zip(ordered, below, strict=True) if 2 * often > count)
             longer = sum(often for gap, often in gaps.items() if gap > 1.5 * usual)
             if longer >= GAPPY * count:
                 found[name] = longer
