@@ -15,6 +15,7 @@ from avcli.detection.fitted import BOX
 from avcli.detection.frozen import Frozen
 from avcli.detection.gate import LEARNING, Gate
 from avcli.detection.monocular import Fitted
+from avcli.detection.mounting import Mounting
 from avcli.detection.network import Boxes
 from avcli.detection.overlay import draw
 from avcli.detection.view import View
@@ -517,3 +518,53 @@ def test_the_division_lens_places_too():
     (found,) = DepthDetector(view, cast(view)).detect(cast(view, [person]))
     assert np.linalg.norm(found.position[:2] - person[:2]) < 0.08
     assert KB8[0] > 0
+
+
+@pytest.fixture(scope="module")
+def furnished():
+    """A picture of things that lie about, from above."""
+    rng, picture = np.random.default_rng(3), np.full((480, 640, 3), 120, np.uint8)
+    for _ in range(120):
+        (x, y), (w, h) = rng.integers(0, (640, 480)), rng.integers(8, 60, 2)
+        picture[y : y + h, x : x + w] = rng.integers(0, 255, 3)
+    return picture
+
+
+def watched(pictures):
+    """What is known of a camera's mounting after pictures of two a second, with noise."""
+    rng, mounting = np.random.default_rng(4), Mounting()
+    for k, picture in enumerate(pictures):
+        mounting.see(np.clip(picture + rng.normal(0, 4, picture.shape), 0, 255).astype(np.uint8), k / 2)
+    return mounting.knock
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(0.02, 0.0), (0.1, 0.0), (0.0, 3.0), (0.0, -40.0)])
+def test_a_knocked_camera_is_told_once_with_how_far_it_moved(furnished, shift, turn):
+    turned = cv2.getRotationMatrix2D((319.5, 239.5), turn, 1.0)
+    turned[:, 2] += shift * 480 * np.array([0.6, -0.8])
+    after = cv2.warpAffine(furnished, turned, (640, 480), borderMode=cv2.BORDER_REFLECT)
+    knock = watched([furnished] * 40 + [after] * 60)
+    assert knock.since == pytest.approx(20.0, abs=2.0)
+    assert knock.shift == pytest.approx(shift, abs=0.003)
+    assert knock.turn_deg == pytest.approx(abs(turn), abs=0.5)
+
+
+def test_people_light_noise_and_darkness_do_not_knock_a_camera(furnished):
+    def walker(k):
+        picture = furnished.copy()
+        cv2.circle(picture, (100 + 5 * k, 240), 60, (200, 40, 40), -1)
+        return picture
+
+    assert watched([walker(k) for k in range(90)]) is None
+    assert watched([furnished] * 30 + [(0.3 * furnished).astype(np.uint8)] * 60) is None
+    assert watched([furnished] * 30 + [np.zeros_like(furnished)] * 60 + [furnished] * 30) is None
+    assert watched([np.full_like(furnished, 90)] * 90) is None
+
+
+def test_a_camera_that_is_turned_slowly_is_told_when_it_rests(furnished):
+    def at(degrees):
+        return cv2.warpAffine(furnished, cv2.getRotationMatrix2D((319.5, 239.5), degrees, 1.0), (640, 480))
+
+    knock = watched([at(min(0.5 * k, 20.0)) for k in range(100)])
+    assert knock.turn_deg == pytest.approx(20.0, abs=0.5)
+    assert knock.since == pytest.approx(20.0, abs=2.5)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from avcli.detection.body import Person
     from avcli.detection.detector import Detector
     from avcli.detection.frozen import Frozen
+    from avcli.detection.mounting import Knock
     from avcli.detection.view import View
     from avcli.formats import footage, records
     from avcli.formats.experiment import Camera
@@ -96,9 +97,12 @@ def main(
                 if overlay:
                     drawing = stack.enter_context(_sink(session, overlay, detector.view.size, rate, files))
             doubted, stopped = detector.shown_m is not None, detector.frozen.is_frozen
+            knocked = detector.mounting.knock
             people = _people(session, detector, shot)
             if detector.frozen.is_frozen != stopped:
                 _say_if_frozen(session, detector.frozen, shot.timestamp)
+            if detector.mounting.knock and detector.mounting.knock is not knocked:
+                _say_knocked(session, detector.mounting.knock)
             if not doubted:
                 _doubt_depth(session, detector)
             if people is None:
@@ -166,6 +170,15 @@ def _say_if_frozen(session: filter.Session, frozen: Frozen, time: float) -> None
         )
     else:
         session.warn(f"the picture changes again at {time:.1f} s")
+
+
+def _say_knocked(session: filter.Session, knock: Knock) -> None:
+    """Say by how much the camera's picture has moved."""
+    how = f"turned by {knock.turn_deg:.1f} degrees" if knock.turn_deg else f"moved by {knock.shift:.1%} of its height"
+    session.warn(
+        f"the picture has {how} since {knock.since:.1f} s: was the camera knocked? Positions are wrong then, until its "
+        "pose is measured again (avcalib pose)"
+    )
 
 
 def _doubt_depth(session: filter.Session, detector: Detector) -> None:

@@ -20,6 +20,7 @@ from avcli.detection.frozen import Frozen
 from avcli.detection.gate import Gate
 from avcli.detection.looks import Looks, feature
 from avcli.detection.monocular import Fitted
+from avcli.detection.mounting import Mounting
 from avcli.detection.network import PAD, Boxes, ModelError, Network, own_model
 from avcli.detection.settings import Settings
 from avcli.detection.stillness import COME, Stillness, after
@@ -256,7 +257,7 @@ class Detector:
         described = self.settings.detector == "net" if self.settings.features is None else self.settings.features
         self._looks = Looks(self.view) if described else None
         self.tally = Tally()
-        self.frozen = Frozen()
+        self.frozen, self.mounting = Frozen(), Mounting()
         self._room_colours = Background(room_picture) if self.settings.learn_background else None
         known = config.states("room_config", "room_dimensions_m")
         self._room = np.asarray(config.room.dimensions[:2], float) if known else None
@@ -287,6 +288,7 @@ class Detector:
             picture = self._read(rgb, "colour")
         if time is not None:
             self.frozen.see(picture, time)
+            self.mounting.see(picture, time)
         regions = self._gate.changes(picture)
         self.tally.pictures += 1
         self.tally.unchanged += not len(regions)
