@@ -39,8 +39,8 @@ class Knock(NamedTuple):
 class Mounting:
     """Tells whether a camera still looks where it looked, by the outlines in the middle of its pictures.
 
-    Outlines are compared by phase correlation (Kuglin and Hines 1975), as they are and about the middle, so that light
-    and people hardly count. What is shown in another light, or not at all, tells nothing.
+    Outlines are compared by phase correlation, as they are and about the middle, so that light and people hardly
+    count. What is shown in another light, or not at all, tells nothing.
 
     Attributes:
         knock: the latest knock, None: there was none.
@@ -58,12 +58,12 @@ class Mounting:
         """Take in a picture (height, width, 3) uint8 and its time, s."""
         if self._before is not None and 0.0 <= time - self._seen < LOOK_S:
             return
-        now, began = _outlines(picture), self._before is None or time < self._seen
+        now, began = outlines(picture), self._before is None or time < self._seen
         self._seen = time
         if began or self._before is None:
             self._renew(now, time)
             return
-        moved = _moved(self._before, now)
+        moved = moves(self._before, now)
         if moved is None:
             self._moved = []
             if time - self._alike > LOST_S:
@@ -89,8 +89,8 @@ class Mounting:
         self._taken = self._alike = time
 
 
-def _outlines(picture: np.ndarray) -> Outlines:
-    """The outlines in the middle of a picture: (_SIDE, _SIDE), and about the middle (_ANGLES, _RADII)."""
+def outlines(picture: np.ndarray) -> Outlines:
+    """Return the outlines in the middle of a picture (height, width, 3) uint8, as they are and by angle and radius."""
     import cv2
 
     height, width = picture.shape[:2]
@@ -107,10 +107,14 @@ def _outlines(picture: np.ndarray) -> Outlines:
     return steep - steep.mean(), around - around.mean()
 
 
-def _moved(before: Outlines, now: Outlines) -> tuple[float, float] | None:
+def moves(before: Outlines, now: Outlines) -> tuple[float, float] | None:
     """Return by what share of the shorter side a picture has moved, and by how many degrees it has turned.
 
     One of them is 0, that which explains less; None: the two pictures do not show the same.
+
+    Source:
+        C. D. Kuglin and D. C. Hines, "The phase correlation image alignment method", Proc. IEEE Int. Conf. on
+        Cybernetics and Society, 1975, pp. 163-165.
     """
     import cv2
 

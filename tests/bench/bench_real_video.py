@@ -14,7 +14,8 @@ share of them that get a position, `explained` the share that a body explains, a
 which most are. With --films RATE the pictures are those of films, in order, and the detector by colour alone looks at
 them, following people and not; its positions are compared with those of the labels' boxes, placed in the same way: the
 lens, the height and the shape of bodies, which are not known, spoil both alike, so what is left is what the network's
-boxes are off. Times are CPU milliseconds of one thread.
+boxes are off. A table more says how many pictures, moved against the first of their film, count as of a knocked
+camera. Times are CPU milliseconds of one thread.
 """
 
 import argparse
@@ -35,6 +36,7 @@ from avcli.detection.body import Person
 from avcli.detection.detector import Detector
 from avcli.detection.following import FOLLOWED
 from avcli.detection.monocular import Fitted
+from avcli.detection.mounting import SHIFT, TURN_DEG, moves, outlines
 from avcli.detection.network import Boxes, Network, own_model
 from avcli.detection.settings import Settings
 from avcli.detection.stillness import Stillness
@@ -55,6 +57,17 @@ network's at the head and the sides); and standard deviation, m, of what a label
 
 MOVES, COVERED = 0.5, 0.5
 """Nats of motion from which a box is said to move; and the share of a box from which it lies in another one."""
+
+KNOCKS = (
+    ("as it is", 0.0, 0.0, 1.0),
+    ("darker, .4 of the light", 0.0, 0.0, 0.4),
+    ("moved by .8 %", 0.008, 0.0, 1.0),
+    ("moved by 2 %", 0.02, 0.0, 1.0),
+    ("moved by 8 %", 0.08, 0.0, 1.0),
+    ("turned by 2 degrees", 0.0, 2.0, 1.0),
+    ("turned by 10 degrees", 0.0, 10.0, 1.0),
+)
+"""How a knocked camera's picture is moved: shift as a share of its shorter side, turn in degrees, and light."""
 
 
 def labelled(picture: Path) -> np.ndarray:
@@ -258,6 +271,30 @@ def films(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
     return [*rows, positions, came(folder, options)]
 
 
+def knocked(folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Whether a camera that was knocked is told: pictures of films, some of them moved, against each film's first."""
+    rows = []
+    for name, shift, turn, light in KNOCKS:
+        found = []
+        for shots in shots_of(folder, options):
+            before = outlines(read_rgb(shots[0][1]))
+            for _, path in shots[1 :: max(1, len(shots) // 12)]:
+                picture = read_rgb(path)
+                height, width = picture.shape[:2]
+                matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
+                matrix[0, 2] += shift * min(height, width)
+                after = cv2.warpAffine((light * picture).astype(np.uint8), matrix, (width, height))
+                found.append(moves(before, outlines(after)))
+        known = [one for one in found if one]
+        rows.append({
+            "set": folder.name, "the picture": name, "pictures": len(found), "unknown": len(found) - len(known),
+            "moved": sum(one[0] >= SHIFT or one[1] >= TURN_DEG for one in known),
+            "median shift, %": 100 * float(np.median([one[0] for one in known])),
+            "median turn, degrees": float(np.median([one[1] for one in known])),
+        })  # fmt: skip
+    return rows
+
+
 def main() -> None:
     """Evaluate all sets and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -280,8 +317,8 @@ def main() -> None:
     sets = sorted(path for path in options.data.iterdir() if path.is_dir())
     if not sets:
         parser.error(f"{options.data} has no folders")
-    look = films if options.films else evaluate
-    rows = [one for folder in sets for one in look(folder, options)]
+    looks = (films, knocked) if options.films else (evaluate,)
+    rows = [one for look in looks for folder in sets for one in look(folder, options)]
     rows = [{key: round(value, 4) if isinstance(value, float) else value for key, value in one.items()} for one in rows]
     options.out.mkdir(parents=True, exist_ok=True)
     parts: dict[tuple[str, ...], list[dict[str, Any]]] = {}
