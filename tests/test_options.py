@@ -65,6 +65,11 @@ def test_what_is_wrong_with_a_number_is_said_in_words(wrong, words):
     assert words in run(*wrong).output
 
 
+def test_a_long_whole_number_is_written_in_full():
+    with pytest.raises(click.BadParameter, match="must be from 0 to 9223372036854775807, found -1"):
+        options.WholeRange(0, 2**63 - 1).convert("-1", None, None)
+
+
 def test_help_says_default_unit_and_range():
     text = " ".join(run("--help").output.split())
     for part in ("--window S", "[default: 0.1; above 0]", "[default: (learnt); from 0 to 1]", "--refine / --no-refine"):

@@ -174,7 +174,8 @@ def _say_if_frozen(session: filter.Session, frozen: Frozen, time: float) -> None
 
 def _say_knocked(session: filter.Session, knock: Knock) -> None:
     """Say by how much the camera's picture has moved."""
-    how = f"turned by {knock.turn_deg:.1f} degrees" if knock.turn_deg else f"moved by {knock.shift:.1%} of its height"
+    moved = f"moved by {knock.shift:.1%} of its shorter side"
+    how = f"turned by {knock.turn_deg:.1f} degrees" if knock.turn_deg else moved
     session.warn(
         f"the picture has {how} since {knock.since:.1f} s: was the camera knocked? Positions are wrong then, until its "
         "pose is measured again (avcalib pose)"

@@ -168,16 +168,11 @@ class FiniteRange(click.FloatRange):
     """A range of numbers without NaN, and without infinity unless that is its end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Read a number; what is wrong is said in words."""
-        try:
-            number = float(value)
-        except ValueError:
-            self.fail(f"must be a number, found {value!r}", param, ctx)
+        """Read a number, or fail with words that say what is wrong."""
+        number = _read(self, float, "a number", value, param, ctx)
         if not math.isfinite(number) and number != self.max:
             self.fail(f"must be a finite number, found {value}", param, ctx)
-        if not _within(self, number):
-            self.fail(f"must be {_bounds(self)}, found {value}", param, ctx)
-        return number
+        return _within(self, number, value, param, ctx)
 
     def _describe_range(self) -> str:
         return _bounds(self)
@@ -187,33 +182,38 @@ class WholeRange(click.IntRange):
     """A range of whole numbers."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Read a whole number; what is wrong is said in words."""
-        try:
-            number = int(value)
-        except ValueError:
-            self.fail(f"must be a whole number, found {value!r}", param, ctx)
-        if not _within(self, number):
-            self.fail(f"must be {_bounds(self)}, found {value}", param, ctx)
-        return number
+        """Read a whole number, or fail with words that say what is wrong."""
+        return _within(self, _read(self, int, "a whole number", value, param, ctx), value, param, ctx)
 
     def _describe_range(self) -> str:
         return _bounds(self)
 
 
-def _within(kind: click.FloatRange | click.IntRange, number: float) -> bool:
+_Range = click.FloatRange | click.IntRange
+
+
+def _read(kind: _Range, read: type, what: str, value: Any, *where: Any) -> Any:
+    try:
+        return read(value)
+    except ValueError:
+        kind.fail(f"must be {what}, found {value!r}", *where)
+
+
+def _within(kind: _Range, number: float, value: Any, *where: Any) -> float:
     low = kind.min is None or (number > kind.min if kind.min_open else number >= kind.min)
-    return low and (kind.max is None or (number < kind.max if kind.max_open else number <= kind.max))
+    if not low or not (kind.max is None or (number < kind.max if kind.max_open else number <= kind.max)):
+        kind.fail(f"must be {_bounds(kind)}, found {value}", *where)
+    return number
 
 
-def _bounds(kind: click.FloatRange | click.IntRange) -> str:
+def _bounds(kind: _Range) -> str:
     """Say in words which numbers an option takes, also in --help: "above 0 and at most 1000"; nothing if all."""
-    least, most = kind.min, kind.max
-    if most == math.inf and not kind.max_open:
-        most = None
-    if least is not None and most is not None and not (kind.min_open or kind.max_open):
-        return f"from {least:g} to {most:g}"
-    low = "" if least is None else f"{'above' if kind.min_open else 'at least'} {least:g}"
-    high = "" if most is None else f"{'below' if kind.max_open else 'at most'} {most:g}"
+    ends = kind.min, None if kind.max == math.inf and not kind.max_open else kind.max
+    least, most = (None if x is None else str(x) if isinstance(x, int) else f"{x:g}" for x in ends)
+    if least and most and not (kind.min_open or kind.max_open):
+        return f"from {least} to {most}"
+    low = least and f"{'above' if kind.min_open else 'at least'} {least}"
+    high = most and f"{'below' if kind.max_open else 'at most'} {most}"
     return " and ".join(filter(None, (low, high)))
 
 
