@@ -527,3 +527,10 @@ def test_a_named_camera_of_several_is_used(tmp_path):
         wrong = run("avdetect-video", "-C", tmp_path, "--sensor", name, tmp_path / "seen.png")
         assert wrong.returncode == 2
         assert "no camera of this name; it has left, right" in wrong.stderr
+
+
+def test_a_folder_of_folders_is_told_from_one_of_pictures(folder, tmp_path):
+    (tmp_path / "deeper" / "rgb").mkdir(parents=True)
+    result = run("avdetect-video", "-C", folder, tmp_path / "deeper")
+    assert result.returncode == 2
+    assert "no pictures in this folder; name one of its folders (rgb)" in result.stderr

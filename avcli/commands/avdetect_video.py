@@ -406,7 +406,7 @@ def _picture_shots(
 ) -> Iterator[footage.UnreadShot]:
     """Pictures in the order given; the empty room's depth picture, which lies beside the frames, is left out."""
     from avcli.formats import media
-    from avcli.formats.footage import UnreadShot, stamped
+    from avcli.formats.footage import UnreadShot, stamped, without_pictures
     from avcli.formats.numbered import missing
 
     background = _camera(session, sensor).background_depth
@@ -415,7 +415,7 @@ def _picture_shots(
     for source in sources:
         inside = [path for path in source.files() if source.kind == "picture" or path.resolve() != empty]
         if not inside:
-            session.usage(f"{source.name}: no pictures in this folder")
+            session.usage(without_pictures(source.name))
         paths += inside
     if not depth and media.is_depth(paths[0]):
         session.warn(f"{paths[0]} looks like a depth picture (16 bits, one channel); use --detector depth for those")
