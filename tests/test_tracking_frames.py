@@ -84,7 +84,7 @@ def test_a_frame_that_is_turned_mirrored_or_moved_is_found(people, matrix, shift
     ],
 )
 def test_a_motion_is_said_as_the_mistake_that_makes_it(matrix, shift, says):
-    assert Motion(matrix, np.array(shift, float), 1.0, 0.9, 0.1).words() == says
+    assert Motion(matrix, np.array(shift, float), np.zeros(2), 1.0, 0.9, 0.1).words() == says
 
 
 @pytest.mark.parametrize("people", [1, 3, 6])

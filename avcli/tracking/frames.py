@@ -42,6 +42,7 @@ class Motion(NamedTuple):
     Attributes:
         matrix: (2, 2) orthogonal: it turns, and mirrors where its determinant is -1.
         shift: (2,) m: place of the second sensor = matrix @ place of the first one + shift.
+        middle: (2,) m, of the first one's places.
         moved: m between the two, on average.
         fits: share of the first one's places at which the second one finds somebody then.
         as_it_is: the same share without the motion.
@@ -49,6 +50,7 @@ class Motion(NamedTuple):
 
     matrix: np.ndarray
     shift: np.ndarray
+    middle: np.ndarray
     moved: float
     fits: float
     as_it_is: float
@@ -63,7 +65,8 @@ class Motion(NamedTuple):
                     return f"mirrored: {meaning}"
             return f"mirrored about a line at {axis:.0f} degrees from x to y"
         if abs(turned) < PLAIN:
-            return f"moved by ({self.shift[0]:z.1f}, {self.shift[1]:z.1f}) m"
+            x, y = self.matrix @ self.middle + self.shift - self.middle
+            return f"moved by ({x:z.1f}, {y:z.1f}) m"
         x, y = np.linalg.solve(np.eye(2) - self.matrix, self.shift)
         return f"turned by {turned:.0f} degrees from x to y about ({x:z.1f}, {y:z.1f}) m"
 
@@ -107,7 +110,7 @@ def motion(first: Sequence[Record], second: Sequence[Record]) -> Motion | None:
             at_other_times[~finds] = _away(*found, rest, np.roll(others, k * len(others) // 4, 0))
     average = weights / weights.sum()
     result = Motion(
-        *_refined(*found, here, there, weights),
+        *_refined(*found, here, there, weights), average @ here,
         float(average @ moved), float(average @ (away < REACH)), float(average @ (as_it_is < REACH)),
     )  # fmt: skip
     surer = min(_surer(away, other, weights) for other in (as_it_is, *then))
