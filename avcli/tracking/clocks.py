@@ -11,6 +11,7 @@ import numpy as np
 LONGEST = 10.0  # s between two clocks
 APART, REACH = 0.4, 0.5  # s between two records of one sensor that count; m within which it is one person
 STEP, BROAD = 0.1, 3  # s, of the offsets that are tried; how many count together
+PLATEAU = 0.95  # share of the best fit from which an offset fits as well
 
 # Chosen on the cases of bench-tracking, hotel, zara01 and zara02 (seeds from 100): no false alarm in 112 runs.
 ENOUGH, FITS = 20, 0.4  # records, and share of them that fits
@@ -70,7 +71,9 @@ def offset(first: Sequence[Record], second: Sequence[Record]) -> Offset | None:
     nearest = abs(lags).min()  # of slow sensors no two records may be of one time
     best = int(share.argmax())
     fits, at_once = float(share[best]), float(share[abs(lags) < nearest + STEP / 2].max())
-    seconds, usual = float(lags[best]), float(np.median(share))
+    worse = np.flatnonzero(share < PLATEAU * fits)  # who walks is within reach for a while: its middle is the offset
+    alike = lags[np.append(-1, worse[worse < best])[-1] + 1 : np.append(worse[worse > best], len(lags))[0]]
+    seconds, usual = float((alike[0] + alike[-1]) / 2), float(np.median(share))
     spread = math.sqrt((fits * (1 - fits) + at_once * (1 - at_once) + 0.02) / len(here))
     certain = fits >= FITS and fits - max(at_once, usual) > SURE * spread and abs(seconds) >= nearest + LEAST
     certain = certain and at_once - usual <= LESS * (fits - usual)
