@@ -135,7 +135,12 @@ def pose_command(
     best, others = place.best(camera, choices, given.sigma_px, views)
     for line in place.words(best, others):
         session.warn(line)
-    if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):
+    kind = "points" if points else "board"
+    wrong = place.refusal(best.off, kind, best.rms_px)
+    if place.is_mirrored(camera, choices, best, kind):
+        where = "the points fit if they are mirrored" if wrong else "the camera is below the floor"
+        wrong = f"{where}: x and y are exchanged, an axis runs the other way, or the pictures are mirrored"
+    if wrong:
         raise GateNotMet(wrong)
     _doubt_place(session, best.camera_config()["camera_position_m"])
     if session.output_path == "-":
