@@ -15,6 +15,7 @@ import click
 from avcli.commands import filter
 from avcli.commands.live import newest, open_pipe
 from avcli.commands.options import FiniteRange, from_settings, refuse_without_effect, settings_from
+from avcli.commands.places import doubt_camera
 from avcli.detection.settings import Settings
 from avcli.settings import settings_of
 
@@ -127,6 +128,7 @@ def _detector(session: filter.Session, model: str | None, settings: Settings, *,
     from avcli.formats import media
 
     camera = _camera(session, settings.sensor)
+    doubt_camera(session, camera.T_room_camera[:3, 3], "camera_position_m")
     path = camera.background_depth
     if path is None and settings.detector == "depth":
         session.fail(
