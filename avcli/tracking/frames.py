@@ -17,6 +17,8 @@ NEAR = 0.1, 0.35  # m, from and to: how far the places of one person by two sens
 APART, BLOCK = 0.4, 3.0  # s between two records that count; s, spells that find a motion and judge it in turn
 CELL, STAYS = 0.5, 4  # m, and how many detections of one such cell count: who stays in a place tells little
 ENOUGH, MOST = 24, 600  # cells with detections from which anything is said; detections that are compared
+CIRCLE, AROUND = 2.0, 8  # m, radius of the circle on which directions are compared; cells of it from which
+STEEP = 0.3  # horizontal part of a direction up to which it points nowhere on the floor
 CROWD = 20  # people in a record from which somebody is near by chance
 TRIED, BASE = 300, 1.0  # motions that are tried, and m between the two places that give one
 
@@ -71,7 +73,7 @@ class Motion(NamedTuple):
         return f"turned by {turned:.0f} degrees from x to y about ({x:z.1f}, {y:z.1f}) m"
 
 
-def motion(first: Sequence[Record], second: Sequence[Record]) -> Motion | None:
+def motion(first: Sequence[Record], second: Sequence[Record], least: int = ENOUGH) -> Motion | None:
     """Find how the coordinate frames of two sensors certainly differ.
 
     Two places of the first sensor and two of the second one that are as far apart give a motion, and its mirror image
@@ -82,13 +84,14 @@ def motion(first: Sequence[Record], second: Sequence[Record]) -> Motion | None:
     Args:
         first: records of one sensor, in order of time.
         second: those of the other one, which finds at least as many people.
+        least: cells with detections from which anything is said.
 
     Returns:
         None: they agree, or nobody can tell.
     """
     here, there, time = _at_once(first, second)
     cells = np.unique((here / CELL).round(), axis=0, return_inverse=True)[1]
-    if not len(here) or cells.max() < ENOUGH:
+    if not len(here) or cells.max() < least:
         return None
     often = np.bincount(cells)[cells]
     weights = np.minimum(often, STAYS) / often
@@ -115,6 +118,32 @@ def motion(first: Sequence[Record], second: Sequence[Record]) -> Motion | None:
     )  # fmt: skip
     surer = min(_surer(away, other, weights) for other in (as_it_is, *then))
     return result if result.moved >= MOVED and result.fits >= FITS and surer > SURE else None
+
+
+def turn(first: Sequence[tuple[float, np.ndarray, np.ndarray]], second: Sequence[Record]) -> Motion | None:
+    """Find how a sensor of directions is turned or mirrored against one of places, see `motion`.
+
+    Args:
+        first: records of the sensor of directions, in order of time: s, origins and directions (n, 2 or more).
+        second: those of the other one.
+
+    Returns:
+        None: they agree, or nobody can tell.
+    """
+    origins = np.concatenate([origins[:, :2] for _, origins, _ in first])
+    if not np.isfinite(origins).all(1).any():
+        return None
+    origin = np.nanmedian(origins, axis=0)
+    here = [(time, _on_circle(directions[:, :2], STEEP)) for time, _, directions in first]
+    there = [(time, _on_circle(positions[:, :2] - origin, 0.0)) for time, positions in second]
+    found = motion(here, there, AROUND)
+    return found and found._replace(shift=origin - found.matrix @ origin, middle=origin)
+
+
+def _on_circle(ways: np.ndarray, least: float) -> np.ndarray:
+    """Return where ways (n, 2) meet the circle, (n, 2) m; NaN where they are shorter than `least`."""
+    length = np.linalg.norm(ways, axis=1, keepdims=True)
+    return np.asarray(CIRCLE * ways / np.where(length > least, length, np.nan))
 
 
 def _surer(away: np.ndarray, other: np.ndarray, weights: np.ndarray) -> float:

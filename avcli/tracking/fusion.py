@@ -250,7 +250,7 @@ class Fusion:
             self._empty[name] += not len(one)
             self._gaps.setdefault(name, Counter())[min(round(1000 * (at - last)), 60_000)] += at > last
             self.spans[name] = min(first, at), max(last, at)
-            self._agreement.take(at - origin, name, one.positions)
+            self._agreement.take(at - origin, name, one)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
