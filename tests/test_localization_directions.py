@@ -84,6 +84,16 @@ def test_records_say_that_the_range_is_unknown():
     assert 0.0 < found.direction_sds[0] < 0.3
 
 
+@pytest.mark.parametrize("height", [1.5, 1.9])
+def test_the_echo_of_the_wall_behind_a_talker_is_no_second_talker(height):
+    """It comes from the azimuth of the talker, and lower than a near mouth above a table."""
+    rng = np.random.default_rng(1)
+    microphones = np.array([2.5, 2.5, 0.76]) + 0.7 * RING + rng.uniform(-0.02, 0.02, RING.shape)
+    for decision in decisions(microphones, mouth=(2.6, 3.5, height), seconds=2.0):
+        away = np.array([ray.direction[:2] / np.linalg.norm(ray.direction[:2]) for ray in decision.rays if ray])
+        assert len(away) < 2 or (away[0] @ away[1:].T < np.cos(np.radians(9))).all()
+
+
 def test_a_mirror_image_that_the_room_allows_is_told():
     """An upright plane in the middle of the room hears front and back alike: both are told, each by half."""
     found = decisions(np.array([2.5, 2.0, 1.3]) + RING[:, [0, 2, 1]])

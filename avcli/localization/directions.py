@@ -43,10 +43,10 @@ APART, NEAR_M = np.radians(25.0), 0.2
 """rad: the least angle between two talkers; and m across AWAY_M: how far apart two decisions may see one who stands."""
 
 IN_LINE = np.radians(10.0)
-"""rad: how far beside a talker, seen from above, his echoes by floor and ceiling may seem to be."""
+"""rad: how far beside a talker, seen from above, his echoes by floor, ceiling or the wall behind may seem to be."""
 
 ANY = 1.0
-"""rad: a larger standard deviation of a bearing tells none."""
+"""rad: a larger standard deviation of a direction tells none."""
 
 AWAY_M = 2.0
 """m: where along its ray a direction is remembered."""
@@ -415,13 +415,12 @@ class DirectionFinder:
         return np.arccos(np.clip(self.response.rays @ np.transpose(self.images(ray)), -1.0, 1.0)).min(axis=1)
 
     def echoes(self, ray: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        """Tell which rays (n, 3) may be echoes by floor or ceiling of sound from a ray (3,).
+        """Tell which rays (n, 3) are in line with a ray (3,) seen from above, as echoes of its sound may be.
 
-        They are in line with it, and steeper; a level plane hardly tells which one is steeper.
+        Those by floor and ceiling are steeper, that by the wall behind a talker is less steep.
         """
         across, along = rays[:, 0] * ray[1] - rays[:, 1] * ray[0], rays[:, :2] @ ray[:2]
-        in_line: np.ndarray = (along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along)
-        return in_line if self.level else in_line & (np.abs(rays[:, 2]) > abs(ray[2]))
+        return np.asarray((along > 0.0) & (np.abs(across) < np.tan(IN_LINE) * along))
 
     def _near(self, trace: Trace, ray: np.ndarray, memory: Memory) -> bool:
         places = [self.response.centre + AWAY_M * image for image in self.images(ray)]
@@ -507,7 +506,8 @@ class DirectionFinder:
         position = weight @ points
         away = points - position
         covariance = np.einsum("n,nx,ny->xy", weight, away, away) + 0.05**2 * np.eye(3)
-        told: Ray | None = Ray(self.response.centre, ray, float(np.sqrt(0.5 * np.trace(turned))))
+        sd = float(np.sqrt(0.5 * np.trace(turned)))
+        told = Ray(self.response.centre, ray, sd) if sd < ANY else None
         # `tangents` are level and upward: where elevation is hardly known, the direction on the floor is told alone.
         if self.line is not None or ((self.level or turned[1, 1] > 4.0 * turned[0, 0]) and np.hypot(*ray[:2]) > 0.3):
             told = self.bearing(points, weight)
