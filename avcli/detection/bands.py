@@ -9,6 +9,7 @@ import numpy as np
 
 from avcli.detection.agreement import overlaps
 from avcli.detection.network import MOST, PAD, Boxes, Network, suppress
+from avcli.numeric import median
 
 BREADTH = 0.7
 """Breadth of a band as a part of its length."""
@@ -45,7 +46,7 @@ def _unlit(picture: np.ndarray) -> tuple[np.ndarray, int]:
     step = max(min(picture.shape[:2]) // 256, 1)
     some = picture[::step, ::step]
     level = some.max(axis=2)
-    dark = min(DARK, DARKER * float(np.median(level[_away(level.shape) < 0.4])))
+    dark = min(DARK, DARKER * float(median(level[_away(level.shape) < 0.4])))
     return (level < dark) | (some == PAD).all(axis=2), step
 
 
