@@ -412,14 +412,14 @@ class _Fits:
         self.unsure = np.zeros(rows) if unsure is None else unsure
         self.view, self.law, self.parts = view, law, parts is not None
         self._rows = np.arange(rows)
-        repeat = rows // len(hypotheses)
-        outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
-        self._across = np.moveaxis(outline[..., :2] @ view.rotation[:2], -1, 0).copy()
-        self._part = outline[..., 2]
-        self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
-        upright = np.tile(hypotheses.upright, repeat)
+        which = self._rows % len(hypotheses)
+        kind = hypotheses.kind[which]
+        self._across = np.moveaxis(hypotheses.outlines[..., :2] @ view.rotation[:2], -1, 0)[:, kind]
+        self._part = hypotheses.outlines[kind, :, 2]
+        self.hiding, self.log_share = hypotheses.hiding[which], hypotheses.log_share[which]
+        upright = hypotheses.upright[which]
         self.log_share += np.where(upright, np.log(np.where(self.hiding, feet, 1 - feet)), 0.0)
-        self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
+        self.mean, self.height_spread = hypotheses.mean[which], hypotheses.spread[which]
         self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2
         self._turn = None if turns is None or not turns.any() else (np.cos(turns), np.sin(turns))  # picture to box
         if self._turn is None:
@@ -436,7 +436,7 @@ class _Fits:
         self.inward = inward
         inner = np.concatenate([inward < -0.3, inward > 0.3], axis=1)  # sides that face the point below the camera
         self._coverable = self.hiding[:, None] & inner
-        marked = np.repeat([False, True, False], 2) & np.tile(hypotheses.told, repeat)[:, None]
+        marked = np.repeat([False, True, False], 2) & hypotheses.told[which][:, None]
         self._silent = np.where(self.hiding[:, None], ~marked, ~upright[:, None])  # of the parts
         self.valid = np.ones(rows, bool)
         self.state = self._start()

@@ -272,8 +272,11 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
     import cv2
 
     height, width = (side // factor for side in picture.shape[:2])
-    whole = picture[: height * factor, : width * factor]
-    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA) if factor > 1 else whole
+    small = picture[: height * factor, : width * factor]
+    for times in (2, factor // 2) if factor % 2 == 0 else (factor,):  # by two takes a third of the time
+        if times > 1:
+            size = small.shape[1] // times, small.shape[0] // times
+            small = cv2.resize(small, size, interpolation=cv2.INTER_AREA)
     return small @ _GREY
 
 
