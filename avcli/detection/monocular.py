@@ -147,6 +147,7 @@ class _Hypotheses:
 
 _MOST, _MOST_BY_POINTS = (_Hypotheses(KINDS, upright=True, points=points) for points in (False, True))
 _REST = _Hypotheses(LYING, upright=False)
+_ALL, _ALL_BY_POINTS = (some.beside(_REST) for some in (_MOST, _MOST_BY_POINTS))
 
 _LEVELS = np.arange(0.1, 1.75, 0.2)
 """m; where what a box shows of somebody may be."""
@@ -212,7 +213,7 @@ class Fitted:
         boxes = np.asarray(boxes, float).reshape(-1, 4)
         self.lie = lie
         self._room, self._law, self._below = room, law, view.origin[:2]
-        self._most = _MOST if parts is None else _MOST_BY_POINTS
+        self._most, every = (_MOST, _ALL) if parts is None else (_MOST_BY_POINTS, _ALL_BY_POINTS)
         if not len(boxes):
             self._alone = Places(
                 np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2))
@@ -220,7 +221,7 @@ class Fitted:
             return
         self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
         count = len(self._most)
-        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most.beside(_REST) if lie else self._most)
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, every if lie else self._most)
         suits = np.where(fits.good[:, :count] & ~self._most.hiding, fits.shared[:, :count], 0.0).max(axis=1) >= TIGHT
         loose = np.flatnonzero(~suits)
         self.lie = len(loose) > 0
