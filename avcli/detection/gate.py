@@ -4,7 +4,8 @@ import numpy as np
 
 from avcli.numeric import median
 
-TILE_PX, FINE_PX = 16, 4
+ACROSS, TILE_PX, FINE_PX = 320, 8, 2
+"""Pixels that are compared across a picture, about, and the sides, of these, of a tile and of what is joined first."""
 LEARNING = 5
 """Comparisons from which each tile learns its noise before it is relied upon."""
 SOON, SLOWLY = 0.3, 0.03
@@ -25,11 +26,10 @@ class Gate:
 
     Args:
         refresh: every `refresh`-th picture passes whole, changed or not; 1: all pictures do.
-        coarseness: px between the pixels that are compared.
     """
 
-    def __init__(self, refresh: int = 10, coarseness: int = 3):
-        self.refresh, self.coarseness = refresh, coarseness
+    def __init__(self, refresh: int = 10):
+        self.refresh = refresh
         self._last: np.ndarray | None = None
         self._since = self._compared = 0
         self._noise = np.zeros(0)
@@ -44,7 +44,8 @@ class Gate:
         import cv2
 
         height, width = picture.shape[:2]
-        size = -(-width // self.coarseness), -(-height // self.coarseness)
+        apart = max(round(width / ACROSS), 1)
+        size = -(-width // apart), -(-height // apart)
         small, last = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST), self._last
         self._since += 1
         moved = None
@@ -58,7 +59,7 @@ class Gate:
         regions = _boxes(moved, size)
         for x0, y0, x1, y1 in regions:
             last[y0:y1, x0:x1] = small[y0:y1, x0:x1]
-        return np.minimum(regions * self.coarseness, [width, height, width, height])
+        return np.minimum(regions * apart, [width, height, width, height])
 
     @property
     def _unknown(self) -> bool:
