@@ -39,7 +39,7 @@ def median(values: np.ndarray) -> np.ndarray:
     """Medians (...) over the last axis of finite values (..., n), as np.median, which takes several times as long."""
     half, odd = divmod(values.shape[-1], 2)
     parted = np.partition(values, half if odd else (half - 1, half), axis=-1)
-    return np.asarray(parted[..., half] if odd else (parted[..., half - 1] + parted[..., half]) / 2)
+    return np.asarray(parted[..., half] if odd else parted[..., half - 1] / 2 + parted[..., half] / 2)
 
 
 Assignment = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
