@@ -297,6 +297,26 @@ def test_where_the_camera_hangs(camera, tmp_path):
     assert run("avcalib", "pose", "-c", camera).returncode == 2
 
 
+@pytest.mark.parametrize(
+    ("heights", "says"),
+    [((0, 0, 0, 0), "the camera is below the floor: "), ((0, 0.7, 0, 1.2), "the points fit if they are mirrored: ")],
+)
+def test_points_whose_axes_are_exchanged_put_no_camera_below_the_floor(tmp_path, heights, says):
+    camera = tmp_path / "camera.json"
+    size = {"image_width_px": HALF_SIZE[0], "image_height_px": HALF_SIZE[1]}
+    camera.write_text(
+        json.dumps({"lens_model": "kannala_brandt", **size, **dict(zip(HALF.keys(), HALF.parameters, strict=True))})
+    )
+    points = np.column_stack([[1.4, 3.2, 3.4, 1.2, 2.0], [1.6, 1.5, 3.0, 3.1, 2.6], [*heights, 0.3 * max(heights)]])
+    seen = HALF.project((points - [2.3, 2.4, 2.5]) * (1, -1, -1))
+    rows = [f"{u},{v},{y},{x},{z}" for (u, v), (x, y, z) in zip(seen, points, strict=True)]
+    (tmp_path / "points.csv").write_text("\n".join(["u,v,x,y,z", *rows]))
+    result = run("avcalib", "pose", "--points", tmp_path / "points.csv", "-c", camera, "-o", tmp_path / "out.json")
+    assert result.returncode == 3
+    assert f"{says}x and y are exchanged, an axis runs the other way, or the pictures are mirrored" in result.stderr
+    assert not (tmp_path / "out.json").exists()
+
+
 @pytest.mark.parametrize("kind", ["svg", "pdf"])
 def test_targets(tmp_path, kind):
     result = run("avcalib", "target", "--kind", "charuco", "--format", kind)

@@ -527,3 +527,19 @@ def test_a_named_camera_of_several_is_used(tmp_path):
         wrong = run("avdetect-video", "-C", tmp_path, "--sensor", name, tmp_path / "seen.png")
         assert wrong.returncode == 2
         assert "no camera of this name; it has left, right" in wrong.stderr
+
+
+def test_a_folder_of_folders_is_told_from_one_of_pictures(folder, tmp_path):
+    (tmp_path / "deeper" / "rgb").mkdir(parents=True)
+    result = run("avdetect-video", "-C", folder, tmp_path / "deeper")
+    assert result.returncode == 2
+    assert "no pictures in this folder; name one of its folders (rgb)" in result.stderr
+
+
+def test_a_camera_in_centimetres_is_asked_about(folder):
+    config = json.loads((folder / "config.json").read_text())
+    config["room_config"] = {"room_dimensions_m": [4.66, 4.66, 3]}
+    config["camera_config"]["camera_position_m"] = [233, 233, 250]
+    (folder / "config.json").write_text(json.dumps(config))
+    said = run("avdetect-video", "-C", folder, folder / "frames.jsonl").stderr
+    assert "camera_position_m is outside the room of 4.66 × 4.66 × 3 m in " in said

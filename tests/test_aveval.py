@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from conftest import BIN, run, schema
 
@@ -389,3 +390,31 @@ def test_what_config_json_states_is_drawn_without_the_rest(tmp_path):
     shown = with_surroundings(Run("run", [], {}), wrong, said.append)
     assert (shown.camera.tolist(), shown.room, len(said)) == ([2, 1], None, 1)
     assert said[0].startswith("run: not drawn: room: ")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"mirrored": True}, "the tracks are where the people are, mirrored: x runs the other way ("),
+        ({"late": 3.0}, "the tracks are where the people are, 3.0 s later ("),
+        ({}, ""),
+    ],
+)
+def test_tracks_that_are_mirrored_or_late_are_told_from_bad_ones(tmp_path, change, says):
+    rng = np.random.default_rng(0)
+    ways = rng.uniform(0.5, 5.5, (30, 2))
+    reached = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(ways, axis=0), axis=1))])
+
+    def place(time):
+        return [float(np.interp(time, reached, column)) for column in ways.T]
+
+    def track(time):
+        x, y = place(max(time - change.get("late", 0.0), 0.0))
+        return [6 - x if "mirrored" in change else x, y + 0.1]
+
+    truth, tracks = (
+        "".join(record(k / 5, [{"object_id": 1, "position": at(k / 5)}]) for k in range(200)) for at in (place, track)
+    )
+    result = scored(tmp_path, truth, tracks)
+    assert result.stderr.count("\n") == bool(says)
+    assert says in result.stderr

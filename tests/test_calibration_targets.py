@@ -66,6 +66,15 @@ def test_a_part_of_a_board_with_markers_is_enough(name):
     assert parts >= 2
 
 
+@pytest.mark.parametrize("name", ["aprilgrid", "charuco"])
+@pytest.mark.parametrize("wanted", [Wanted(), "its kind"])
+def test_a_mirrored_picture_of_markers_is_refused_and_passes_for_no_other_board(name, wanted):
+    _, pictures = shots(BOARDS[name])
+    mirrored = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures]
+    with pytest.raises(fit.NoFit, match=r"is mirrored: its mirror image shows an? (AprilGrid|ChArUco)"):
+        gather.collect(mirrored, Wanted(kind=name) if wanted == "its kind" else wanted)
+
+
 def test_large_circles_need_their_centres_corrected():
     board = Board(3, 4, 0.3, kind="circles", ratio=0.7)
     filmed, pictures = shots(board, 5, distance=(0.6, 0.9), tilt=0.9)

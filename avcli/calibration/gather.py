@@ -370,6 +370,8 @@ class _Search:
         board = recognise.agreed(self.shown, at_last=at_last)
         if board is None or self.wanted is None:
             return
+        if not board.markers:
+            self._refuse_mirrored()
         given = self.wanted.size
         if board.markers and given and given[0] != board.columns:
             self.say(f"the board is given as {given[0]}x{given[1]}, but the pictures show {board.columns} columns")
@@ -385,6 +387,21 @@ class _Search:
         if len(self.seen) > _GUESS_AFTER[-1]:
             self.first = []
 
+    def _refuse_mirrored(self) -> None:
+        """Check that the first pictures show no board with markers in a mirror, as some cameras deliver them.
+
+        Raises:
+            NoFit: one does. Its markers read as blobs, and their mirror image as a board.
+        """
+        if self.wanted is None:
+            return
+        for picture in self.first[-2:]:
+            if board := recognise.look_in_mirror(corners.to_grey(picture.image), self.wanted):
+                raise NoFit(
+                    f"{picture.name} is mirrored: its mirror image shows {_with_article(board.words)}; switch the "
+                    "camera's mirroring off, or mirror the pictures back"
+                )
+
     def end(self) -> None:
         """After the last picture: recognise or try with what there is, and settle how many rows the board has."""
         if not self.seen.is_known:
@@ -392,6 +409,8 @@ class _Search:
                 looked = [recognise.look(corners.to_grey(picture.image), self.wanted) for picture in self.passed]
                 self.shown += [board for board in looked if board]
             self.recognise(at_last=len(self.seen) <= _GUESS_AFTER[0])
+            if not self.seen.is_known:
+                self._refuse_mirrored()
             if not self.seen.is_known and self.not_looked:
                 self.say(
                     f"the first {_GUESS_AFTER[0]} pictures show no board that is known; of the others every "

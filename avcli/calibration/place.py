@@ -291,6 +291,24 @@ def best(
     return min(found, key=lambda one: float(np.abs(one.T_room_camera - T).sum())), []
 
 
+def is_mirrored(camera: KnownCamera, choices: list[tuple[np.ndarray, np.ndarray]], found: Place, kind: str) -> bool:
+    """Tell whether a camera is only found below the floor, or points fit only in a mirror.
+
+    Points on a floor fit their mirror image as well, seen from below.
+
+    Args:
+        camera, choices: see `best`.
+        found: the pose.
+        kind: see `refusal`.
+    """
+    if refusal(found.off, kind, found.rms_px) is None:
+        height = float(found.T_room_camera[2, 3])
+        return height < min(0.0, *(float(points[:, 2].min()) for _, points in choices))
+    turned = [(pixels, points * (-1, 1, 1)) for pixels, points in choices]
+    other = best(camera, turned)[0]
+    return refusal(other.off, kind, other.rms_px) is None
+
+
 def parse_points(content: bytes, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Read a CSV with a header u,v,x,y,z: pixels (n, 2) and room points (n, 3) m.
 

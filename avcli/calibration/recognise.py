@@ -113,6 +113,14 @@ def look(picture: np.ndarray | Pyramid, wanted: Wanted, *, thorough: bool = True
     return found if found is None or kind in (None, found.kind) else None
 
 
+def look_in_mirror(picture: np.ndarray, wanted: Wanted) -> Board | None:
+    """Tell which board with markers a picture (height, width) uint8 shows in a mirror; other boards tell no mirror."""
+    if wanted.kind not in (None, "charuco", "aprilgrid"):
+        return None
+    small = Pyramid.of(np.ascontiguousarray(picture[:, ::-1])).reduced(_QUICK_WIDTH)[0]
+    return markers.recognise(small, wanted.kind, wanted.dictionary)
+
+
 def agreed(seen: Sequence[Board], *, at_last: bool = False) -> Board | None:
     """Return the board that two of the pictures show, with as many rows as any of them tells; None without one.
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import avcli.calibration.settings as settings
-from avcli.commands.arrays import doubt_microphones
 from avcli.commands.avcalib_pictures import (
     check_sources,
     config_file,
@@ -20,6 +19,7 @@ from avcli.commands.avcalib_pictures import (
 )
 from avcli.commands.filter import GateNotMet, Session, common
 from avcli.commands.options import FiniteRange, Size, WholeRange, from_settings, refuse_without_effect, settings_from
+from avcli.commands.places import doubt_camera, doubt_microphones
 from avcli.settings import settings_of
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
     from avcli.calibration.bundle import Way
     from avcli.localization.survey import Listening
-
-_WALL_M = 0.3
-"""How far outside the stated room a camera may be: walls are measured roughly."""
 
 
 @click.command("undistort", epilog="Example: avcalib undistort film.mp4 -c camera.json --to straight.mp4")
@@ -135,27 +132,19 @@ def pose_command(
     best, others = place.best(camera, choices, given.sigma_px, views)
     for line in place.words(best, others):
         session.warn(line)
-    if wrong := place.refusal(best.off, "points" if points else "board", best.rms_px):
+    kind = "points" if points else "board"
+    wrong = place.refusal(best.off, kind, best.rms_px)
+    if place.is_mirrored(camera, choices, best, kind):
+        where = "the points fit if they are mirrored" if wrong else "the camera is below the floor"
+        wrong = f"{where}: x and y are exchanged, an axis runs the other way, or the pictures are mirrored"
+    if wrong:
         raise GateNotMet(wrong)
-    _doubt_place(session, best.camera_config()["camera_position_m"])
+    doubt_camera(session, best.camera_config()["camera_position_m"], "that")
     if session.output_path == "-":
         write_camera(session, best.camera_config())
         return
     with session.output() as write:
         write({**camera.values, **best.camera_config()})
-
-
-def _doubt_place(session: Session, position: list[float]) -> None:
-    """Say so if a camera is outside the room that config.json states: points in centimetres, or from another corner."""
-    if not session.config.states("room_config", "room_dimensions_m"):
-        return
-    room = session.config.room.dimensions
-    if any(not -_WALL_M <= place <= side + _WALL_M for place, side in zip(position, room, strict=True)):
-        sides = " × ".join(f"{side:g}" for side in room)
-        session.warn(
-            f"that is outside the room of {sides} m in {session.config.name}: are the points in metres, counted from a "
-            "floor corner, z upwards?"
-        )
 
 
 @click.command("microphones", epilog="Example: avcalib microphones -C lab smooth.jsonl")

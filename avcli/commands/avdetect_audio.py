@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
-from avcli.commands.arrays import doubt_microphones
 from avcli.commands.filter import Filter, Session, common
 from avcli.commands.live import Skips, open_pipe
 from avcli.commands.options import FiniteRange, Numbers, Parsed, from_settings, refuse_without_effect, settings_from
+from avcli.commands.places import doubt_microphones
 from avcli.localization.settings import METHODS, ClosedFormSettings, CommonSettings, SteeredSettings
 from avcli.settings import settings_of
 

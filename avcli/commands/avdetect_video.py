@@ -15,6 +15,7 @@ import click
 from avcli.commands import filter
 from avcli.commands.live import newest, open_pipe
 from avcli.commands.options import FiniteRange, from_settings, refuse_without_effect, settings_from
+from avcli.commands.places import doubt_camera
 from avcli.detection.settings import Settings
 from avcli.settings import settings_of
 
@@ -127,6 +128,7 @@ def _detector(session: filter.Session, model: str | None, settings: Settings, *,
     from avcli.formats import media
 
     camera = _camera(session, settings.sensor)
+    doubt_camera(session, camera.T_room_camera[:3, 3], "camera_position_m")
     path = camera.background_depth
     if path is None and settings.detector == "depth":
         session.fail(
@@ -406,7 +408,7 @@ def _picture_shots(
 ) -> Iterator[footage.UnreadShot]:
     """Pictures in the order given; the empty room's depth picture, which lies beside the frames, is left out."""
     from avcli.formats import media
-    from avcli.formats.footage import UnreadShot, stamped
+    from avcli.formats.footage import UnreadShot, stamped, without_pictures
     from avcli.formats.numbered import missing
 
     background = _camera(session, sensor).background_depth
@@ -415,7 +417,7 @@ def _picture_shots(
     for source in sources:
         inside = [path for path in source.files() if source.kind == "picture" or path.resolve() != empty]
         if not inside:
-            session.usage(f"{source.name}: no pictures in this folder")
+            session.usage(without_pictures(source.name))
         paths += inside
     if not depth and media.is_depth(paths[0]):
         session.warn(f"{paths[0]} looks like a depth picture (16 bits, one channel); use --detector depth for those")

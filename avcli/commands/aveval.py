@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ Emit = Callable[[dict], None]
 Name = str | None
 _NOT_RANKED = ("experiments", "d0", "compare_thesis", "fail_under", "detections", "plot", "html", "mot", "rate")
 """Parameters without effect on a leaderboard."""
+APART = 0.5  # DetA up to which it is asked whether the tracks are elsewhere or late
 _FILE: dict[str, Any] = {"type": click.Path(dir_okay=False), "metavar": "FILE"}
 _DIRECTORY: dict[str, Any] = {"type": click.Path(file_okay=False), "metavar": "DIR"}
 
@@ -294,11 +296,8 @@ def _score(
             tracked, mismatch = score_tracks(truth, tracks, settings, entry.name, name, keep_first=keep_first)
         if any(map(len, tracks)):
             _warn(session, f"{entry.name} {name}", mismatch, settings, "track")
-            if mismatch.truth_frames < mismatch.truth_records and not tracked.record["HOTA"]["HOTA_TP"][0]:
-                session.warn(
-                    f"{entry.name} {name}: no track comes within {settings.d0:g} m (--d0) of anybody; the tracks lie "
-                    f"in {_extent(tracks)}, the people in {_extent(truth)}: are both in metres, from the same corner?"
-                )
+            if mismatch.truth_frames < mismatch.truth_records:
+                _warn_apart(session, f"{entry.name} {name}", truth, tracks, tracked.record, settings)
         elif any(map(len, truth)):
             session.warn(f"{entry.name} {name}: there are no tracks, so all people are missed")
         else:
@@ -323,6 +322,37 @@ def _score(
     from avcli.metrics.surroundings import with_surroundings
 
     return with_surroundings(run, config, session.warn)
+
+
+def _warn_apart(
+    session: Session,
+    name: str,
+    truth: Sequence[Identified],
+    tracks: Sequence[Identified],
+    scores: Mapping[str, Any],
+    settings: Settings,
+) -> None:
+    """Say that tracks are where nobody is, and what brings them there: another frame, or another clock."""
+    if scores["summary"]["DetA"] > APART:
+        return
+    if not scores["HOTA"]["HOTA_TP"][0]:
+        session.warn(
+            f"{name}: no track comes within {settings.d0:g} m (--d0) of anybody; the tracks lie in {_extent(tracks)}, "
+            f"the people in {_extent(truth)}: are both in metres, from the same corner?"
+        )
+    from avcli.tracking.clocks import REACH, offset
+    from avcli.tracking.frames import motion
+
+    ordered = (sorted(side, key=attrgetter("timestamp")) for side in (truth, tracks))
+    people, found = ([(one.timestamp, one.positions) for one in side] for side in ordered)
+    there = f"{name}: the tracks are where the people are,"
+    if (moved := motion(people, found)) is not None:
+        fits, as_it_is = f"{moved.fits:.0%} within {REACH:g} m", f"as they are {moved.as_it_is:.0%}"
+        session.warn(f"{there} {moved.words()} ({fits}; {as_it_is}): do the coordinates agree?")
+    elif (late := offset(people, found)) is not None:
+        when = "later" if late.seconds > 0 else "before"
+        fits, at_once = f"{late.fits:.0%} within {REACH:g} m", f"at the same time {late.at_once:.0%}"
+        session.warn(f"{there} {abs(late.seconds):.1f} s {when} ({fits}; {at_once}): do the clocks agree?")
 
 
 def _extent(people: Sequence[Identified]) -> str:

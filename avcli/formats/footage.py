@@ -313,7 +313,15 @@ def _members(names: list[str], *, foreign: bool) -> Iterator[Source | str]:
         yield from left_out[: None if foreign else 0 if members else 1]
         yield from members
         if not members and not left_out:
-            yield f"{one.name}: no pictures in this folder"
+            yield without_pictures(one.name)
+
+
+def without_pictures(folder: str) -> str:
+    """Say that a folder has no pictures, and which folders it has: pictures are often one level below."""
+    below = [one.name for one in sorted(Path(folder).glob("*/"))][:5]
+    return f"{folder}: no pictures in this folder" + (
+        f"; name one of its folders ({', '.join(below)})" if below else ""
+    )
 
 
 def count_pictures(names: list[str], rate_hz: float | None = None, most: int | None = None) -> int | None:

@@ -4,8 +4,9 @@
 them) and delays its tracks by some steps to smooth them (`smoothing`). The GLMB filter (`glmb`) predicts
 (`prediction`), weighs a record (`scan`), associates detections with people (`association`), begins tracks (`births`)
 and computes the densities after the record (`posterior`). `partial` is for detections that show a direction or a
-distance alone, `coverage` says where sensors see, and `unseen` where people may be whom none has seen. `clocks` tells
-if those of two sensors disagree. `motion` and `gaussian` are what all trackers are made of.
+distance alone, `coverage` says where sensors see, and `unseen` where people may be whom none has seen. `agreement`
+tells if two sensors disagree, by their `clocks` or their `frames`. `motion` and `gaussian` are what all trackers are
+made of.
 """
 
 from typing import TYPE_CHECKING, Any

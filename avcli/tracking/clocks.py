@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable
-from itertools import combinations
-from operator import itemgetter
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-MEMORY, LONGEST = 120.0, 10.0  # s of detections that are compared, and between two clocks
-FIRST, SELDOM = 10.0, 600.0  # s until the first comparison, and at most between two of them
+LONGEST = 10.0  # s between two clocks
 APART, REACH = 0.4, 0.5  # s between two records of one sensor that count; m within which it is one person
 STEP, BROAD = 0.1, 3  # s, of the offsets that are tried; how many count together
-MOST = 100  # detections of a record that are compared, so that time is bounded
+PLATEAU = 0.95  # share of the best fit from which an offset fits as well
 
 # Chosen on the cases of bench-tracking, hotel, zara01 and zara02 (seeds from 100): no false alarm in 112 runs.
 ENOUGH, FITS = 20, 0.4  # records, and share of them that fits
@@ -39,66 +35,20 @@ class Offset(NamedTuple):
     at_once: float
 
 
-class Clocks:
-    """Where the sensors of a run detected people lately, and what that says of their clocks."""
-
-    def __init__(self) -> None:
-        self._records: dict[str, deque[Record]] = {}  # of each sensor
-        self._begin, self._due = math.inf, math.inf  # s, of the first record, and of the next comparison
-        self._pairs: list[tuple[str, str]] = []  # that are still to be compared
-        self._said: set[frozenset[str]] = set()
-
-    def take(self, time: float, name: str, positions: np.ndarray) -> None:
-        """Note what a sensor found: time in s, positions (n, 2 or more) m, NaN where unknown."""
-        if math.isinf(self._begin):
-            self._begin, self._due = time, time + FIRST
-        records = self._records.setdefault(name, deque())
-        records.append((time, positions[:MOST]))
-        while records[0][0] < time - MEMORY:
-            records.popleft()
-
-    def news(self, now: float) -> list[str]:
-        """Return a sentence on two sensors whose clocks surely disagree, once; one pair a call, so that no step waits.
-
-        now: s.
-        """
-        if now >= self._due:
-            self._due = now + min(now - self._begin, SELDOM)
-            pairs = combinations(sorted(self._records, key=self._found), 2)
-            self._pairs = [pair for pair in pairs if frozenset(pair) not in self._said]
-        if not self._pairs:
-            return []
-        pair = self._pairs.pop()
-        found = offset(*[self._records[name] for name in pair])
-        if found is None:
-            return []
-        self._said.add(frozenset(pair))
-        first, second = pair if found.seconds > 0 else pair[::-1]
-        return [
-            f"sensor {second!r} finds people where {first!r} found them {abs(found.seconds):.1f} s before "
-            f"({found.fits:.0%} within {REACH:g} m; at the same time {found.at_once:.0%}): do the clocks agree?"
-        ]
-
-    def _found(self, name: str) -> tuple[int, str]:
-        """Return how many detections of a sensor are kept: of two, those of the one that finds fewer are looked for."""
-        return sum([len(positions) for _, positions in self._records[name]]), name
-
-
-def offset(first: Iterable[Record], second: Iterable[Record]) -> Offset | None:
+def offset(first: Sequence[Record], second: Sequence[Record]) -> Offset | None:
     """Find by how much the clocks of two sensors certainly differ.
 
     Of each lag it is counted how often the second sensor finds somebody where the first one did. People who stay where
     they are fit at any time, and tell nothing.
 
     Args:
-        first: records of one sensor.
+        first: records of one sensor, in order of time.
         second: those of the other one.
 
     Returns:
         None: they agree, or nobody can tell.
     """
-    second = sorted(second, key=itemgetter(0))
-    here = _one_of_each(sorted(first, key=itemgetter(0)))
+    here = _one_of_each(first)
     times = np.array([time for time, _ in second])
     places = [positions[np.isfinite(positions[:, :2]).all(1), :2] for _, positions in second]
     owner = np.repeat(np.arange(len(second)), [len(one) for one in places])
@@ -121,14 +71,16 @@ def offset(first: Iterable[Record], second: Iterable[Record]) -> Offset | None:
     nearest = abs(lags).min()  # of slow sensors no two records may be of one time
     best = int(share.argmax())
     fits, at_once = float(share[best]), float(share[abs(lags) < nearest + STEP / 2].max())
-    seconds, usual = float(lags[best]), float(np.median(share))
+    worse = np.flatnonzero(share < PLATEAU * fits)  # who walks is within reach for a while: its middle is the offset
+    alike = lags[np.append(-1, worse[worse < best])[-1] + 1 : np.append(worse[worse > best], len(lags))[0]]
+    seconds, usual = float((alike[0] + alike[-1]) / 2), float(np.median(share))
     spread = math.sqrt((fits * (1 - fits) + at_once * (1 - at_once) + 0.02) / len(here))
     certain = fits >= FITS and fits - max(at_once, usual) > SURE * spread and abs(seconds) >= nearest + LEAST
     certain = certain and at_once - usual <= LESS * (fits - usual)
     return Offset(seconds, fits, at_once) if certain else None
 
 
-def _one_of_each(records: Iterable[Record]) -> list[Record]:
+def _one_of_each(records: Sequence[Record]) -> list[Record]:
     """Return one detection (2,) m of each record that has some, in turn, of records that lie APART."""
     out: list[Record] = []
     for time, positions in records:

@@ -17,7 +17,7 @@ from avcli.formats.experiment import Config
 from avcli.formats.records import Detections, Identified
 from avcli.formats.sensors import MICROPHONES, sensor_kind
 from avcli.tracking import partial
-from avcli.tracking.clocks import Clocks
+from avcli.tracking.agreement import Agreement
 from avcli.tracking.coverage import Coverage, of_config
 from avcli.tracking.live import LiveMerger
 from avcli.tracking.merging import Merger, Record, in_turn
@@ -166,7 +166,7 @@ class Fusion:
         self._empty: Counter[str] = Counter()  # records of each sensor that find nobody
         self._gaps: dict[str, Counter[int]] = {}  # of each sensor: ms between its records -> how often
         self.steps = {"all": 0, "detections": 0, "people": 0}
-        self._clocks = Clocks()
+        self._agreement = Agreement()
         self._inside: Counter[str] = Counter()
         self._astray: set[str] = set()  # sensors of which it was said that most of their detections lie outside
         self.rate = self.settings.rate  # Hz of the output, None: that of the records
@@ -250,7 +250,7 @@ class Fusion:
             self._empty[name] += not len(one)
             self._gaps.setdefault(name, Counter())[min(round(1000 * (at - last)), 60_000)] += at > last
             self.spans[name] = min(first, at), max(last, at)
-            self._clocks.take(at - origin, name, one.positions)
+            self._agreement.take(at - origin, name, one.positions)
             looks.setdefault((round(at - origin, 6), self._column(name, one.kind)), []).append(one)
         sensors = (
             self.tracker.sensors
@@ -260,7 +260,7 @@ class Fusion:
         for text in self._news() if self._news else ():
             self.doubted = True
             self.say(text)
-        for text in self._clocks.news(now):
+        for text in self._agreement.news(now):
             self.say(text)
         if self.delayed:
             return [self._identified(*due) for due in self.delayed.push(now)]

@@ -1,0 +1,130 @@
+"""Coordinate frames of sensors that disagree: found where people walk, and nothing is said where nobody can tell."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from avcli.tracking.agreement import Agreement
+from avcli.tracking.frames import Motion, motion
+
+Record = tuple[float, np.ndarray]
+STILL = np.eye(2)
+
+
+def turned(degrees: float) -> np.ndarray:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, -s], [s, c]])
+
+
+def walked(people: int, seconds: float, rng: np.random.Generator) -> np.ndarray:
+    """People (times, people, 2) m who walk from one drawn place to the next at 1 m/s, ten times a second."""
+    times = np.arange(0.0, seconds, 0.1)
+    paths = []
+    for _ in range(people):
+        ways = rng.uniform(0.5, 5.5, (int(seconds), 2))
+        reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ways, axis=0), axis=1))])
+        paths.append(np.column_stack([np.interp(times, reached, column) for column in ways.T]))
+    return np.stack(paths, axis=1)
+
+
+def sensed(paths: np.ndarray, sd: float, share: float, rng: np.random.Generator) -> list[Record]:
+    """What a sensor finds of people, with noise, one false detection in twenty records, and heights that it lacks."""
+    out = []
+    for k, places in enumerate(paths):
+        found = places[rng.random(len(places)) < share] + sd * rng.standard_normal((1, 2))
+        found = np.concatenate([found, rng.uniform(0, 6, (int(rng.random() < 0.05), 2))])
+        out.append((k / 10, np.column_stack([found, np.full(len(found), np.nan)])))
+    return out
+
+
+def of(
+    people: int, matrix: np.ndarray, shift: tuple[float, float], seed: int = 0, seconds: float = 60.0
+) -> Motion | None:
+    """What is found of ears, and of an eye whose coordinates are turned or mirrored about (3, 3) m, and moved."""
+    rng = np.random.default_rng(seed)
+    paths = walked(people, seconds, rng)
+    moved = (paths - 3) @ matrix.T + 3 + np.array(shift)
+    return motion(sensed(paths, 0.2, 0.8, rng), sensed(moved, 0.1, 0.95, rng))
+
+
+@pytest.mark.parametrize("people", [1, 3])
+@pytest.mark.parametrize(
+    ("matrix", "shift"),
+    [
+        (turned(90), (0, 0)),
+        (turned(180), (0, 0)),
+        (turned(-30), (0.5, 0)),
+        (np.diag([-1, 1]), (0, 0)),
+        (np.array([[0, 1], [1, 0]]), (0, 0)),
+        (STILL, (0.8, -0.5)),
+    ],
+)
+def test_a_frame_that_is_turned_mirrored_or_moved_is_found(people, matrix, shift):
+    found = of(people, matrix, shift)
+    assert found is not None
+    np.testing.assert_allclose(found.matrix, matrix, atol=0.07)
+    np.testing.assert_allclose(found.matrix @ [3, 3] + found.shift, np.array([3, 3]) + shift, atol=0.15)
+    assert found.fits > 0.6 > found.as_it_is
+
+
+@pytest.mark.parametrize(
+    ("matrix", "shift", "says"),
+    [
+        (turned(90), (6, 0), "turned by 90 degrees from x to y about (3.0, 3.0) m"),
+        (turned(-20), (0, 0), "turned by -20 degrees from x to y about (0.0, 0.0) m"),
+        (turned(1), (0.8, -0.5), "moved by (0.8, -0.5) m"),
+        (np.diag([-1, 1]), (6, 0), "mirrored: x runs the other way"),
+        (np.diag([1, -1]) @ turned(4), (6, 0), "mirrored: y runs the other way"),
+        (np.array([[0, 1], [1, 0]]), (0, 0), "mirrored: x and y are exchanged"),
+        (-np.array([[0, 1], [1, 0]]), (6, 6), "mirrored: x and y are exchanged and run the other way"),
+        (turned(60) @ np.diag([1, -1]), (0, 0), "mirrored about a line at 30 degrees from x to y"),
+    ],
+)
+def test_a_motion_is_said_as_the_mistake_that_makes_it(matrix, shift, says):
+    assert Motion(matrix, np.array(shift, float), np.zeros(2), 1.0, 0.9, 0.1).words() == says
+
+
+@pytest.mark.parametrize("people", [1, 3, 6])
+@pytest.mark.parametrize("shift", [(0, 0), (0.15, 0.0)])
+def test_frames_that_agree_to_the_noise_are_not_doubted(people, shift):
+    assert of(people, STILL, shift) is None
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 4))
+def test_sensors_that_see_other_people_have_nothing_in_common(seed, people):
+    rng = np.random.default_rng(seed)
+    here, there = (sensed(walked(people, 60.0, rng), 0.15, 0.9, rng) for _ in range(2))
+    assert motion(here, there) is None
+
+
+def test_people_who_stay_where_they_are_tell_nothing():
+    rng = np.random.default_rng(0)
+    seated = np.broadcast_to(np.array([[1.0, 2.0], [4.0, 4.5]]), (600, 2, 2))
+    assert motion(sensed(seated, 0.1, 0.9, rng), sensed(seated @ turned(90).T, 0.1, 0.9, rng)) is None
+
+
+@pytest.mark.parametrize("found", [np.empty((0, 3)), np.full((2, 3), np.nan)])
+def test_a_sensor_without_positions_tells_nothing(found):
+    rng = np.random.default_rng(0)
+    others = sensed(walked(2, 60.0, rng), 0.1, 0.9, rng)
+    nothing = [(time, found) for time, _ in others]
+    assert motion(nothing, others) is None
+    assert motion(others, nothing) is None
+    assert motion([], others) is None
+
+
+def test_the_run_says_it_once_and_names_both_sensors():
+    rng, agreement, said = np.random.default_rng(0), Agreement(), []
+    paths = walked(2, 100.0, rng)
+    ears, eye = sensed(paths, 0.2, 0.6, rng), sensed((paths - 3) * [-1, 1] + 3, 0.1, 0.95, rng)
+    for (time, heard), (_, seen) in zip(ears, eye, strict=True):
+        agreement.take(time, "ears", heard)
+        agreement.take(time, "eye", seen)
+        said += agreement.news(time)
+    (sentence,) = said
+    assert sentence.startswith("sensor 'eye' finds people where 'ears' finds them, mirrored: x runs the other way (")
+    assert sentence.endswith("do their coordinates agree?")
