@@ -1,5 +1,6 @@
-"""What several stages compute: FFT lengths, the speed of sound, a clock's rate, optimal assignment. It imports numpy
-alone.
+"""What several stages compute: FFT lengths, the speed of sound, a clock's rate, medians, optimal assignment.
+
+It imports numpy alone.
 """
 
 import functools
@@ -32,6 +33,13 @@ _WORK_WORTH_SCIPY = 3_000_000
 
 class TooLittle(ValueError):
     """There is too little data to tell what was asked."""
+
+
+def median(values: np.ndarray) -> np.ndarray:
+    """Medians (...) over the last axis of finite values (..., n), as np.median, which takes several times as long."""
+    half, odd = divmod(values.shape[-1], 2)
+    parted = np.partition(values, half if odd else (half - 1, half), axis=-1)
+    return np.asarray(parted[..., half] if odd else parted[..., half - 1] / 2 + parted[..., half] / 2)
 
 
 Assignment = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]

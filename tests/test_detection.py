@@ -479,6 +479,17 @@ def test_a_camera_that_repeats_one_picture_has_stopped():
     assert not frozen.is_frozen
 
 
+def test_a_little_motion_in_a_small_picture_passes():
+    gate, picture = Gate(refresh=100), np.full((640, 640, 3), 90, np.uint8)
+    gate.changes(picture)
+    picture = picture.copy()
+    picture[200:212, 304:316] += 10  # a head far away
+    ((x0, y0, x1, y1),) = gate.changes(picture)
+    assert (np.array([x0, y0]) <= [304, 200]).all()
+    assert (np.array([x1, y1]) >= [316, 212]).all()
+    assert (x1 - x0) * (y1 - y0) < 80**2
+
+
 def test_the_gate_looks_again_now_and_then():
     gate = Gate(refresh=4)
     still = np.zeros((64, 64, 3), np.uint8)

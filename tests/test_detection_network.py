@@ -145,6 +145,15 @@ def test_a_letterbox_pads_with_grey():
     assert (out[48:] == 114).all()
 
 
+@pytest.mark.parametrize("times", [1, 2, 3, 5])
+def test_a_picture_is_scaled_bilinearly(times):
+    cv2 = pytest.importorskip("cv2")
+    picture = np.random.default_rng(0).integers(0, 256, (24 * times, 32 * times, 3)).astype(np.uint8)
+    out = Letterbox.fit((32 * times, 24 * times), (32, 32)).apply(picture)
+    assert np.array_equal(out[4:28], cv2.resize(picture, (32, 24), interpolation=cv2.INTER_LINEAR))
+    assert (out[:4] == 114).all()
+
+
 def test_a_chair_over_a_person_does_not_hide_the_person():
     table = rows(84)
     table[6] = table[5]

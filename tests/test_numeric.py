@@ -36,3 +36,10 @@ def test_the_assignment_is_that_of_scipy(seed, rows, more):
 
     cost = np.random.default_rng(seed).normal(size=(rows, max(rows + more, 1)))
     np.testing.assert_array_equal(numeric.assign(cost), linear_sum_assignment(cost))
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(1,), (2,), (9,), (10,), (3, 7), (3, 8)])
+def test_medians_are_those_of_numpy(shape, kind):
+    values = np.random.default_rng(1).uniform(150, 255, shape).astype(kind)  # two bytes would overflow
+    assert np.array_equal(numeric.median(values), np.median(values, axis=-1))

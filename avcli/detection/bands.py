@@ -9,6 +9,7 @@ import numpy as np
 
 from avcli.detection.agreement import overlaps
 from avcli.detection.network import MOST, PAD, Boxes, Network, suppress
+from avcli.numeric import median
 
 BREADTH = 0.7
 """Breadth of a band as a part of its length."""
@@ -45,7 +46,7 @@ def _unlit(picture: np.ndarray) -> tuple[np.ndarray, int]:
     step = max(min(picture.shape[:2]) // 256, 1)
     some = picture[::step, ::step]
     level = some.max(axis=2)
-    dark = min(DARK, DARKER * float(np.median(level[_away(level.shape) < 0.4])))
+    dark = min(DARK, DARKER * float(median(level[_away(level.shape) < 0.4])))
     return (level < dark) | (some == PAD).all(axis=2), step
 
 
@@ -106,22 +107,22 @@ class BandedNetwork:
         height, width = picture.shape[:2]
         if regions is not None:
             regions = _inside(regions - np.tile(corner, 2), width, height)
-        across = self._look(0, picture, regions)
+        rows = max((height - round(BREADTH * width)) // 2, 0)  # beside the band across, and columns beside the other
+        columns = max((width - round(BREADTH * height)) // 2, 0)
+        across = self._look(0, picture[rows : height - rows], rows, regions)
         if regions is not None:
             regions = np.column_stack([regions[:, 1], width - regions[:, 2], regions[:, 3], width - regions[:, 0]])
-        down = self._look(1, cv2.rotate(picture, cv2.ROTATE_90_COUNTERCLOCKWISE), regions)
+        band = cv2.rotate(picture[:, columns : width - columns], cv2.ROTATE_90_COUNTERCLOCKWISE)
+        down = self._look(1, band, columns, regions)
         found = _moved(voted(across, _turned_back(down, width), (width, height)), corner)
         kept = suppress(found.boxes, found.scores, self._iou)
         return found.take(kept[found.scores[kept] >= self.confidence][:MOST])
 
-    def _look(self, number: int, picture: np.ndarray, regions: np.ndarray | None) -> Boxes:
-        """What a band across the middle of a picture shows, in px of the picture."""
-        height, width = picture.shape[:2]
-        margin = max((height - round(BREADTH * width)) // 2, 0)
+    def _look(self, number: int, band: np.ndarray, margin: int, regions: np.ndarray | None) -> Boxes:
+        """What a band shows, in px of the picture, which has a margin of rows above it."""
         if regions is not None:
-            regions = _inside(regions - [0, margin, 0, margin], width, height - 2 * margin)
-        found = self._bands[number].detect(picture[margin : height - margin], regions)
-        return _moved(found, np.array([0, margin]))
+            regions = _inside(regions - [0, margin, 0, margin], band.shape[1], band.shape[0])
+        return _moved(self._bands[number].detect(band, regions), np.array([0, margin]))
 
 
 def _inside(boxes: np.ndarray, width: int, height: int) -> np.ndarray:

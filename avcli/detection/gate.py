@@ -2,7 +2,10 @@
 
 import numpy as np
 
-TILE_PX = 16
+from avcli.numeric import median
+
+ACROSS, TILE_PX, FINE_PX = 320, 8, 2
+"""Pixels that are compared across a picture, about, and the sides, of these, of a tile and of what is joined first."""
 LEARNING = 5
 """Comparisons from which each tile learns its noise before it is relied upon."""
 SOON, SLOWLY = 0.3, 0.03
@@ -23,11 +26,10 @@ class Gate:
 
     Args:
         refresh: every `refresh`-th picture passes whole, changed or not; 1: all pictures do.
-        coarseness: px between the pixels that are compared.
     """
 
-    def __init__(self, refresh: int = 10, coarseness: int = 3):
-        self.refresh, self.coarseness = refresh, coarseness
+    def __init__(self, refresh: int = 10):
+        self.refresh = refresh
         self._last: np.ndarray | None = None
         self._since = self._compared = 0
         self._noise = np.zeros(0)
@@ -42,7 +44,8 @@ class Gate:
         import cv2
 
         height, width = picture.shape[:2]
-        size = -(-width // self.coarseness), -(-height // self.coarseness)
+        apart = max(round(width / ACROSS), 1)
+        size = -(-width // apart), -(-height // apart)
         small, last = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST), self._last
         self._since += 1
         moved = None
@@ -56,7 +59,7 @@ class Gate:
         regions = _boxes(moved, size)
         for x0, y0, x1, y1 in regions:
             last[y0:y1, x0:x1] = small[y0:y1, x0:x1]
-        return np.minimum(regions * self.coarseness, [width, height, width, height])
+        return np.minimum(regions * apart, [width, height, width, height])
 
     @property
     def _unknown(self) -> bool:
@@ -76,8 +79,8 @@ class Gate:
         if self._is_noisy:
             noisy = self._noise > LEAST
             ratios = levels[noisy] / self._noise[noisy]
-            usual = np.median(ratios)
-            scatter = 1.4826 * np.median(np.abs(ratios - usual))
+            usual = median(ratios)
+            scatter = 1.4826 * median(np.abs(ratios - usual))
             moved = levels > self._noise * (usual + SURE * scatter) + MOTION
         if moved.mean() > 0.5:  # the light or the sensor has changed
             self._compared = 0
@@ -95,7 +98,9 @@ def _levels(small: np.ndarray, last: np.ndarray) -> np.ndarray:
 
     height, width = small.shape[:2]
     rows, columns = max(height // TILE_PX, 1), max(width // TILE_PX, 1)
-    difference = cv2.resize(cv2.absdiff(small, last), (4 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
+    less = max(width // FINE_PX, 1), max(height // FINE_PX, 1)  # whole scales take half of the time
+    difference = cv2.absdiff(small, last)[: FINE_PX * less[1], : FINE_PX * less[0]]
+    difference = cv2.resize(difference, less, interpolation=cv2.INTER_AREA)
     return cv2.resize(difference.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA).mean(axis=2)
 
 

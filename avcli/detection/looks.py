@@ -20,6 +20,7 @@ from avcli.detection.body import Person, Surface, standing
 from avcli.detection.monocular import HEIGHT_M
 from avcli.detection.view import View
 from avcli.formats.features import Feature
+from avcli.numeric import median
 
 KIND, NAME = "clothes", "looks"
 
@@ -124,11 +125,13 @@ class Looks:
             show heat), and for all where the picture does not show enough of the room.
         """
         described = np.full((len(people), 2, len(COMPONENTS)), np.nan)
-        gain = self._gain(picture, people)
+        step = _step(picture)
+        room = np.moveaxis(picture[step // 2 :: step, step // 2 :: step], -1, 0).copy()
+        gain = self._gain(room, step, people)
         if gain is None:
             return described
-        table = np.log(np.arange(256)[:, None] / 255 * gain + _DARK)
-        grey = _is_grey(self._of_room(picture), 0.002)
+        table = np.log(np.arange(256) / 255 * gain[:, None] + _DARK)
+        grey = _is_grey(np.moveaxis(room, 0, -1), 0.002)
         for index, person in enumerate(people):
             if person.visible is not None and person.visible < _SEEN:
                 continue
@@ -167,41 +170,36 @@ class Looks:
     def _away(self, person: Person) -> float:
         return float(np.linalg.norm(person.position[:2] - self.view.origin[:2]))
 
-    def _of_room(self, picture: np.ndarray) -> np.ndarray:
-        step = _step(picture)
-        return picture[step // 2 :: step, step // 2 :: step]
-
-    def _gain(self, picture: np.ndarray, people: Sequence[Person]) -> np.ndarray | None:
+    def _gain(self, room: np.ndarray, step: int, people: Sequence[Person]) -> np.ndarray | None:
         """Factors (3,) of red, green and blue that bring the room to `_ROOM`; None where the picture shows no room.
 
         The light of a picture is compared with that of the first one sample by sample, so that it does not matter
         which part of the room the people hide.
+
+        Args:
+            room: (3, h, w) samples of a picture.
+            step: px between them.
+            people: who hide the room.
         """
-        room = self._of_room(picture)
-        step = _step(picture)
         usable = (room > _USABLE[0]) & (room < _USABLE[1])
-        free = np.asarray(usable[..., 0] & usable[..., 1] & usable[..., 2])
+        free = np.asarray(usable[0] & usable[1] & usable[2])
         for person in people:
             x0, y0, x1, y1 = np.maximum(person.bbox_px / step, 0).astype(int)
             free[y0 : y1 + 1, x0 : x1 + 1] = False
         if free.sum() < _LEAST_ROOM:
             return None
-        values = np.where(free[..., None], _LOGARITHMS.take(room), np.nan)
-        known = self._room
-        ratios = values[free] - known[free] if known is not None and known.shape == room.shape else np.empty((0, 3))
-        ratios = ratios[~np.isnan(ratios[:, 0])]
-        if known is None or len(ratios) < _LEAST_ROOM:
-            known, self._median, ratios = (
-                np.full_like(values, np.nan),
-                np.median(values[free], axis=0),
-                np.zeros((1, 3)),
-            )
-        self._light = np.median(ratios, axis=0)
-        new = free & np.isnan(known[..., 0])
+        values, known = _LOGARITHMS.take(room), self._room
+        both = free & ~np.isnan(known[0]) if known is not None and known.shape == room.shape else np.zeros((0, 0), bool)
+        if known is None or both.sum() < _LEAST_ROOM:
+            known = np.full(room.shape, np.nan)
+            self._median, self._light = median(values[:, free]), np.zeros(3)
+        else:
+            self._light = median(values[:, both] - known[:, both])
+        new = free & np.isnan(known[0])
         if new.any():
-            known[new] = values[new] - self._light
-            self._room, self._whole = known, _filled(known)
-        return _ROOM / np.exp(self._median + self._light)
+            known[:, new] = values[:, new] - self._light[:, None]
+            self._room, self._whole = known, _filled(np.moveaxis(known, 0, -1))
+        return np.asarray(_ROOM / np.exp(self._median + self._light))
 
 
 def _medians(colours: np.ndarray, share: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,16 +208,16 @@ def _medians(colours: np.ndarray, share: np.ndarray, table: np.ndarray) -> tuple
     Args:
         colours: (n, 3) uint8.
         share: (n,) of the body's height.
-        table: (256, 3) logarithms of the values.
+        table: (3, 256) logarithms of the values.
     """
     medians, spreads = np.full((2, len(PARTS), len(COLOURS)), np.nan)
     for index, (low, high) in enumerate(PARTS.values()):
         own = colours[(share >= low) & (share < high)]
         own = own[:: -(-len(own) // _MOST)] if len(own) else own
-        if len(own) < _FEWEST or (own >= _CLIPPED).any(axis=1).mean() > 0.5:
+        if len(own) < _FEWEST or (np.maximum(np.maximum(*own.T[:2]), own[:, 2]) >= _CLIPPED).mean() > 0.5:
             continue
-        values = np.sort(np.stack([table[own[:, k], k] for k in range(3)], axis=1) @ _AXES, axis=0)
-        lower, medians[index], upper = values[[len(own) // 4, len(own) // 2, (3 * len(own)) // 4]]
+        values = np.sort(_AXES.T @ np.stack([table[k, own[:, k]] for k in range(3)]), axis=1)
+        lower, medians[index], upper = values[:, [len(own) // 4, len(own) // 2, (3 * len(own)) // 4]].T
         spreads[index] = (upper - lower) / 1.349
     return medians.ravel()[_KEPT], spreads.ravel()[_KEPT]
 

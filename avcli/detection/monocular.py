@@ -147,6 +147,7 @@ class _Hypotheses:
 
 _MOST, _MOST_BY_POINTS = (_Hypotheses(KINDS, upright=True, points=points) for points in (False, True))
 _REST = _Hypotheses(LYING, upright=False)
+_ALL, _ALL_BY_POINTS = (some.beside(_REST) for some in (_MOST, _MOST_BY_POINTS))
 
 _LEVELS = np.arange(0.1, 1.75, 0.2)
 """m; where what a box shows of somebody may be."""
@@ -212,7 +213,7 @@ class Fitted:
         boxes = np.asarray(boxes, float).reshape(-1, 4)
         self.lie = lie
         self._room, self._law, self._below = room, law, view.origin[:2]
-        self._most = _MOST if parts is None else _MOST_BY_POINTS
+        self._most, every = (_MOST, _ALL) if parts is None else (_MOST_BY_POINTS, _ALL_BY_POINTS)
         if not len(boxes):
             self._alone = Places(
                 np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, bool), np.zeros((0, 2))
@@ -220,7 +221,7 @@ class Fitted:
             return
         self._unsure = None if parts is None or scores is None else np.sqrt(1 - np.clip(scores, 0.0, 1.0))
         count = len(self._most)
-        fits = _fitted(boxes, view, parts, turns, self._unsure, law, self._most.beside(_REST) if lie else self._most)
+        fits = _fitted(boxes, view, parts, turns, self._unsure, law, every if lie else self._most)
         suits = np.where(fits.good[:, :count] & ~self._most.hiding, fits.shared[:, :count], 0.0).max(axis=1) >= TIGHT
         loose = np.flatnonzero(~suits)
         self.lie = len(loose) > 0
@@ -412,14 +413,14 @@ class _Fits:
         self.unsure = np.zeros(rows) if unsure is None else unsure
         self.view, self.law, self.parts = view, law, parts is not None
         self._rows = np.arange(rows)
-        repeat = rows // len(hypotheses)
-        outline = hypotheses.outlines[np.tile(hypotheses.kind, repeat)]
-        self._across = np.moveaxis(outline[..., :2] @ view.rotation[:2], -1, 0).copy()
-        self._part = outline[..., 2]
-        self.hiding, self.log_share = np.tile(hypotheses.hiding, repeat), np.tile(hypotheses.log_share, repeat)
-        upright = np.tile(hypotheses.upright, repeat)
+        which = self._rows % len(hypotheses)
+        kind = hypotheses.kind[which]
+        self._across = np.moveaxis(hypotheses.outlines[..., :2] @ view.rotation[:2], -1, 0)[:, kind]
+        self._part = hypotheses.outlines[kind, :, 2]
+        self.hiding, self.log_share = hypotheses.hiding[which], hypotheses.log_share[which]
+        upright = hypotheses.upright[which]
         self.log_share += np.where(upright, np.log(np.where(self.hiding, feet, 1 - feet)), 0.0)
-        self.mean, self.height_spread = np.tile(hypotheses.mean, repeat), np.tile(hypotheses.spread, repeat)
+        self.mean, self.height_spread = hypotheses.mean[which], hypotheses.spread[which]
         self.middle = (boxes[:, :2] + boxes[:, 2:]) / 2
         self._turn = None if turns is None or not turns.any() else (np.cos(turns), np.sin(turns))  # picture to box
         if self._turn is None:
@@ -436,7 +437,7 @@ class _Fits:
         self.inward = inward
         inner = np.concatenate([inward < -0.3, inward > 0.3], axis=1)  # sides that face the point below the camera
         self._coverable = self.hiding[:, None] & inner
-        marked = np.repeat([False, True, False], 2) & np.tile(hypotheses.told, repeat)[:, None]
+        marked = np.repeat([False, True, False], 2) & hypotheses.told[which][:, None]
         self._silent = np.where(self.hiding[:, None], ~marked, ~upright[:, None])  # of the parts
         self.valid = np.ones(rows, bool)
         self.state = self._start()

@@ -86,12 +86,18 @@ class Letterbox:
         import cv2
 
         width, height = round(picture.shape[1] * self.scale), round(picture.shape[0] * self.scale)
-        if (height, width) != picture.shape[:2]:
-            picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
-        if (width, height) == self.size:
+        if (width, height) == self.size == picture.shape[1::-1]:
             return picture
         out = np.full((self.size[1], self.size[0], 3), PAD, np.uint8)
-        out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width] = picture
+        into = out[self.shift[1] : self.shift[1] + height, self.shift[0] : self.shift[0] + width]
+        times = picture.shape[1] // width
+        if (height, width) == picture.shape[:2]:
+            into[:] = picture
+        elif times % 2 and (times * height, times * width) == picture.shape[:2]:  # bilinearly it is the middle pixel
+            middle = picture[times // 2 :, times // 2 :]
+            cv2.resize(middle, None, into, 1 / times, 1 / times, cv2.INTER_NEAREST)
+        else:
+            cv2.resize(picture, (width, height), into, interpolation=cv2.INTER_LINEAR)
         return out
 
     def to_input(self, points: np.ndarray) -> np.ndarray:
@@ -485,14 +491,19 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, iou: float, within: float = 
         within: or intersection over the smaller of both.
     """
     order = np.argsort(-scores, kind="stable")
-    area = np.maximum(boxes[:, 2:] - boxes[:, :2], 0).prod(axis=1)
+    x0, y0, x1, y1 = boxes.T
+    area = np.maximum(x1 - x0, 0) * np.maximum(y1 - y0, 0)
     kept: list[int] = []
     while order.size and len(kept) < MOST:
         best, order = order[0], order[1:]
         kept.append(best)
-        shared = np.minimum(boxes[order, 2:], boxes[best, 2:]) - np.maximum(boxes[order, :2], boxes[best, :2])
-        shared = np.maximum(shared, 0).prod(axis=1)
+        if not order.size:
+            break
+        across = np.minimum(x1[order], x1[best]) - np.maximum(x0[order], x0[best])
+        down = np.minimum(y1[order], y1[best]) - np.maximum(y0[order], y0[best])
+        shared = np.maximum(across, 0) * np.maximum(down, 0)
         apart = shared <= iou * np.maximum(area[order] + area[best] - shared, 1e-12)
-        apart &= shared <= within * np.maximum(np.minimum(area[order], area[best]), 1e-12)
+        if within < np.inf:
+            apart &= shared <= within * np.maximum(np.minimum(area[order], area[best]), 1e-12)
         order = order[apart]
     return np.array(kept, dtype=int)

@@ -37,6 +37,7 @@ class Radial:
         self.g, self.s_max, self.steps = g, s_max, steps
         self.y_max = float(g(np.asarray(s_max, float))[0]) if y_max is None else y_max
         self.goes_far = self.y_max > 50
+        self._asked = 0
 
     def knots(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Sample the inverse at count + 1 even knots of w, a variable from 0 to 1 in which it is smooth.
@@ -68,7 +69,8 @@ class Radial:
     def inverse(self, y: np.ndarray) -> np.ndarray:
         """Solve g(s) = y for y (...) >= 0; NaN beyond y_max."""
         y = np.asarray(y, float)
-        if y.size < KNOTS:  # too few to pay for a table
+        self._asked += y.size
+        if self._asked < KNOTS:  # too few so far to pay for a table
             return self._bracketed_newton(y)
         s = self.about(y)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

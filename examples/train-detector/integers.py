@@ -24,6 +24,9 @@ from onnx import TensorProto, helper, numpy_helper
 from avcli.detection.learning import Graph
 from avcli.detection.network import own_model
 
+OWN = "com.microsoft"
+"""Domain of onnxruntime's own operators."""
+
 LEVELS, WEIGHT = 255, 63
 """Steps of an activation, and the largest rounded weight."""
 
@@ -59,6 +62,8 @@ class Rounded(Graph):
         super().__init__(content)
         nodes = self.proto.graph.node
         users = {name: [node for node in nodes if name in node.input] for node in nodes for name in node.output}
+        self.made_by = {node.output[0]: node for node in nodes}
+        self.relus = {node.input[0]: node.output[0] for node in nodes if node.op_type == "Relu"}
         self.rounded = [
             node.output[0]
             for node in nodes
@@ -102,62 +107,110 @@ class Rounded(Graph):
         return value * factor - less
 
     def content_in_integers(self) -> bytes:
-        """The ONNX file: each rounded tensor is written and read as integers, which onnxruntime joins with its node."""
+        """The ONNX file: maps are bytes, with their channels last, in onnxruntime's own operators on integers."""
         assert self.ranges
         proto = onnx.ModelProto()
         proto.CopyFrom(self.proto)
-        constants = {one.name: numpy_helper.to_array(one) for one in proto.graph.initializer}
-        constants |= {name: value.detach().numpy() for name, value in self.named_parameters()}
-        nodes, read, steps = [], {}, {}
-
-        def told(name: str, step, zero) -> list[str]:
-            constants[f"{name}_step"], constants[f"{name}_zero"] = np.asarray(step, np.float32), zero
-            return [f"{name}_step", f"{name}_zero"]
-
-        for node in self.proto.graph.node[1:]:
-            out, inputs = node.output[0], [read.get(name, name) for name in node.input]
+        weights = {name: value.detach().numpy() for name, value in self.named_parameters()}
+        graph = _Integers(self.ranges)
+        source, first = proto.graph.input[0], self.rounded[0]
+        graph.blocks(source.name, first)
+        for node in self.proto.graph.node[2:]:
+            out, options = node.output[0], {one.name: helper.get_attribute_value(one) for one in node.attribute}
             if node.op_type == "Conv" and out not in self.ends:
-                weight, bias = (constants.pop(name) for name in node.input[1:])
-                if node.input[0] == self.rounded[0]:  # no level of a byte is 0 there
-                    bias = bias + weight.sum((1, 2, 3)) * (self.made_of_input(0.0) - self.ranges[node.input[0]][0])
-                own = _steps(torch.from_numpy(weight)).numpy().ravel()
-                both = [(weight / own[:, None, None, None], own, np.int8)]
-                both.append((bias / (own * steps[node.input[0]]), own * steps[node.input[0]], np.int32))
-                for k, (value, step, kind) in enumerate(both, 1):
-                    constants[f"{node.input[k]}_whole"] = np.rint(value).astype(kind)
-                    scale = told(node.input[k], step, np.zeros(len(step), kind))
-                    inputs[k] = f"{node.input[k]}_read"
-                    nodes.append(
-                        helper.make_node("DequantizeLinear", [f"{node.input[k]}_whole", *scale], [inputs[k]], axis=0)
-                    )
-            if out == self.rounded[0]:
-                nodes.append(
-                    helper.make_node("Transpose", [proto.graph.input[0].name], [f"{out}_whole"], perm=[0, 3, 1, 2])
-                )
-            else:
-                copied = onnx.NodeProto()
-                copied.CopyFrom(node)
-                copied.input[:] = inputs
-                nodes.append(copied)
-            like = out if out in self.ranges else node.input[0] if node.op_type == "Resize" else None
-            if like is not None:
-                low, high = self.ranges[like]
-                steps[out] = (high - low) / LEVELS
-                scale = told(out, steps[out], np.uint8(round(-low / steps[out])))
-                if out != self.rounded[0]:
-                    nodes.append(helper.make_node("QuantizeLinear", [out, *scale], [f"{out}_whole"]))
-                read[out] = f"{out}_read"
-                nodes.append(helper.make_node("DequantizeLinear", [f"{out}_whole", *scale], [read[out]]))
-        used = {name for node in nodes for name in node.input}
+                weight, bias = (weights[name] for name in node.input[1:])
+                if node.input[0] == first:  # no level of a byte is 0 there
+                    bias = bias + weight.sum((1, 2, 3)) * (self.made_of_input(0.0) - self.ranges[first][0])
+                    weight, options = _in_blocks(weight), options | {"strides": [4, 1], "pads": [1, 0, 1, 0]}
+                to = out if out in self.ranges else self.relus[out]
+                graph.conv(node.input[0], to, weight, bias, options)
+            elif node.op_type == "Resize":
+                (add,) = (one for one in self.proto.graph.node if out in one.input)
+                graph.doubled(node.input[0], out, like=next(name for name in add.input if name != out))
+            elif node.op_type == "Add":
+                graph.add(*node.input, out)
+            elif out == self.ends[0]:
+                parts = [weights[name] for end in self.ends for name in self.made_by[end].input[1:]]
+                graph.heads(node.input[0], self.ends, np.concatenate(parts[::2]), np.concatenate(parts[1::2]))
+            elif node.op_type not in ("Conv", "Relu"):
+                graph.nodes.append(node)
         del proto.graph.node[:], proto.graph.initializer[:]
-        proto.graph.node.extend(nodes)
-        proto.graph.initializer.extend(
-            numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items() if name in used
-        )
-        source = proto.graph.input[0]
+        proto.graph.node.extend(graph.nodes)
+        proto.graph.initializer.extend(numpy_helper.from_array(value, name) for name, value in graph.constants.items())
         source.CopyFrom(helper.make_tensor_value_info(source.name, TensorProto.UINT8, [1, "height", "width", 3]))
-        onnx.checker.check_model(proto)
+        proto.opset_import.append(helper.make_opsetid(OWN, 1))
         return proto.SerializeToString(deterministic=True)
+
+
+class _Integers:
+    """Nodes and constants of a network whose maps are bytes, (1, h, w, channels).
+
+    onnxruntime finds few of these operators by itself in a graph of quantizations, and copies in between.
+    """
+
+    def __init__(self, ranges: Ranges):
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: dict[str, np.ndarray] = {}
+        steps = {name: (high - low) / LEVELS for name, (low, high) in ranges.items()}
+        self.levels = {name: (step, round(-ranges[name][0] / step)) for name, step in steps.items()}
+
+    def node(self, kind: str, inputs: list[str], *out: str, **options) -> None:
+        self.nodes.append(helper.make_node(kind, inputs, list(out), **options))
+
+    def constant(self, name: str, value, kind: type) -> str:
+        self.constants[name] = np.asarray(value, kind)
+        return name
+
+    def level(self, name: str) -> list[str]:
+        """Step and zero of the bytes of a map."""
+        step, zero = self.levels[name]
+        return [self.constant(f"{name}_step", step, np.float32), self.constant(f"{name}_zero", zero, np.uint8)]
+
+    def blocks(self, picture: str, out: str) -> None:
+        """A picture (1, h, w, 3), one column moved, as blocks (1, h, w / 4 + 1, 12) of four columns."""
+        pads = self.constant("margin", [0, 0, 1, 0, 0, 0, 3, 0], np.int64)
+        self.node("Pad", [picture, pads, self.level(out)[1]], f"{out}_wide")
+        self.node("Reshape", [f"{out}_wide", self.constant("blocks", [0, 0, -1, 12], np.int64)], out)
+
+    def conv(self, x: str, out: str, weight: np.ndarray, bias: np.ndarray, options: dict) -> None:
+        """A convolution, and its rectifier where the least of the bytes is 0."""
+        own = _steps(torch.from_numpy(weight)).numpy().ravel()
+        whole = self.constant(f"{out}_weight", np.rint(weight / own[:, None, None, None]), np.int8)
+        scale = self.constant(f"{out}_scale", own, np.float32)
+        zero = self.constant(f"{out}_zeros", np.zeros(len(own)), np.int8)
+        start = self.constant(f"{out}_bias", np.rint(bias / (own * self.levels[x][0])), np.int32)
+        inputs = [x, *self.level(x), whole, scale, zero, *self.level(out), start]
+        self.node("QLinearConv", inputs, out, domain=OWN, channels_last=1, **options)
+
+    def add(self, one: str, other: str, out: str) -> None:
+        inputs = [one, *self.level(one), other, *self.level(other), *self.level(out)]
+        self.node("QLinearAdd", inputs, out, domain=OWN)
+
+    def doubled(self, x: str, out: str, like: str) -> None:
+        """Each column and row twice, to the size of another map."""
+        self.levels[out] = self.levels[x]
+        single = self.constant("single", [0, 0, 0, 1, -1], np.int64)
+        rows = self.constant("rows", [0, 0, 1, -1, self.constants[f"{x}_weight"].shape[0]], np.int64)
+        self.node("Reshape", [x, single], f"{out}_single")
+        self.node("Concat", [f"{out}_single"] * 2, f"{out}_columns", axis=3)
+        self.node("Reshape", [f"{out}_columns", rows], f"{out}_rows")
+        self.node("Concat", [f"{out}_rows"] * 2, f"{out}_both", axis=2)
+        self.node("Shape", [like], f"{out}_size")
+        self.node("Reshape", [f"{out}_both", f"{out}_size"], out)
+
+    def heads(self, x: str, ends: tuple[str, str], weight: np.ndarray, bias: np.ndarray) -> None:
+        """The maps that stay floats, (1, channels, h, w): the first one, and the others."""
+        self.node("DequantizeLinear", [x, *self.level(x)], f"{x}_read")
+        self.node("MatMul", [f"{x}_read", self.constant("heads", weight[:, :, 0, 0].T, np.float32)], "products")
+        self.node("Transpose", ["products"], "logits", perm=[0, 3, 1, 2])
+        self.node("Add", ["logits", self.constant("heads_bias", bias[:, None, None], np.float32)], "maps")
+        self.node("Split", ["maps", self.constant("parts", [1, len(bias) - 1], np.int64)], *ends, axis=1)
+
+
+def _in_blocks(weight: np.ndarray) -> np.ndarray:
+    """Weights (n, 3, 6, 6) of columns -1 to 4 as weights (n, 12, 6, 2) of blocks of four columns, one column moved."""
+    columns = np.pad(weight, ((0, 0), (0, 0), (0, 0), (0, 2))).reshape(*weight.shape[:3], 2, 4)
+    return columns.transpose(0, 4, 1, 2, 3).reshape(len(weight), 12, 6, 2)
 
 
 def batch(rng: np.random.Generator, pictures: np.ndarray) -> torch.Tensor:
