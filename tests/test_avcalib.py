@@ -67,11 +67,6 @@ def test_into_an_experiment_that_is_new(pictures, tmp_path):
     assert run("avcalib", "undistort", pictures / "board_00.png", "-C", lab, "--to", straight).returncode == 0
 
 
-def test_inner_corners_for_squares_are_recognised(pictures):
-    result = run("avcalib", "calibrate", *sorted(pictures.iterdir())[:4], "--board", "5x7")
-    assert "a board of 6x8 squares" in result.stderr
-
-
 def test_too_few_pictures_are_refused(pictures, tmp_path):
     out = tmp_path / "camera.json"
     result = run("avcalib", "calibrate", pictures / "board_00.png", pictures / "board_01.png", "-o", out)
@@ -103,10 +98,6 @@ def test_options_without_effect_are_refused_by_name(pictures, camera, options, n
     assert result.returncode == 2
     assert name in result.stderr
     assert result.stderr.count("\n") == 1
-
-
-def test_what_a_preset_sets_is_not_refused(pictures):
-    assert "no effect" not in run("avcalib", "calibrate", pictures, "--preset", "thesis").stderr
 
 
 def test_bad_input(pictures, tmp_path):
@@ -305,15 +296,3 @@ def test_targets(tmp_path, kind):
     assert run("avcalib", "target", "--kind", "charuco", "-o", out).returncode == 0
     assert out.read_bytes() == result.stdout
     assert run("avcalib", "target", "--square", "90", "--paper", "A4").returncode == 2
-
-
-def test_a_board_on_stdin_as_jpegs(pictures):
-    import cv2
-
-    stream = b"".join(
-        cv2.imencode(".jpg", cv2.imread(str(path), 0), [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
-        for path in sorted(pictures.iterdir())
-    )
-    result = run("avcalib", "calibrate", "-", stdin=stream)
-    assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout)["fx_px"] == pytest.approx(HALF.fx, abs=1.5)

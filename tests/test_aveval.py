@@ -343,13 +343,6 @@ def test_two_files_of_one_name_are_told_apart(experiment, tmp_path):
     assert [r["tracker"] for r in found[:2]] == ["a/tracks.jsonl", "b/tracks.jsonl"]
 
 
-def test_an_old_output_stays_when_the_input_is_bad(experiment, tmp_path):
-    (tmp_path / "old.jsonl").write_text("old")
-    result = run("aveval", experiment / "groundtruth_sources.jsonl", "-", "-o", tmp_path / "old.jsonl", stdin="{")
-    assert result.returncode == 1
-    assert (tmp_path / "old.jsonl").read_text() == "old"
-
-
 def test_all_records_follow_the_schema(tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
 

@@ -321,13 +321,6 @@ def test_only_a_file_is_replaced(tmp_path):
     assert os.listdir(tmp_path) == ["pipe"]
 
 
-def test_two_outputs_of_one_name_are_refused(tmp_path):
-    same = tmp_path / "same.jsonl"
-    ended = run_forked("avfuse", "-o", same, "--explain", same, stdin=DETECTION)
-    refused(ended, "same.jsonl: two outputs have the same name", status=2)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     "command",
     [

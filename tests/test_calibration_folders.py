@@ -168,6 +168,7 @@ def test_a_stream_is_not_thinned_by_count(shots):
     stream = b"".join(map(jpeg, shots))
     result = run("avcalib", "calibrate", "-", stdin=stream)
     assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["fx_px"] == pytest.approx(HALF.fx, abs=1.5)
     assert "8 of 8 pictures" in result.stderr
     result = run("avcalib", "calibrate", "-", "--rate", "0.01", stdin=stream)
     assert result.returncode == 3

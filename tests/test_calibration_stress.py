@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from calibration_boards import HALF, HALF_SIZE, film, photograph, photographs
 from conftest import run
+from test_calibration_live import FakeCapture
 
 from avcli.calibration import corners
 from avcli.calibration.target import Board
@@ -170,35 +171,10 @@ def test_a_very_large_picture():
     assert error < 0.3
 
 
-class VanishingCamera:
-    """What cv2.VideoCapture is to a camera whose cable is pulled after some pictures."""
-
-    def __init__(self, pictures):
-        self.pictures = list(pictures)
-
-    def isOpened(self):
-        return True
-
-    def set(self, *_):
-        return True
-
-    def get(self, _):
-        return 0.0
-
-    def grab(self):
-        return bool(self.pictures)
-
-    def retrieve(self):
-        return True, np.dstack([self.pictures.pop(0)] * 3)
-
-    def release(self):
-        self.pictures = []
-
-
 def test_a_camera_that_vanishes_leaves_what_it_gave(shots, monkeypatch):
     import cv2
 
-    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: VanishingCamera(shots[:3]))
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: FakeCapture([np.dstack([shot] * 3) for shot in shots[:3]]))
     found = list(footage.pictures(["/dev/video0"], size=HALF_SIZE))
     assert len(found) == 3
     with pytest.raises(MediaError, match="not 1920"):

@@ -129,17 +129,11 @@ def test_a_png_is_true_to_scale():
     at = png.index(b"pHYs")
     assert struct.unpack(">IIB", png[at + 4 : at + 13]) == (10000, 10000, 1)
     assert struct.unpack(">II", png[16:24]) == (2100, 2970)
-    found = corners.find(corners.to_grey(_decoded(png)), board)
+    found = corners.find(cv2.imdecode(np.frombuffer(png, np.uint8), 0), board)
     spacing = np.diff(found.pixels.reshape(6, 4, 2), axis=1)[..., 0]
     assert spacing == pytest.approx(300, abs=0.02)
     with pytest.raises(ValueError, match="too large"):
         drawing.to_png(drawing.draw(board, "A0"), 2400)
-
-
-def _decoded(png):
-    import cv2
-
-    return cv2.imdecode(np.frombuffer(png, np.uint8), 0)
 
 
 @pytest.mark.parametrize("name", BOARDS)
@@ -171,8 +165,6 @@ def test_nothing_is_recognised_in_noise():
 
 
 def test_blotches_are_no_board():
-    import cv2
-
     rng = np.random.default_rng(0)
     pictures = [
         cv2.normalize(cv2.GaussianBlur(rng.integers(0, 256, (300, 400)).astype(np.uint8), (0, 0), 2), None, 0, 255, 32)

@@ -2,7 +2,6 @@
 
 import doctest
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -192,11 +191,6 @@ def test_scores_by_the_library_are_those_of_the_command(tmp_path):
 def test_the_library_refuses_what_the_command_refuses(wrong):
     with pytest.raises(ValueError, match=f"^{next(iter(wrong))} must be"):
         scoring.score([], [], **wrong)
-
-
-def test_settings_are_read_without_numpy():
-    program = "import sys, avcli.metrics.settings; sys.exit('numpy' in sys.modules)"
-    assert run(sys.executable, "-c", program).returncode == 0
 
 
 # --- what a sensor is -------------------------------------------------------------------------------------------------

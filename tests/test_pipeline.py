@@ -248,22 +248,6 @@ def test_sound_of_another_rate_or_channel_count(finished_s1, tmp_path):
         one_line(run("avdetect-audio", "-C", directory, wav), "avdetect-audio", 1)
 
 
-def test_a_machine_without_egl(tmp_path):
-    nothing = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json", "GLCONTEXT_LINUX_LIBEGL": "libnothing.so"}
-    result = run("avsim-scene", "s1", "-C", tmp_path / "e", env=nothing)
-    one_line(result, "avsim-scene", 1)
-    assert "libegl1" in result.stderr
-    assert result.stdout == b""
-
-
-def test_a_directory_that_is_not_ours_is_left_alone(tmp_path):
-    (tmp_path / "config.json").write_text('{"session_id": "somebody else\'s"}')
-    result = run("avsim-scene", "s1", "-C", tmp_path, "--no-video")
-    assert result.returncode in (1, 2)
-    assert result.stderr.count("\n") == 1
-    assert os.listdir(tmp_path) == ["config.json"]
-
-
 @pytest.mark.parametrize("command", READERS)
 def test_a_bad_line_in_every_reader(finished_s1, tmp_path, command):
     directory = broken(finished_s1, tmp_path, lambda config: config)
@@ -272,12 +256,6 @@ def test_a_bad_line_in_every_reader(finished_s1, tmp_path, command):
     one_line(result, command, 1)
     assert "<stdin>:1:" in result.stderr
     assert os.listdir(directory) == ["config.json"], "nothing half-written"
-
-
-@pytest.mark.parametrize("command", ["avfuse", "avdetect-video", "avdetect-audio"])
-def test_nothing_in_nothing_out(finished_s1, command):
-    result = run(command, "-C", finished_s1, stdin=b"")
-    assert (result.returncode, result.stdout) == (0, b"")
 
 
 # --- the manual's examples --------------------------------------------------------------------------------------------

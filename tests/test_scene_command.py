@@ -60,15 +60,6 @@ def test_an_experiment_holds_what_the_design_says(tmp_path):
     assert truth == [{key: value for key, value in r.items() if key != "frame"} for r in lines]
 
 
-def test_the_same_input_gives_the_same_bytes(tmp_path):
-    simulate(tmp_path / "a", SMALL)
-    simulate(tmp_path / "b", SMALL)
-    files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
-    assert len(files) == 11
-    for path in files:
-        assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes(), path
-
-
 def test_threads_leave_no_trace_in_the_bytes(tmp_path):
     for threads in ("0", "1", "3"):
         result = run(
