@@ -371,8 +371,7 @@ def test_a_name_that_is_no_utf8_is_shown(tmp_path):
 
 def test_what_config_json_states_is_drawn_without_the_rest(tmp_path):
     from avcli.formats.experiment import Config
-    from avcli.metrics.run import Run
-    from avcli.metrics.surroundings import with_surroundings
+    from avcli.metrics.run import Run, with_surroundings
 
     camera = {"fx_px": 500, "fy_px": 500, "cx_px": 320, "cy_px": 240, "camera_position_m": [2, 1, 3]}
     said = []
