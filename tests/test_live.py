@@ -15,7 +15,7 @@ import soundfile
 from conftest import BIN, run
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
-from avcli.commands import avcalib_live
+from avcli.commands import avcalib
 from avcli.commands.live import newest
 from avcli.formats import experiment, footage, media
 from avcli.formats.camera import Camera
@@ -397,5 +397,5 @@ def test_a_stream_at_an_address_is_filmed_live(monkeypatch):
     monkeypatch.setattr(footage, "pictures", lambda *_: iter(shown))
     with contextlib.ExitStack() as stack:
         source = footage.source("rtsp://camera/path")
-        arriving, _ = avcalib_live._pictures(None, stack, source, {"rate_hz": 0.1})
+        arriving, _ = avcalib._pictures(None, stack, source, {"rate_hz": 0.1})
         assert len(list(arriving)) == 1
