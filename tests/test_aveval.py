@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from conftest import BIN, run, schema
+from conftest import BIN, refused, run, schema
 
 
 def record(t, objects):
@@ -210,14 +210,10 @@ def test_nothing_on_either_side(tmp_path):
 def test_standard_input_is_named_once_and_no_page_replaces_an_input(tmp_path):
     for paths in (("-", "-"), (tmp_path / "truth.jsonl", "-", "--detections", "-")):
         (tmp_path / "truth.jsonl").write_text(lines(walk()))
-        ended = run("aveval", *paths, stdin=lines(walk()))
-        assert ended.returncode == 2
-        assert "standard input ('-') is named twice" in ended.stderr
+        refused(run("aveval", *paths, stdin=lines(walk())), "standard input ('-') is named twice", status=2)
     for command in ("aveval", "avview"):
         truth = tmp_path / "truth.jsonl"
-        ended = run(command, truth, truth, "--html", truth)
-        assert ended.returncode == 2
-        assert "this file is an input" in ended.stderr
+        refused(run(command, truth, truth, "--html", truth), "this file is an input", status=2)
         assert truth.read_text() == lines(walk())
 
 

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import orjson
 import pytest
-from conftest import BIN
+from conftest import BIN, refused
 from forked import run_forked
 
 from avcli.formats import atomic, footage, media, records
@@ -30,11 +30,6 @@ def config(tmp_path, **changes):
     path = tmp_path / "config.json"
     path.write_bytes(orjson.dumps(raw))
     return path
-
-
-def refused(ended, *words, status=1):
-    assert (ended.returncode, ended.stderr.count("\n")) == (status, 1), ended.stderr
-    assert all(word in ended.stderr for word in words), ended.stderr
 
 
 # --- records ----------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from calibration_boards import HALF, HALF_SIZE, film, photograph, photographs
-from conftest import run
+from conftest import done, refused, run
 from test_calibration_live import FakeCapture
 
 from avcli.calibration import corners
@@ -44,8 +44,7 @@ def write_video(path, pictures, each=1, fps=2.0):
 
 
 def lens_of(*arguments):
-    result = run("avcalib", "calibrate", *arguments)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", *arguments)
     return json.loads(result.stdout), result.stderr
 
 
@@ -147,9 +146,7 @@ def test_pictures_that_are_none(tmp_path, shots):
         list(footage.pictures([str(tmp_path)]))
     bad = tmp_path / "bad.png"
     bad.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    result = run("avcalib", "calibrate", bad)
-    assert result.returncode == 1
-    assert result.stderr.count("\n") == 1
+    refused(run("avcalib", "calibrate", bad))
     result = run("avcalib", "calibrate", "/dev/video97")
     assert result.returncode == 2
     assert run("avcalib", "calibrate", "-", stdin=b"no jpeg").returncode == 1

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import ROOT, run, schema
+from conftest import ROOT, done, run, schema
 from hypothesis import given
 from hypothesis import strategies as st
 from test_metrics import sequences
@@ -180,8 +180,7 @@ def test_scores_by_the_library_are_those_of_the_command(tmp_path):
         (("--speaking", "--d0", "1", "--order", "2"), {"speaking": True, "d0": 1.0, "order": 2.0}),
         (("--dims", "3", "--cutoff", "0.3", "--window", "4"), {"dims": 3, "cutoff": 0.3, "window": 4}),
     ):
-        result = run("aveval", truth, tracks, *options)
-        assert result.returncode == 0, result.stderr
+        result = done("aveval", truth, tracks, *options)
         assert json.loads(result.stdout.splitlines()[0])["summary"] == score(
             records.load(truth), records.load(tracks), **words
         )
