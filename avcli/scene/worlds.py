@@ -55,7 +55,9 @@ def random_world(
     g_room, g_camera, g_things, g_people, g_places, g_talk = generator.spawn(6)
     kind = random_kind(g_room, wishes.people)
     kind = wishes.kind or kind
-    size = wishes.room or _tall_enough(random_size(g_room, kind, wishes.people), wishes.camera_height)
+    size = random_size(g_room, kind, wishes.people) if wishes.room is None else wishes.room
+    if wishes.room is None and wishes.camera_height is not None:
+        size = size[0], size[1], max(size[2], round(wishes.camera_height + 0.1, 2))
     doors = random_doors(g_room, size)
     camera = _camera(g_camera, size, known, wishes.lens, wishes.camera_height)
     room = {"room_dimensions_m": [float(v) for v in size], **random_surfaces(g_room, kind, size, doors)}
@@ -82,10 +84,6 @@ def random_world(
         "furniture": layout.pieces,
         "people": people,
     }
-
-
-def _tall_enough(size: Size, camera: float | None) -> Size:
-    return size if camera is None else (size[0], size[1], max(size[2], round(camera + 0.1, 2)))
 
 
 def _person(number: int, kind: str, g: np.random.Generator) -> dict[str, Any]:
