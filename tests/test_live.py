@@ -98,7 +98,7 @@ def test_the_newest_is_taken_and_skipping_is_said_once_and_counted():
 
     session, got = Said([]), []
     with contextlib.ExitStack() as stack:
-        shots = newest(session, stack, items(), "pictures")
+        shots = newest(session, stack, items())
         for release in (taken[0], taken[1]):
             got.append(next(shots).timestamp)
             release.release()
