@@ -76,10 +76,7 @@ def test_the_experiment_has_the_layout_of_the_thesis(finished_s1):
     assert config["camera_config"]["lens_model"] == "kannala_brandt"
     for record in lines(finished_s1 / "scene.jsonl"):
         t = record["timestamp"]
-        assert record["frame"] == {
-            "rgb": f"video/rgb/RGB_frame_{t}.png",
-            "depth": f"video/depth/Depth_frame_{t}.png",
-        }
+        assert record["frame"] == {"rgb": f"video/rgb/RGB_frame_{t}.png", "depth": f"video/depth/Depth_frame_{t}.png"}
     rgb = cv2.imread(str(finished_s1 / "video/rgb/RGB_frame_2.0000000000.png"), cv2.IMREAD_UNCHANGED)
     depth = cv2.imread(str(finished_s1 / "video/depth/Depth_frame_2.0000000000.png"), cv2.IMREAD_UNCHANGED)
     assert (rgb.shape, rgb.dtype, depth.shape, depth.dtype) == ((1080, 1920, 3), np.uint8, (1080, 1920), np.uint16)

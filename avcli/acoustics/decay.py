@@ -24,9 +24,7 @@ LEAST_ABSORPTION, MOST_ABSORPTION = 1e-6, 0.99
 
 
 def image_absorption(
-    room_dimensions_m: ArrayLike,
-    rt60_s: float,
-    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
+    room_dimensions_m: ArrayLike, rt60_s: float, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
 ) -> np.ndarray:
     """Return the absorption coefficients with which image sources themselves have a reverberation time, (6,) of energy.
 

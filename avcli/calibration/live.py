@@ -168,13 +168,7 @@ class Guide:
     # --- what is known
 
     def take(
-        self,
-        board: Board,
-        views: list[View],
-        view: View | None,
-        width: int,
-        height: int,
-        circle: Circle | None = None,
+        self, board: Board, views: list[View], view: View | None, width: int, height: int, circle: Circle | None = None
     ) -> str | None:
         """Learn from the views so far; return a hint when something is new.
 

@@ -75,10 +75,7 @@ class Skips(contextlib.AbstractContextManager["Skips"]):
 
 
 def newest(
-    session: Session,
-    stack: contextlib.ExitStack,
-    shots: Iterable[T],
-    stop: Callable[[], None] = lambda: None,
+    session: Session, stack: contextlib.ExitStack, shots: Iterable[T], stop: Callable[[], None] = lambda: None
 ) -> Iterator[T]:
     """Yield the newest of the pictures that a live source sends whenever the next is asked for.
 

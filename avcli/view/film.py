@@ -107,11 +107,7 @@ def _encode(encoder: str, silent: Path, track: sound.Track | None, target: Path,
 
 
 def _images(
-    shown: Shown,
-    heard: sound.Track | None,
-    camera: Camera | None,
-    times: np.ndarray,
-    say: Callable[[str], None],
+    shown: Shown, heard: sound.Track | None, camera: Camera | None, times: np.ndarray, say: Callable[[str], None]
 ) -> Iterator[np.ndarray]:
     import cv2
 
