@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from calibration_boards import HALF, HALF_SIZE, film, photographs
+from calibration_boards import HALF, HALF_SIZE, film, jpeg, photographs, write_film
 from conftest import done, refused, run
 
 from avcli.calibration import gather, place
@@ -22,12 +22,6 @@ BOARD = Board(6, 9, 0.07)
 def shots():
     rng = np.random.default_rng(11)
     return photographs(film(8, rng, lens=HALF, size=HALF_SIZE, board=BOARD), rng, board=BOARD)
-
-
-def jpeg(picture, quality=97):
-    import cv2
-
-    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 @pytest.fixture
@@ -89,12 +83,7 @@ def test_the_commonest_size_wins_whatever_comes_first(shots):
 
 
 def test_films_and_pictures_in_one_folder(shots, tmp_path):
-    import cv2
-
-    writer = cv2.VideoWriter(str(tmp_path / "b.AVI"), cv2.VideoWriter.fourcc(*"MJPG"), 2.0, HALF_SIZE)
-    for shot in shots[4:]:
-        writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    write_film(tmp_path / "b.AVI", shots[4:])
     (tmp_path / "c.mp4").write_bytes(b"no film" * 100)
     for number, shot in enumerate(shots[:4]):
         write_png(tmp_path / f"a{number}.png", shot)
@@ -107,15 +96,9 @@ def test_films_and_pictures_in_one_folder(shots, tmp_path):
 
 
 def test_a_film_that_is_decoded_whole_is_read_until_it_is_enough(shots, tmp_path, monkeypatch):
-    import cv2
-
     from avcli.commands import avcalib_pictures
 
-    name = str(tmp_path / "few.avi")
-    writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"MJPG"), 2.0, HALF_SIZE)
-    for shot in shots:
-        writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    name = str(write_film(tmp_path / "few.avi", shots))
     assert footage.is_decoded_whole([name], 2.0, 4)  # no thirty pictures are quick to reach
     assert not footage.is_decoded_whole([name], 2.0, 8)
     assert not footage.is_decoded_whole([str(tmp_path)], 2.0, 8)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, HALF, HALF_SIZE, THESIS, exact, film, photograph, photographs
+from calibration_boards import BOARD, HALF, HALF_SIZE, THESIS, exact, film, jpeg, photograph, photographs, write_film
 from conftest import BIN, run
 
 from avcli import pose
@@ -193,19 +193,13 @@ def test_the_words_name_the_nearer_edge():
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
-def jpegs(shots):
-    import cv2
-
-    return [cv2.imencode(".jpg", shot, [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes() for shot in shots]
-
-
 def test_ctrl_c_while_filming_keeps_what_was_collected(shots):
     command = [BIN / "avcalib", "live", "-", "--board", "6x8", "--kind", "checkerboard", "--port", "0", "--no-stop"]
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     with subprocess.Popen(command, **pipes) as process:
         line = b""
-        for number, jpeg in enumerate(jpegs(shots)[:6], 1):
-            process.stdin.write(jpeg)
+        for number, shot in enumerate(shots[:6], 1):
+            process.stdin.write(jpeg(shot))
             process.stdin.flush()
             while f"{number} view".encode() not in line:
                 line = process.stderr.readline()
@@ -218,14 +212,7 @@ def test_ctrl_c_while_filming_keeps_what_was_collected(shots):
 
 
 def test_a_film_plays_at_its_own_pace(shots, tmp_path):
-    import cv2
-
-    path = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, HALF_SIZE)
-    for shot in shots[:2]:
-        for _ in range(8):
-            writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    path = write_film(tmp_path / "film.avi", shots[:2], each=8, fps=10)
     begin = time.monotonic()
     result = run("avcalib", "live", path, "--board", "6x8", "--kind", "checkerboard", "--port", "0")
     assert time.monotonic() - begin > 1.4

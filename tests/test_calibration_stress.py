@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from calibration_boards import HALF, HALF_SIZE, film, photograph, photographs
+from calibration_boards import HALF, HALF_SIZE, film, jpeg, photograph, photographs, write_film
 from conftest import done, refused, run
 from test_calibration_live import FakeCapture
 
@@ -32,17 +32,6 @@ def write(folder, pictures, extension="png"):
     return folder
 
 
-def write_video(path, pictures, each=1, fps=2.0):
-    import cv2
-
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), fps, HALF_SIZE)
-    for picture in pictures:
-        for _ in range(each):
-            writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
-
-
 def lens_of(*arguments):
     result = done("avcalib", "calibrate", *arguments)
     return json.loads(result.stdout), result.stderr
@@ -54,7 +43,7 @@ def usual(shots, tmp_path_factory):
 
 
 def test_a_video_and_its_rate(shots, tmp_path, usual):
-    film = write_video(tmp_path / "film.avi", shots, each=5, fps=10.0)
+    film = write_film(tmp_path / "film.avi", shots, each=5, fps=10.0)
     assert [round(p.timestamp, 3) for p in footage.pictures([str(film)], 2.0)] == [i / 2 for i in range(8)]
     assert footage.count_pictures([str(film)], 2.0) == 8
     assert len(list(footage.pictures([str(film)]))) == 40
@@ -65,7 +54,7 @@ def test_a_video_and_its_rate(shots, tmp_path, usual):
 
 @pytest.mark.slow
 def test_a_video_with_rot_in_it(shots, tmp_path, usual):
-    film = write_video(tmp_path / "film.avi", shots)
+    film = write_film(tmp_path / "film.avi", shots)
     content = bytearray(film.read_bytes())
     rng = np.random.default_rng(0)
     at = rng.integers(len(content) // 10, 9 * len(content) // 10, 12)
@@ -114,11 +103,11 @@ def test_a_note_on_which_way_is_up_is_not_followed(shots, tmp_path):
     """The sensor does not turn when someone turns the camera: pixels are taken as they lie in the file."""
     import cv2
 
-    jpeg = cv2.imencode(".jpg", shots[0])[1].tobytes()
+    whole = jpeg(shots[0])
     tiff = b"MM\0*" + (8).to_bytes(4, "big") + b"\0\1" + b"\x01\x12\0\3\0\0\0\1\0\6\0\0" + bytes(4)
     note = b"Exif\0\0" + tiff
     path = tmp_path / "turned.jpg"
-    path.write_bytes(jpeg[:2] + b"\xff\xe1" + (len(note) + 2).to_bytes(2, "big") + note + jpeg[2:])
+    path.write_bytes(whole[:2] + b"\xff\xe1" + (len(note) + 2).to_bytes(2, "big") + note + whole[2:])
     assert cv2.imread(str(path)).shape[:2] == HALF_SIZE  # OpenCV by itself would follow it
     assert next(footage.pictures([str(path)])).image.shape[:2] == HALF_SIZE[::-1]
 
